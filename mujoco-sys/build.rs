@@ -1,0 +1,80 @@
+//! Finds Debian's MuJoCo 2.2.2, generates the bindings, compiles the shim that catches fatal errors.
+
+use std::env;
+use std::path::{Path, PathBuf};
+use std::process::exit;
+
+/// The release whose structs and semantics this crate is written for (`mjVERSION_HEADER`).
+const VERSION: u32 = 222;
+const PACKAGE: &str = "Debian 12's package libmujoco-dev (MuJoCo 2.2.2): apt-get install libmujoco-dev";
+
+fn main() {
+    println!("cargo::rerun-if-changed=src/shim.c");
+    println!("cargo::rerun-if-changed=src/shim.h");
+    println!("cargo::rerun-if-env-changed=MUJOCO_PREFIX");
+    let prefix = PathBuf::from(env::var_os("MUJOCO_PREFIX").unwrap_or_else(|| "/usr".into()));
+    let include = prefix.join("include");
+    check_header(&include.join("mujoco/mujoco.h"));
+    let library = find_library(&prefix);
+
+    println!("cargo::rustc-link-search=native={}", library.display());
+    println!("cargo::rustc-link-lib=dylib=mujoco");
+    println!("cargo::metadata=version=2.2.2");
+
+    cc::Build::new().file("src/shim.c").include(&include).flag("-std=c11").warnings(true).compile("mujoco_shim");
+    // The shim calls into libmujoco: it has to come before it on the linker's line.
+    println!("cargo::rustc-link-lib=dylib=mujoco");
+
+    let bindings = bindgen::Builder::default()
+        .header("src/shim.h")
+        .clang_arg(format!("-I{}", include.display()))
+        .allowlist_function("supple_.*|mj_(deleteModel|deleteData|deleteVFS|defaultVFS|makeEmptyFileVFS|findFileVFS|freeLastXML|name2id|id2name|version)")
+        .allowlist_type("mjModel|mjData|mjVFS|mjContact|mjtObj_|mjtWarning_|mjtGeom_|mjtJoint_")
+        .allowlist_var("mjVERSION_HEADER|SUPPLE_ERROR_SIZE")
+        .default_enum_style(bindgen::EnumVariation::Consts)
+        .prepend_enum_name(false)
+        .layout_tests(false)
+        .generate_comments(false)
+        .generate();
+    let bindings = match bindings {
+        Ok(bindings) => bindings,
+        Err(error) => fail(&format!("bindgen failed on {}: {error}; is libclang-dev installed?", include.display())),
+    };
+    let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default()).join("bindings.rs");
+    if let Err(error) = bindings.write_to_file(&out) {
+        fail(&format!("cannot write {}: {error}", out.display()));
+    }
+}
+
+fn check_header(header: &Path) {
+    let Ok(text) = std::fs::read_to_string(header) else {
+        fail(&format!("the header {} is missing; supple needs {PACKAGE}", header.display()));
+    };
+    let version = text
+        .lines()
+        .find_map(|line| line.strip_prefix("#define mjVERSION_HEADER"))
+        .and_then(|rest| rest.trim().parse::<u32>().ok());
+    if version != Some(VERSION) {
+        fail(&format!(
+            "{} is of version {}, expected {VERSION}; supple needs {PACKAGE}",
+            header.display(),
+            version.map_or("unknown".into(), |v| v.to_string()),
+        ));
+    }
+}
+
+/// The folder of `libmujoco.so` below `prefix`, also in Debian's multi-architecture folders.
+fn find_library(prefix: &Path) -> PathBuf {
+    let lib = prefix.join("lib");
+    let arch = env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default();
+    let candidates = [lib.join(format!("{arch}-linux-gnu")), lib.clone()];
+    match candidates.iter().find(|folder| folder.join("libmujoco.so").exists()) {
+        Some(folder) => folder.clone(),
+        None => fail(&format!("libmujoco.so is not under {}; supple needs {PACKAGE}", lib.display())),
+    }
+}
+
+fn fail(message: &str) -> ! {
+    eprintln!("error: {message}");
+    exit(1)
+}

@@ -1,0 +1,84 @@
+// MuJoCo reports fatal errors through a global handler that must not return: the default one waits
+// for a key and exits the process. Here the handler jumps back to the guarded call that is running on
+// this thread. Only frames of MuJoCo's C engine lie in between, which hold nothing to unwind.
+
+#include "shim.h"
+
+#include <setjmp.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+static _Thread_local jmp_buf* catch_point = NULL;
+static _Thread_local char* error_text = NULL;
+
+static void on_error(const char* message) {
+  if (!catch_point) {
+    fprintf(stderr, "MuJoCo error outside a guarded call: %s\n", message);
+    abort();
+  }
+  strncpy(error_text, message, SUPPLE_ERROR_SIZE - 1);
+  error_text[SUPPLE_ERROR_SIZE - 1] = '\0';
+  longjmp(*catch_point, 1);
+}
+
+// MuJoCo counts warnings in mjData, where they are checked; the default handler would also write a log file.
+static void on_warning(const char* message) {
+  (void)message;
+}
+
+void supple_init(void) {
+  mju_user_error = on_error;
+  mju_user_warning = on_warning;
+}
+
+#define GUARDED(call)        \
+  do {                       \
+    jmp_buf here;            \
+    catch_point = &here;     \
+    error_text = error;      \
+    error[0] = '\0';         \
+    if (setjmp(here)) {      \
+      catch_point = NULL;    \
+      return 1;              \
+    }                        \
+    call;                    \
+    catch_point = NULL;      \
+    return 0;                \
+  } while (0)
+
+int supple_load_xml(mjModel** out, const char* filename, const mjVFS* vfs, char* error) {
+  *out = NULL;
+  GUARDED(*out = mj_loadXML(filename, vfs, error, SUPPLE_ERROR_SIZE));
+}
+
+int supple_copy_model(mjModel** out, const mjModel* source, char* error) {
+  *out = NULL;
+  GUARDED(*out = mj_copyModel(NULL, source));
+}
+
+int supple_make_data(mjData** out, const mjModel* m, char* error) {
+  *out = NULL;
+  GUARDED(*out = mj_makeData(m));
+}
+
+int supple_reset_data(const mjModel* m, mjData* d, char* error) { GUARDED(mj_resetData(m, d)); }
+
+int supple_step(const mjModel* m, mjData* d, char* error) { GUARDED(mj_step(m, d)); }
+
+int supple_step1(const mjModel* m, mjData* d, char* error) { GUARDED(mj_step1(m, d)); }
+
+int supple_step2(const mjModel* m, mjData* d, char* error) { GUARDED(mj_step2(m, d)); }
+
+int supple_forward(const mjModel* m, mjData* d, char* error) { GUARDED(mj_forward(m, d)); }
+
+int supple_contact_force(const mjModel* m, const mjData* d, int id, mjtNum* result, char* error) {
+  GUARDED(mj_contactForce(m, d, id, result));
+}
+
+int supple_object_velocity(const mjModel* m, const mjData* d, int objtype, int objid, mjtNum* res,
+                           int flg_local, char* error) {
+  GUARDED(mj_objectVelocity(m, d, objtype, objid, res, flg_local));
+}
+
+int supple_raise(const char* message, char* error) { GUARDED(mju_error(message)); }

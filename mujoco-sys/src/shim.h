@@ -1,0 +1,29 @@
+// MuJoCo calls that may raise a fatal error, wrapped so that the error comes back as a value.
+//
+// Each returns 0, or 1 after writing MuJoCo's message into `error` (always NUL-terminated).
+// After a 1 the mjData involved is in an unknown state: reset it before the next step.
+#ifndef SUPPLE_MUJOCO_SHIM_H
+#define SUPPLE_MUJOCO_SHIM_H
+
+#include <mujoco/mujoco.h>
+
+#define SUPPLE_ERROR_SIZE 1024
+
+// Installs the error and warning handlers. Call once, before any other call and any thread.
+void supple_init(void);
+
+int supple_load_xml(mjModel** out, const char* filename, const mjVFS* vfs, char* error);
+int supple_copy_model(mjModel** out, const mjModel* source, char* error);
+int supple_make_data(mjData** out, const mjModel* m, char* error);
+int supple_reset_data(const mjModel* m, mjData* d, char* error);
+int supple_step(const mjModel* m, mjData* d, char* error);
+int supple_step1(const mjModel* m, mjData* d, char* error);
+int supple_step2(const mjModel* m, mjData* d, char* error);
+int supple_forward(const mjModel* m, mjData* d, char* error);
+int supple_contact_force(const mjModel* m, const mjData* d, int id, mjtNum* result, char* error);
+int supple_object_velocity(const mjModel* m, const mjData* d, int objtype, int objid, mjtNum* res,
+                           int flg_local, char* error);
+// Raises a MuJoCo error on purpose, for tests of the way back.
+int supple_raise(const char* message, char* error);
+
+#endif

@@ -1,0 +1,131 @@
+//! `train`: the method of section III, from an empty policy or a checkpoint.
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use anyhow::Context;
+use clap::Parser;
+use indicatif::{ProgressBar, ProgressStyle};
+use supple::config::Config;
+use supple::metrics::IterationMetrics;
+use supple::run::RunFolder;
+use supple::train::Trainer;
+
+/// Train a policy to walk, to yield when pushed, and to get up to speed again.
+///
+/// Metrics go to DIR/metrics.jsonl and to TensorBoard event files in DIR, the policy to DIR/policy.safetensors.
+/// Ctrl-C finishes the iteration, writes a checkpoint and says how to go on.
+#[derive(Parser)]
+#[command(version)]
+struct Args {
+    /// Configuration: compliant, baseline, hardware, or a YAML file [default: compliant]
+    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    config: Option<String>,
+    /// Seed of everything random in the run [default: 0]
+    #[arg(long, value_name = "N", conflicts_with = "resume")]
+    seed: Option<u64>,
+    /// Samples of the whole run, also when resumed [default: the configuration's]
+    #[arg(long, value_name = "N")]
+    samples: Option<u64>,
+    /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]
+    #[arg(long, value_name = "DIR", conflicts_with = "resume")]
+    out: Option<PathBuf>,
+    /// Go on with the run in this folder, exactly where its checkpoint stands
+    #[arg(long, value_name = "DIR")]
+    resume: Option<PathBuf>,
+    /// Worker threads; the result does not depend on them [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    threads: Option<u16>,
+}
+
+fn main() -> ExitCode {
+    match run(Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(args: Args) -> anyhow::Result<()> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let handler = Arc::clone(&stop);
+    ctrlc::set_handler(move || handler.store(true, Ordering::Relaxed)).context("cannot catch Ctrl-C")?;
+
+    let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+    let threads = args.threads.map_or(cores, usize::from);
+    let (mut trainer, mut folder) = match &args.resume {
+        Some(path) => resume(path, threads)?,
+        None => start(&args, threads)?,
+    };
+    let total = args.samples.unwrap_or(trainer.config().run.samples);
+    let every = trainer.config().run.checkpoint_every;
+
+    let bar = progress_bar(total, trainer.samples());
+    let mut saved = trainer.iteration();
+    while trainer.samples() < total && !stop.load(Ordering::Relaxed) {
+        let metrics = trainer.iterate()?;
+        folder.log(&metrics)?;
+        bar.set_position(metrics.samples);
+        bar.set_message(summary(&metrics));
+        if metrics.iteration % every == 0 {
+            folder.save(&trainer)?;
+            saved = metrics.iteration;
+        }
+    }
+    bar.abandon();
+    if saved != trainer.iteration() {
+        folder.save(&trainer)?;
+    }
+    let path = folder.path().display();
+    if trainer.samples() < total {
+        eprintln!("stopped after {} samples; go on with: train --resume {path}", trainer.samples());
+    } else {
+        eprintln!("done: {} samples; the policy is {path}/policy.safetensors", trainer.samples());
+    }
+    Ok(())
+}
+
+fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
+    let name = args.config.as_deref().unwrap_or("compliant");
+    let config = Config::load(name)?;
+    let stem = std::path::Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy());
+    let seed = args.seed.unwrap_or(0);
+    let out = args.out.clone().unwrap_or_else(|| format!("runs/{stem}-seed{seed}").into());
+    let trainer = Trainer::new(&stem, config, seed, threads)?;
+    let folder = RunFolder::create(&out, &trainer)?;
+    Ok((trainer, folder))
+}
+
+fn resume(path: &std::path::Path, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
+    let (folder, checkpoint, passed_over) = RunFolder::resume(path)?;
+    if let Some(reason) = passed_over {
+        eprintln!("warning: {reason}; going on from the checkpoint before it");
+    }
+    Ok((Trainer::resume(checkpoint, threads)?, folder))
+}
+
+fn progress_bar(total: u64, done: u64) -> ProgressBar {
+    let style = "{bar:30} {human_pos}/{human_len} samples, {per_sec}, {eta} left  {msg}";
+    let bar = ProgressBar::new(total).with_position(done);
+    if let Ok(style) = ProgressStyle::with_template(style) {
+        bar.set_style(style);
+    }
+    bar.reset_eta();
+    bar
+}
+
+fn summary(metrics: &IterationMetrics) -> String {
+    let percent = |share: Option<f64>| share.map_or("-".into(), |share| format!("{:.0} %", 100.0 * share));
+    format!(
+        "reward {:.2}, r_lin {}, falls {}, commands open {}, pushes {}",
+        metrics.step_reward,
+        percent(metrics.walking_linear),
+        percent(metrics.fall_share),
+        percent(Some(metrics.command_share)),
+        percent(metrics.push_share),
+    )
+}

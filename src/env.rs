@@ -1,0 +1,285 @@
+/*! The training environment: the simulated robot and the task, one policy step at a time.
+
+An environment draws each episode from its own random stream, keeps the history that the observation needs, and tells
+apart how an episode ended: a fall ends the return, a time limit does not, a physics fault is neither and is counted.
+*/
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::config::Config;
+use crate::go1::{Joints, same_in_every_leg};
+use crate::mujoco;
+use crate::random::{Purpose, stream};
+use crate::scene::{RobotFile, Scene};
+use crate::sim::{Sim, SimState};
+use crate::task::observation::{self, Observation, Reduced};
+use crate::task::{Command, EpisodePlan, Stage, Stages, SwingTracker, Terms};
+
+/// How an episode ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum End {
+    /// The robot collapsed: the return ends here.
+    Fall,
+    /// Time was up, or the push gate stayed shut: the value of the last state continues the return.
+    TimeLimit,
+    /// The physics failed: the episode is dropped and counted.
+    Fault,
+}
+
+/// Outcome of one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Reward of equation 3, or of the recovery stage.
+    pub reward: f64,
+    /// Set if this step ended the episode. The observation afterwards is the final one.
+    pub end: Option<End>,
+}
+
+/// Summary of a finished episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodeReport {
+    /// How it ended.
+    pub end: End,
+    /// Steps it lasted.
+    pub steps: usize,
+    /// Whether the robot was pushed.
+    pub pushed: bool,
+    /// Sum of rewards.
+    pub reward: f64,
+    /// Mean terms over all steps, as measured (never replaced).
+    pub terms: Terms,
+    /// Mean `r_lin` of the walking stage, if the episode went through the whole of it.
+    pub walking_linear: Option<f64>,
+    /// Mean peak height of the swings that ended in this episode [m].
+    pub swing_height_m: Option<f64>,
+    /// What MuJoCo reported, for a fault.
+    pub fault: Option<mujoco::Error>,
+}
+
+/// Where an episode is. Plain data: saved as it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Progress {
+    plan: EpisodePlan,
+    step: usize,
+    /// Episodes started before this one.
+    episode: u64,
+    /// Steps after which the first episode is cut, so that environments are not all in the same phase.
+    cut: usize,
+    pushed: bool,
+    reward: f64,
+    terms: Terms,
+    walking: Terms,
+    swings: SwingTracker,
+    swing_sum_m: f64,
+    swing_count: usize,
+    #[serde(with = "serde_arrays")]
+    previous: Reduced,
+    #[serde(with = "serde_arrays")]
+    current: Reduced,
+    last_target: Joints,
+}
+
+/// Everything an environment needs to go on with the same bits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EnvState {
+    sim: SimState,
+    progress: Progress,
+}
+
+/// The Go1 on a tilted plane with commands and pushes.
+#[derive(Debug)]
+pub struct LocomotionEnv {
+    config: Config,
+    stages: Stages,
+    nominal: Joints,
+    seed: u64,
+    index: u64,
+    sim: Sim,
+    progress: Progress,
+}
+
+impl LocomotionEnv {
+    /// Environment `index` of a run, at the start of its first episode.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo, or a model that lacks a part of the robot.
+    pub fn new(config: &Config, seed: u64, index: u64, command_share: f64) -> mujoco::Result<Self> {
+        let scene = Scene::flat(RobotFile::from_name(&config.robot.model), config.simulation.timestep_s());
+        let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
+        let stages = Stages::new(&config.episode, &config.simulation);
+        let nominal = same_in_every_leg(config.action.nominal_pose_rad);
+        let cut = stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start);
+        let mut env = LocomotionEnv {
+            progress: start(config, seed, index, 0, command_share, cut, nominal),
+            config: config.clone(),
+            stages,
+            nominal,
+            seed,
+            index,
+            sim,
+        };
+        env.begin()?;
+        Ok(env)
+    }
+
+    /// Starts the next episode.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn reset(&mut self, command_share: f64) -> mujoco::Result<()> {
+        let episode = self.progress.episode + 1;
+        let cut = usize::MAX;
+        self.progress = start(&self.config, self.seed, self.index, episode, command_share, cut, self.nominal);
+        self.begin()
+    }
+
+    fn begin(&mut self) -> mujoco::Result<()> {
+        self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
+        let state = self.sim.state();
+        self.progress.swings = SwingTracker::new(&state.feet);
+        self.progress.current = observation::reduced(&state);
+        self.progress.previous = self.progress.current;
+        Ok(())
+    }
+
+    /// The observation now, in physical units.
+    pub fn observation(&self) -> Observation {
+        let p = &self.progress;
+        observation::pack(&p.previous, &p.last_target, &p.current, &p.plan.command)
+    }
+
+    /// One policy step with an action of shape (12).
+    pub fn step(&mut self, action: &[f32]) -> (Step, Option<EpisodeReport>) {
+        match self.try_step(action) {
+            Ok((step, report)) => (step, report),
+            Err(fault) => {
+                let step = Step { reward: 0.0, end: Some(End::Fault) };
+                (step, Some(self.report(End::Fault, Some(fault))))
+            }
+        }
+    }
+
+    fn try_step(&mut self, action: &[f32]) -> mujoco::Result<(Step, Option<EpisodeReport>)> {
+        let scale = self.config.action.scale_rad;
+        let target: Joints = std::array::from_fn(|joint| self.nominal[joint] + scale * f64::from(action[joint]));
+        let stage = self.stages.at(self.progress.step);
+        if self.progress.step == self.stages.recovery_start {
+            self.sim.push(&self.progress.plan.push)?;
+            self.progress.pushed = true;
+        }
+        let summary = self.sim.step(&target, &mut ())?;
+        let state = self.sim.state();
+
+        let p = &mut self.progress;
+        let (foot_height, landed) = p.swings.update(&state.feet, self.config.reward.foot_height_m);
+        let terms = Terms::new(&state, &p.plan.command, &summary, foot_height, &self.config.reward);
+        p.terms.add(&terms);
+        for peak in landed.into_iter().flatten() {
+            p.swing_sum_m += peak;
+            p.swing_count += 1;
+        }
+        let mut paid = terms;
+        match stage {
+            Stage::Walking => p.walking.add(&terms),
+            Stage::Recovery if self.config.episode.recovery_stage => {
+                let mean = p.walking.divided(self.stages.recovery_start as f64);
+                paid.linear_velocity = mean.linear_velocity;
+                paid.angular_velocity = mean.angular_velocity;
+            }
+            Stage::Recovery | Stage::PostRecovery => {}
+        }
+        let reward = paid.total(&self.config.reward);
+        p.reward += reward;
+        p.step += 1;
+        p.previous = p.current;
+        p.current = observation::reduced(&state);
+        p.last_target = target;
+
+        let end = self.end(summary.fall.is_some());
+        let report = end.map(|end| self.report(end, None));
+        Ok((Step { reward, end }, report))
+    }
+
+    fn end(&self, fell: bool) -> Option<End> {
+        let p = &self.progress;
+        let gate_shut = p.step == self.stages.recovery_start
+            && p.walking.linear_velocity / (self.stages.recovery_start as f64) < self.config.episode.push_gate;
+        if fell {
+            Some(End::Fall)
+        } else if gate_shut || p.step >= self.stages.end || p.step >= p.cut {
+            Some(End::TimeLimit)
+        } else {
+            None
+        }
+    }
+
+    fn report(&self, end: End, fault: Option<mujoco::Error>) -> EpisodeReport {
+        let p = &self.progress;
+        let walked = p.step >= self.stages.recovery_start;
+        EpisodeReport {
+            end,
+            steps: p.step,
+            pushed: p.pushed,
+            reward: p.reward,
+            terms: p.terms.divided(p.step.max(1) as f64),
+            walking_linear: walked.then(|| p.walking.linear_velocity / self.stages.recovery_start as f64),
+            swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
+            fault,
+        }
+    }
+
+    /// The command of this episode.
+    pub fn command(&self) -> Command {
+        self.progress.plan.command
+    }
+
+    /// The simulation, to look at or to disturb.
+    pub fn sim_mut(&mut self) -> &mut Sim {
+        &mut self.sim
+    }
+
+    /// What has to be kept to go on exactly from here.
+    pub fn save(&self) -> EnvState {
+        EnvState { sim: self.sim.save(), progress: self.progress.clone() }
+    }
+
+    /// Goes back to a saved state.
+    ///
+    /// # Errors
+    /// A state of another model, or a fault of MuJoCo.
+    pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
+        self.sim.restore(&state.sim)?;
+        self.progress = state.progress.clone();
+        Ok(())
+    }
+}
+
+fn start(
+    config: &Config,
+    seed: u64,
+    index: u64,
+    episode: u64,
+    command_share: f64,
+    cut: usize,
+    nominal: Joints,
+) -> Progress {
+    let plan = EpisodePlan::draw(config, command_share, &mut stream(seed, Purpose::Episode, index, episode));
+    Progress {
+        plan,
+        step: 0,
+        episode,
+        cut,
+        pushed: false,
+        reward: 0.0,
+        terms: Terms::default(),
+        walking: Terms::default(),
+        swings: SwingTracker::default(),
+        swing_sum_m: 0.0,
+        swing_count: 0,
+        previous: [0.0; observation::REDUCED_LENGTH],
+        current: [0.0; observation::REDUCED_LENGTH],
+        last_target: nominal,
+    }
+}

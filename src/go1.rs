@@ -1,0 +1,262 @@
+/*! The robot: its names, the state that everything else reads, and the one map between the paper's axes and MuJoCo's.
+
+Inside, vectors are in MuJoCo's axes: x forward, y left, z up. The paper uses x left, y up, z forward, so that
+(x, y, z) of the paper is (y, z, x) here, a cyclic permutation under which angular velocities permute alike. The
+paper's axes appear only in the observation ([`paper_axes`]).
+*/
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use crate::mujoco::{Data, Kind, Model, Result};
+use crate::scene::{GROUND, Ground};
+
+/// Number of actuated joints.
+pub const JOINT_COUNT: usize = 12;
+
+/// One number for each joint: legs FR, FL, RR, RL, in each hip, thigh, calf (Unitree's order).
+pub type Joints = [f64; JOINT_COUNT];
+
+/// Legs in Unitree's order.
+pub const LEGS: [&str; 4] = ["FR", "FL", "RR", "RL"];
+
+/// Joints of a leg from the trunk downwards.
+pub const LEG_JOINTS: [&str; 3] = ["hip", "thigh", "calf"];
+
+/// The same hip, thigh and calf angle in every leg.
+pub fn same_in_every_leg(angles: [f64; 3]) -> Joints {
+    std::array::from_fn(|joint| angles[joint % 3])
+}
+
+/// Name of a joint, such as `FR_hip`.
+pub fn joint_name(joint: usize) -> String {
+    format!("{}_{}", LEGS[joint / 3], LEG_JOINTS[joint % 3])
+}
+
+/// From (forward, left, up) to the paper's (left, up, forward).
+pub fn paper_axes(vector: Vector3<f64>) -> [f64; 3] {
+    [vector.y, vector.z, vector.x]
+}
+
+/// A foot at the end of a policy step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FootState {
+    /// Bottom of the foot's sphere above the ground under it [m].
+    pub height: f64,
+    /// Velocity of its centre, world frame [m/s].
+    pub velocity: [f64; 3],
+    /// Whether it touches anything.
+    pub contact: bool,
+}
+
+/// What there is to know about the robot at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotState {
+    /// Origin of the trunk, world frame [m].
+    pub position: Vector3<f64>,
+    /// Rotation from the base frame to the world frame.
+    pub world_from_base: UnitQuaternion<f64>,
+    /// Height of the base above the ground under it [m].
+    pub height: f64,
+    /// Velocity of the trunk's origin, base frame [m/s].
+    pub velocity_in_base: Vector3<f64>,
+    /// Angular velocity of the trunk, base frame [rad/s].
+    pub angular_velocity_in_base: Vector3<f64>,
+    /// Gravity, base frame [m/s²].
+    pub gravity_in_base: Vector3<f64>,
+    /// Joint angles [rad].
+    pub joint_angles: Joints,
+    /// Joint rates [rad/s].
+    pub joint_rates: Joints,
+    /// Feet in the order of [`LEGS`].
+    pub feet: [FootState; 4],
+}
+
+impl RobotState {
+    /// Roll, pitch and yaw of the trunk relative to the world [rad].
+    pub fn roll_pitch_yaw(&self) -> (f64, f64, f64) {
+        self.world_from_base.euler_angles()
+    }
+
+    /// Velocity in the heading frame (world rotated by yaw alone) [m/s].
+    pub fn velocity_in_heading(&self) -> Vector3<f64> {
+        let (_, _, yaw) = self.roll_pitch_yaw();
+        let in_world = self.world_from_base * self.velocity_in_base;
+        UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * in_world
+    }
+}
+
+/// Where the robot's parts are in a compiled model.
+#[derive(Debug, Clone)]
+pub struct Go1 {
+    trunk: usize,
+    root_position: usize,
+    root_velocity: usize,
+    joint_position: [usize; JOINT_COUNT],
+    joint_velocity: [usize; JOINT_COUNT],
+    actuators: [usize; JOINT_COUNT],
+    torque_limits: Joints,
+    feet: [usize; 4],
+    foot_radius: [f64; 4],
+    ground: usize,
+    /// For each geometry: part of the robot other than a foot.
+    is_body_part: Vec<bool>,
+}
+
+impl Go1 {
+    /// Looks up every name once.
+    ///
+    /// # Errors
+    /// [`crate::mujoco::Error::Name`] if the model lacks a part.
+    pub fn new(model: &Model) -> Result<Self> {
+        let trunk = model.id(Kind::Body, "trunk")?;
+        let root = model.id(Kind::Joint, "root")?;
+        let joints = try_array(|k| model.id(Kind::Joint, &format!("{}_joint", joint_name(k))))?;
+        let actuators = try_array(|k| model.id(Kind::Actuator, &joint_name(k)))?;
+        let feet: [usize; 4] = try_array(|leg| model.id(Kind::Geom, &format!("{}_foot", LEGS[leg])))?;
+        let in_robot = |mut body: usize| {
+            while body != 0 && body != trunk {
+                body = model.body_parent(body);
+            }
+            body == trunk
+        };
+        let is_body_part = (0..model.count(Kind::Geom))
+            .map(|geom| in_robot(model.geom_body(geom)) && !feet.contains(&geom))
+            .collect();
+        Ok(Go1 {
+            trunk,
+            root_position: model.joint_position_index(root),
+            root_velocity: model.joint_velocity_index(root),
+            joint_position: joints.map(|joint| model.joint_position_index(joint)),
+            joint_velocity: joints.map(|joint| model.joint_velocity_index(joint)),
+            actuators,
+            torque_limits: actuators.map(|actuator| model.control_range(actuator)[1]),
+            feet,
+            foot_radius: feet.map(|geom| model.geom(geom).size[0]),
+            ground: model.id(Kind::Geom, GROUND)?,
+            is_body_part,
+        })
+    }
+
+    /// Body id of the trunk.
+    pub fn trunk(&self) -> usize {
+        self.trunk
+    }
+
+    /// Geometry id of the ground.
+    pub fn ground(&self) -> usize {
+        self.ground
+    }
+
+    /// Geometry ids of the feet.
+    pub fn feet(&self) -> [usize; 4] {
+        self.feet
+    }
+
+    /// Largest torque of each joint [N·m].
+    pub fn torque_limits(&self) -> Joints {
+        self.torque_limits
+    }
+
+    /// True joint angles [rad].
+    pub fn joint_angles(&self, data: &Data) -> Joints {
+        self.joint_position.map(|index| data.positions()[index])
+    }
+
+    /// Joint rates [rad/s].
+    pub fn joint_rates(&self, data: &Data) -> Joints {
+        self.joint_velocity.map(|index| data.velocities()[index])
+    }
+
+    /// Sets the motors' torques [N·m].
+    pub fn set_torques(&self, data: &mut Data, torques: &Joints) {
+        let controls = data.controls_mut();
+        for (actuator, torque) in self.actuators.iter().zip(torques) {
+            controls[*actuator] = *torque;
+        }
+    }
+
+    /// Adds to the trunk's velocity: linear in the world frame [m/s], angular in the base frame [rad/s].
+    pub fn add_velocity(&self, data: &mut Data, linear: Vector3<f64>, angular_in_base: Vector3<f64>) {
+        let start = self.root_velocity;
+        let velocity = &mut data.velocities_mut()[start..start + 6];
+        for axis in 0..3 {
+            velocity[axis] += linear[axis];
+            velocity[3 + axis] += angular_in_base[axis];
+        }
+    }
+
+    /// Sets the force on the trunk at its centre of mass, world frame [N]. It acts until it is set anew.
+    pub fn set_trunk_force(&self, data: &mut Data, force: Vector3<f64>) {
+        let start = 6 * self.trunk;
+        data.applied_forces_mut()[start..start + 3].copy_from_slice(force.as_slice());
+    }
+
+    /// The state as of the last first half-step.
+    pub fn state(&self, data: &Data, ground: &Ground) -> RobotState {
+        let (q, v) = (&data.positions()[self.root_position..], &data.velocities()[self.root_velocity..]);
+        let world_from_base = UnitQuaternion::new_normalize(Quaternion::new(q[3], q[4], q[5], q[6]));
+        let position = Vector3::new(q[0], q[1], q[2]);
+        let base_from_world = world_from_base.inverse();
+        let gravity = data.model().gravity();
+        let mut contact = [false; 4];
+        for touching in data.contacts() {
+            for (foot, geom) in contact.iter_mut().zip(self.feet) {
+                *foot |= touching.geoms.contains(&geom);
+            }
+        }
+        let feet = std::array::from_fn(|leg| {
+            let geom = self.feet[leg];
+            let centre = &data.geom_positions()[3 * geom..3 * geom + 3];
+            FootState {
+                height: centre[2] - self.foot_radius[leg] - ground.height(centre[0], centre[1]),
+                velocity: data.geom_velocity(geom),
+                contact: contact[leg],
+            }
+        });
+        RobotState {
+            height: position.z - ground.height(position.x, position.y),
+            velocity_in_base: base_from_world * Vector3::new(v[0], v[1], v[2]),
+            angular_velocity_in_base: Vector3::new(v[3], v[4], v[5]),
+            gravity_in_base: base_from_world * Vector3::from(gravity),
+            joint_angles: self.joint_angles(data),
+            joint_rates: self.joint_rates(data),
+            position,
+            world_from_base,
+            feet,
+        }
+    }
+
+    /// A part other than a foot that touches the ground, if there is one.
+    pub fn part_on_ground(&self, data: &Data) -> Option<usize> {
+        data.contacts().find_map(|contact| match contact.geoms {
+            [a, b] if a == self.ground && self.is_body_part[b] => Some(b),
+            [a, b] if b == self.ground && self.is_body_part[a] => Some(a),
+            _ => None,
+        })
+    }
+}
+
+fn try_array<T: Copy + Default, const N: usize>(get: impl Fn(usize) -> Result<T>) -> Result<[T; N]> {
+    let mut array = [T::default(); N];
+    for (index, slot) in array.iter_mut().enumerate() {
+        *slot = get(index)?;
+    }
+    Ok(array)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paper_axes_are_left_up_forward() {
+        assert_eq!(paper_axes(Vector3::new(1.0, 2.0, 3.0)), [2.0, 3.0, 1.0]);
+    }
+
+    #[test]
+    fn paper_axes_keep_handedness() {
+        let (a, b) = (Vector3::new(0.3, -1.0, 2.0), Vector3::new(-0.7, 0.2, 0.5));
+        let cross = Vector3::from(paper_axes(a)).cross(&Vector3::from(paper_axes(b)));
+        assert!((cross - Vector3::from(paper_axes(a.cross(&b)))).norm() < 1e-12);
+    }
+}

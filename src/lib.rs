@@ -1,0 +1,27 @@
+/*! Supple trains and studies compliant legged locomotion: a Unitree Go1 that yields when pushed, pulled or blocked.
+
+It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. Data flow one way, and so do the
+modules: [`config`] → [`scene`] → [`mujoco`] → [`sim`] → [`env`](mod@env) → [`rollout`] → [`ppo`] → [`checkpoint`] → [`policy`].
+*/
+
+pub mod checkpoint;
+pub mod config;
+pub mod control;
+pub mod env;
+pub mod files;
+pub mod go1;
+pub mod metrics;
+pub mod mujoco;
+pub mod policy;
+pub mod ppo;
+pub mod provenance;
+pub mod random;
+pub mod rollout;
+pub mod run;
+pub mod scene;
+pub mod sim;
+pub mod task;
+pub mod tensorboard;
+pub mod tensors;
+pub mod trace;
+pub mod train;

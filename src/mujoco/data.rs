@@ -1,0 +1,268 @@
+//! The state of one simulation, together with the model that it belongs to.
+
+use std::ptr::NonNull;
+
+use mujoco_sys as sys;
+
+use super::error::{Buffer, Error, Result, StateKind};
+use super::model::{Kind, Model};
+use super::{EMPTY_MESSAGE, Message, check};
+
+/// A contact point that MuJoCo found in its last position stage.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Contact {
+    /// Index among the contacts, for [`Data::contact_force`].
+    pub index: usize,
+    /// The two geometries, ordered by MuJoCo's shape types (plane, height field, sphere, capsule, …, box).
+    pub geoms: [usize; 2],
+    /// Contact point, world frame. [m]
+    pub position: [f64; 3],
+    /// Signed distance, negative when penetrating. [m]
+    pub distance: f64,
+}
+
+/// An owned `mjData` and its [`Model`]: one independent simulation.
+///
+/// Owning the model makes it impossible to step data with a model of another size, and lets every environment have
+/// its own gravity and friction (a model without meshes is a few ten kilobytes).
+#[derive(Debug)]
+pub struct Data {
+    raw: NonNull<sys::mjData>,
+    model: Model,
+}
+
+// SAFETY: an mjData is plain memory, used by one thread at a time through `&mut`.
+unsafe impl Send for Data {}
+// SAFETY: shared references only read.
+unsafe impl Sync for Data {}
+
+impl Drop for Data {
+    fn drop(&mut self) {
+        // SAFETY: the pointer is owned and came from MuJoCo.
+        unsafe { sys::mj_deleteData(self.raw.as_ptr()) }
+    }
+}
+
+/// Fields of mjData as slices: name, name of the writable variant if there is one, length.
+macro_rules! fields {
+    ($($(#[$doc:meta])* $name:ident $(/ $name_mut:ident)? = $field:ident [$length:expr];)*) => {
+        impl Data {$(
+            $(#[$doc])*
+            pub fn $name(&self) -> &[f64] {
+                let length: fn(&Model) -> usize = $length;
+                // SAFETY: mjdata.h documents this length for the field; the memory lives as long as `self`.
+                unsafe { std::slice::from_raw_parts(self.raw().$field, length(&self.model)) }
+            }
+            $(
+                #[doc = concat!("[`Data::", stringify!($name), "`], writable.")]
+                pub fn $name_mut(&mut self) -> &mut [f64] {
+                    let length: fn(&Model) -> usize = $length;
+                    // SAFETY: as above, and `self` is borrowed mutably.
+                    unsafe { std::slice::from_raw_parts_mut(self.raw().$field, length(&self.model)) }
+                }
+            )?
+        )*}
+    };
+}
+
+fields! {
+    /// Generalised positions, shape (nq). A free joint's are position (world) [m] and quaternion (w, x, y, z).
+    positions / positions_mut = qpos[Model::nq];
+    /// Generalised velocities, shape (nv). A free joint's are linear (world frame) [m/s] and angular (body frame) [rad/s].
+    velocities / velocities_mut = qvel[Model::nv];
+    /// Accelerations that warm-start the constraint solver, shape (nv). Part of the state for exact resumption.
+    warm_start / warm_start_mut = qacc_warmstart[Model::nv];
+    /// Actuator controls, shape (nu).
+    controls / controls_mut = ctrl[Model::nu];
+    /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
+    applied_forces / applied_forces_mut = xfrc_applied[|m| 6 * m.count(Kind::Body)];
+    /// Actuator forces of the last second half-step, shape (nu).
+    actuator_forces = actuator_force[Model::nu];
+    /// Body frame origins, world frame, shape (nbody, 3). [m]
+    body_positions = xpos[|m| 3 * m.count(Kind::Body)];
+    /// Body orientations (w, x, y, z), shape (nbody, 4).
+    body_quaternions = xquat[|m| 4 * m.count(Kind::Body)];
+    /// Centres of mass of the bodies, world frame, shape (nbody, 3). [m]
+    body_centres_of_mass = xipos[|m| 3 * m.count(Kind::Body)];
+    /// Geometry centres, world frame, shape (ngeom, 3). [m]
+    geom_positions = geom_xpos[|m| 3 * m.count(Kind::Geom)];
+    /// Generalised accelerations of the last second half-step, shape (nv).
+    accelerations = qacc[Model::nv];
+}
+
+impl Data {
+    /// Allocates a simulation in the model's reference configuration.
+    ///
+    /// # Errors
+    /// [`Error::Engine`] if MuJoCo cannot allocate it.
+    pub fn new(model: Model) -> Result<Self> {
+        let (mut data, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
+        // SAFETY: the model is valid; the shim catches errors.
+        let failed = unsafe { sys::supple_make_data(&mut data, model.as_ptr(), message.as_mut_ptr()) };
+        check("mj_makeData", failed, &message)?;
+        let raw = NonNull::new(data).ok_or(Error::Engine { call: "mj_makeData", message: "no memory".into() })?;
+        Ok(Data { raw, model })
+    }
+
+    /// The model.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// The model, to change gravity, friction or terrain.
+    pub fn model_mut(&mut self) -> &mut Model {
+        &mut self.model
+    }
+
+    fn raw(&self) -> &sys::mjData {
+        // SAFETY: the pointer is valid as long as `self`.
+        unsafe { self.raw.as_ref() }
+    }
+
+    /// Simulation time [s].
+    pub fn time_s(&self) -> f64 {
+        self.raw().time
+    }
+
+    /// Sets the simulation time [s].
+    pub fn set_time_s(&mut self, time_s: f64) {
+        // SAFETY: the pointer is valid and `self` is borrowed mutably.
+        unsafe { self.raw.as_mut() }.time = time_s;
+    }
+
+    /// Back to the reference configuration at rest, time 0, all warnings cleared.
+    ///
+    /// # Errors
+    /// [`Error::Engine`] if MuJoCo reports a fatal error.
+    pub fn reset(&mut self) -> Result<()> {
+        self.call("mj_resetData", sys::supple_reset_data)
+    }
+
+    /// First half of a step: everything that follows from positions and velocities (kinematics, contacts, bias forces).
+    ///
+    /// # Errors
+    /// Any fault that MuJoCo reports, see [`Error`].
+    pub fn step1(&mut self) -> Result<()> {
+        self.call("mj_step1", sys::supple_step1)
+    }
+
+    /// Second half of a step: actuation, constraint forces, integration. Contact forces are readable afterwards, until
+    /// the next [`Data::step1`].
+    ///
+    /// # Errors
+    /// Any fault that MuJoCo reports, see [`Error`].
+    pub fn step2(&mut self) -> Result<()> {
+        self.call("mj_step2", sys::supple_step2)
+    }
+
+    /// A whole step.
+    ///
+    /// # Errors
+    /// Any fault that MuJoCo reports, see [`Error`].
+    pub fn step(&mut self) -> Result<()> {
+        self.call("mj_step", sys::supple_step)
+    }
+
+    fn call(
+        &mut self,
+        name: &'static str,
+        function: unsafe extern "C" fn(*const sys::mjModel, *mut sys::mjData, *mut std::ffi::c_char) -> i32,
+    ) -> Result<()> {
+        let mut message: Message = EMPTY_MESSAGE;
+        // SAFETY: model and data are valid and belong together; the shim catches errors.
+        let failed = unsafe { function(self.model.as_ptr(), self.raw.as_ptr(), message.as_mut_ptr()) };
+        check(name, failed, &message)?;
+        self.check_warnings()
+    }
+
+    /// Any counter above zero is a fault: MuJoCo resets an unstable simulation silently and then sets its counter to 1,
+    /// so that a difference between two steps would not show it.
+    fn check_warnings(&self) -> Result<()> {
+        let warnings = &self.raw().warning;
+        if warnings.iter().all(|warning| warning.number == 0) {
+            return Ok(());
+        }
+        let unstable = [
+            (sys::mjWARN_BADQPOS, StateKind::Position),
+            (sys::mjWARN_BADQVEL, StateKind::Velocity),
+            (sys::mjWARN_BADQACC, StateKind::Acceleration),
+            (sys::mjWARN_BADCTRL, StateKind::Control),
+            (sys::mjWARN_INERTIA, StateKind::Inertia),
+        ];
+        for (warning, kind) in unstable {
+            let warning = &warnings[warning as usize];
+            if warning.number > 0 {
+                return Err(Error::Unstable { kind, index: warning.lastinfo });
+            }
+        }
+        if warnings[sys::mjWARN_CONTACTFULL as usize].number > 0 {
+            return Err(Error::BufferFull { buffer: Buffer::Contacts, size: self.model.nconmax() });
+        }
+        Err(Error::BufferFull { buffer: Buffer::Constraints, size: self.model.njmax() })
+    }
+
+    /// Number of contact points.
+    pub fn contact_count(&self) -> usize {
+        self.raw().ncon as usize
+    }
+
+    /// The contact points of the last first half-step that take part in the dynamics.
+    pub fn contacts(&self) -> impl Iterator<Item = Contact> + '_ {
+        // SAFETY: `contact` holds `ncon` initialised contacts.
+        let contacts = unsafe { std::slice::from_raw_parts(self.raw().contact, self.contact_count()) };
+        contacts.iter().enumerate().filter(|(_, contact)| contact.exclude == 0).map(|(index, contact)| Contact {
+            index,
+            geoms: [contact.geom1 as usize, contact.geom2 as usize],
+            position: contact.pos,
+            distance: contact.dist,
+        })
+    }
+
+    /// Force on the second geometry of a contact by the first, world frame [N]. Valid after [`Data::step2`] and before
+    /// the next [`Data::step1`].
+    ///
+    /// # Panics
+    /// If there is no contact of this index.
+    pub fn contact_force(&self, index: usize) -> [f64; 3] {
+        assert!(index < self.contact_count(), "contact {index} out of range");
+        let (mut in_contact, mut message) = ([0.0; 6], EMPTY_MESSAGE);
+        // SAFETY: model and data belong together, the index was checked, the result holds 6 numbers.
+        let failed = unsafe {
+            sys::supple_contact_force(
+                self.model.as_ptr(),
+                self.raw.as_ptr(),
+                index as i32,
+                in_contact.as_mut_ptr(),
+                message.as_mut_ptr(),
+            )
+        };
+        debug_assert_eq!(failed, 0, "mj_contactForce fails only on a bad index");
+        // SAFETY: `index` is below `ncon`.
+        let frame = unsafe { (*self.raw().contact.add(index)).frame };
+        // Rows of `frame` are the contact axes in the world, the first along the normal from geom 1 to geom 2.
+        std::array::from_fn(|k| (0..3).map(|axis| frame[3 * axis + k] * in_contact[axis]).sum())
+    }
+
+    /// Velocity of a geometry's centre, world axes [m/s].
+    ///
+    /// # Panics
+    /// If there is no geometry of this id.
+    pub fn geom_velocity(&self, geom: usize) -> [f64; 3] {
+        assert!(geom < self.model.count(Kind::Geom), "geom {geom} out of range");
+        let (mut velocity, mut message) = ([0.0; 6], EMPTY_MESSAGE);
+        // SAFETY: model and data belong together, the id was checked, the result holds 6 numbers (angular, linear).
+        let failed = unsafe {
+            sys::supple_object_velocity(
+                self.model.as_ptr(),
+                self.raw.as_ptr(),
+                sys::mjOBJ_GEOM as i32,
+                geom as i32,
+                velocity.as_mut_ptr(),
+                0,
+                message.as_mut_ptr(),
+            )
+        };
+        debug_assert_eq!(failed, 0, "mj_objectVelocity fails only on a bad id");
+        [velocity[3], velocity[4], velocity[5]]
+    }
+}

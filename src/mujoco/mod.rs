@@ -1,0 +1,69 @@
+/*! The safe face of MuJoCo 2.2.2: [`Model`], [`Data`] and every fault as an [`Error`].
+
+MuJoCo reports trouble in four ways, and all of them end up here as values: a fatal error handler that would end the
+process (caught in `mujoco-sys`' C shim), warning counters in `mjData` (unstable states reset the simulation silently,
+full buffers drop contacts silently), text in a caller's buffer (XML), and null pointers. Apart from `mujoco-sys` this
+module is the only one that holds `unsafe` code.
+*/
+
+mod data;
+mod error;
+mod model;
+
+pub use data::{Contact, Data};
+pub use error::{Buffer, Error, Result, StateKind};
+pub use model::{Geom, Kind, Model, Shape};
+
+use std::ffi::CStr;
+use std::sync::OnceLock;
+
+/// The MuJoCo version these bindings were written for, as `mj_version` gives it.
+pub const VERSION: i32 = mujoco_sys::mjVERSION_HEADER as i32;
+
+/// Installs the error handlers and checks the version of the library that was loaded, once per process.
+fn initialise() -> Result<()> {
+    static FOUND: OnceLock<i32> = OnceLock::new();
+    let found = *FOUND.get_or_init(|| {
+        // SAFETY: runs once, before any other MuJoCo call, and only sets two function pointers.
+        unsafe { mujoco_sys::supple_init() };
+        // SAFETY: no preconditions.
+        unsafe { mujoco_sys::mj_version() }
+    });
+    if found == VERSION { Ok(()) } else { Err(Error::Version { expected: VERSION, found }) }
+}
+
+/// Buffer into which the shim writes MuJoCo's message.
+type Message = [std::ffi::c_char; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
+
+const EMPTY_MESSAGE: Message = [0; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
+
+fn text(message: &Message) -> String {
+    // SAFETY: the shim and MuJoCo always terminate the message within the buffer, which starts as zeros.
+    unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy().trim().to_owned()
+}
+
+/// Turns the return code of a guarded call into a result.
+fn check(call: &'static str, failed: i32, message: &Message) -> Result<()> {
+    if failed == 0 { Ok(()) } else { Err(Error::Engine { call, message: text(message) }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_raised_inside_mujoco_comes_back_as_a_value() {
+        initialise().unwrap();
+        let mut message = EMPTY_MESSAGE;
+        // SAFETY: both strings are valid; the shim catches the error.
+        let failed = unsafe { mujoco_sys::supple_raise(c"on purpose".as_ptr(), message.as_mut_ptr()) };
+        let error = check("raise", failed, &message).unwrap_err();
+        assert_eq!(error.to_string(), "MuJoCo's raise failed: on purpose");
+    }
+
+    #[test]
+    fn library_version_is_2_2_2() {
+        initialise().unwrap();
+        assert_eq!(VERSION, 222);
+    }
+}

@@ -1,0 +1,422 @@
+//! A compiled model: names, sizes, constants, and the two parameters an episode may change (gravity, friction).
+
+use std::ffi::{CStr, CString};
+use std::path::Path;
+use std::ptr::NonNull;
+
+use mujoco_sys as sys;
+
+use super::error::{Error, Result};
+use super::{EMPTY_MESSAGE, check, initialise, text};
+
+/// Kinds of named elements.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A body.
+    Body,
+    /// A joint.
+    Joint,
+    /// A collision or visual geometry.
+    Geom,
+    /// A marked point.
+    Site,
+    /// An actuator.
+    Actuator,
+    /// A custom numeric field.
+    Numeric,
+    /// A height field.
+    HeightField,
+}
+
+impl Kind {
+    fn raw(self) -> i32 {
+        (match self {
+            Kind::Body => sys::mjOBJ_BODY,
+            Kind::Joint => sys::mjOBJ_JOINT,
+            Kind::Geom => sys::mjOBJ_GEOM,
+            Kind::Site => sys::mjOBJ_SITE,
+            Kind::Actuator => sys::mjOBJ_ACTUATOR,
+            Kind::Numeric => sys::mjOBJ_NUMERIC,
+            Kind::HeightField => sys::mjOBJ_HFIELD,
+        }) as i32
+    }
+
+    fn word(self) -> &'static str {
+        match self {
+            Kind::Body => "body",
+            Kind::Joint => "joint",
+            Kind::Geom => "geom",
+            Kind::Site => "site",
+            Kind::Actuator => "actuator",
+            Kind::Numeric => "numeric field",
+            Kind::HeightField => "height field",
+        }
+    }
+}
+
+/// Shape of a geometry with MuJoCo's size convention.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// Infinite plane; sizes are the half-lengths drawn.
+    Plane,
+    /// Height field of this id.
+    HeightField(usize),
+    /// Radius.
+    Sphere,
+    /// Radius, half-length along z.
+    Capsule,
+    /// Three radii.
+    Ellipsoid,
+    /// Radius, half-length along z.
+    Cylinder,
+    /// Three half-lengths.
+    Box,
+    /// Mesh of this id.
+    Mesh(usize),
+}
+
+/// One geometry of a model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Geom {
+    /// Name, empty if it has none.
+    pub name: String,
+    /// Body it is fixed to.
+    pub body: usize,
+    /// Its shape.
+    pub shape: Shape,
+    /// Shape-specific sizes [m].
+    pub size: [f64; 3],
+    /// Position in its body's frame [m].
+    pub position: [f64; 3],
+    /// Orientation in its body's frame (w, x, y, z).
+    pub quaternion: [f64; 4],
+    /// Colour and opacity, 0 to 1.
+    pub rgba: [f32; 4],
+    /// Visual group.
+    pub group: i32,
+}
+
+/// An owned `mjModel`.
+#[derive(Debug)]
+pub struct Model(NonNull<sys::mjModel>);
+
+// SAFETY: an mjModel is plain memory that MuJoCo reads only while stepping; writing needs `&mut`.
+unsafe impl Send for Model {}
+// SAFETY: as above.
+unsafe impl Sync for Model {}
+
+impl Drop for Model {
+    fn drop(&mut self) {
+        // SAFETY: the pointer is owned and came from MuJoCo.
+        unsafe { sys::mj_deleteModel(self.0.as_ptr()) }
+    }
+}
+
+impl Model {
+    /// Loads an MJCF file.
+    ///
+    /// # Errors
+    /// [`Error::Load`] with MuJoCo's message if the file is missing or invalid.
+    pub fn from_file(path: &Path) -> Result<Self> {
+        initialise()?;
+        let what = path.display().to_string();
+        let file = CString::new(what.clone())
+            .map_err(|_| Error::Load { what: what.clone(), message: "the path holds a zero byte".into() })?;
+        load(&what, &file, std::ptr::null())
+    }
+
+    /// Compiles MJCF held in memory: `(name, text)` pairs, the main file first, then those it includes.
+    ///
+    /// # Errors
+    /// [`Error::Load`] with MuJoCo's message if the XML is invalid.
+    pub fn from_xml(files: &[(&str, &str)]) -> Result<Self> {
+        initialise()?;
+        let what = files.first().map_or("", |file| file.0).to_owned();
+        let failed = |message: String| Error::Load { what: what.clone(), message };
+        // 2 MB: on the heap. All-zero bytes are a valid mjVFS.
+        // SAFETY: mjVFS holds only integers, character arrays and pointers.
+        let mut vfs = unsafe { Box::<sys::mjVFS>::new_zeroed().assume_init() };
+        // SAFETY: `vfs` is a valid mjVFS.
+        unsafe { sys::mj_defaultVFS(&mut *vfs) };
+        let mut add = |name: &str, text: &str| {
+            let size = i32::try_from(text.len()).map_err(|_| failed(format!("{name} is larger than 2 GiB")))?;
+            let c_name = CString::new(name).map_err(|_| failed(format!("the name '{name}' holds a zero byte")))?;
+            // SAFETY: `vfs` and the name are valid; MuJoCo copies the name and allocates `size` bytes.
+            let code = unsafe { sys::mj_makeEmptyFileVFS(&mut *vfs, c_name.as_ptr(), size) };
+            // SAFETY: as above.
+            let index = unsafe { sys::mj_findFileVFS(&*vfs, c_name.as_ptr()) };
+            if code != 0 || index < 0 {
+                return Err(failed(format!("MuJoCo's virtual file system refuses '{name}' (code {code})")));
+            }
+            // SAFETY: MuJoCo has just allocated exactly `text.len()` bytes for this file.
+            unsafe { std::ptr::copy_nonoverlapping(text.as_ptr(), vfs.filedata[index as usize].cast(), text.len()) };
+            Ok(c_name)
+        };
+        let added: Result<Vec<CString>> = files.iter().map(|(name, text)| add(name, text)).collect();
+        let model = added.and_then(|names| match names.first() {
+            Some(main) => load(&what, main, &*vfs),
+            None => Err(failed("there is no file to compile".into())),
+        });
+        // SAFETY: `vfs` is valid and is not used afterwards.
+        unsafe { sys::mj_deleteVFS(&mut *vfs) };
+        model
+    }
+
+    /// An independent copy.
+    ///
+    /// # Errors
+    /// [`Error::Engine`] if MuJoCo cannot allocate it.
+    pub fn try_clone(&self) -> Result<Self> {
+        let (mut copy, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
+        // SAFETY: the source is valid; the shim catches errors.
+        let failed = unsafe { sys::supple_copy_model(&mut copy, self.as_ptr(), message.as_mut_ptr()) };
+        check("mj_copyModel", failed, &message)?;
+        let copy = NonNull::new(copy);
+        copy.map(Model).ok_or(Error::Engine { call: "mj_copyModel", message: "no memory".into() })
+    }
+
+    pub(super) fn as_ptr(&self) -> *mut sys::mjModel {
+        self.0.as_ptr()
+    }
+
+    fn raw(&self) -> &sys::mjModel {
+        // SAFETY: the pointer is valid as long as `self`.
+        unsafe { self.0.as_ref() }
+    }
+
+    fn raw_mut(&mut self) -> &mut sys::mjModel {
+        // SAFETY: the pointer is valid as long as `self`, which is borrowed mutably.
+        unsafe { self.0.as_mut() }
+    }
+
+    /// Number of generalised positions.
+    pub fn nq(&self) -> usize {
+        self.raw().nq as usize
+    }
+
+    /// Number of generalised velocities.
+    pub fn nv(&self) -> usize {
+        self.raw().nv as usize
+    }
+
+    /// Number of actuators.
+    pub fn nu(&self) -> usize {
+        self.raw().nu as usize
+    }
+
+    /// Capacity of the contact buffer.
+    pub fn nconmax(&self) -> usize {
+        self.raw().nconmax as usize
+    }
+
+    /// Capacity of the constraint buffer [rows].
+    pub fn njmax(&self) -> usize {
+        self.raw().njmax as usize
+    }
+
+    /// Number of elements of a kind.
+    pub fn count(&self, kind: Kind) -> usize {
+        let raw = self.raw();
+        (match kind {
+            Kind::Body => raw.nbody,
+            Kind::Joint => raw.njnt,
+            Kind::Geom => raw.ngeom,
+            Kind::Site => raw.nsite,
+            Kind::Actuator => raw.nu,
+            Kind::Numeric => raw.nnumeric,
+            Kind::HeightField => raw.nhfield,
+        }) as usize
+    }
+
+    /// Id of a named element.
+    ///
+    /// # Errors
+    /// [`Error::Name`], which lists the names there are.
+    pub fn id(&self, kind: Kind, name: &str) -> Result<usize> {
+        let c_name = CString::new(name).unwrap_or_default();
+        // SAFETY: model and name are valid.
+        let id = unsafe { sys::mj_name2id(self.as_ptr(), kind.raw(), c_name.as_ptr()) };
+        usize::try_from(id).map_err(|_| Error::Name {
+            kind: kind.word(),
+            name: name.to_owned(),
+            known: (0..self.count(kind)).map(|id| self.name(kind, id)).collect::<Vec<_>>().join(", "),
+        })
+    }
+
+    /// Name of an element, empty if it has none or does not exist.
+    pub fn name(&self, kind: Kind, id: usize) -> &str {
+        // SAFETY: MuJoCo checks the id's range and returns null for elements without a name.
+        let name = unsafe { sys::mj_id2name(self.as_ptr(), kind.raw(), id as i32) };
+        if name.is_null() {
+            return "";
+        }
+        // SAFETY: names are NUL-terminated and live as long as the model.
+        unsafe { CStr::from_ptr(name) }.to_str().unwrap_or("")
+    }
+
+    /// Physics step [s].
+    pub fn timestep_s(&self) -> f64 {
+        self.raw().opt.timestep
+    }
+
+    /// Gravity [m/s²], world frame.
+    pub fn gravity(&self) -> [f64; 3] {
+        self.raw().opt.gravity
+    }
+
+    /// Sets gravity [m/s²], world frame. A tilted gravity is a slope.
+    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
+        self.raw_mut().opt.gravity = gravity;
+    }
+
+    /// Sets the sliding friction coefficient of a geometry.
+    ///
+    /// # Panics
+    /// If there is no geometry of this id.
+    pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
+        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        // SAFETY: geom_friction holds 3 numbers for each geom; the id was checked.
+        unsafe { *self.raw_mut().geom_friction.add(3 * geom) = friction };
+    }
+
+    /// Index of a joint's first position.
+    pub fn joint_position_index(&self, joint: usize) -> usize {
+        self.slice(self.raw().jnt_qposadr, self.raw().njnt)[joint] as usize
+    }
+
+    /// Index of a joint's first velocity.
+    pub fn joint_velocity_index(&self, joint: usize) -> usize {
+        self.slice(self.raw().jnt_dofadr, self.raw().njnt)[joint] as usize
+    }
+
+    /// Lower and upper limit of a joint [rad].
+    pub fn joint_range(&self, joint: usize) -> [f64; 2] {
+        let range = self.slice(self.raw().jnt_range, 2 * self.raw().njnt);
+        [range[2 * joint], range[2 * joint + 1]]
+    }
+
+    /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
+    pub fn damping(&self) -> &[f64] {
+        self.slice(self.raw().dof_damping, self.raw().nv)
+    }
+
+    /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
+    pub fn armature(&self) -> &[f64] {
+        self.slice(self.raw().dof_armature, self.raw().nv)
+    }
+
+    /// Lower and upper limit of an actuator's control.
+    pub fn control_range(&self, actuator: usize) -> [f64; 2] {
+        let range = self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu);
+        [range[2 * actuator], range[2 * actuator + 1]]
+    }
+
+    /// Mass of every body, shape (nbody). [kg]
+    pub fn body_mass(&self) -> &[f64] {
+        self.slice(self.raw().body_mass, self.raw().nbody)
+    }
+
+    /// Body to which each body is attached, shape (nbody).
+    pub fn body_parent(&self, body: usize) -> usize {
+        self.slice(self.raw().body_parentid, self.raw().nbody)[body] as usize
+    }
+
+    /// Body of each geom, shape (ngeom).
+    pub fn geom_body(&self, geom: usize) -> usize {
+        self.slice(self.raw().geom_bodyid, self.raw().ngeom)[geom] as usize
+    }
+
+    /// Everything that is needed to draw a geometry.
+    pub fn geom(&self, id: usize) -> Geom {
+        let raw = self.raw();
+        let mesh = self.slice(raw.geom_dataid, raw.ngeom)[id].max(0) as usize;
+        let shape = match self.slice(raw.geom_type, raw.ngeom)[id] as u32 {
+            sys::mjGEOM_PLANE => Shape::Plane,
+            sys::mjGEOM_HFIELD => Shape::HeightField(mesh),
+            sys::mjGEOM_SPHERE => Shape::Sphere,
+            sys::mjGEOM_CAPSULE => Shape::Capsule,
+            sys::mjGEOM_ELLIPSOID => Shape::Ellipsoid,
+            sys::mjGEOM_CYLINDER => Shape::Cylinder,
+            sys::mjGEOM_BOX => Shape::Box,
+            _ => Shape::Mesh(mesh),
+        };
+        let mut rgba = row(self.slice(raw.geom_rgba, 4 * raw.ngeom), id);
+        let material = self.slice(raw.geom_matid, raw.ngeom)[id];
+        // MuJoCo's rule: the material's colour holds unless the geom sets its own.
+        if material >= 0 && rgba == [0.5, 0.5, 0.5, 1.0] {
+            rgba = row(self.slice(raw.mat_rgba, 4 * raw.nmat), material as usize);
+        }
+        Geom {
+            name: self.name(Kind::Geom, id).to_owned(),
+            body: self.geom_body(id),
+            shape,
+            size: row(self.slice(raw.geom_size, 3 * raw.ngeom), id),
+            position: row(self.slice(raw.geom_pos, 3 * raw.ngeom), id),
+            quaternion: row(self.slice(raw.geom_quat, 4 * raw.ngeom), id),
+            rgba,
+            group: self.slice(raw.geom_group, raw.ngeom)[id],
+        }
+    }
+
+    /// Rows, columns, and (half-length x, half-length y, height of 1.0, base depth) of a height field.
+    pub fn height_field_size(&self, id: usize) -> (usize, usize, [f64; 4]) {
+        let raw = self.raw();
+        let rows = self.slice(raw.hfield_nrow, raw.nhfield)[id] as usize;
+        let columns = self.slice(raw.hfield_ncol, raw.nhfield)[id] as usize;
+        (rows, columns, row(self.slice(raw.hfield_size, 4 * raw.nhfield), id))
+    }
+
+    /// Elevations of a height field in units of its height, row-major, y rows by x columns.
+    pub fn height_field(&self, id: usize) -> &[f32] {
+        let raw = self.raw();
+        let start = self.slice(raw.hfield_adr, raw.nhfield)[id] as usize;
+        let (rows, columns, _) = self.height_field_size(id);
+        &self.slice(raw.hfield_data, raw.nhfielddata)[start..start + rows * columns]
+    }
+
+    /// As [`Model::height_field`], to be written before the first step.
+    pub fn height_field_mut(&mut self, id: usize) -> &mut [f32] {
+        let start = self.slice(self.raw().hfield_adr, self.raw().nhfield)[id] as usize;
+        let (rows, columns, _) = self.height_field_size(id);
+        let raw = self.raw_mut();
+        // SAFETY: the compiler has allocated rows·columns floats at `start`; `self` is borrowed mutably.
+        unsafe { std::slice::from_raw_parts_mut(raw.hfield_data.add(start), rows * columns) }
+    }
+
+    /// A `<custom><numeric>` field.
+    ///
+    /// # Errors
+    /// [`Error::Name`] if the model has none of this name.
+    pub fn numeric(&self, name: &str) -> Result<&[f64]> {
+        let id = self.id(Kind::Numeric, name)?;
+        let raw = self.raw();
+        let start = self.slice(raw.numeric_adr, raw.nnumeric)[id] as usize;
+        let size = self.slice(raw.numeric_size, raw.nnumeric)[id] as usize;
+        Ok(&self.slice(raw.numeric_data, raw.nnumericdata)[start..start + size])
+    }
+
+    /// A model array as a slice.
+    fn slice<T>(&self, start: *const T, length: i32) -> &[T] {
+        if length == 0 || start.is_null() {
+            return &[];
+        }
+        // SAFETY: callers pass a field of this model with the length that mjmodel.h documents for it.
+        unsafe { std::slice::from_raw_parts(start, length as usize) }
+    }
+}
+
+fn row<T: Copy, const N: usize>(values: &[T], index: usize) -> [T; N] {
+    std::array::from_fn(|k| values[N * index + k])
+}
+
+fn load(what: &str, file: &CStr, vfs: *const sys::mjVFS) -> Result<Model> {
+    let (mut model, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
+    // SAFETY: file name and vfs are valid (or null); the shim catches errors.
+    let failed = unsafe { sys::supple_load_xml(&mut model, file.as_ptr(), vfs, message.as_mut_ptr()) };
+    // SAFETY: MuJoCo keeps the last parsed XML in a global; free it, nobody else uses it.
+    unsafe { sys::mj_freeLastXML() };
+    match NonNull::new(model) {
+        Some(model) if failed == 0 => Ok(Model(model)),
+        _ => Err(Error::Load { what: what.to_owned(), message: text(&message) }),
+    }
+}

@@ -1,0 +1,369 @@
+/*! The deployable policy: one safetensors file with everything that is needed to run it on a robot.
+
+Weights and normaliser are tensors; what they mean (observation layout with units, joint order, nominal pose, scale,
+gains, latency, rates, where it came from) is JSON under the metadata key `supple`. Three observations with the joint
+targets they lead to are stored with it, so that every reader can check itself.
+*/
+
+use std::path::{Path, PathBuf};
+
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use safetensors::SafeTensors;
+use serde::{Deserialize, Serialize};
+
+use crate::config::{Config, ConfigError, Simulation};
+use crate::files;
+use crate::tensors::{self, Tensor};
+use crate::go1::{JOINT_COUNT, Joints, joint_name, same_in_every_leg};
+use crate::ppo::{ActorCritic, Layer, Mlp, PackedMlp, Scratch};
+use crate::random::{Purpose, stream};
+use crate::task::Normaliser;
+use crate::task::observation::{LAYOUT, LENGTH, Observation, Quantity};
+
+/// Version of the file format.
+pub const FORMAT: u32 = 1;
+
+/// Larger files are not policies.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Stored pairs of observation and joint targets.
+const GOLDEN: usize = 3;
+
+/// Joint targets may differ by this much from the stored ones on another machine [rad].
+const GOLDEN_TOLERANCE: f64 = 1e-5;
+
+/// Why a policy file was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum PolicyError {
+    /// Reading or writing failed.
+    #[error("policy {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The content is not a policy of this format.
+    #[error("policy {}: {problem}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What was found and expected.
+        problem: String,
+    },
+}
+
+/// A stretch of the observation, in words for other programs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BlockInfo {
+    /// What it is.
+    pub quantity: Quantity,
+    /// Policy steps ago that it was measured.
+    pub age: u32,
+    /// How many numbers.
+    pub length: usize,
+    /// Their unit.
+    pub unit: String,
+}
+
+/// Where a policy came from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Name of the configuration.
+    pub config_name: String,
+    /// The whole configuration.
+    pub config: Config,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Samples it has seen.
+    pub samples: u64,
+    /// Git revision of the program that trained it.
+    pub git_revision: String,
+    /// MuJoCo version it was trained on.
+    pub mujoco_version: String,
+}
+
+/// The JSON under the metadata key `supple`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Metadata {
+    format: u32,
+    observation: Vec<BlockInfo>,
+    joints: Vec<String>,
+    nominal_pose_rad: Joints,
+    scale_rad: f64,
+    simulation: Simulation,
+    provenance: Provenance,
+}
+
+/// A trained policy with what is needed to use it.
+#[derive(Debug)]
+pub struct Policy {
+    /// From normalised observation to action, mean only.
+    pub actor: Mlp,
+    /// Scaling of the observation.
+    pub normaliser: Normaliser,
+    /// Joint targets at action zero [rad].
+    pub nominal_pose: Joints,
+    /// [rad] per unit of action.
+    pub scale_rad: f64,
+    /// Rates, gains and latency it was trained with.
+    pub simulation: Simulation,
+    /// Where it came from.
+    pub provenance: Provenance,
+    packed: PackedMlp,
+}
+
+impl Policy {
+    /// The deterministic policy of a network in training.
+    pub fn new(network: &ActorCritic, provenance: Provenance) -> Self {
+        let config = &provenance.config;
+        Policy {
+            packed: PackedMlp::new(&network.policy),
+            actor: network.policy.clone(),
+            normaliser: Normaliser::new(config),
+            nominal_pose: same_in_every_leg(config.action.nominal_pose_rad),
+            scale_rad: config.action.scale_rad,
+            simulation: config.simulation.clone(),
+            provenance,
+        }
+    }
+
+    /// Joint targets [rad] for an observation in physical units.
+    pub fn joint_targets(&self, observation: &Observation, scratch: &mut Scratch) -> Joints {
+        let (mut seen, mut action) = ([0.0; LENGTH], [0.0; JOINT_COUNT]);
+        self.normaliser.apply(observation, &mut seen);
+        self.packed.forward(1, &seen, &mut action, scratch);
+        std::array::from_fn(|joint| self.nominal_pose[joint] + self.scale_rad * f64::from(action[joint]))
+    }
+
+    /// Bytes of the policy file.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+        let mut all = Vec::new();
+        for (index, layer) in self.actor.layers.iter().enumerate() {
+            let shape = vec![layer.outputs(), layer.inputs()];
+            all.push(Tensor::f32(format!("policy.{index}.weight"), shape, &layer.weight));
+            all.push(Tensor::f32(format!("policy.{index}.bias"), vec![layer.outputs()], &layer.bias));
+        }
+        let (observations, targets) = self.golden();
+        all.push(Tensor::f64("normaliser.offset", vec![LENGTH], &self.normaliser.offset));
+        all.push(Tensor::f64("normaliser.scale", vec![LENGTH], &self.normaliser.scale));
+        all.push(Tensor::f64("golden.observation", vec![GOLDEN, LENGTH], &observations));
+        all.push(Tensor::f64("golden.joint_target", vec![GOLDEN, JOINT_COUNT], &targets));
+        tensors::serialize(&all, self.metadata_json())
+    }
+
+    /// The metadata as JSON.
+    pub fn metadata_json(&self) -> String {
+        let metadata = Metadata {
+            format: FORMAT,
+            observation: layout_info(),
+            joints: (0..JOINT_COUNT).map(joint_name).collect(),
+            nominal_pose_rad: self.nominal_pose,
+            scale_rad: self.scale_rad,
+            simulation: self.simulation.clone(),
+            provenance: self.provenance.clone(),
+        };
+        // Plain structs of finite numbers and strings: serialising them cannot fail.
+        serde_json::to_string(&metadata).unwrap_or_default()
+    }
+
+    /// Writes the policy file atomically.
+    ///
+    /// # Errors
+    /// [`PolicyError`] with the file's name.
+    pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
+        let bytes = self.to_bytes().map_err(|error| invalid(path, error))?;
+        files::write_atomically(path, &bytes).map_err(|source| PolicyError::Io { path: path.to_owned(), source })
+    }
+
+    /// Reads a policy file and checks everything in it, the golden pairs included.
+    ///
+    /// # Errors
+    /// [`PolicyError`] that says what was found and what was expected.
+    pub fn load(path: &Path) -> Result<Self, PolicyError> {
+        let bytes = files::read_bounded(path, MAX_BYTES)
+            .map_err(|source| PolicyError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// As [`Policy::load`] from memory; `path` is for messages.
+    ///
+    /// # Errors
+    /// See [`Policy::load`].
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, PolicyError> {
+        let fail = |problem: String| PolicyError::Invalid { path: path.to_owned(), problem };
+        let (tensors, json) = tensors::deserialize(bytes).map_err(fail)?;
+        let metadata: Metadata =
+            serde_json::from_str(&json).map_err(|error| fail(format!("its metadata do not parse: {error}")))?;
+        metadata.check().map_err(fail)?;
+
+        let read = |name: &str, shape: &[usize]| tensors::read_f64(&tensors, name, shape).map_err(fail);
+        let normaliser = Normaliser {
+            offset: read("normaliser.offset", &[LENGTH])?,
+            scale: read("normaliser.scale", &[LENGTH])?,
+        };
+        let actor = read_actor(&tensors).map_err(fail)?;
+        let policy = Policy {
+            packed: PackedMlp::new(&actor),
+            actor,
+            normaliser,
+            nominal_pose: metadata.nominal_pose_rad,
+            scale_rad: metadata.scale_rad,
+            simulation: metadata.simulation,
+            provenance: metadata.provenance,
+        };
+        let observations = read("golden.observation", &[GOLDEN, LENGTH])?;
+        let expected = read("golden.joint_target", &[GOLDEN, JOINT_COUNT])?;
+        let found = policy.targets_of(&observations);
+        let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        // Written so that a NaN fails.
+        if !(worst <= GOLDEN_TOLERANCE) {
+            return Err(fail(format!(
+                "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: \
+                 the file is damaged"
+            )));
+        }
+        Ok(policy)
+    }
+
+    fn targets_of(&self, observations: &[f64]) -> Vec<f64> {
+        let mut scratch = Scratch::default();
+        let rows = observations.chunks_exact(LENGTH);
+        rows.flat_map(|row| {
+            let mut observation = [0.0; LENGTH];
+            observation.copy_from_slice(row);
+            self.joint_targets(&observation, &mut scratch)
+        })
+        .collect()
+    }
+
+    /// Plausible observations and the joint targets they lead to.
+    fn golden(&self) -> (Vec<f64>, Vec<f64>) {
+        let mut rng = stream(0, Purpose::Weights, u64::MAX, 0);
+        let observations: Vec<f64> = (0..GOLDEN * LENGTH)
+            .map(|k| {
+                let (offset, scale) = (self.normaliser.offset[k % LENGTH], self.normaliser.scale[k % LENGTH]);
+                offset + 0.5 * rng.sample::<f64, _>(StandardNormal) / scale
+            })
+            .collect();
+        let targets = self.targets_of(&observations);
+        (observations, targets)
+    }
+}
+
+impl Metadata {
+    fn check(&self) -> Result<(), String> {
+        if self.format != FORMAT {
+            return Err(format!("its format is {}, this program reads {FORMAT}", self.format));
+        }
+        if self.observation != layout_info() {
+            let lengths: usize = self.observation.iter().map(|block| block.length).sum();
+            return Err(format!("its observation has another layout ({lengths} numbers) than the paper's {LENGTH}"));
+        }
+        let joints: Vec<String> = (0..JOINT_COUNT).map(joint_name).collect();
+        if self.joints != joints {
+            return Err(format!("its joints are {:?}, expected {joints:?}", self.joints));
+        }
+        let finite = self.nominal_pose_rad.iter().all(|angle| angle.is_finite()) && self.scale_rad.is_finite();
+        if !finite {
+            return Err("its nominal pose or scale is not finite".into());
+        }
+        let mut config = self.provenance.config.clone();
+        config.simulation = self.simulation.clone();
+        let checked: Result<Config, ConfigError> = Config::from_yaml("in the policy file", &config.to_yaml());
+        checked.map(drop).map_err(|error| error.to_string())
+    }
+}
+
+fn layout_info() -> Vec<BlockInfo> {
+    let info = |quantity: Quantity, age| BlockInfo {
+        quantity,
+        age,
+        length: quantity.length(),
+        unit: quantity.unit().to_owned(),
+    };
+    LAYOUT.iter().map(|block| info(block.quantity, block.age)).collect()
+}
+
+fn read_actor(tensors: &SafeTensors<'_>) -> Result<Mlp, String> {
+    let (mut layers, mut inputs) = (Vec::new(), LENGTH);
+    while let Ok(view) = tensors.tensor(&format!("policy.{}.weight", layers.len())) {
+        let index = layers.len();
+        let outputs = view.shape().first().copied().unwrap_or(0);
+        let weight = tensors::read_f32(tensors, &format!("policy.{index}.weight"), &[outputs, inputs])?;
+        let bias = tensors::read_f32(tensors, &format!("policy.{index}.bias"), &[outputs])?;
+        if outputs == 0 {
+            return Err(format!("its tensor policy.{index}.weight has no rows"));
+        }
+        layers.push(Layer { weight, bias });
+        inputs = outputs;
+    }
+    if layers.is_empty() || inputs != JOINT_COUNT {
+        let found = layers.len();
+        return Err(format!("its network has {found} layers and {inputs} outputs, expected {JOINT_COUNT} outputs"));
+    }
+    Ok(Mlp { layers })
+}
+
+fn invalid(path: &Path, error: impl ToString) -> PolicyError {
+    PolicyError::Invalid { path: path.to_owned(), problem: error.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn policy() -> Policy {
+        let config = Config::load("compliant").unwrap();
+        let mut rng = stream(5, Purpose::Weights, 0, 0);
+        let network = ActorCritic::orthogonal(LENGTH, &[32, 16], JOINT_COUNT, -1.0, &mut rng);
+        let provenance = Provenance {
+            config_name: "compliant".into(),
+            config,
+            seed: 5,
+            samples: 0,
+            git_revision: "test".into(),
+            mujoco_version: "2.2.2".into(),
+        };
+        Policy::new(&network, provenance)
+    }
+
+    #[test]
+    fn a_policy_survives_its_file_bit_for_bit() {
+        let policy = policy();
+        let bytes = policy.to_bytes().unwrap();
+        let read = Policy::from_bytes(&bytes, Path::new("test")).unwrap();
+        assert_eq!(read.actor, policy.actor);
+        assert_eq!(read.provenance, policy.provenance);
+        assert_eq!(read.to_bytes().unwrap(), bytes);
+    }
+
+    #[test]
+    fn every_truncation_is_refused_without_panic() {
+        let bytes = policy().to_bytes().unwrap();
+        for length in (0..bytes.len()).step_by(97) {
+            assert!(Policy::from_bytes(&bytes[..length], Path::new("cut")).is_err());
+        }
+    }
+
+    #[test]
+    fn a_flipped_weight_is_caught_by_the_golden_pairs() {
+        let bytes = policy().to_bytes().unwrap();
+        let mut caught = 0;
+        for position in (bytes.len() / 2..bytes.len()).step_by(1009) {
+            let mut damaged = bytes.clone();
+            damaged[position] ^= 0x40;
+            caught += usize::from(Policy::from_bytes(&damaged, Path::new("damaged")).is_err());
+        }
+        assert!(caught > 0);
+    }
+
+    #[test]
+    fn a_network_of_other_dimensions_is_named() {
+        let mut other = policy();
+        other.actor.layers.pop();
+        let error = Policy::from_bytes(&other.to_bytes().unwrap(), Path::new("other")).unwrap_err().to_string();
+        assert!(error.contains("16 outputs, expected 12"), "{error}");
+    }
+}

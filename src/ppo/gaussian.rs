@@ -1,0 +1,145 @@
+/*!
+The diagonal Gaussian of the policy: log-density, entropy and Kullback-Leibler divergence.
+
+The standard deviation does not depend on the state, so what depends on it alone is computed once for many rows. Sums
+run in f64: the KL rule compares numbers near zero, and two equal policies must be at distance zero exactly.
+*/
+
+/// `½ ln 2π`
+const HALF_LOG_TWO_PI: f64 = 0.918_938_533_204_672_8;
+
+/// The state-independent part of a diagonal Gaussian policy `N(μ(s), diag σ²)`.
+#[derive(Debug, Clone)]
+pub struct DiagonalGaussian {
+    log_std: Vec<f64>,
+    inverse_std: Vec<f64>,
+    /// Log-density at the mean.
+    log_peak: f64,
+}
+
+impl DiagonalGaussian {
+    /// From `ln σ`, one for each action.
+    pub fn new(log_std: &[f32]) -> Self {
+        let log_std: Vec<f64> = log_std.iter().map(|&x| f64::from(x)).collect();
+        let inverse_std = log_std.iter().map(|x| (-x).exp()).collect();
+        let log_peak = -log_std.iter().map(|x| x + HALF_LOG_TWO_PI).sum::<f64>();
+        Self {
+            log_std,
+            inverse_std,
+            log_peak,
+        }
+    }
+
+    /// `1/σ`, one for each action.
+    pub fn inverse_std(&self) -> &[f64] {
+        &self.inverse_std
+    }
+
+    /// `ln p(action)`, summed over actions.
+    pub fn log_prob(&self, mean: &[f32], action: &[f32]) -> f64 {
+        let squares = mean
+            .iter()
+            .zip(action)
+            .zip(&self.inverse_std)
+            .map(|((&mean, &action), inverse_std)| {
+                let z = (f64::from(action) - f64::from(mean)) * inverse_std;
+                z * z
+            });
+        self.log_peak - 0.5 * squares.sum::<f64>()
+    }
+
+    /// `Σ (½ + ½ ln 2π + ln σ)`
+    pub fn entropy(&self) -> f64 {
+        0.5 * self.log_std.len() as f64 - self.log_peak
+    }
+}
+
+/// `KL(old ‖ new)` of two diagonal Gaussians, summed over actions:
+/// `Σ ln(σ_new/σ_old) + (σ_old² + (μ_old − μ_new)²) / (2 σ_new²) − ½`.
+#[derive(Debug, Clone)]
+pub struct KlDivergence<'a> {
+    new: &'a DiagonalGaussian,
+    of_equal_means: f64,
+}
+
+impl<'a> KlDivergence<'a> {
+    /// Of `new` from `old`.
+    pub fn new(old: &DiagonalGaussian, new: &'a DiagonalGaussian) -> Self {
+        let terms = old.log_std.iter().zip(&new.log_std).map(|(old, new)| {
+            let log_ratio = old - new;
+            0.5 * (2.0 * log_ratio).exp_m1() - log_ratio
+        });
+        Self {
+            new,
+            of_equal_means: terms.sum(),
+        }
+    }
+
+    /// At a state where the means are these.
+    pub fn at(&self, old_mean: &[f32], new_mean: &[f32]) -> f64 {
+        let squares = old_mean
+            .iter()
+            .zip(new_mean)
+            .zip(&self.new.inverse_std)
+            .map(|((&old, &new), inverse_std)| {
+                let z = (f64::from(old) - f64::from(new)) * inverse_std;
+                z * z
+            });
+        self.of_equal_means + 0.5 * squares.sum::<f64>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const OLD: [f32; 3] = [-1.0, 0.25, 0.5];
+    const NEW: [f32; 3] = [-0.75, 0.0, 0.625];
+    const OLD_MEAN: [f32; 3] = [0.5, -1.0, 2.0];
+    const NEW_MEAN: [f32; 3] = [0.25, -1.5, 1.75];
+    const ACTION: [f32; 3] = [0.75, -0.5, -1.0];
+
+    /* The numbers below:
+    import numpy as np
+    lo, ln = np.array([-1, .25, .5]), np.array([-.75, 0, .625])
+    mo, mn, a = np.array([.5, -1, 2]), np.array([.25, -1.5, 1.75]), np.array([.75, -.5, -1])
+    so, sn = np.exp(lo), np.exp(ln)
+    print(np.sum(-.5*((a-mn)/sn)**2 - ln - .5*np.log(2*np.pi)))
+    print(np.sum(.5 + .5*np.log(2*np.pi) + ln))
+    print(np.sum(np.log(sn/so) + (so**2 + (mo-mn)**2)/(2*sn**2) - .5)) */
+
+    fn assert_close(actual: f64, expected: f64) {
+        assert!(
+            (actual - expected).abs() < 1e-12 * expected.abs(),
+            "{actual} is not {expected}"
+        );
+    }
+
+    #[test]
+    fn log_prob_equals_the_textbook_formula() {
+        assert_close(
+            DiagonalGaussian::new(&NEW).log_prob(&NEW_MEAN, &ACTION),
+            -4.77537299653387,
+        );
+    }
+
+    #[test]
+    fn entropy_equals_the_textbook_formula() {
+        assert_close(DiagonalGaussian::new(&NEW).entropy(), 4.1318155996140185);
+    }
+
+    #[test]
+    fn kl_equals_the_textbook_formula() {
+        let (old, new) = (DiagonalGaussian::new(&OLD), DiagonalGaussian::new(&NEW));
+        assert_close(
+            KlDivergence::new(&old, &new).at(&OLD_MEAN, &NEW_MEAN),
+            0.4160324150920287,
+        );
+    }
+
+    #[test]
+    fn kl_of_an_unchanged_policy_is_exactly_zero() {
+        let policy = DiagonalGaussian::new(&OLD);
+        assert_eq!(KlDivergence::new(&policy, &policy).at(&OLD_MEAN, &OLD_MEAN), 0.0);
+    }
+}

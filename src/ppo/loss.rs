@@ -1,0 +1,173 @@
+/*!
+PPO's per-sample arithmetic and its settings.
+*/
+
+use serde::{Deserialize, Serialize};
+
+/// Settings of the learner; the number of epochs is that of the permutations given to each update.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Hyperparameters {
+    /// Samples per gradient step.
+    pub minibatch_size: usize,
+    /// `c`: the ratio of probabilities is clipped to 1 ± c.
+    pub clip_range: f64,
+    /// Weight of the value loss.
+    pub value_coefficient: f64,
+    /// Weight of the entropy bonus.
+    pub entropy_coefficient: f64,
+    /// The joint gradient is scaled down to this norm.
+    pub max_gradient_norm: f64,
+    /// At the start of training.
+    pub learning_rate: f64,
+    /// The adaptive learning rate never goes below.
+    pub learning_rate_min: f64,
+    /// The adaptive learning rate never goes above.
+    pub learning_rate_max: f64,
+    /// The learning rate follows the divergence of the policy from that of the rollout; `None` keeps it fixed.
+    pub desired_kl: Option<f64>,
+    /// Adam's decay of the first moment.
+    pub adam_beta1: f64,
+    /// Adam's decay of the second moment.
+    pub adam_beta2: f64,
+    /// Adam's ε.
+    pub adam_epsilon: f64,
+}
+
+impl Hyperparameters {
+    /// The learning rate for a step at which the policy is `kl` away from the rollout's (Rudin et al., 2022): lower by
+    /// 1.5 above twice the desired divergence, higher by 1.5 below half of it. As in rsl_rl, a divergence of exactly
+    /// zero (the first minibatch of an update) says nothing and changes nothing.
+    pub fn adapted_learning_rate(&self, learning_rate: f64, kl: f64) -> f64 {
+        match self.desired_kl {
+            Some(desired) if kl > 2.0 * desired => (learning_rate / 1.5).max(self.learning_rate_min),
+            Some(desired) if kl > 0.0 && kl < 0.5 * desired => (learning_rate * 1.5).min(self.learning_rate_max),
+            _ => learning_rate,
+        }
+    }
+}
+
+/// What the rollouts have gathered: n samples, in any order.
+#[derive(Debug, Clone, Copy)]
+pub struct Batch<'a> {
+    /// Shape (n, observations).
+    pub observations: &'a [f32],
+    /// As sampled, not clipped; shape (n, actions).
+    pub actions: &'a [f32],
+    /// Mean actions of the policy that sampled; shape (n, actions).
+    pub means: &'a [f32],
+    /// `ln σ` of the policy that sampled; shape (actions).
+    pub log_std: &'a [f32],
+    /// Log-probabilities of the actions under the policy that sampled; shape (n).
+    pub log_probs: &'a [f32],
+    /// Not normalised; shape (n).
+    pub advantages: &'a [f32],
+    /// Targets of the value function; shape (n).
+    pub returns: &'a [f32],
+}
+
+/// Mean, and reciprocal of (unbiased standard deviation + 1e-8), of the advantages at `rows`. A single sample is not
+/// normalised, as in Stable-Baselines3.
+pub fn advantage_normaliser(advantages: &[f32], rows: &[u32]) -> (f64, f64) {
+    if rows.len() < 2 {
+        return (0.0, 1.0);
+    }
+    let at = |&row: &u32| f64::from(advantages[row as usize]);
+    let mean = rows.iter().map(at).sum::<f64>() / rows.len() as f64;
+    let squares: f64 = rows.iter().map(|row| (at(row) - mean).powi(2)).sum();
+    (mean, 1.0 / ((squares / (rows.len() as f64 - 1.0)).sqrt() + 1e-8))
+}
+
+/// The clipped surrogate of one sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Surrogate {
+    /// `−min(A·r, A·clip(r, 1 − c, 1 + c))`
+    pub loss: f64,
+    /// Its derivative by the log-probability.
+    pub slope: f64,
+    /// Whether `r` lies outside 1 ± c.
+    pub clipped: bool,
+}
+
+impl Surrogate {
+    /// For normalised advantage `A`, probability ratio `r` and clip range `c`.
+    pub fn new(advantage: f64, ratio: f64, clip_range: f64) -> Self {
+        let free = advantage * ratio;
+        let limited = advantage * ratio.clamp(1.0 - clip_range, 1.0 + clip_range);
+        // `limited` is constant in `r` wherever it is the smaller one.
+        let (loss, slope) = if limited < free {
+            (-limited, 0.0)
+        } else {
+            (-free, -free)
+        };
+        Self {
+            loss,
+            slope,
+            clipped: (ratio - 1.0).abs() > clip_range,
+        }
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    pub const SETTINGS: Hyperparameters = Hyperparameters {
+        minibatch_size: 512,
+        clip_range: 0.2,
+        value_coefficient: 0.5,
+        entropy_coefficient: 0.01,
+        max_gradient_norm: 0.5,
+        learning_rate: 1e-3,
+        learning_rate_min: 1e-5,
+        learning_rate_max: 1e-2,
+        desired_kl: Some(0.02),
+        adam_beta1: 0.9,
+        adam_beta2: 0.999,
+        adam_epsilon: 1e-5,
+    };
+
+    #[test]
+    fn surrogate_takes_the_smaller_of_the_free_and_the_clipped_gain() {
+        let surrogate = |advantage, ratio| {
+            let Surrogate { loss, slope, clipped } = Surrogate::new(advantage, ratio, 0.25);
+            (loss, slope, clipped)
+        };
+        assert_eq!(surrogate(2.0, 1.5), (-2.5, 0.0, true)); // min(2·1.5, 2·1.25) = 2.5, no gain in going further
+        assert_eq!(surrogate(2.0, 0.5), (-1.0, -1.0, true)); // min(2·0.5, 2·0.75) = 1, free
+        assert_eq!(surrogate(-2.0, 1.5), (3.0, 3.0, true)); // min(−2·1.5, −2·1.25) = −3, free
+        assert_eq!(surrogate(-2.0, 0.5), (1.5, 0.0, true)); // min(−2·0.5, −2·0.75) = −1.5, clipped
+        assert_eq!(surrogate(2.0, 1.125), (-2.25, -2.25, false)); // inside the range
+    }
+
+    #[test]
+    fn surrogate_of_a_nan_is_a_nan() {
+        assert!(Surrogate::new(f64::NAN, 1.0, 0.2).loss.is_nan());
+        assert!(Surrogate::new(1.0, f64::NAN, 0.2).loss.is_nan());
+    }
+
+    #[test]
+    fn advantages_are_normalised_with_the_unbiased_standard_deviation() {
+        // Rows 0, 2, 3: 1, 3, 8; mean 4; variance (9 + 1 + 16)/2 = 13.
+        let (mean, scale) = advantage_normaliser(&[1.0, 100.0, 3.0, 8.0], &[3, 0, 2]);
+        assert_eq!(mean, 4.0);
+        assert_eq!(scale, 1.0 / (13.0_f64.sqrt() + 1e-8));
+        assert_eq!(advantage_normaliser(&[5.0], &[0]), (0.0, 1.0));
+    }
+
+    #[test]
+    fn learning_rate_follows_the_divergence_within_its_limits() {
+        let rate = |learning_rate, kl| SETTINGS.adapted_learning_rate(learning_rate, kl);
+        assert_eq!(rate(3e-3, 0.041), 2e-3);
+        assert_eq!(rate(2e-3, 0.009), 3e-3);
+        assert_eq!(rate(2e-3, 0.02), 2e-3);
+        assert_eq!(rate(1.2e-5, 1.0), 1e-5);
+        assert_eq!(rate(9e-3, 1e-6), 1e-2);
+        assert_eq!(rate(2e-3, 0.0), 2e-3);
+        let fixed = Hyperparameters {
+            desired_kl: None,
+            ..SETTINGS
+        };
+        assert_eq!(fixed.adapted_learning_rate(2e-3, 1.0), 2e-3);
+    }
+}

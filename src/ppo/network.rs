@@ -1,0 +1,347 @@
+/*!
+Weights of the policy and the value function, as plain numbers.
+
+Everything else (the reference in candle, the fused learner, inference, checkpoints, ONNX) reads and writes this form.
+*/
+
+use std::collections::BTreeMap;
+
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+/// A linear layer, `y = W·x + b`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layer {
+    /// Shape (outputs, inputs), row-major, as in PyTorch.
+    pub weight: Vec<f32>,
+    /// Shape (outputs).
+    pub bias: Vec<f32>,
+}
+
+impl Layer {
+    /// All zero.
+    pub fn zeros(inputs: usize, outputs: usize) -> Self {
+        Self {
+            weight: vec![0.0; inputs * outputs],
+            bias: vec![0.0; outputs],
+        }
+    }
+
+    /// Weights with orthonormal rows or columns, whichever are fewer, times `gain`; no bias.
+    pub fn orthogonal(inputs: usize, outputs: usize, gain: f64, rng: &mut impl Rng) -> Self {
+        let vectors = orthonormal_vectors(inputs.min(outputs), inputs.max(outputs), rng);
+        let mut layer = Self::zeros(inputs, outputs);
+        for (i, weight) in layer.weight.iter_mut().enumerate() {
+            let (output, input) = (i / inputs, i % inputs);
+            let value = if outputs < inputs {
+                vectors[output][input]
+            } else {
+                vectors[input][output]
+            };
+            *weight = (gain * value) as f32;
+        }
+        layer
+    }
+
+    /// Number of inputs.
+    pub fn inputs(&self) -> usize {
+        self.weight.len() / self.bias.len()
+    }
+
+    /// Number of outputs.
+    pub fn outputs(&self) -> usize {
+        self.bias.len()
+    }
+}
+
+/// A multilayer perceptron: ELU (α = 1) after each layer but the last.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mlp {
+    /// From the input on; never empty.
+    pub layers: Vec<Layer>,
+}
+
+impl Mlp {
+    /// Number of inputs.
+    pub fn inputs(&self) -> usize {
+        self.layers.first().map_or(0, Layer::inputs)
+    }
+
+    /// Number of outputs.
+    pub fn outputs(&self) -> usize {
+        self.layers.last().map_or(0, Layer::outputs)
+    }
+}
+
+/// A Gaussian policy with state-independent standard deviation, and a value function.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ActorCritic {
+    /// Observation to mean action.
+    pub policy: Mlp,
+    /// Observation to value (one output).
+    pub value: Mlp,
+    /// `ln σ` of the actions.
+    pub log_std: Vec<f32>,
+}
+
+/// What makes a set of tensors unfit to be an [`ActorCritic`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum TensorError {
+    /// A tensor is not there.
+    #[error("there is no tensor `{name}`")]
+    Missing {
+        /// The name looked for.
+        name: String,
+    },
+    /// A tensor does not fit its neighbours, or its shape does not fit its length.
+    #[error("tensor `{name}` should have shape {expected:?}, but has shape {actual:?} and {len} elements")]
+    Shape {
+        /// The tensor.
+        name: String,
+        /// What fits.
+        expected: Vec<usize>,
+        /// What was given.
+        actual: Vec<usize>,
+        /// Number of elements given.
+        len: usize,
+    },
+    /// A tensor belongs to nothing.
+    #[error("tensor `{name}` belongs to no layer of the policy or the value function")]
+    Unknown {
+        /// The tensor.
+        name: String,
+    },
+}
+
+impl ActorCritic {
+    /// Initialised as in Stable-Baselines3: orthogonal weights with gain √2 in hidden layers, 0.01 in the policy's last
+    /// and 1 in the value's last layer; biases zero; `ln σ` the same for all actions.
+    pub fn orthogonal(observations: usize, hidden: &[usize], actions: usize, log_std: f32, rng: &mut impl Rng) -> Self {
+        let mut mlp = |outputs: usize, last_gain: f64| {
+            let mut layers = Vec::with_capacity(hidden.len() + 1);
+            let mut inputs = observations;
+            for &width in hidden {
+                layers.push(Layer::orthogonal(inputs, width, 2.0_f64.sqrt(), rng));
+                inputs = width;
+            }
+            layers.push(Layer::orthogonal(inputs, outputs, last_gain, rng));
+            Mlp { layers }
+        };
+        let policy = mlp(actions, 0.01);
+        let value = mlp(1, 1.0);
+        Self {
+            policy,
+            value,
+            log_std: vec![log_std; actions],
+        }
+    }
+
+    /// All zero, with the shapes of `self`.
+    pub fn zeros_like(&self) -> Self {
+        let zeros = |mlp: &Mlp| Mlp {
+            layers: mlp
+                .layers
+                .iter()
+                .map(|layer| Layer::zeros(layer.inputs(), layer.outputs()))
+                .collect(),
+        };
+        Self {
+            policy: zeros(&self.policy),
+            value: zeros(&self.value),
+            log_std: vec![0.0; self.log_std.len()],
+        }
+    }
+
+    /// Names, shapes and values in a fixed order: `policy.0.weight`, `policy.0.bias`, …, `value.0.weight`, …,
+    /// `log_std`.
+    pub fn tensors(&self) -> Vec<(String, Vec<usize>, &[f32])> {
+        let mut tensors = Vec::new();
+        for (network, mlp) in [("policy", &self.policy), ("value", &self.value)] {
+            for (i, layer) in mlp.layers.iter().enumerate() {
+                let shape = vec![layer.outputs(), layer.inputs()];
+                tensors.push((format!("{network}.{i}.weight"), shape, layer.weight.as_slice()));
+                tensors.push((
+                    format!("{network}.{i}.bias"),
+                    vec![layer.outputs()],
+                    layer.bias.as_slice(),
+                ));
+            }
+        }
+        tensors.push(("log_std".to_owned(), vec![self.log_std.len()], self.log_std.as_slice()));
+        tensors
+    }
+
+    /// The inverse of [`Self::tensors`], in any order.
+    ///
+    /// # Errors
+    /// When a tensor is missing, belongs to nothing, or does not fit the others.
+    pub fn from_tensors(
+        tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
+    ) -> Result<Self, TensorError> {
+        let mut tensors: BTreeMap<_, _> = tensors
+            .into_iter()
+            .map(|(name, shape, values)| (name, (shape, values)))
+            .collect();
+
+        let (log_std_shape, log_std) = take(&mut tensors, "log_std")?;
+        check("log_std", vec![log_std.len()], &log_std_shape, log_std.len())?;
+        let policy = take_mlp(&mut tensors, "policy", None, log_std.len())?;
+        let value = take_mlp(&mut tensors, "value", Some(policy.inputs()), 1)?;
+        match tensors.into_keys().next() {
+            Some(name) => Err(TensorError::Unknown { name }),
+            None => Ok(Self { policy, value, log_std }),
+        }
+    }
+}
+
+type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
+
+fn take(tensors: &mut Tensors, name: &str) -> Result<(Vec<usize>, Vec<f32>), TensorError> {
+    tensors
+        .remove(name)
+        .ok_or_else(|| TensorError::Missing { name: name.to_owned() })
+}
+
+fn check(name: &str, expected: Vec<usize>, actual: &[usize], len: usize) -> Result<(), TensorError> {
+    if expected == actual && expected.iter().product::<usize>() == len && len > 0 {
+        return Ok(());
+    }
+    Err(TensorError::Shape {
+        name: name.to_owned(),
+        expected,
+        actual: actual.to_vec(),
+        len,
+    })
+}
+
+fn take_mlp(tensors: &mut Tensors, network: &str, inputs: Option<usize>, outputs: usize) -> Result<Mlp, TensorError> {
+    let mut layers: Vec<Layer> = Vec::new();
+    loop {
+        let weight_name = format!("{network}.{}.weight", layers.len());
+        let bias_name = format!("{network}.{}.bias", layers.len());
+        let (weight_shape, weight) = take(tensors, &weight_name)?;
+        let (bias_shape, bias) = take(tensors, &bias_name)?;
+
+        let last = !tensors.contains_key(&format!("{network}.{}.weight", layers.len() + 1));
+        let layer_outputs = if last { outputs } else { bias.len() };
+        let given_inputs = weight_shape.get(1).copied().unwrap_or(0);
+        let layer_inputs = layers.last().map(Layer::outputs).or(inputs).unwrap_or(given_inputs);
+        check(&bias_name, vec![layer_outputs], &bias_shape, bias.len())?;
+        check(
+            &weight_name,
+            vec![layer_outputs, layer_inputs],
+            &weight_shape,
+            weight.len(),
+        )?;
+
+        layers.push(Layer { weight, bias });
+        if last {
+            return Ok(Mlp { layers });
+        }
+    }
+}
+
+/// `count` orthonormal vectors of `length` ≥ `count`, uniform over all such: Gram-Schmidt, twice over for accuracy, on
+/// normal deviates. This is the Q of their QR decomposition with positive diagonal of R.
+fn orthonormal_vectors(count: usize, length: usize, rng: &mut impl Rng) -> Vec<Vec<f64>> {
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let mut vectors: Vec<Vec<f64>> = Vec::with_capacity(count);
+    for _ in 0..count {
+        let mut vector: Vec<f64> = (0..length).map(|_| StandardNormal.sample(rng)).collect();
+        for _ in 0..2 {
+            for other in &vectors {
+                let projection = dot(&vector, other);
+                vector
+                    .iter_mut()
+                    .zip(other)
+                    .for_each(|(x, other)| *x -= projection * other);
+            }
+        }
+        let norm = dot(&vector, &vector).sqrt();
+        vector.iter_mut().for_each(|x| *x /= norm);
+        vectors.push(vector);
+    }
+    vectors
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    fn network() -> ActorCritic {
+        ActorCritic::orthogonal(11, &[20, 7], 3, -1.0, &mut ChaCha8Rng::seed_from_u64(1))
+    }
+
+    fn owned(network: &ActorCritic) -> Vec<(String, Vec<usize>, Vec<f32>)> {
+        network
+            .tensors()
+            .into_iter()
+            .map(|(name, shape, values)| (name, shape, values.to_vec()))
+            .collect()
+    }
+
+    fn largest_deviation_from_orthogonality(layer: &Layer, gain: f32) -> f32 {
+        let (inputs, outputs) = (layer.inputs(), layer.outputs());
+        let at = |vector: usize, i: usize| match outputs < inputs {
+            true => layer.weight[vector * inputs + i],
+            false => layer.weight[i * inputs + vector],
+        };
+        let count = inputs.min(outputs);
+        let pairs = (0..count).flat_map(|a| (0..=a).map(move |b| (a, b)));
+        pairs.fold(0.0, |worst: f32, (a, b)| {
+            let dot: f32 = (0..inputs.max(outputs)).map(|i| at(a, i) * at(b, i)).sum();
+            worst.max((dot / gain.powi(2) - if a == b { 1.0 } else { 0.0 }).abs())
+        })
+    }
+
+    #[test]
+    fn initial_weights_are_orthogonal_with_the_gains_of_stable_baselines() {
+        let network = network();
+        for (mlp, last_gain) in [(&network.policy, 0.01), (&network.value, 1.0)] {
+            for (i, layer) in mlp.layers.iter().enumerate() {
+                let gain = if i == 2 { last_gain } else { 2.0_f32.sqrt() };
+                assert!(largest_deviation_from_orthogonality(layer, gain) < 1e-5, "layer {i}");
+                assert!(layer.bias.iter().all(|&bias| bias == 0.0));
+            }
+        }
+        assert_eq!(network.log_std, [-1.0; 3]);
+    }
+
+    #[test]
+    fn tensors_have_a_fixed_order() {
+        let network = network();
+        let names: Vec<_> = network.tensors().into_iter().map(|(name, ..)| name).collect();
+        assert_eq!(names[..3], ["policy.0.weight", "policy.0.bias", "policy.1.weight"]);
+        assert_eq!(names[11..], ["value.2.bias", "log_std"]);
+        assert_eq!(network.tensors()[2].1, [7, 20]);
+    }
+
+    #[test]
+    fn tensors_in_any_order_make_the_same_network() {
+        let network = network();
+        let mut tensors = owned(&network);
+        tensors.reverse();
+        assert_eq!(ActorCritic::from_tensors(tensors).as_ref(), Ok(&network));
+    }
+
+    #[test]
+    fn unfit_tensors_are_refused_by_name() {
+        let error = |change: fn(&mut Vec<(String, Vec<usize>, Vec<f32>)>)| {
+            let mut tensors = owned(&network());
+            change(&mut tensors);
+            ActorCritic::from_tensors(tensors).unwrap_err().to_string()
+        };
+        assert_eq!(error(|t| drop(t.remove(1))), "there is no tensor `policy.0.bias`");
+        assert_eq!(
+            error(|t| t[2].1 = vec![20, 7]),
+            "tensor `policy.1.weight` should have shape [7, 20], but has shape [20, 7] and 140 elements"
+        );
+        assert_eq!(
+            error(|t| t.push(("policy.5.bias".into(), vec![1], vec![0.0]))),
+            "tensor `policy.5.bias` belongs to no layer of the policy or the value function"
+        );
+    }
+}

@@ -1,0 +1,440 @@
+//! The fused learner against the reference in candle, and its promises about bits.
+
+use std::sync::Mutex;
+
+use candle_core::{DType, Tensor};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::loss::tests::SETTINGS;
+use super::reference::Reference;
+use super::*;
+
+/// A batch that owns its numbers, from a policy somewhat away from the one to be trained.
+struct Samples {
+    observations: Vec<f32>,
+    actions: Vec<f32>,
+    means: Vec<f32>,
+    log_std: Vec<f32>,
+    log_probs: Vec<f32>,
+    advantages: Vec<f32>,
+    returns: Vec<f32>,
+}
+
+impl Samples {
+    fn new(network: &ActorCritic, samples: usize, seed: u64) -> Self {
+        let rng = &mut ChaCha8Rng::seed_from_u64(seed);
+        let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());
+        let observations = normal(samples * inputs, 1.0, rng);
+        let mut means = vec![0.0; samples * actions];
+        PackedMlp::new(&network.policy).forward(samples, &observations, &mut means, &mut Scratch::default());
+        means
+            .iter_mut()
+            .zip(normal(samples * actions, 0.05, rng))
+            .for_each(|(mean, x)| *mean += x);
+        let log_std: Vec<f32> = network
+            .log_std
+            .iter()
+            .map(|x| x + rng.random_range(-0.1..0.1))
+            .collect();
+        let policy = DiagonalGaussian::new(&log_std);
+        let noise = normal(samples * actions, 1.0, rng);
+        let std = log_std.iter().map(|x| x.exp()).cycle();
+        let taken: Vec<f32> = means
+            .iter()
+            .zip(noise)
+            .zip(std)
+            .map(|((mean, x), std)| mean + std * x)
+            .collect();
+        let log_probs = means
+            .chunks(actions)
+            .zip(taken.chunks(actions))
+            .map(|(m, a)| policy.log_prob(m, a) as f32);
+        Self {
+            log_probs: log_probs.collect(),
+            observations,
+            actions: taken,
+            means,
+            log_std,
+            advantages: normal(samples, 3.0, rng),
+            returns: normal(samples, 2.0, rng),
+        }
+    }
+
+    fn batch(&self) -> Batch<'_> {
+        Batch {
+            observations: &self.observations,
+            actions: &self.actions,
+            means: &self.means,
+            log_std: &self.log_std,
+            log_probs: &self.log_probs,
+            advantages: &self.advantages,
+            returns: &self.returns,
+        }
+    }
+}
+
+fn normal(count: usize, scale: f32, rng: &mut impl Rng) -> Vec<f32> {
+    (0..count)
+        .map(|_| scale * Distribution::<f32>::sample(&StandardNormal, rng))
+        .collect()
+}
+
+fn permutations(samples: usize, epochs: usize, seed: u64) -> Vec<Vec<u32>> {
+    let rng = &mut ChaCha8Rng::seed_from_u64(seed);
+    let mut permutation = || {
+        let mut rows: Vec<u32> = (0..samples as u32).collect();
+        (1..samples).rev().for_each(|i| rows.swap(i, rng.random_range(0..=i)));
+        rows
+    };
+    (0..epochs).map(|_| permutation()).collect()
+}
+
+/// Sizes that divide by nothing convenient; the policy's head is large enough to matter.
+fn network() -> ActorCritic {
+    let rng = &mut ChaCha8Rng::seed_from_u64(7);
+    let mut network = ActorCritic::orthogonal(19, &[50, 37, 23], 5, -0.5, rng);
+    for layer in network.policy.layers.iter_mut().chain(&mut network.value.layers) {
+        layer.bias = normal(layer.outputs(), 0.1, rng);
+    }
+    network.policy.layers[3] = Layer::orthogonal(23, 5, 0.5, rng);
+    network
+}
+
+fn settings(minibatch_size: usize) -> Hyperparameters {
+    Hyperparameters {
+        minibatch_size,
+        ..SETTINGS
+    }
+}
+
+fn learner(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> Learner {
+    Learner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
+}
+
+fn numbers(tensor: &Tensor) -> Vec<f64> {
+    tensor
+        .to_dtype(DType::F64)
+        .unwrap()
+        .flatten_all()
+        .unwrap()
+        .to_vec1()
+        .unwrap()
+}
+
+fn norm(x: impl Iterator<Item = f64>) -> f64 {
+    x.map(|x| x * x).sum::<f64>().sqrt()
+}
+
+#[test]
+fn fused_gradients_equal_those_of_automatic_differentiation() {
+    for (sizes, rows) in [(None, 150), (None, 64), (None, 3), (Some([83, 256, 128, 64, 12]), 512)] {
+        let network = match sizes {
+            Some([observations, hidden @ .., actions]) => {
+                ActorCritic::orthogonal(observations, &hidden, actions, -1.0, &mut ChaCha8Rng::seed_from_u64(3))
+            }
+            None => network(),
+        };
+        let samples = Samples::new(&network, rows + 10, 1);
+        let order = &permutations(rows + 10, 1, 2)[0][..rows];
+        let settings = settings(rows);
+
+        let reference = Reference::new(&network, DType::F64).unwrap();
+        let loss = reference.loss(&samples.batch(), order, &settings).unwrap();
+        let expected = reference.gradient(&loss.total).unwrap();
+
+        let fused = learner(&network, settings, 1).gradient(&samples.batch(), order);
+        for ((name, _, fused), expected) in fused.tensors().into_iter().zip(&expected) {
+            let expected = numbers(expected);
+            let scale = norm(expected.iter().copied());
+            let error = norm(
+                fused
+                    .iter()
+                    .zip(&expected)
+                    .map(|(&fused, expected)| f64::from(fused) - expected),
+            );
+            assert!(scale > 1e-6, "{name} has no gradient");
+            assert!(
+                error < 1e-5 * scale,
+                "{name} with {rows} rows: error {error:e} of {scale:e}"
+            );
+            let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+            for (i, (&fused, expected)) in fused.iter().zip(&expected).enumerate() {
+                let error = (f64::from(fused) - expected).abs();
+                assert!(
+                    error < 1e-4 * expected.abs() + 1e-5 * largest,
+                    "{name}[{i}]: {fused:e}, not {expected:e}"
+                );
+            }
+        }
+    }
+}
+
+/// Stable-Baselines3's loop with the learning-rate rule of rsl_rl, on candle's f64 gradients.
+fn reference_update(
+    network: &ActorCritic,
+    batch: &Batch<'_>,
+    permutations: &[Vec<u32>],
+    settings: &Hyperparameters,
+) -> (Vec<Vec<f64>>, UpdateStatistics) {
+    let reference = Reference::new(network, DType::F64).unwrap();
+    let mut moments: Vec<(Vec<f64>, Vec<f64>)> = network
+        .tensors()
+        .iter()
+        .map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()]))
+        .collect();
+    let scalar = |x: &Tensor| x.to_scalar::<f64>().unwrap();
+    let (mut rate, mut count, mut statistics) = (settings.learning_rate, 0, UpdateStatistics::default());
+    for rows in permutations
+        .iter()
+        .flat_map(|rows| rows.chunks(settings.minibatch_size))
+    {
+        let loss = reference.loss(batch, rows, settings).unwrap();
+        let gradients: Vec<_> = reference.gradient(&loss.total).unwrap().iter().map(numbers).collect();
+
+        let kl = scalar(&loss.kl);
+        let desired = settings.desired_kl.unwrap();
+        if kl > 2.0 * desired {
+            rate = settings.learning_rate_min.max(rate / 1.5);
+        } else if kl > 0.0 && kl < desired / 2.0 {
+            rate = settings.learning_rate_max.min(rate * 1.5);
+        }
+        let total_norm = norm(gradients.iter().flatten().copied());
+        let clip = (settings.max_gradient_norm / (total_norm + 1e-6)).min(1.0);
+
+        count += 1;
+        let (b1, b2) = (settings.adam_beta1, settings.adam_beta2);
+        for (((_, variable), gradient), (m, v)) in reference.variables().iter().zip(&gradients).zip(&mut moments) {
+            let mut values = numbers(variable.as_tensor());
+            for (i, value) in values.iter_mut().enumerate() {
+                let g = gradient[i] * clip;
+                m[i] = b1 * m[i] + (1.0 - b1) * g;
+                v[i] = b2 * v[i] + (1.0 - b2) * g * g;
+                let (m, v) = (m[i] / (1.0 - b1.powi(count)), v[i] / (1.0 - b2.powi(count)));
+                *value -= rate * m / (v.sqrt() + settings.adam_epsilon);
+            }
+            let values = Tensor::from_vec(values, variable.shape(), variable.device()).unwrap();
+            variable.set(&values).unwrap();
+        }
+        statistics.policy_loss += scalar(&loss.policy);
+        statistics.value_loss += scalar(&loss.value);
+        statistics.entropy += scalar(&loss.entropy);
+        statistics.kl += kl;
+        statistics.gradient_norm += total_norm;
+        statistics.max_gradient_norm = statistics.max_gradient_norm.max(total_norm);
+        statistics.learning_rate = rate;
+    }
+    let n = f64::from(count);
+    for sum in [
+        &mut statistics.policy_loss,
+        &mut statistics.value_loss,
+        &mut statistics.entropy,
+        &mut statistics.kl,
+        &mut statistics.gradient_norm,
+    ] {
+        *sum /= n;
+    }
+    (
+        reference
+            .variables()
+            .iter()
+            .map(|(_, variable)| numbers(variable.as_tensor()))
+            .collect(),
+        statistics,
+    )
+}
+
+#[test]
+fn an_update_equals_the_textbook_loop() {
+    let network = network();
+    let samples = Samples::new(&network, 300, 1);
+    let order = permutations(300, 3, 2);
+    let settings = settings(128); // leaves a last minibatch of 44
+
+    let (expected, expected_statistics) = reference_update(&network, &samples.batch(), &order, &settings);
+    let mut learner = learner(&network, settings, 2);
+    let statistics = learner.update(&samples.batch(), &order).unwrap();
+
+    let before = network.tensors();
+    let after = learner.parameters();
+    for ((before, (name, _, after)), expected) in before.iter().zip(after.tensors()).zip(&expected) {
+        let way = norm(
+            before
+                .2
+                .iter()
+                .zip(expected)
+                .map(|(&before, expected)| f64::from(before) - expected),
+        );
+        let error = norm(
+            after
+                .iter()
+                .zip(expected)
+                .map(|(&after, expected)| f64::from(after) - expected),
+        );
+        assert!(way > 1e-3, "{name} has not moved");
+        assert!(error < 1e-4 * way, "{name}: off by {error:e} after {way:e}");
+    }
+    for (name, actual, expected) in [
+        ("policy loss", statistics.policy_loss, expected_statistics.policy_loss),
+        ("value loss", statistics.value_loss, expected_statistics.value_loss),
+        ("entropy", statistics.entropy, expected_statistics.entropy),
+        ("KL", statistics.kl, expected_statistics.kl),
+        (
+            "gradient norm",
+            statistics.gradient_norm,
+            expected_statistics.gradient_norm,
+        ),
+        (
+            "largest gradient norm",
+            statistics.max_gradient_norm,
+            expected_statistics.max_gradient_norm,
+        ),
+        (
+            "learning rate",
+            statistics.learning_rate,
+            expected_statistics.learning_rate,
+        ),
+    ] {
+        assert!(
+            (actual - expected).abs() < 1e-4 * expected.abs(),
+            "{name}: {actual}, not {expected}"
+        );
+    }
+    assert!(statistics.clip_fraction > 0.0 && statistics.clip_fraction < 1.0);
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bits() {
+    let network = network();
+    let samples = Samples::new(&network, 300, 1);
+    let order = permutations(300, 2, 2);
+    let state = |threads| {
+        let mut learner = learner(&network, settings(150), threads);
+        let statistics = learner.update(&samples.batch(), &order).unwrap();
+        (learner.state(), statistics)
+    };
+    let one = state(1);
+    for threads in [2, 3, 64] {
+        assert!(state(threads) == one, "{threads} threads");
+    }
+}
+
+#[test]
+fn a_restored_learner_continues_with_the_same_bits() {
+    let network = network();
+    let samples = Samples::new(&network, 300, 1);
+    let order = permutations(300, 4, 2);
+
+    let mut whole = learner(&network, settings(100), 2);
+    whole.update(&samples.batch(), &order[..2]).unwrap();
+    let saved = whole.state();
+    whole.update(&samples.batch(), &order[2..]).unwrap();
+
+    let mut resumed = Learner::new(&saved, settings(100), 1);
+    assert!(resumed.state() == saved);
+    resumed.update(&samples.batch(), &order[2..]).unwrap();
+    assert!(resumed.state() == whole.state());
+    assert_eq!(whole.state().steps, 12);
+}
+
+#[test]
+fn a_row_has_the_same_bits_in_any_batch() {
+    let network = network();
+    let packed = PackedMlp::new(&network.policy);
+    let scratch = &mut Scratch::default();
+    let (rows, inputs, outputs) = (131, network.policy.inputs(), network.policy.outputs());
+    let x = normal(rows * inputs, 1.0, &mut ChaCha8Rng::seed_from_u64(5));
+    let mut whole = vec![0.0; rows * outputs];
+    packed.forward(rows, &x, &mut whole, scratch);
+    for size in [1, 2, 5, 6, 7, 8, 9, 13, 64, 65] {
+        let mut parts = vec![0.0; rows * outputs];
+        for (x, y) in x.chunks(size * inputs).zip(parts.chunks_mut(size * outputs)) {
+            packed.forward(y.len() / outputs, x, y, scratch);
+        }
+        assert!(parts == whole, "batches of {size}");
+    }
+}
+
+#[test]
+fn the_policy_of_the_rollout_is_at_distance_zero_in_the_first_minibatch() {
+    let network = network();
+    let mut samples = Samples::new(&network, 64, 1);
+    PackedMlp::new(&network.policy).forward(64, &samples.observations, &mut samples.means, &mut Scratch::default());
+    samples.log_std.clone_from(&network.log_std);
+    let mut learner = learner(&network, settings(64), 1);
+    let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
+    assert_eq!(statistics.kl, 0.0);
+    assert_eq!(statistics.learning_rate, SETTINGS.learning_rate);
+}
+
+#[test]
+fn a_nan_stops_the_update_before_its_step() {
+    let network = network();
+    let mut samples = Samples::new(&network, 200, 1);
+    samples.advantages[123] = f32::NAN;
+    let order = permutations(200, 1, 2);
+    let faulty = order[0].iter().position(|&row| row == 123).unwrap() / 100;
+
+    let mut learner = learner(&network, settings(100), 2);
+    let fault = learner.update(&samples.batch(), &order).unwrap_err();
+    let UpdateFault::NotFinite {
+        epoch: 0,
+        minibatch,
+        samples: rows,
+        policy_loss,
+        value_loss,
+        ..
+    } = fault
+    else {
+        panic!("{fault}");
+    };
+    assert_eq!(minibatch, faulty);
+    assert_eq!(rows, order[0][faulty * 100..][..100]);
+    assert!(policy_loss.is_nan() && value_loss.is_finite());
+
+    let mut healthy = self::learner(&network, settings(100), 1);
+    let before = vec![order[0][..faulty * 100].to_vec()];
+    healthy.update(&samples.batch(), &before).unwrap();
+    assert!(learner.state() == healthy.state());
+}
+
+#[test]
+fn a_nan_in_an_observation_is_noticed() {
+    let network = network();
+    let mut samples = Samples::new(&network, 64, 1);
+    samples.observations[20] = f32::NAN;
+    let mut learner = learner(&network, settings(64), 1);
+    assert!(learner.update(&samples.batch(), &permutations(64, 1, 1)).is_err());
+    assert!(learner.parameters() == network);
+}
+
+#[test]
+fn a_batch_that_does_not_fit_is_refused() {
+    let network = network();
+    let samples = Samples::new(&network, 64, 1);
+    let mut learner = learner(&network, settings(64), 1);
+    let short = Batch {
+        means: &samples.means[1..],
+        ..samples.batch()
+    };
+    assert_eq!(
+        learner.update(&short, &permutations(64, 1, 1)).unwrap_err().to_string(),
+        "means of the batch should have 320 elements, but has 319"
+    );
+    assert_eq!(
+        learner.update(&samples.batch(), &[vec![64]]).unwrap_err().to_string(),
+        "the permutation of epoch 0 names sample 64 of only 64"
+    );
+}
+
+impl Learner {
+    /// Gradient over one minibatch, without a step.
+    fn gradient(&self, batch: &Batch<'_>, rows: &[u32]) -> ActorCritic {
+        let progress = Mutex::new(learner::Progress::new(self));
+        team::Team::run(1, |team| {
+            self.minibatch(team, batch, 0, 0, rows, &progress);
+        });
+        self.unpacked(|parameters| &parameters.gradient)
+    }
+}

@@ -1,0 +1,254 @@
+/*! Collecting a batch: every worker steps its own environments, the policy sees all of a worker's at once.
+
+Samples are stored environment by environment, `row = environment · steps + step`, so that a worker writes one stretch
+of every array. Noise comes from a stream of each environment, and a row's network outputs have the same bits in any
+batch: the result does not depend on the number of workers.
+*/
+
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+use crate::env::{End, EpisodeReport, LocomotionEnv};
+use crate::mujoco;
+use crate::ppo::{ActorCritic, DiagonalGaussian, PackedMlp, Scratch};
+use crate::random::{Purpose, stream};
+use crate::task::Normaliser;
+use crate::task::observation::LENGTH;
+
+/// A batch of `n = environments · steps` samples.
+#[derive(Debug, Clone, Default)]
+pub struct Rollout {
+    /// Steps of each environment.
+    pub steps: usize,
+    /// Normalised observations, shape (n, 83).
+    pub observations: Vec<f32>,
+    /// Actions as sampled, shape (n, 12).
+    pub actions: Vec<f32>,
+    /// Means of the policy that sampled them, shape (n, 12).
+    pub means: Vec<f32>,
+    /// Log-probabilities of the actions, shape (n).
+    pub log_probs: Vec<f32>,
+    /// Rewards, shape (n).
+    pub rewards: Vec<f32>,
+    /// Values of the observations, shape (n).
+    pub values: Vec<f32>,
+    /// Which steps ended an episode, shape (n).
+    pub ends: Vec<Option<End>>,
+    /// Value of the state after each step that the return goes on with: at time limits and at the end of the batch;
+    /// 0 elsewhere. Shape (n).
+    pub bootstraps: Vec<f32>,
+    /// Finished episodes, by environment and then time.
+    pub episodes: Vec<EpisodeReport>,
+}
+
+/// What the collection needs beside the environments.
+#[derive(Debug, Clone, Copy)]
+pub struct Collection<'a> {
+    /// Policy and value function.
+    pub network: &'a ActorCritic,
+    /// Scaling of observations.
+    pub normaliser: &'a Normaliser,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Iteration, for the noise streams.
+    pub iteration: u64,
+    /// Steps of each environment.
+    pub steps: usize,
+    /// Open share of the command range for episodes that start now.
+    pub command_share: f64,
+    /// Worker threads.
+    pub threads: usize,
+}
+
+impl Collection<'_> {
+    /// Steps all environments.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo while an episode is set up. Faults within an episode end that episode only.
+    pub fn collect(&self, envs: &mut [LocomotionEnv]) -> mujoco::Result<Rollout> {
+        let share = envs.len().div_ceil(self.threads.max(1)).max(1);
+        let networks = Networks {
+            policy: PackedMlp::new(&self.network.policy),
+            value: PackedMlp::new(&self.network.value),
+            gaussian: DiagonalGaussian::new(&self.network.log_std),
+            std: self.network.log_std.iter().map(|log_std| log_std.exp()).collect(),
+        };
+        let parts: mujoco::Result<Vec<Rollout>> = std::thread::scope(|scope| {
+            let workers: Vec<_> = envs
+                .chunks_mut(share)
+                .enumerate()
+                .map(|(k, envs)| {
+                    let networks = &networks;
+                    scope.spawn(move || self.collect_share(envs, k * share, networks))
+                })
+                .collect();
+            // A worker that panicked has broken an invariant: pass the panic on.
+            workers.into_iter().map(|worker| worker.join().unwrap_or_else(|p| std::panic::resume_unwind(p))).collect()
+        });
+        let mut whole = Rollout { steps: self.steps, ..Rollout::default() };
+        for part in parts? {
+            whole.observations.extend(part.observations);
+            whole.actions.extend(part.actions);
+            whole.means.extend(part.means);
+            whole.log_probs.extend(part.log_probs);
+            whole.rewards.extend(part.rewards);
+            whole.values.extend(part.values);
+            whole.ends.extend(part.ends);
+            whole.bootstraps.extend(part.bootstraps);
+            whole.episodes.extend(part.episodes);
+        }
+        Ok(whole)
+    }
+
+    fn collect_share(&self, envs: &mut [LocomotionEnv], first: usize, networks: &Networks) -> mujoco::Result<Rollout> {
+        let (count, steps, width) = (envs.len(), self.steps, self.network.log_std.len());
+        let rows = count * steps;
+        let mut rollout = Rollout {
+            steps,
+            observations: vec![0.0; rows * LENGTH],
+            actions: vec![0.0; rows * width],
+            means: vec![0.0; rows * width],
+            log_probs: vec![0.0; rows],
+            rewards: vec![0.0; rows],
+            values: vec![0.0; rows],
+            ends: vec![None; rows],
+            bootstraps: vec![0.0; rows],
+            episodes: Vec::new(),
+        };
+        let mut noise: Vec<_> = (0..count)
+            .map(|env| stream(self.seed, Purpose::Action, (first + env) as u64, self.iteration))
+            .collect();
+        let mut scratch = Scratch::default();
+        let (mut seen, mut means) = (vec![0.0; count * LENGTH], vec![0.0; count * width]);
+        // Rows after which the return goes on with a value, and the observations that it is the value of.
+        let (mut continued, mut final_observations) = (Vec::new(), Vec::new());
+
+        for step in 0..steps {
+            for (env, seen) in envs.iter().zip(seen.chunks_exact_mut(LENGTH)) {
+                self.normaliser.apply(&env.observation(), seen);
+            }
+            networks.policy.forward(count, &seen, &mut means, &mut scratch);
+            for (index, env) in envs.iter_mut().enumerate() {
+                let row = index * steps + step;
+                let mean = &means[index * width..(index + 1) * width];
+                let action = &mut rollout.actions[row * width..(row + 1) * width];
+                for (k, value) in action.iter_mut().enumerate() {
+                    *value = mean[k] + networks.std[k] * noise[index].sample::<f32, _>(StandardNormal);
+                }
+                rollout.log_probs[row] = networks.gaussian.log_prob(mean, action) as f32;
+                rollout.means[row * width..(row + 1) * width].copy_from_slice(mean);
+                rollout.observations[row * LENGTH..(row + 1) * LENGTH]
+                    .copy_from_slice(&seen[index * LENGTH..(index + 1) * LENGTH]);
+
+                let (outcome, report) = env.step(action);
+                rollout.rewards[row] = outcome.reward as f32;
+                rollout.ends[row] = outcome.end;
+                rollout.episodes.extend(report);
+                let goes_on = outcome.end == Some(End::TimeLimit) || (outcome.end.is_none() && step + 1 == steps);
+                if goes_on {
+                    let start = final_observations.len();
+                    final_observations.resize(start + LENGTH, 0.0);
+                    self.normaliser.apply(&env.observation(), &mut final_observations[start..]);
+                    continued.push(row);
+                }
+                if outcome.end.is_some() {
+                    env.reset(self.command_share)?;
+                }
+            }
+        }
+
+        networks.value.forward(rows, &rollout.observations, &mut rollout.values, &mut scratch);
+        let mut final_values = vec![0.0; continued.len()];
+        networks.value.forward(continued.len(), &final_observations, &mut final_values, &mut scratch);
+        for (row, value) in continued.into_iter().zip(final_values) {
+            rollout.bootstraps[row] = value;
+        }
+        Ok(rollout)
+    }
+}
+
+struct Networks {
+    policy: PackedMlp,
+    value: PackedMlp,
+    gaussian: DiagonalGaussian,
+    std: Vec<f32>,
+}
+
+impl Rollout {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.rewards.len()
+    }
+
+    /// Whether there are no samples.
+    pub fn is_empty(&self) -> bool {
+        self.rewards.is_empty()
+    }
+
+    /// Generalised advantage estimation: advantages and returns (`advantage + value`), shape (n) each.
+    ///
+    /// `δ_t = r_t + γ V(s_{t+1}) − V(s_t)`, `A_t = δ_t + γ λ A_{t+1}`, where a fall has `V(s_{t+1}) = 0`, a time limit
+    /// the value of its final observation, and neither lets `A_{t+1}` of the next episode in.
+    pub fn advantages(&self, discount: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
+        let (mut advantages, mut returns) = (vec![0.0; self.len()], vec![0.0; self.len()]);
+        for first in (0..self.len()).step_by(self.steps.max(1)) {
+            let mut advantage = 0.0;
+            for row in (first..first + self.steps).rev() {
+                let last = row + 1 == first + self.steps;
+                let next = if self.ends[row].is_some() || last { self.bootstraps[row] } else { self.values[row + 1] };
+                let value = f64::from(self.values[row]);
+                let delta = f64::from(self.rewards[row]) + discount * f64::from(next) - value;
+                let carried = if self.ends[row].is_some() { 0.0 } else { advantage };
+                advantage = delta + discount * lambda * carried;
+                advantages[row] = advantage as f32;
+                returns[row] = (advantage + value) as f32;
+            }
+        }
+        (advantages, returns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rollout(ends: [Option<End>; 3], bootstraps: [f32; 3]) -> Rollout {
+        Rollout {
+            steps: 3,
+            rewards: vec![1.0, 2.0, 3.0],
+            values: vec![10.0, 20.0, 30.0],
+            ends: ends.to_vec(),
+            bootstraps: bootstraps.to_vec(),
+            ..Rollout::default()
+        }
+    }
+
+    fn close(found: &[f32], expected: [f32; 3]) {
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-4, "{found} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn an_unfinished_episode_continues_with_the_value_of_its_last_observation() {
+        // γ = 0.5, λ = 0.5: δ = [1 + 10 − 10, 2 + 15 − 20, 3 + 20 − 30] = [1, −3, −7]
+        // A₂ = −7, A₁ = −3 − 1.75 = −4.75, A₀ = 1 − 1.1875
+        let (advantages, returns) = rollout([None; 3], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [-0.1875, -4.75, -7.0]);
+        close(&returns, [9.8125, 15.25, 23.0]);
+    }
+
+    #[test]
+    fn a_fall_ends_the_return_and_keeps_the_next_episode_out() {
+        // step 1 falls: δ₁ = 2 − 20 = −18; A₀ = 1 + 10 − 10 − 0.25·18
+        let (advantages, _) = rollout([None, Some(End::Fall), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [-3.5, -18.0, -7.0]);
+    }
+
+    #[test]
+    fn a_time_limit_bootstraps_from_the_final_observation_and_keeps_the_next_episode_out() {
+        // step 1 is cut with final value 24: δ₁ = 2 + 12 − 20 = −6; A₀ = 1 − 0.25·6
+        let (advantages, _) = rollout([None, Some(End::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [-0.5, -6.0, -7.0]);
+    }
+}

@@ -1,0 +1,176 @@
+/*! A run's folder: what was asked for, what happened, and what is needed to go on.
+
+| file | content |
+|---|---|
+| `run.json` | seed, config name, git revision, MuJoCo version, command line |
+| `config.yaml` | the whole configuration |
+| `metrics.jsonl` | one JSON object for each iteration |
+| `events.out.tfevents.*` | the same for TensorBoard, one file for each session |
+| `checkpoint.safetensors` | the newest checkpoint; the one before is `checkpoint.previous.safetensors` |
+| `policy.safetensors` | the policy of the newest checkpoint |
+
+A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
+*/
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::files;
+use crate::metrics::IterationMetrics;
+use crate::policy::PolicyError;
+use crate::provenance;
+use crate::tensorboard::EventWriter;
+use crate::train::Trainer;
+
+/// Why a run's folder could not be used.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// There is something at that path already.
+    #[error("{path} exists already: go on with --resume {path}, or choose another folder with --out", path = .0.display())]
+    Exists(PathBuf),
+    /// There is no run to go on with.
+    #[error("{} is not a run's folder: it has no checkpoint; start one with --out", .0.display())]
+    NotARun(PathBuf),
+    /// Reading or writing failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// File or folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The checkpoint.
+    #[error(transparent)]
+    Checkpoint(#[from] CheckpointError),
+    /// The policy file.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+}
+
+/// The place of a run on disk.
+#[derive(Debug)]
+pub struct RunFolder {
+    path: PathBuf,
+    metrics: File,
+    events: EventWriter,
+}
+
+impl RunFolder {
+    /// Creates the folder of a new run.
+    ///
+    /// # Errors
+    /// [`RunError::Exists`] if there is something at that path, or the system's reason.
+    pub fn create(path: &Path, trainer: &Trainer) -> Result<Self, RunError> {
+        let at = |path: &Path| {
+            let path = path.to_owned();
+            move |source| RunError::Io { path, source }
+        };
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).map_err(at(parent))?;
+        }
+        fs::create_dir(path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => RunError::Exists(path.to_owned()),
+            _ => RunError::Io { path: path.to_owned(), source },
+        })?;
+        let about = serde_json::json!({
+            "config_name": trainer.config_name(),
+            "seed": trainer.seed(),
+            "git_revision": provenance::GIT_REVISION,
+            "mujoco_version": provenance::MUJOCO_VERSION,
+            "command": std::env::args().collect::<Vec<_>>().join(" "),
+        });
+        let (run, config) = (path.join("run.json"), path.join("config.yaml"));
+        files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
+        files::write_atomically(&config, trainer.config().to_yaml().as_bytes()).map_err(at(&config))?;
+        Self::open(path)
+    }
+
+    /// Opens the folder of a run to go on with it: reads its checkpoint and drops the metrics of iterations that came
+    /// after it. The third value says why the newest checkpoint was passed over, if it was.
+    ///
+    /// # Errors
+    /// [`RunError::NotARun`], or what is wrong with the checkpoint.
+    pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Option<CheckpointError>), RunError> {
+        use crate::checkpoint::{NEWEST, PREVIOUS};
+        if !path.join(NEWEST).exists() && !path.join(PREVIOUS).exists() {
+            return Err(RunError::NotARun(path.to_owned()));
+        }
+        let (checkpoint, passed_over) = Checkpoint::load(path)?;
+        let metrics = path.join("metrics.jsonl");
+        cut_metrics(&metrics, checkpoint.run.iteration)
+            .map_err(|source| RunError::Io { path: metrics.clone(), source })?;
+        Ok((Self::open(path)?, checkpoint, passed_over))
+    }
+
+    fn open(path: &Path) -> Result<Self, RunError> {
+        let metrics_path = path.join("metrics.jsonl");
+        let metrics = OpenOptions::new().create(true).append(true).open(&metrics_path);
+        Ok(RunFolder {
+            path: path.to_owned(),
+            metrics: metrics.map_err(|source| RunError::Io { path: metrics_path, source })?,
+            events: EventWriter::create(path).map_err(|source| RunError::Io { path: path.to_owned(), source })?,
+        })
+    }
+
+    /// The folder.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Appends an iteration to the logs.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk.
+    pub fn log(&mut self, metrics: &IterationMetrics) -> Result<(), RunError> {
+        let at = |source| RunError::Io { path: self.path.join("metrics.jsonl"), source };
+        // Plain numbers: serialising them cannot fail.
+        let mut line = serde_json::to_vec(metrics).unwrap_or_default();
+        line.push(b'\n');
+        self.metrics.write_all(&line).map_err(at)?;
+        let scalars = metrics.scalars();
+        let scalars: Vec<(&str, f64)> = scalars.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let now_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
+        self.events.scalars(metrics.samples, now_s, &scalars).map_err(at)
+    }
+
+    /// Writes checkpoint and policy.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk; older files are untouched then.
+    pub fn save(&self, trainer: &Trainer) -> Result<(), RunError> {
+        trainer.checkpoint().save(&self.path)?;
+        Ok(trainer.policy().save(&self.path.join("policy.safetensors"))?)
+    }
+}
+
+/// Keeps the first `iterations` lines, which a checkpoint stands behind, and drops what came after it, a half-written
+/// line included.
+fn cut_metrics(path: &Path, iterations: u64) -> io::Result<()> {
+    let mut kept = Vec::new();
+    if path.exists() {
+        let mut reader = BufReader::new(File::open(path)?);
+        for _ in 0..iterations {
+            if reader.read_until(b'\n', &mut kept)? == 0 {
+                break;
+            }
+        }
+    }
+    files::write_atomically(path, &kept)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metrics_after_the_checkpoint_are_dropped_with_a_half_written_line() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.jsonl");
+        fs::write(&path, "1\n2\n3\n4").unwrap();
+        cut_metrics(&path, 2).unwrap();
+        assert_eq!(fs::read_to_string(&path).unwrap(), "1\n2\n");
+    }
+}

@@ -1,0 +1,270 @@
+/*! The simulated robot: PD control, latency, pushes and physics at 240 Hz under one policy step at 60 Hz.
+
+A physics step is taken as MuJoCo's second half (forces, integration) followed by its first half (kinematics,
+contacts), so that positions, velocities, feet and contacts all belong to the same instant when a policy looks at them,
+with no work done twice. Contact forces exist only between the two halves; a [`StepObserver`] sees them there.
+*/
+
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::config::Simulation;
+use crate::control::{Gains, Latency, mechanical_power, squared_torque};
+use crate::go1::{Go1, JOINT_COUNT, Joints, RobotState};
+use crate::mujoco::{Data, Error, Kind, Result};
+use crate::scene::{Ground, Scene};
+
+/// Why the robot counts as fallen (section III-D).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum Fall {
+    /// The base is too low: its height above the ground [m].
+    Low(f64),
+    /// The geometry of this id, not a foot, touches the ground.
+    Touch(usize),
+}
+
+/// What happened in one policy step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepSummary {
+    /// `Σ|τ·q̇|`, mean over the physics steps [W].
+    pub power_w: f64,
+    /// `‖τ‖₂`, mean over the physics steps [N·m].
+    pub torque_n_m: f64,
+    /// `‖τ‖₂²`, mean over the physics steps [N²·m²].
+    pub squared_torque: f64,
+    /// The first fall within the step.
+    pub fall: Option<Fall>,
+}
+
+/// Physical conditions of an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Conditions {
+    /// Gravity, world frame [m/s²]; a tilted one is a slope.
+    pub gravity: [f64; 3],
+    /// Sliding friction of the ground.
+    pub friction: f64,
+    /// What the encoders read too much [rad].
+    pub joint_offsets: Joints,
+}
+
+/// An instantaneous change of the trunk's velocity.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Push {
+    /// Forward and left, heading frame [m/s].
+    pub linear: [f64; 2],
+    /// About the base's three axes [rad/s].
+    pub angular: [f64; 3],
+}
+
+/// Looks at the physics between its two halves, when contact forces exist.
+pub trait StepObserver {
+    /// Called in every physics step with the state after integration and the forces that led to it.
+    fn observe(&mut self, data: &Data, robot: &Go1, torques: &Joints);
+}
+
+/// Training needs no forces.
+impl StepObserver for () {
+    fn observe(&mut self, _: &Data, _: &Go1, _: &Joints) {}
+}
+
+/// Everything that a resumed simulation needs to give the same bits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SimState {
+    positions: Vec<f64>,
+    velocities: Vec<f64>,
+    warm_start: Vec<f64>,
+    time_s: f64,
+    latency: Latency,
+    conditions: Conditions,
+}
+
+/// The robot in its scene.
+#[derive(Debug)]
+pub struct Sim {
+    data: Data,
+    robot: Go1,
+    ground: Ground,
+    gains: Gains,
+    latency: Latency,
+    conditions: Conditions,
+    substeps: usize,
+    min_height_m: f64,
+    start: Vec<f64>,
+}
+
+impl Sim {
+    /// Compiles the scene; the robot starts in the model's `stand_qpos`.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo, or a name that the model lacks.
+    pub fn new(scene: &Scene, config: &Simulation, min_height_m: f64) -> Result<Self> {
+        let model = scene.compile()?;
+        let robot = Go1::new(&model)?;
+        let mut start = model.numeric("stand_qpos")?.to_vec();
+        start[2] += scene.ground.height(start[0], start[1]);
+        let conditions = Conditions { gravity: model.gravity(), friction: 0.8, joint_offsets: [0.0; JOINT_COUNT] };
+        Ok(Sim {
+            data: Data::new(model)?,
+            robot,
+            ground: scene.ground.clone(),
+            gains: Gains { proportional: config.kp_n_m_per_rad, derivative: config.kd_n_m_s_per_rad },
+            latency: Latency::new(config.latency_s, config.timestep_s(), [0.0; JOINT_COUNT]),
+            conditions,
+            substeps: config.substeps(),
+            min_height_m,
+            start,
+        })
+    }
+
+    /// Puts the robot back to its start, at rest, holding `target`.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn reset(&mut self, conditions: Conditions, target: &Joints) -> Result<()> {
+        self.data.reset()?;
+        self.data.positions_mut()[..self.start.len()].copy_from_slice(&self.start);
+        self.latency.reset(*target);
+        self.apply(conditions);
+        self.data.step1()
+    }
+
+    fn apply(&mut self, conditions: Conditions) {
+        self.data.model_mut().set_gravity(conditions.gravity);
+        self.data.model_mut().set_sliding_friction(self.robot.ground(), conditions.friction);
+        self.conditions = conditions;
+    }
+
+    /// One policy step towards joint targets [rad].
+    ///
+    /// # Errors
+    /// A fault of MuJoCo; the simulation must be reset before it goes on.
+    pub fn step(&mut self, target: &Joints, observer: &mut impl StepObserver) -> Result<StepSummary> {
+        let mut summary = StepSummary { power_w: 0.0, torque_n_m: 0.0, squared_torque: 0.0, fall: None };
+        let limits = self.robot.torque_limits();
+        for _ in 0..self.substeps {
+            let acting = self.latency.delay(target);
+            let rates = self.robot.joint_rates(&self.data);
+            let torques = self.gains.torques(&acting, &self.measured_angles(), &rates, &limits);
+            self.robot.set_torques(&mut self.data, &torques);
+            self.data.step2()?;
+            observer.observe(&self.data, &self.robot, &torques);
+            self.data.step1()?;
+            let squared = squared_torque(&torques);
+            summary.power_w += mechanical_power(&torques, &rates);
+            summary.torque_n_m += squared.sqrt();
+            summary.squared_torque += squared;
+            summary.fall = summary.fall.or_else(|| self.fall());
+        }
+        let substeps = self.substeps as f64;
+        summary.power_w /= substeps;
+        summary.torque_n_m /= substeps;
+        summary.squared_torque /= substeps;
+        Ok(summary)
+    }
+
+    /// Joint angles as the encoders read them [rad].
+    pub fn measured_angles(&self) -> Joints {
+        let angles = self.robot.joint_angles(&self.data);
+        std::array::from_fn(|joint| angles[joint] + self.conditions.joint_offsets[joint])
+    }
+
+    /// The state now, with joint angles as the encoders read them.
+    pub fn state(&self) -> RobotState {
+        let mut state = self.robot.state(&self.data, &self.ground);
+        state.joint_angles = self.measured_angles();
+        state
+    }
+
+    /// Adds a push to the trunk's velocity at this instant.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn push(&mut self, push: &Push) -> Result<()> {
+        let (_, _, yaw) = self.state().roll_pitch_yaw();
+        let linear = UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(push.linear[0], push.linear[1], 0.0);
+        self.robot.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
+        self.data.step1()
+    }
+
+    /// Sets the force that acts on the trunk from now on, world frame [N].
+    pub fn set_trunk_force(&mut self, force: Vector3<f64>) {
+        self.robot.set_trunk_force(&mut self.data, force);
+    }
+
+    fn fall(&self) -> Option<Fall> {
+        if let Some(geom) = self.robot.part_on_ground(&self.data) {
+            return Some(Fall::Touch(geom));
+        }
+        let trunk = &self.data.body_positions()[3 * self.robot.trunk()..];
+        let height = trunk[2] - self.ground.height(trunk[0], trunk[1]);
+        (height < self.min_height_m).then_some(Fall::Low(height))
+    }
+
+    /// In words, such as "the base sank to 0.19 m" or "RL_calf touched the ground".
+    pub fn describe(&self, fall: Fall) -> String {
+        match fall {
+            Fall::Low(height) => format!("the base sank to {height:.2} m"),
+            Fall::Touch(geom) => {
+                let body = self.data.model().geom_body(geom);
+                format!("{} touched the ground", self.data.model().name(Kind::Body, body))
+            }
+        }
+    }
+
+    /// The physics, for recorders and metrics.
+    pub fn data(&self) -> &Data {
+        &self.data
+    }
+
+    /// The physics, for scenarios that move obstacles or inject faults.
+    pub fn data_mut(&mut self) -> &mut Data {
+        &mut self.data
+    }
+
+    /// The robot's parts.
+    pub fn robot(&self) -> &Go1 {
+        &self.robot
+    }
+
+    /// What the robot walks on.
+    pub fn ground(&self) -> &Ground {
+        &self.ground
+    }
+
+    /// Duration of a policy step [s].
+    pub fn policy_period_s(&self) -> f64 {
+        self.substeps as f64 * self.data.model().timestep_s()
+    }
+
+    /// What has to be kept to go on exactly from here.
+    pub fn save(&self) -> SimState {
+        SimState {
+            positions: self.data.positions().to_vec(),
+            velocities: self.data.velocities().to_vec(),
+            warm_start: self.data.warm_start().to_vec(),
+            time_s: self.data.time_s(),
+            latency: self.latency.clone(),
+            conditions: self.conditions,
+        }
+    }
+
+    /// Goes back to a saved state.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo, or a state of another model.
+    pub fn restore(&mut self, state: &SimState) -> Result<()> {
+        let model = self.data.model();
+        if state.positions.len() != model.nq() || state.velocities.len() != model.nv() || state.warm_start.len() != model.nv()
+        {
+            return Err(Error::Load { what: "a saved state".into(), message: "it belongs to another model".into() });
+        }
+        self.data.reset()?;
+        self.apply(state.conditions);
+        self.data.positions_mut().copy_from_slice(&state.positions);
+        self.data.velocities_mut().copy_from_slice(&state.velocities);
+        self.data.warm_start_mut().copy_from_slice(&state.warm_start);
+        self.data.set_time_s(state.time_s);
+        self.latency = state.latency.clone();
+        self.data.step1()
+    }
+}

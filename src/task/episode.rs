@@ -1,0 +1,207 @@
+/*! How an episode unfolds: stages, conditions, pushes and the two curricula (sections III-C and III-D).
+
+An episode's conditions are drawn in one go when it starts, from its own random stream, and are plain data from then on.
+*/
+
+use rand::{Rng, RngExt};
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use crate::config::{CommandRange, Config, Episode, Simulation};
+use crate::go1::JOINT_COUNT;
+use crate::sim::{Conditions, Push};
+
+/// Standard gravity as used by the paper's simulator and MuJoCo [m/s²].
+pub const GRAVITY: f64 = 9.81;
+
+/// Desired velocities in the base frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Command {
+    /// `v_z*` of the paper [m/s].
+    pub forward: f64,
+    /// `v_x*` of the paper [m/s].
+    pub left: f64,
+    /// `ω_y*` of the paper [rad/s].
+    pub yaw: f64,
+}
+
+/// The three stages of section III-C.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Stage {
+    /// Undisturbed walking with the full reward.
+    Walking,
+    /// From the push on: tracking rewards are constants, unless this is the baseline.
+    Recovery,
+    /// Full reward again.
+    PostRecovery,
+}
+
+/// Lengths of the stages in policy steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stages {
+    /// First step of the recovery stage, when the push happens.
+    pub recovery_start: usize,
+    /// First step of the post-recovery stage.
+    pub post_recovery_start: usize,
+    /// Steps in all.
+    pub end: usize,
+}
+
+impl Stages {
+    /// From durations to steps.
+    pub fn new(episode: &Episode, simulation: &Simulation) -> Self {
+        let recovery_start = simulation.policy_steps(episode.walking_s);
+        let post_recovery_start = recovery_start + simulation.policy_steps(episode.recovery_s);
+        let end = post_recovery_start + simulation.policy_steps(episode.post_recovery_s);
+        Stages { recovery_start, post_recovery_start, end }
+    }
+
+    /// The stage that a step, counted from 0, belongs to.
+    pub fn at(&self, step: usize) -> Stage {
+        if step < self.recovery_start {
+            Stage::Walking
+        } else if step < self.post_recovery_start {
+            Stage::Recovery
+        } else {
+            Stage::PostRecovery
+        }
+    }
+}
+
+/// Everything random about an episode but the policy's noise.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct EpisodePlan {
+    /// What the policy is asked to do.
+    pub command: Command,
+    /// Slope, friction, encoder offsets.
+    pub conditions: Conditions,
+    /// The push at the start of the recovery stage.
+    pub push: Push,
+}
+
+impl EpisodePlan {
+    /// Draws an episode; `command_share` is the open share of the command range.
+    pub fn draw(config: &Config, command_share: f64, rng: &mut impl Rng) -> Self {
+        let mut within = |range: f64| range * rng.random_range(-1.0..=1.0);
+        let command = Command {
+            forward: within(config.command.forward_m_s * command_share),
+            left: within(config.command.left_m_s * command_share),
+            yaw: within(config.command.yaw_rad_s * command_share),
+        };
+        let episode = &config.episode;
+        let push = Push {
+            linear: std::array::from_fn(|_| within(episode.push_speed_m_s)),
+            angular: std::array::from_fn(|_| within(episode.push_rate_rad_s)),
+        };
+        let slope = episode.slope * rng.random_range(0.0..=1.0);
+        let uphill = rng.random_range(-std::f64::consts::PI..=std::f64::consts::PI);
+        let randomisation = &config.randomisation;
+        let [low, high] = randomisation.friction;
+        // Drawn in any case, so that switching randomisation on changes nothing else.
+        let friction = rng.random_range(low..=high);
+        let joint_offsets: [f64; JOINT_COUNT] =
+            std::array::from_fn(|_| randomisation.joint_offset_sd_rad * rng.sample::<f64, _>(StandardNormal));
+        let conditions = Conditions {
+            gravity: tilted_gravity(slope, uphill),
+            friction: if randomisation.enabled { friction } else { randomisation.default_friction },
+            joint_offsets: if randomisation.enabled { joint_offsets } else { [0.0; JOINT_COUNT] },
+        };
+        EpisodePlan { command, conditions, push }
+    }
+}
+
+/// Gravity as felt on a slope (rise over run) that rises towards the direction `uphill` [rad from forward] [m/s²].
+pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
+    let tilt = slope.atan();
+    [-GRAVITY * tilt.sin() * uphill.cos(), -GRAVITY * tilt.sin() * uphill.sin(), -GRAVITY * tilt.cos()]
+}
+
+/// Opens the command range as walking gets better.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CommandCurriculum {
+    /// Open share of the range, 0 to 1.
+    pub share: f64,
+}
+
+impl CommandCurriculum {
+    /// Starts at the configured share.
+    pub fn new(range: &CommandRange) -> Self {
+        CommandCurriculum { share: range.initial_share }
+    }
+
+    /// Takes the mean `r_lin` of the walking stages that ended in an iteration, if any did.
+    pub fn update(&mut self, mean_linear_reward: Option<f64>, range: &CommandRange) {
+        if mean_linear_reward.is_some_and(|mean| mean > range.share_gate) {
+            self.share = (self.share + range.share_step).min(1.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, stream};
+
+    fn config() -> Config {
+        Config::load("compliant").unwrap()
+    }
+
+    #[test]
+    fn stages_are_two_one_and_one_second_at_60_hz() {
+        let config = config();
+        let stages = Stages::new(&config.episode, &config.simulation);
+        assert_eq!(stages, Stages { recovery_start: 120, post_recovery_start: 180, end: 240 });
+        let at = [0, 119, 120, 179, 180, 239].map(|step| stages.at(step));
+        use Stage::{PostRecovery, Recovery, Walking};
+        assert_eq!(at, [Walking, Walking, Recovery, Recovery, PostRecovery, PostRecovery]);
+    }
+
+    #[test]
+    fn ten_percent_slope_tilts_gravity_by_5_71_degrees_and_keeps_its_size() {
+        let [x, y, z] = tilted_gravity(0.1, 0.0);
+        // sin(atan 0.1) = 0.0995037
+        assert!((x + 9.81 * 0.099_503_719).abs() < 1e-6 && y.abs() < 1e-12);
+        assert!(((x * x + y * y + z * z).sqrt() - GRAVITY).abs() < 1e-12);
+    }
+
+    #[test]
+    fn drawn_episodes_stay_within_their_ranges_and_fill_them() {
+        let config = config();
+        let plans: Vec<EpisodePlan> =
+            (0..2000).map(|k| EpisodePlan::draw(&config, 0.5, &mut stream(3, Purpose::Episode, 0, k))).collect();
+        let largest = |of: fn(&EpisodePlan) -> f64| plans.iter().map(|plan| of(plan).abs()).fold(0.0, f64::max);
+        let near = |value: f64, limit: f64| value <= limit && value > 0.98 * limit;
+        assert!(near(largest(|plan| plan.command.forward), 0.5));
+        assert!(near(largest(|plan| plan.command.left), 0.25));
+        assert!(near(largest(|plan| plan.command.yaw), 0.25));
+        assert!(near(largest(|plan| plan.push.linear[1]), 1.0));
+        assert!(near(largest(|plan| plan.push.angular[2]), 1.0));
+        assert!(near(largest(|plan| plan.conditions.gravity[0]), 0.977));
+        assert!(plans.iter().all(|plan| plan.conditions.friction == 0.8));
+    }
+
+    #[test]
+    fn randomisation_changes_friction_and_offsets_only() {
+        let (off, mut on) = (config(), config());
+        on.randomisation.enabled = true;
+        let draw = |config| EpisodePlan::draw(config, 1.0, &mut stream(1, Purpose::Episode, 2, 3));
+        let (off, on) = (draw(&off), draw(&on));
+        assert_eq!((off.command, off.push, off.conditions.gravity), (on.command, on.push, on.conditions.gravity));
+        assert!(on.conditions.joint_offsets.iter().all(|offset| *offset != 0.0 && offset.abs() < 0.06));
+        assert!((0.5..=1.2).contains(&on.conditions.friction));
+    }
+
+    #[test]
+    fn command_range_opens_only_above_the_gate_and_stops_at_one() {
+        let range = config().command;
+        let mut curriculum = CommandCurriculum::new(&range);
+        curriculum.update(Some(0.69), &range);
+        curriculum.update(None, &range);
+        assert_eq!(curriculum.share, 0.5);
+        for _ in 0..100 {
+            curriculum.update(Some(0.71), &range);
+        }
+        assert_eq!(curriculum.share, 1.0);
+    }
+}

@@ -1,0 +1,12 @@
+/*! The learning task of section III as pure functions: what the policy sees, what it is paid, how an episode unfolds.
+
+Nothing here touches MuJoCo; everything takes values and returns values.
+*/
+
+pub mod episode;
+pub mod observation;
+pub mod reward;
+
+pub use episode::{Command, CommandCurriculum, EpisodePlan, Stage, Stages};
+pub use observation::Normaliser;
+pub use reward::{SwingTracker, Terms};

@@ -1,0 +1,100 @@
+/*! Safetensors files with one JSON text beside the tensors, for policies and checkpoints.
+
+All metadata sit under one key: the format keeps several in a hash map, whose order would change the file's bytes.
+*/
+
+use std::collections::HashMap;
+
+use safetensors::SafeTensorError;
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+
+/// Metadata key of the JSON text.
+const KEY: &str = "supple";
+
+/// A named tensor, little-endian.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tensor {
+    name: String,
+    dtype: Dtype,
+    shape: Vec<usize>,
+    bytes: Vec<u8>,
+}
+
+impl Tensor {
+    /// From single precision, row-major.
+    pub fn f32(name: impl Into<String>, shape: Vec<usize>, values: &[f32]) -> Self {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        Tensor { name: name.into(), dtype: Dtype::F32, shape, bytes }
+    }
+
+    /// From double precision, row-major.
+    pub fn f64(name: impl Into<String>, shape: Vec<usize>, values: &[f64]) -> Self {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+        Tensor { name: name.into(), dtype: Dtype::F64, shape, bytes }
+    }
+}
+
+/// The file's bytes.
+///
+/// # Errors
+/// If a shape does not fit its values.
+pub fn serialize(tensors: &[Tensor], json: String) -> Result<Vec<u8>, SafeTensorError> {
+    let views: Result<Vec<_>, SafeTensorError> = tensors
+        .iter()
+        .map(|tensor| Ok((tensor.name.as_str(), TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes)?)))
+        .collect();
+    safetensors::serialize(views?, Some(HashMap::from([(KEY.to_owned(), json)])))
+}
+
+/// The tensors and the JSON text of a file.
+///
+/// # Errors
+/// In words, if the bytes are not such a file.
+pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
+    let broken = |error| format!("not a whole safetensors file ({error}); was it cut off while copying?");
+    let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
+    let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
+    let json = header.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
+    let json = json.ok_or_else(|| format!("it has no metadata '{KEY}': not written by supple"))?;
+    Ok((tensors, json.clone()))
+}
+
+/// A single-precision tensor of a known shape, all finite.
+///
+/// # Errors
+/// In words: missing, another type or shape, not finite.
+pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
+    let bytes = tensor_bytes(tensors, name, Dtype::F32, shape)?;
+    let values: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
+    finite(name, values.iter().all(|value| value.is_finite()))?;
+    Ok(values)
+}
+
+/// A double-precision tensor of a known shape, all finite.
+///
+/// # Errors
+/// In words: missing, another type or shape, not finite.
+pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f64>, String> {
+    let bytes = tensor_bytes(tensors, name, Dtype::F64, shape)?;
+    let values: Vec<f64> = bytes.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
+    finite(name, values.iter().all(|value| value.is_finite()))?;
+    Ok(values)
+}
+
+fn tensor_bytes<'a>(
+    tensors: &SafeTensors<'a>,
+    name: &str,
+    dtype: Dtype,
+    shape: &[usize],
+) -> Result<&'a [u8], String> {
+    let view = tensors.tensor(name).map_err(|_| format!("it has no tensor {name}"))?;
+    if view.dtype() != dtype || view.shape() != shape {
+        let (found, kind) = (view.shape(), view.dtype());
+        return Err(format!("its tensor {name} is {kind:?} {found:?}, expected {dtype:?} {shape:?}"));
+    }
+    Ok(view.data())
+}
+
+fn finite(name: &str, is_finite: bool) -> Result<(), String> {
+    if is_finite { Ok(()) } else { Err(format!("its tensor {name} holds numbers that are not finite")) }
+}

@@ -1,0 +1,124 @@
+/*! What happened in a rollout, step by step: the one thing that metrics, tables, recordings and CSV files read.
+*/
+
+use serde::{Deserialize, Serialize};
+
+use crate::go1::Joints;
+use crate::task::{Command, Stage, Terms};
+
+/// Position [m] and orientation (w, x, y, z) of a body, world frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Pose {
+    /// Origin of the body's frame [m].
+    pub position: [f32; 3],
+    /// Unit quaternion (w, x, y, z), world from body.
+    pub quaternion: [f32; 4],
+}
+
+/// Something that acts on the robot from outside.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+pub enum Disturbance {
+    /// A velocity offset at this instant, world frame [m/s].
+    Push {
+        /// World frame [m/s].
+        velocity: [f64; 3],
+    },
+    /// A force on the trunk, world frame [N]; drawn as a rope.
+    Pull {
+        /// World frame [N].
+        force: [f64; 3],
+    },
+}
+
+/// The state at the end of one policy step and what the step cost.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Simulation time [s].
+    pub time_s: f64,
+    /// Every body of the model, in the model's order; body 0 is the world.
+    pub bodies: Vec<Pose>,
+    /// What the policy was asked to do.
+    pub command: Command,
+    /// Trunk velocity (forward, left, up), base frame [m/s].
+    pub velocity: [f64; 3],
+    /// Trunk velocity (forward, left, up), heading frame [m/s].
+    pub velocity_in_heading: [f64; 3],
+    /// About the base's up axis [rad/s].
+    pub yaw_rate: f64,
+    /// Roll, pitch, yaw [rad].
+    pub roll_pitch_yaw: [f64; 3],
+    /// Base height above the ground under it [m].
+    pub height_m: f64,
+    /// `Σ|τ·q̇|`, mean over the step's physics steps [W].
+    pub power_w: f64,
+    /// `‖τ‖₂`, mean over the step's physics steps [N·m].
+    pub torque_n_m: f64,
+    /// Reward of Table II, never replaced by the recovery stage's.
+    pub reward: f64,
+    /// Its terms.
+    pub terms: Terms,
+    /// Joint angles [rad].
+    pub joint_angles: Joints,
+    /// Joint targets given to the controller [rad].
+    pub joint_targets: Joints,
+    /// Torques of the last physics step [N·m].
+    pub torques: Joints,
+    /// Foot centres, world frame [m].
+    pub foot_positions: [[f64; 3]; 4],
+    /// Contact force on each foot, world frame, mean over the step's physics steps [N].
+    pub foot_forces: [[f64; 3]; 4],
+    /// Largest contact force on any one foot in the step's physics steps [N].
+    pub peak_foot_force_n: f64,
+    /// Largest contact force between the robot and obstacles in the step's physics steps [N].
+    pub peak_obstacle_force_n: f64,
+    /// Impulse between the robot and obstacles over the step [N·s].
+    pub obstacle_impulse_n_s: f64,
+    /// What acted from outside in this step.
+    pub disturbance: Option<Disturbance>,
+    /// Stage of the training episode that this would be, if it is one.
+    pub stage: Option<Stage>,
+}
+
+/// Something worth a line of text.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Event {
+    /// Simulation time [s].
+    pub time_s: f64,
+    /// What kind.
+    pub kind: EventKind,
+    /// In words.
+    pub text: String,
+}
+
+/// Kinds of events.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EventKind {
+    /// A disturbance began.
+    Disturbance,
+    /// The robot fell.
+    Fall,
+    /// The robot did what the scenario is about (crossed, passed, recovered).
+    Success,
+    /// The physics failed.
+    Fault,
+}
+
+/// A rollout.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Trace {
+    /// Time between frames [s].
+    pub period_s: f64,
+    /// One frame for each policy step.
+    pub frames: Vec<Frame>,
+    /// In order of time.
+    pub events: Vec<Event>,
+}
+
+impl Trace {
+    /// The first fall, if there was one.
+    pub fn fall(&self) -> Option<&Event> {
+        self.events.iter().find(|event| event.kind == EventKind::Fall)
+    }
+}

@@ -1,0 +1,271 @@
+/*! Training: collect, estimate advantages, learn, widen the curriculum, again.
+
+A [`Trainer`] is a run in memory; [`RunFolder`](crate::run::RunFolder) is its place on disk.
+*/
+
+use std::time::Instant;
+
+use rand::seq::SliceRandom;
+
+use crate::checkpoint::{Checkpoint, RunState};
+use crate::config::{Config, Ppo};
+use crate::env::LocomotionEnv;
+use crate::go1::JOINT_COUNT;
+use crate::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
+use crate::mujoco;
+use crate::policy::{Policy, Provenance};
+use crate::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, UpdateFault};
+use crate::provenance;
+use crate::random::{Purpose, stream};
+use crate::rollout::Collection;
+use crate::task::observation::LENGTH;
+use crate::task::{CommandCurriculum, Normaliser};
+
+/// Why training stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// An environment could not be set up.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+    /// The update met numbers that are not finite.
+    #[error("the learner stopped in iteration {iteration}: {fault}")]
+    Learner {
+        /// Iterations done before.
+        iteration: u64,
+        /// What it met.
+        fault: UpdateFault,
+    },
+    /// A checkpoint that does not fit its own configuration.
+    #[error("the checkpoint does not fit its configuration: {0}")]
+    Checkpoint(String),
+}
+
+/// A training run.
+#[derive(Debug)]
+pub struct Trainer {
+    config_name: String,
+    config: Config,
+    normaliser: Normaliser,
+    seed: u64,
+    threads: usize,
+    learner: Learner,
+    environments: Vec<LocomotionEnv>,
+    commands: CommandCurriculum,
+    iteration: u64,
+    samples: u64,
+    elapsed_s: f64,
+}
+
+impl Trainer {
+    /// A new run.
+    ///
+    /// # Errors
+    /// If the robot's model cannot be simulated.
+    pub fn new(config_name: &str, config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
+        let mut rng = stream(seed, Purpose::Weights, 0, 0);
+        let ppo = &config.ppo;
+        let log_std = ppo.initial_log_std as f32;
+        let network = ActorCritic::orthogonal(LENGTH, &ppo.hidden_layers, JOINT_COUNT, log_std, &mut rng);
+        let settings = hyperparameters(ppo);
+        let learner = Learner::new(&LearnerState::new(network, &settings), settings, threads);
+        let commands = CommandCurriculum::new(&config.command);
+        Ok(Trainer {
+            environments: environments(&config, seed, commands.share)?,
+            normaliser: Normaliser::new(&config),
+            config_name: config_name.to_owned(),
+            config,
+            seed,
+            threads,
+            learner,
+            commands,
+            iteration: 0,
+            samples: 0,
+            elapsed_s: 0.0,
+        })
+    }
+
+    /// Goes on from a checkpoint.
+    ///
+    /// # Errors
+    /// If the checkpoint does not fit its own configuration, or the model cannot be simulated.
+    pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
+        let Checkpoint { run, learner } = checkpoint;
+        let mut environments = environments(&run.config, run.seed, run.commands.share)?;
+        if environments.len() != run.environments.len() {
+            let (found, expected) = (run.environments.len(), environments.len());
+            return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected}")));
+        }
+        let (inputs, outputs) = (learner.parameters.policy.inputs(), learner.parameters.policy.outputs());
+        if (inputs, outputs) != (LENGTH, JOINT_COUNT) {
+            let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {LENGTH} to {JOINT_COUNT}");
+            return Err(TrainError::Checkpoint(problem));
+        }
+        for (environment, state) in environments.iter_mut().zip(&run.environments) {
+            environment.restore(state)?;
+        }
+        Ok(Trainer {
+            normaliser: Normaliser::new(&run.config),
+            learner: Learner::new(&learner, hyperparameters(&run.config.ppo), threads),
+            config_name: run.config_name,
+            config: run.config,
+            seed: run.seed,
+            threads,
+            environments,
+            commands: run.commands,
+            iteration: run.iteration,
+            samples: run.samples,
+            elapsed_s: run.elapsed_s,
+        })
+    }
+
+    /// One iteration: a batch and the update on it.
+    ///
+    /// # Errors
+    /// If an environment cannot be reset, or the update meets numbers that are not finite.
+    pub fn iterate(&mut self) -> Result<IterationMetrics, TrainError> {
+        let started = Instant::now();
+        let network = self.learner.parameters();
+        let ppo = &self.config.ppo;
+        let collection = Collection {
+            network: &network,
+            normaliser: &self.normaliser,
+            seed: self.seed,
+            iteration: self.iteration,
+            steps: ppo.steps(),
+            command_share: self.commands.share,
+            threads: self.threads,
+        };
+        let rollout = collection.collect(&mut self.environments)?;
+        let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
+        let collected = started.elapsed();
+
+        let batch = Batch {
+            observations: &rollout.observations,
+            actions: &rollout.actions,
+            means: &rollout.means,
+            log_std: &network.log_std,
+            log_probs: &rollout.log_probs,
+            advantages: &advantages,
+            returns: &returns,
+        };
+        let permutations = permutations(self.seed, self.iteration, ppo.epochs, rollout.len());
+        let statistics = self
+            .learner
+            .update(&batch, &permutations)
+            .map_err(|fault| TrainError::Learner { iteration: self.iteration, fault })?;
+
+        let means = EpisodeMeans::new(&rollout.episodes, self.config.episode.push_gate);
+        self.commands.update(means.walking_linear, &self.config.command);
+        self.iteration += 1;
+        self.samples += rollout.len() as u64;
+        let whole = started.elapsed();
+        self.elapsed_s += whole.as_secs_f64();
+        let log_std = &network.log_std;
+        Ok(IterationMetrics {
+            iteration: self.iteration,
+            samples: self.samples,
+            step_reward: rollout.rewards.iter().map(|reward| f64::from(*reward)).sum::<f64>() / rollout.len() as f64,
+            episodes: means.episodes,
+            falls: means.falls,
+            faults: means.faults,
+            fall_share: means.fall_share,
+            pushed_fall_share: means.pushed_fall_share,
+            push_share: means.push_share,
+            episode_reward: means.reward,
+            episode_steps: means.steps,
+            walking_linear: means.walking_linear,
+            swing_height_m: means.swing_height_m,
+            terms: means.terms,
+            command_share: self.commands.share,
+            action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
+            explained_variance: explained_variance(&rollout, &returns),
+            learner: statistics.into(),
+            time: Timing::new(rollout.len(), collected, whole - collected, whole, self.elapsed_s),
+        })
+    }
+
+    /// The state to go on from.
+    pub fn checkpoint(&self) -> Checkpoint {
+        let run = RunState {
+            config_name: self.config_name.clone(),
+            config: self.config.clone(),
+            seed: self.seed,
+            iteration: self.iteration,
+            samples: self.samples,
+            elapsed_s: self.elapsed_s,
+            commands: self.commands,
+            environments: self.environments.iter().map(LocomotionEnv::save).collect(),
+        };
+        Checkpoint { run, learner: self.learner.state() }
+    }
+
+    /// The policy as it is now, to be deployed.
+    pub fn policy(&self) -> Policy {
+        let provenance = Provenance {
+            config_name: self.config_name.clone(),
+            config: self.config.clone(),
+            seed: self.seed,
+            samples: self.samples,
+            git_revision: provenance::GIT_REVISION.to_owned(),
+            mujoco_version: provenance::MUJOCO_VERSION.to_owned(),
+        };
+        Policy::new(&self.learner.parameters(), provenance)
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// Name of the configuration.
+    pub fn config_name(&self) -> &str {
+        &self.config_name
+    }
+
+    /// The seed.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Iterations done.
+    pub fn iteration(&self) -> u64 {
+        self.iteration
+    }
+
+    /// Samples collected.
+    pub fn samples(&self) -> u64 {
+        self.samples
+    }
+}
+
+fn hyperparameters(ppo: &Ppo) -> Hyperparameters {
+    Hyperparameters {
+        minibatch_size: ppo.minibatch_size,
+        clip_range: ppo.clip_range,
+        value_coefficient: ppo.value_coefficient,
+        entropy_coefficient: ppo.entropy_coefficient,
+        max_gradient_norm: ppo.max_gradient_norm,
+        learning_rate: ppo.initial_learning_rate,
+        learning_rate_min: ppo.min_learning_rate,
+        learning_rate_max: ppo.max_learning_rate,
+        desired_kl: Some(ppo.desired_kl),
+        adam_beta1: 0.9,
+        adam_beta2: 0.999,
+        adam_epsilon: ppo.adam_epsilon,
+    }
+}
+
+fn environments(config: &Config, seed: u64, command_share: f64) -> mujoco::Result<Vec<LocomotionEnv>> {
+    (0..config.ppo.environments).map(|index| LocomotionEnv::new(config, seed, index as u64, command_share)).collect()
+}
+
+/// An order of all samples for every epoch.
+fn permutations(seed: u64, iteration: u64, epochs: usize, samples: usize) -> Vec<Vec<u32>> {
+    (0..epochs)
+        .map(|epoch| {
+            let mut order: Vec<u32> = (0..samples as u32).collect();
+            order.shuffle(&mut stream(seed, Purpose::Shuffle, iteration, epoch as u64));
+            order
+        })
+        .collect()
+}
