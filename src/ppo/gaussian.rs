@@ -36,6 +36,7 @@ impl DiagonalGaussian {
     }
 
     /// `ln p(action)`, summed over actions.
+    #[inline]
     pub fn log_prob(&self, mean: &[f32], action: &[f32]) -> f64 {
         let squares = mean
             .iter()
@@ -76,6 +77,7 @@ impl<'a> KlDivergence<'a> {
     }
 
     /// At a state where the means are these.
+    #[inline]
     pub fn at(&self, old_mean: &[f32], new_mean: &[f32]) -> f64 {
         let squares = old_mean
             .iter()

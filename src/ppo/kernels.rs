@@ -14,7 +14,7 @@ equals the same policy evaluated in a minibatch.
 use std::array;
 use std::ops::{Deref, DerefMut};
 
-use pulp::{Arch, Simd, WithSimd};
+use pulp::{Simd, WithSimd};
 
 /// Outputs per weight panel.
 pub const PANEL: usize = 32;
@@ -102,13 +102,24 @@ impl WithSimd for Forward<'_> {
             a_stride: self.x_stride,
             b_stride: self.width,
         };
-        let start = |column: usize| load::<S>(&bias[column..]);
-        if self.elu {
-            let finish = |_, _, x| elu(simd, x);
-            product.run::<S, false>(simd, start, finish, self.y, self.y_stride);
-        } else {
-            product.run::<S, false>(simd, start, |_, _, x| x, self.y, self.y_stride);
-        }
+        product.run::<S, _, false>(simd, &BiasThenElu { bias, elu: self.elu }, self.y, self.y_stride);
+    }
+}
+
+struct BiasThenElu<'a> {
+    bias: &'a [f32],
+    elu: bool,
+}
+
+impl Ends for BiasThenElu<'_> {
+    #[inline(always)]
+    fn start<S: Simd>(&self, _: S, column: usize) -> S::f32s {
+        load::<S>(&self.bias[column..])
+    }
+
+    #[inline(always)]
+    fn finish<S: Simd>(&self, simd: S, _: usize, _: usize, sum: S::f32s) -> S::f32s {
+        if self.elu { elu(simd, sum) } else { sum }
     }
 }
 
@@ -135,12 +146,6 @@ impl WithSimd for Backward<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let stride = row_stride(self.inputs);
-        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let finish = |row: usize, column: usize, sum| {
-            let y = load::<S>(&self.x[row * stride + column..]);
-            let slope = simd.select_f32s(simd.greater_than_f32s(y, zero), one, simd.add_f32s(y, one));
-            simd.mul_f32s(sum, slope)
-        };
         let product = Product {
             rows: self.rows,
             columns: padded(self.inputs),
@@ -148,7 +153,23 @@ impl WithSimd for Backward<'_> {
             a_stride: self.delta_stride,
             b_stride: stride,
         };
-        product.run::<S, false>(simd, |_| zero, finish, self.delta_x, stride);
+        product.run::<S, _, false>(simd, &TimesEluSlope { y: self.x, stride }, self.delta_x, stride);
+    }
+}
+
+/// ELU′ follows from ELU's output: 1 where positive, `y + 1` elsewhere.
+struct TimesEluSlope<'a> {
+    y: &'a [f32],
+    stride: usize,
+}
+
+impl Ends for TimesEluSlope<'_> {
+    #[inline(always)]
+    fn finish<S: Simd>(&self, simd: S, row: usize, column: usize, sum: S::f32s) -> S::f32s {
+        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
+        let y = load::<S>(&self.y[row * self.stride + column..]);
+        let slope = simd.select_f32s(simd.greater_than_f32s(y, zero), one, simd.add_f32s(y, one));
+        simd.mul_f32s(sum, slope)
     }
 }
 
@@ -187,9 +208,13 @@ impl WithSimd for Gradient<'_> {
             a_stride: self.x_stride,
             b_stride: self.delta_stride,
         };
-        product.run::<S, true>(simd, |_| simd.splat_f32s(0.0), |_, _, x| x, weights, self.width);
+        product.run::<S, _, true>(simd, &Plain, weights, self.width);
     }
 }
+
+struct Plain;
+
+impl Ends for Plain {}
 
 /// A stretch of `depth` consecutive `k` of a product's sum, with the parts of `a` and `b` that belong to it.
 #[derive(Clone, Copy)]
@@ -200,6 +225,21 @@ pub struct Stretch<'a> {
     pub a: &'a [f32],
     /// Right operand, shape (depth, columns).
     pub b: &'a [f32],
+}
+
+/// What a product's sums begin and end with.
+trait Ends {
+    /// Start value of the sums of a vector of columns.
+    #[inline(always)]
+    fn start<S: Simd>(&self, simd: S, _column: usize) -> S::f32s {
+        simd.splat_f32s(0.0)
+    }
+
+    /// What becomes of the finished sums of a vector of columns in a row.
+    #[inline(always)]
+    fn finish<S: Simd>(&self, _simd: S, _row: usize, _column: usize, sum: S::f32s) -> S::f32s {
+        sum
+    }
 }
 
 /// `c[m, n] = Σ_k a[m, k]·b[k, n]`.
@@ -214,27 +254,20 @@ struct Product<'a> {
 }
 
 impl Product<'_> {
-    /// Sets `c[m, n] = finish(m, n, start(n) + Σ_k …)`. `A_T`: `a` is stored as (k, m) rather than (m, k).
+    /// Sets `c[m, n] = finish(start(n) + Σ_k …)`. `A_T`: `a` is stored as (k, m) rather than (m, k).
     #[inline(always)]
-    fn run<S: Simd, const A_T: bool>(
-        &self,
-        simd: S,
-        start: impl Fn(usize) -> S::f32s,
-        finish: impl Fn(usize, usize, S::f32s) -> S::f32s,
-        c: &mut [f32],
-        c_stride: usize,
-    ) {
+    fn run<S: Simd, E: Ends, const A_T: bool>(&self, simd: S, ends: &E, c: &mut [f32], c_stride: usize) {
         let mut column = 0;
         while column < self.columns {
             // Accumulators fill the register file but for the operands; 8 rows suffice where there are 32 registers.
             if self.columns - column < 2 * S::F32_LANES {
-                self.strip::<S, A_T, 8, 1>(simd, column, &start, &finish, c, c_stride);
+                self.strip::<S, E, A_T, 8, 1>(simd, column, ends, c, c_stride);
                 column += S::F32_LANES;
             } else {
                 if S::REGISTER_COUNT >= 32 {
-                    self.strip::<S, A_T, 8, 2>(simd, column, &start, &finish, c, c_stride);
+                    self.strip::<S, E, A_T, 8, 2>(simd, column, ends, c, c_stride);
                 } else {
-                    self.strip::<S, A_T, 6, 2>(simd, column, &start, &finish, c, c_stride);
+                    self.strip::<S, E, A_T, 6, 2>(simd, column, ends, c, c_stride);
                 }
                 column += 2 * S::F32_LANES;
             }
@@ -243,23 +276,22 @@ impl Product<'_> {
 
     /// `V` vectors of columns, all rows. The last tile overlaps the one before where the rows do not divide.
     #[inline(always)]
-    fn strip<S: Simd, const A_T: bool, const R: usize, const V: usize>(
+    fn strip<S: Simd, E: Ends, const A_T: bool, const R: usize, const V: usize>(
         &self,
         simd: S,
         column: usize,
-        start: &impl Fn(usize) -> S::f32s,
-        finish: &impl Fn(usize, usize, S::f32s) -> S::f32s,
+        ends: &E,
         c: &mut [f32],
         c_stride: usize,
     ) {
         let mut row = 0;
         while row < self.rows {
             if self.rows < R {
-                self.tile::<S, A_T, 1, V>(simd, row, column, start, finish, c, c_stride);
+                self.tile::<S, E, A_T, 1, V>(simd, row, column, ends, c, c_stride);
                 row += 1;
             } else {
                 let first = row.min(self.rows - R);
-                self.tile::<S, A_T, R, V>(simd, first, column, start, finish, c, c_stride);
+                self.tile::<S, E, A_T, R, V>(simd, first, column, ends, c, c_stride);
                 row += R;
             }
         }
@@ -267,37 +299,34 @@ impl Product<'_> {
 
     #[inline(always)]
     #[allow(clippy::too_many_arguments)]
-    fn tile<S: Simd, const A_T: bool, const R: usize, const V: usize>(
+    fn tile<S: Simd, E: Ends, const A_T: bool, const R: usize, const V: usize>(
         &self,
         simd: S,
         row: usize,
         column: usize,
-        start: &impl Fn(usize) -> S::f32s,
-        finish: &impl Fn(usize, usize, S::f32s) -> S::f32s,
+        ends: &E,
         c: &mut [f32],
         c_stride: usize,
     ) {
-        let mut sums: [[S::f32s; V]; R] = [array::from_fn(|v| start(column + v * S::F32_LANES)); R];
+        let mut sums = [[simd.splat_f32s(0.0); V]; R];
+        for v in 0..V {
+            let start = ends.start(simd, column + v * S::F32_LANES);
+            for sums in &mut sums {
+                sums[v] = start;
+            }
+        }
         for stretch in self.stretches {
-            let mut add = |k: usize, a: [f32; R]| {
-                let b = &stretch.b[k * self.b_stride + column..][..V * S::F32_LANES];
-                let b: [S::f32s; V] = array::from_fn(|v| load::<S>(&b[v * S::F32_LANES..]));
-                for i in 0..R {
-                    let a = simd.splat_f32s(a[i]);
-                    for v in 0..V {
-                        sums[i][v] = simd.mul_add_f32s(a, b[v], sums[i][v]);
-                    }
-                }
-            };
             if A_T {
                 for k in 0..stretch.depth {
                     let a = &stretch.a[k * self.a_stride + row..][..R];
-                    add(k, array::from_fn(|i| a[i]));
+                    let b = &stretch.b[k * self.b_stride + column..];
+                    add_products::<S, R, V>(simd, &mut sums, array::from_fn(|i| a[i]), b);
                 }
             } else {
                 let a: [&[f32]; R] = array::from_fn(|i| &stretch.a[(row + i) * self.a_stride..][..stretch.depth]);
                 for k in 0..stretch.depth {
-                    add(k, array::from_fn(|i| a[i][k]));
+                    let b = &stretch.b[k * self.b_stride + column..];
+                    add_products::<S, R, V>(simd, &mut sums, array::from_fn(|i| a[i][k]), b);
                 }
             }
         }
@@ -305,8 +334,25 @@ impl Product<'_> {
             for (v, sum) in sums.into_iter().enumerate() {
                 let column = column + v * S::F32_LANES;
                 let out = &mut c[(row + i) * c_stride + column..][..S::F32_LANES];
-                S::as_mut_simd_f32s(out).0[0] = finish(row + i, column, sum);
+                S::as_mut_simd_f32s(out).0[0] = ends.finish(simd, row + i, column, sum);
             }
+        }
+    }
+}
+
+/// Adds the outer product of `a` and the first vectors of `b`.
+#[inline(always)]
+fn add_products<S: Simd, const R: usize, const V: usize>(
+    simd: S,
+    sums: &mut [[S::f32s; V]; R],
+    a: [f32; R],
+    b: &[f32],
+) {
+    let b = S::as_simd_f32s(&b[..V * S::F32_LANES]).0;
+    for i in 0..R {
+        let a = simd.splat_f32s(a[i]);
+        for v in 0..V {
+            sums[i][v] = simd.mul_add_f32s(a, b[v], sums[i][v]);
         }
     }
 }
@@ -338,36 +384,45 @@ fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     ];
     /// Adding it leaves `n + 127`, the exponent field of `2ⁿ`, in the lowest bits.
     const ROUND: f32 = 12_582_912.0 + 127.0;
-    let splat = |value| simd.splat_f32s(value);
 
     // e⁻³⁰ − 1 is −1 already, and 2ⁿ stays a normal number. A comparison, not a maximum, so that NaN passes.
-    let lowest = splat(-30.0);
+    let lowest = simd.splat_f32s(-30.0);
     let x = simd.select_f32s(simd.less_than_f32s(x, lowest), lowest, x);
-    let biased = simd.mul_add_f32s(x, splat(std::f32::consts::LOG2_E), splat(ROUND));
-    let n = simd.sub_f32s(biased, splat(ROUND));
-    let r = simd.mul_add_f32s(n, splat(-std::f32::consts::LN_2), x);
+    let biased = simd.mul_add_f32s(x, simd.splat_f32s(std::f32::consts::LOG2_E), simd.splat_f32s(ROUND));
+    let n = simd.sub_f32s(biased, simd.splat_f32s(ROUND));
+    let r = simd.mul_add_f32s(n, simd.splat_f32s(-std::f32::consts::LN_2), x);
     let exponent = simd.wrapping_dyn_shl_u32s(simd.transmute_u32s_f32s(biased), simd.splat_u32s(23));
     let scale = simd.transmute_f32s_u32s(exponent);
 
-    let q = C[..4]
-        .iter()
-        .rev()
-        .fold(splat(C[4]), |q, &c| simd.mul_add_f32s(q, r, splat(c)));
+    let q = C[..4].iter().rev().fold(simd.splat_f32s(C[4]), |q, &c| {
+        simd.mul_add_f32s(q, r, simd.splat_f32s(c))
+    });
     let p = simd.mul_add_f32s(simd.mul_f32s(r, r), q, r);
-    simd.mul_add_f32s(scale, p, simd.sub_f32s(scale, splat(1.0)))
+    simd.mul_add_f32s(scale, p, simd.sub_f32s(scale, simd.splat_f32s(1.0)))
 }
 
 /// `Σ x²`, in a fixed order.
-pub fn sum_of_squares(arch: Arch, x: &[f32]) -> f64 {
-    arch.dispatch(|| {
+pub struct SumOfSquares<'a>(pub &'a [f32]);
+
+impl WithSimd for SumOfSquares<'_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> f64 {
+        let (lines, rest) = self.0.as_chunks::<LINE>();
         let mut sums = [0.0_f32; LINE];
-        let (lines, rest) = x.as_chunks::<LINE>();
         for line in lines {
-            for (sum, x) in sums.iter_mut().zip(line) {
-                *sum = x.mul_add(*x, *sum);
+            for i in 0..LINE {
+                sums[i] += line[i] * line[i];
             }
         }
-        let rest: f64 = rest.iter().map(|&x| f64::from(x) * f64::from(x)).sum();
-        sums.iter().map(|&x| f64::from(x)).sum::<f64>() + rest
-    })
+        let mut total = 0.0;
+        for &x in rest {
+            total += f64::from(x * x);
+        }
+        for sum in sums {
+            total += f64::from(sum);
+        }
+        total
+    }
 }

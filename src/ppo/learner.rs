@@ -17,9 +17,9 @@ use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockW
 use pulp::Arch;
 
 use super::block::{Block, LayerView, Minibatch, Panel};
-use super::kernels::{Buffer, Gradient, PANEL, Stretch, padded, row_stride, sum_of_squares};
+use super::kernels::{Buffer, Gradient, PANEL, Stretch, SumOfSquares, padded, row_stride};
 use super::loss::advantage_normaliser;
-use super::optimizer::{AdamStep, Parameters};
+use super::optimizer::{Adam, AdamStep, Parameters};
 use super::packed::{BLOCK, pack, panel_count, panel_outputs, unpack};
 use super::team::Team;
 use super::{ActorCritic, Batch, DiagonalGaussian, Hyperparameters, KlDivergence, Layer, Mlp};
@@ -339,22 +339,28 @@ impl Learner {
                 width: padded(panel_outputs(layer.outputs, i)),
                 gradient: &mut panel.parameters.gradient,
             });
-            panel.squares = sum_of_squares(self.arch, &panel.parameters.gradient);
+            panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
         };
         team.phase(panels.len(), task, conclude);
     }
 
     /// Phase 3: Adam.
-    fn steps(&self, team: &Team, adam: &AdamStep) {
+    fn steps(&self, team: &Team, step: &AdamStep) {
         let panels = self.panels();
         let task = |task: usize| match panels.get(task) {
             Some(&(network, depth, i)) => {
                 let layer = &self.networks[network].layers[depth];
                 let mut panel = write(&layer.panels[i]);
-                panel.parameters.step(self.arch, adam);
+                self.arch.dispatch(Adam {
+                    parameters: &mut panel.parameters,
+                    step,
+                });
                 panel.transpose(layer.inputs);
             }
-            None => write(&self.log_std).step(self.arch, adam),
+            None => self.arch.dispatch(Adam {
+                parameters: &mut write(&self.log_std),
+                step,
+            }),
         };
         team.phase(panels.len() + 1, task, || ());
     }
@@ -456,7 +462,7 @@ impl Progress {
             let sum: f64 = policy.iter().map(|block| block.sums.log_std_gradient[i]).sum();
             *gradient = (sum - settings.entropy_coefficient) as f32;
         }
-        let mut squares = sum_of_squares(learner.arch, &log_std.gradient);
+        let mut squares = learner.arch.dispatch(SumOfSquares(&log_std.gradient));
         for layer in learner.networks.iter().flat_map(|network| &network.layers) {
             squares += layer.panels.iter().map(|panel| read(panel).squares).sum::<f64>();
         }

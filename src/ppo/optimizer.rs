@@ -2,7 +2,7 @@
 Adam, one stretch of parameters at a time.
 */
 
-use pulp::Arch;
+use pulp::{Simd, WithSimd};
 
 use super::Hyperparameters;
 use super::kernels::Buffer;
@@ -27,15 +27,19 @@ impl Parameters {
             second_moment: zeros(),
         }
     }
+}
 
-    /// One step of Adam (Kingma & Ba, 2015, algorithm 1, arranged as in PyTorch).
-    pub fn step(&mut self, arch: Arch, step: &AdamStep) {
-        let Self {
-            values,
-            gradient,
-            first_moment,
-            second_moment,
-        } = self;
+/// One step of Adam (Kingma & Ba, 2015, algorithm 1, arranged as in PyTorch).
+pub struct Adam<'a> {
+    pub parameters: &'a mut Parameters,
+    pub step: &'a AdamStep,
+}
+
+impl WithSimd for Adam<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
         let AdamStep {
             gradient_scale,
             beta1,
@@ -43,19 +47,20 @@ impl Parameters {
             step_size,
             second_moment_scale,
             epsilon,
-        } = *step;
-        arch.dispatch(
-            #[inline(always)]
-            || {
-                let moments = first_moment.iter_mut().zip(second_moment.iter_mut());
-                for ((value, gradient), (m, v)) in values.iter_mut().zip(gradient.iter()).zip(moments) {
-                    let gradient = gradient * gradient_scale;
-                    *m += (1.0 - beta1) * (gradient - *m);
-                    *v = beta2 * *v + (1.0 - beta2) * gradient * gradient;
-                    *value -= step_size * *m / (v.sqrt() * second_moment_scale + epsilon);
-                }
-            },
-        );
+        } = *self.step;
+        let Parameters {
+            values,
+            gradient,
+            first_moment,
+            second_moment,
+        } = self.parameters;
+        let moments = first_moment.iter_mut().zip(second_moment.iter_mut());
+        for ((value, gradient), (m, v)) in values.iter_mut().zip(gradient.iter()).zip(moments) {
+            let gradient = gradient * gradient_scale;
+            *m += (1.0 - beta1) * (gradient - *m);
+            *v = beta2 * *v + (1.0 - beta2) * gradient * gradient;
+            *value -= step_size * *m / (v.sqrt() * second_moment_scale + epsilon);
+        }
     }
 }
 

@@ -1,0 +1,165 @@
+/*! The way out: a rerun stream to a file or to a viewer that can fail but not hang.
+
+rerun writes from threads of its own, keeps their errors to itself, and waits without end for a viewer that has stopped
+reading. So the stream is flushed now and then with a time limit, which turns a full disk and a dead viewer into errors
+while the program runs; a stream that has failed is let go in the background; and a finished file is checked for the
+footer that is written last.
+*/
+
+use std::fs::{self, File};
+use std::io::{Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
+use rerun::log::ChunkBatcherConfig;
+use rerun::{AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder};
+
+use super::RecordError;
+use super::style::PATIENCE;
+
+/// Name under which viewers file our recordings and layouts.
+pub(super) const APPLICATION: &str = "supple";
+/// The only timeline [s].
+pub(super) const TIMELINE: &str = "sim_time";
+
+/// Where a recording goes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Sink {
+    /// A new `.rrd` file; folders are created, an existing file is replaced.
+    File(PathBuf),
+    /// A running viewer: its URL such as `rerun+http://127.0.0.1:9876/proxy`, or the one on this machine.
+    Connect(Option<String>),
+}
+
+/// An open recording.
+#[derive(Debug)]
+pub(super) struct Stream {
+    /// Nothing after a failure.
+    recording: Option<RecordingStream>,
+    file: Option<PathBuf>,
+    /// File or URL, for messages.
+    target: String,
+    /// Frames between two flushes, and since the last one.
+    frames_per_flush: usize,
+    frames: usize,
+}
+
+impl Stream {
+    /// Creates the file or reaches the viewer.
+    pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
+        // RERUN=off must not silently lose a recording that was asked for.
+        let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title);
+        let stream = match sink {
+            Sink::File(path) => {
+                let target = path.display().to_string();
+                let create = |source| RecordError::Create { path: path.clone(), source };
+                if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+                    fs::create_dir_all(folder).map_err(create)?;
+                }
+                File::create(&path).map_err(create)?;
+                // Few large chunks: each costs some kilobytes of description.
+                let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
+                let recording = builder.batcher_config(batches).save(&path)?;
+                Stream { recording: Some(recording), file: Some(path), target, frames_per_flush: 1200, frames: 0 }
+            }
+            Sink::Connect(url) => {
+                let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
+                let batches =
+                    ChunkBatcherConfig { flush_tick: Duration::from_millis(30), ..ChunkBatcherConfig::LOW_LATENCY };
+                let recording = builder
+                    .batcher_config(batches)
+                    .connect_grpc_opts(target.clone())
+                    .map_err(|error| RecordError::Viewer { url: target.clone(), reason: error.to_string() })?;
+                Stream { recording: Some(recording), file: None, target, frames_per_flush: 120, frames: 0 }
+            }
+        };
+        let mut stream = stream;
+        if let Some(recording) = &stream.recording {
+            recording.set_log_time_enabled(false);
+            recording.set_log_tick_enabled(false);
+        }
+        stream.flush().map_err(|error| match (error, stream.file.is_some()) {
+            (RecordError::Write { target, reason }, false) => RecordError::Viewer { url: target, reason },
+            (error, _) => error,
+        })?;
+        Ok(stream)
+    }
+
+    /// The rerun stream.
+    pub(super) fn recording(&self) -> Result<&RecordingStream, RecordError> {
+        self.recording.as_ref().ok_or_else(|| RecordError::Closed { target: self.target.clone() })
+    }
+
+    /// What is logged from now on belongs to this time [s].
+    pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
+        self.recording()?.set_duration_secs(TIMELINE, time_s);
+        Ok(())
+    }
+
+    /// Logs at the time that was set.
+    pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+        Ok(self.recording()?.log(path.clone(), data)?)
+    }
+
+    /// Logs something that holds at all times.
+    pub(super) fn log_static(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+        Ok(self.recording()?.log_static(path.clone(), data)?)
+    }
+
+    /// Counts a frame; every so often makes sure that what was logged has arrived.
+    pub(super) fn end_frame(&mut self) -> Result<(), RecordError> {
+        self.frames += 1;
+        if self.frames < self.frames_per_flush {
+            return Ok(());
+        }
+        self.frames = 0;
+        self.flush()
+    }
+
+    fn flush(&mut self) -> Result<(), RecordError> {
+        let flushed = self.recording()?.flush_with_timeout(PATIENCE);
+        flushed.map_err(|error| {
+            if let Some(broken) = self.recording.take() {
+                // Dropping it may wait without end.
+                drop(std::thread::Builder::new().name("broken recording".into()).spawn(move || drop(broken)));
+            }
+            RecordError::Write { target: self.target.clone(), reason: error.to_string() }
+        })
+    }
+
+    /// Writes out everything and closes the file or the connection.
+    pub(super) fn finish(mut self) -> Result<(), RecordError> {
+        self.flush()?;
+        drop(self.recording.take());
+        match &self.file {
+            Some(path) if !has_footer(path) => Err(RecordError::Write {
+                target: self.target.clone(),
+                reason: "its end could not be written; is the disk full?".into(),
+            }),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// A recorder that is given up on must not hang either.
+impl Drop for Stream {
+    fn drop(&mut self) {
+        if self.recording.is_some() {
+            // Nobody is left to tell.
+            let _ = self.flush();
+        }
+    }
+}
+
+/// Whether a file ends as a complete recording does.
+fn has_footer(path: &Path) -> bool {
+    let tail = || -> std::io::Result<Vec<u8>> {
+        let mut file = File::open(path)?;
+        file.seek(SeekFrom::End(-(StreamFooter::ENCODED_SIZE_BYTES as i64)))?;
+        let mut tail = Vec::new();
+        file.read_to_end(&mut tail)?;
+        Ok(tail)
+    };
+    tail().is_ok_and(|tail| StreamFooter::from_rrd_bytes(&tail).is_ok())
+}
