@@ -1,5 +1,7 @@
-//! Provenance: the git revision and the MuJoCo version become part of the program.
+//! Provenance (git revision, MuJoCo version) and the shipped policies become part of the program.
 
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 fn main() {
@@ -8,6 +10,27 @@ fn main() {
     println!("cargo::rustc-env=SUPPLE_GIT_REVISION={}", git_revision().unwrap_or_else(|| "unknown".into()));
     let mujoco = std::env::var("DEP_MUJOCO_VERSION").unwrap_or_else(|_| "unknown".into());
     println!("cargo::rustc-env=SUPPLE_MUJOCO_VERSION={mujoco}");
+    println!("cargo::rerun-if-changed=policies");
+    let out = PathBuf::from(std::env::var_os("OUT_DIR").unwrap_or_default()).join("policies.rs");
+    if let Err(error) = std::fs::write(&out, embedded_policies(Path::new("policies"))) {
+        println!("cargo::error=cannot write {}: {error}", out.display());
+    }
+}
+
+/// An array expression of (name, bytes), by name.
+fn embedded_policies(folder: &Path) -> String {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok).map(|entry| entry.path());
+    let mut files: Vec<PathBuf> = entries.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();
+    files.sort();
+    let mut code = String::from("&[\n");
+    for file in files {
+        let path = file.canonicalize().unwrap_or(file.clone());
+        let name = file.file_stem().unwrap_or_default().to_string_lossy();
+        // Writing into a String cannot fail.
+        let _ = writeln!(code, "    ({name:?}, include_bytes!({:?})),", path.display().to_string());
+    }
+    code.push(']');
+    code
 }
 
 fn git_revision() -> Option<String> {

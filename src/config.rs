@@ -424,6 +424,26 @@ impl Config {
     }
 }
 
+/// A flat YAML mapping as names and values in text, for files that stand for command-line flags.
+///
+/// # Errors
+/// [`ConfigError::Parse`] if it is anything but a mapping of names to numbers, texts or truth values.
+pub fn flat_parameters(name: &str, text: &str) -> Result<Vec<(String, String)>, ConfigError> {
+    let problem = |message: String| ConfigError::Parse { name: name.to_owned(), message };
+    let value = parse(name, text)?;
+    let mapping = value.as_mapping().ok_or_else(|| problem("expected lines of the form `name: value`".into()))?;
+    let entry = |(key, value): (&Value, &Value)| {
+        let key = key.as_str().ok_or_else(|| problem(format!("{key:?} is not a name")))?;
+        match value {
+            Value::Number(number) => Ok((key.to_owned(), number.to_string())),
+            Value::String(text) => Ok((key.to_owned(), text.clone())),
+            Value::Bool(truth) => Ok((key.to_owned(), truth.to_string())),
+            _ => Err(problem(format!("{key} must be a number, a text or true or false"))),
+        }
+    };
+    mapping.iter().map(entry).collect()
+}
+
 fn require(valid: bool, key: &'static str, found: impl ToString, expected: &str) -> Result<(), ConfigError> {
     if valid {
         Ok(())

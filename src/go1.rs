@@ -152,6 +152,11 @@ impl Go1 {
         self.feet
     }
 
+    /// Whether a geometry belongs to the robot.
+    pub fn is_part(&self, geom: usize) -> bool {
+        self.is_body_part[geom] || self.feet.contains(&geom)
+    }
+
     /// Largest torque of each joint [N·m].
     pub fn torque_limits(&self) -> Joints {
         self.torque_limits

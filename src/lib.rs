@@ -12,12 +12,16 @@ pub mod files;
 pub mod go1;
 pub mod metrics;
 pub mod mujoco;
+pub mod policies;
 pub mod policy;
 pub mod ppo;
 pub mod provenance;
+#[cfg(feature = "record")]
+pub mod record;
 pub mod random;
 pub mod rollout;
 pub mod run;
+pub mod scenario;
 pub mod scene;
 pub mod sim;
 pub mod task;

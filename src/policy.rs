@@ -168,6 +168,12 @@ impl Policy {
         serde_json::to_string(&metadata).unwrap_or_default()
     }
 
+    /// Identity: the SHA-256 of the policy file.
+    pub fn sha256(&self) -> String {
+        // A policy that was built or read once can be serialised.
+        files::sha256(&[&self.to_bytes().unwrap_or_default()])
+    }
+
     /// Writes the policy file atomically.
     ///
     /// # Errors

@@ -32,7 +32,7 @@ pub enum Disturbance {
 }
 
 /// The state at the end of one policy step and what the step cost.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Frame {
     /// Simulation time [s].
     pub time_s: f64,
@@ -44,6 +44,8 @@ pub struct Frame {
     pub velocity: [f64; 3],
     /// Trunk velocity (forward, left, up), heading frame [m/s].
     pub velocity_in_heading: [f64; 3],
+    /// Origin of the trunk, world frame [m].
+    pub position: [f64; 3],
     /// About the base's up axis [rad/s].
     pub yaw_rate: f64,
     /// Roll, pitch, yaw [rad].
@@ -66,6 +68,8 @@ pub struct Frame {
     pub torques: Joints,
     /// Foot centres, world frame [m].
     pub foot_positions: [[f64; 3]; 4],
+    /// Lowest point of each foot above the ground under it [m].
+    pub foot_heights: [f64; 4],
     /// Contact force on each foot, world frame, mean over the step's physics steps [N].
     pub foot_forces: [[f64; 3]; 4],
     /// Largest contact force on any one foot in the step's physics steps [N].

@@ -3,18 +3,21 @@ The products and activations of the learner, in portable SIMD.
 
 Three matrix products make up a training step of a linear layer: `y = x·Wᵀ + b`, `δx = δy·W` and `δWᵀ = xᵀ·δy`. All
 three are the same sum `c[m, n] = Σ_k a[m, k]·b[k, n]` with `b` contiguous in `n`, so there is one register-tiled
-[`product`] with two ways to walk `a`. Weights are kept as *panels*: 32 outputs wide, one row per input, the bias as
+[`Product`] with two ways to walk `a`. Weights are kept as *panels*: 32 outputs wide, one row per input, the bias as
 last row, which is `b` for the first product and `c` for the third.
 
 Every element is summed sequentially over `k` with fused multiply-adds into one accumulator, whichever tile it falls
 in. Its bits therefore depend neither on the rows beside it nor on the instruction set, and a policy evaluated alone
 equals the same policy evaluated in a minibatch.
+
+Vector operations stand in functions marked `inline(always)`, never in closures: those would be compiled without the
+instruction set that was found at run time, and cost ten times as much.
 */
 
 use std::array;
 use std::ops::{Deref, DerefMut};
 
-use pulp::{Simd, WithSimd};
+use pulp::{Arch, Simd, WithSimd};
 
 /// Outputs per weight panel.
 pub const PANEL: usize = 32;
@@ -50,6 +53,14 @@ impl Buffer {
     }
 }
 
+impl From<&[f32]> for Buffer {
+    fn from(values: &[f32]) -> Self {
+        let mut buffer = Self::zeros(values.len());
+        buffer.copy_from_slice(values);
+        buffer
+    }
+}
+
 impl Deref for Buffer {
     type Target = [f32];
 
@@ -64,159 +75,29 @@ impl DerefMut for Buffer {
     }
 }
 
-/// `y = f(x·Wᵀ + b)` for the outputs of one panel.
-pub struct Forward<'a> {
-    /// Rows of `x` and `y`.
+/// `c[m, n] = finish(start(n) + Σ_k a[m, k]·b[k, n])`
+pub struct Product<'a> {
+    /// Number of `m`.
     pub rows: usize,
-    /// Shape (rows, inputs), rows `x_stride` apart.
-    pub x: &'a [f32],
-    /// See `x`.
-    pub x_stride: usize,
-    /// Shape (inputs + 1, width): weights, then the bias.
-    pub panel: &'a [f32],
-    /// Padded outputs in the panel.
-    pub width: usize,
-    /// Whether `f` is ELU rather than the identity.
-    pub elu: bool,
-    /// From the panel's first output on; shape (rows, width), rows `y_stride` apart.
-    pub y: &'a mut [f32],
-    /// See `y`.
-    pub y_stride: usize,
+    /// Number of `n`, a multiple of 16.
+    pub columns: usize,
+    /// The inner dimension, in order.
+    pub stretches: &'a [Stretch<'a>],
+    /// `a` is stored as (k, m) rather than (m, k).
+    pub a_transposed: bool,
+    /// Distance between stored rows of `a`.
+    pub a_stride: usize,
+    /// Distance between rows of `b`.
+    pub b_stride: usize,
+    /// What the sums begin and end with.
+    pub ends: Ends<'a>,
+    /// Shape (m, n).
+    pub c: &'a mut [f32],
+    /// Distance between rows of `c`.
+    pub c_stride: usize,
 }
 
-impl WithSimd for Forward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let (weights, bias) = self.panel.split_at(self.panel.len() - self.width);
-        let depth = weights.len() / self.width;
-        let product = Product {
-            rows: self.rows,
-            columns: self.width,
-            stretches: &[Stretch {
-                depth,
-                a: self.x,
-                b: weights,
-            }],
-            a_stride: self.x_stride,
-            b_stride: self.width,
-        };
-        product.run::<S, _, false>(simd, &BiasThenElu { bias, elu: self.elu }, self.y, self.y_stride);
-    }
-}
-
-struct BiasThenElu<'a> {
-    bias: &'a [f32],
-    elu: bool,
-}
-
-impl Ends for BiasThenElu<'_> {
-    #[inline(always)]
-    fn start<S: Simd>(&self, _: S, column: usize) -> S::f32s {
-        load::<S>(&self.bias[column..])
-    }
-
-    #[inline(always)]
-    fn finish<S: Simd>(&self, simd: S, _: usize, _: usize, sum: S::f32s) -> S::f32s {
-        if self.elu { elu(simd, sum) } else { sum }
-    }
-}
-
-/// `δx = (δy·W)·ELU′`, the loss gradient one layer further back.
-pub struct Backward<'a> {
-    /// Rows of `δx`.
-    pub rows: usize,
-    /// One stretch for each panel: `a` = the panel's columns of `δy`, `b` = the panel's rows of `W`, shape
-    /// (outputs, inputs).
-    pub panels: &'a [Stretch<'a>],
-    /// Distance between rows of `δy`.
-    pub delta_stride: usize,
-    /// Inputs of the layer.
-    pub inputs: usize,
-    /// Inputs of the layer, that is ELU outputs of the one before; shape (rows, inputs).
-    pub x: &'a [f32],
-    /// Shape (rows, inputs).
-    pub delta_x: &'a mut [f32],
-}
-
-impl WithSimd for Backward<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let stride = row_stride(self.inputs);
-        let product = Product {
-            rows: self.rows,
-            columns: padded(self.inputs),
-            stretches: self.panels,
-            a_stride: self.delta_stride,
-            b_stride: stride,
-        };
-        product.run::<S, _, false>(simd, &TimesEluSlope { y: self.x, stride }, self.delta_x, stride);
-    }
-}
-
-/// ELU′ follows from ELU's output: 1 where positive, `y + 1` elsewhere.
-struct TimesEluSlope<'a> {
-    y: &'a [f32],
-    stride: usize,
-}
-
-impl Ends for TimesEluSlope<'_> {
-    #[inline(always)]
-    fn finish<S: Simd>(&self, simd: S, row: usize, column: usize, sum: S::f32s) -> S::f32s {
-        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let y = load::<S>(&self.y[row * self.stride + column..]);
-        let slope = simd.select_f32s(simd.greater_than_f32s(y, zero), one, simd.add_f32s(y, one));
-        simd.mul_f32s(sum, slope)
-    }
-}
-
-/// `δWᵀ = xᵀ·δy` and `δb = Σ δy` for one panel.
-pub struct Gradient<'a> {
-    /// One stretch for each block of rows: `a` = `x`, `b` = the panel's columns of `δy`.
-    pub blocks: &'a [Stretch<'a>],
-    /// Distance between rows of `x`.
-    pub x_stride: usize,
-    /// Distance between rows of `δy`.
-    pub delta_stride: usize,
-    /// Padded outputs in the panel.
-    pub width: usize,
-    /// Shape (inputs + 1, width), as the panel itself.
-    pub gradient: &'a mut [f32],
-}
-
-impl WithSimd for Gradient<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) {
-        let weights = self.gradient.len() - self.width;
-        let (weights, bias) = self.gradient.split_at_mut(weights);
-        bias.fill(0.0);
-        for block in self.blocks {
-            for row in 0..block.depth {
-                let delta = &block.b[row * self.delta_stride..][..self.width];
-                bias.iter_mut().zip(delta).for_each(|(sum, x)| *sum += x);
-            }
-        }
-        let product = Product {
-            rows: weights.len() / self.width,
-            columns: self.width,
-            stretches: self.blocks,
-            a_stride: self.x_stride,
-            b_stride: self.delta_stride,
-        };
-        product.run::<S, _, true>(simd, &Plain, weights, self.width);
-    }
-}
-
-struct Plain;
-
-impl Ends for Plain {}
-
-/// A stretch of `depth` consecutive `k` of a product's sum, with the parts of `a` and `b` that belong to it.
+/// `depth` consecutive `k` of a product, with the parts of `a` and `b` that belong to them.
 #[derive(Clone, Copy)]
 pub struct Stretch<'a> {
     /// Number of `k`.
@@ -228,46 +109,51 @@ pub struct Stretch<'a> {
 }
 
 /// What a product's sums begin and end with.
-trait Ends {
-    /// Start value of the sums of a vector of columns.
-    #[inline(always)]
-    fn start<S: Simd>(&self, simd: S, _column: usize) -> S::f32s {
-        simd.splat_f32s(0.0)
-    }
-
-    /// What becomes of the finished sums of a vector of columns in a row.
-    #[inline(always)]
-    fn finish<S: Simd>(&self, _simd: S, _row: usize, _column: usize, sum: S::f32s) -> S::f32s {
-        sum
-    }
-}
-
-/// `c[m, n] = Σ_k a[m, k]·b[k, n]`.
-struct Product<'a> {
-    rows: usize,
-    /// A multiple of [`LINE`].
-    columns: usize,
-    /// The inner dimension, in order.
-    stretches: &'a [Stretch<'a>],
-    a_stride: usize,
-    b_stride: usize,
+pub enum Ends<'a> {
+    /// Begin with the bias and end with ELU, if asked for: a layer's output.
+    Bias { bias: &'a [f32], elu: bool },
+    /// Begin with zero and end with a factor ELU′, where `y`, shaped like `c`, is ELU's output: the loss gradient one
+    /// layer further back.
+    EluSlope { y: &'a [f32] },
+    /// Begin with zero: the loss gradient by the weights.
+    Zero,
 }
 
 impl Product<'_> {
-    /// Sets `c[m, n] = finish(start(n) + Σ_k …)`. `A_T`: `a` is stored as (k, m) rather than (m, k).
+    /// Sets `c`.
+    #[inline(never)] // one copy of the kernels for all callers
+    pub fn compute(self, arch: Arch) {
+        arch.dispatch(self);
+    }
+}
+
+impl WithSimd for Product<'_> {
+    type Output = ();
+
     #[inline(always)]
-    fn run<S: Simd, E: Ends, const A_T: bool>(&self, simd: S, ends: &E, c: &mut [f32], c_stride: usize) {
+    fn with_simd<S: Simd>(mut self, simd: S) {
+        if self.a_transposed {
+            self.run::<S, true>(simd);
+        } else {
+            self.run::<S, false>(simd);
+        }
+    }
+}
+
+impl Product<'_> {
+    #[inline(always)]
+    fn run<S: Simd, const A_T: bool>(&mut self, simd: S) {
         let mut column = 0;
         while column < self.columns {
-            // Accumulators fill the register file but for the operands; 8 rows suffice where there are 32 registers.
+            // As many sums as the registers hold beside the operands; 16 are enough to hide the latency of the sums.
             if self.columns - column < 2 * S::F32_LANES {
-                self.strip::<S, E, A_T, 8, 1>(simd, column, ends, c, c_stride);
+                self.strip::<S, A_T, 8, 1>(simd, column);
                 column += S::F32_LANES;
             } else {
                 if S::REGISTER_COUNT >= 32 {
-                    self.strip::<S, E, A_T, 8, 2>(simd, column, ends, c, c_stride);
+                    self.strip::<S, A_T, 8, 2>(simd, column);
                 } else {
-                    self.strip::<S, E, A_T, 6, 2>(simd, column, ends, c, c_stride);
+                    self.strip::<S, A_T, 6, 2>(simd, column);
                 }
                 column += 2 * S::F32_LANES;
             }
@@ -276,41 +162,26 @@ impl Product<'_> {
 
     /// `V` vectors of columns, all rows. The last tile overlaps the one before where the rows do not divide.
     #[inline(always)]
-    fn strip<S: Simd, E: Ends, const A_T: bool, const R: usize, const V: usize>(
-        &self,
-        simd: S,
-        column: usize,
-        ends: &E,
-        c: &mut [f32],
-        c_stride: usize,
-    ) {
+    fn strip<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, column: usize) {
         let mut row = 0;
         while row < self.rows {
             if self.rows < R {
-                self.tile::<S, E, A_T, 1, V>(simd, row, column, ends, c, c_stride);
+                self.tile::<S, A_T, 1, V>(simd, row, column);
                 row += 1;
             } else {
-                let first = row.min(self.rows - R);
-                self.tile::<S, E, A_T, R, V>(simd, first, column, ends, c, c_stride);
+                self.tile::<S, A_T, R, V>(simd, row.min(self.rows - R), column);
                 row += R;
             }
         }
     }
 
+    /// `R` rows of `V` vectors.
     #[inline(always)]
-    #[allow(clippy::too_many_arguments)]
-    fn tile<S: Simd, E: Ends, const A_T: bool, const R: usize, const V: usize>(
-        &self,
-        simd: S,
-        row: usize,
-        column: usize,
-        ends: &E,
-        c: &mut [f32],
-        c_stride: usize,
-    ) {
+    #[expect(clippy::needless_range_loop, reason = "k runs over several slices at once")]
+    fn tile<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, row: usize, column: usize) {
         let mut sums = [[simd.splat_f32s(0.0); V]; R];
         for v in 0..V {
-            let start = ends.start(simd, column + v * S::F32_LANES);
+            let start = self.start(simd, column + v * S::F32_LANES);
             for sums in &mut sums {
                 sums[v] = start;
             }
@@ -333,9 +204,27 @@ impl Product<'_> {
         for (i, sums) in sums.into_iter().enumerate() {
             for (v, sum) in sums.into_iter().enumerate() {
                 let column = column + v * S::F32_LANES;
-                let out = &mut c[(row + i) * c_stride + column..][..S::F32_LANES];
-                S::as_mut_simd_f32s(out).0[0] = ends.finish(simd, row + i, column, sum);
+                let at = (row + i) * self.c_stride + column;
+                let value = self.finish(simd, at, sum);
+                S::as_mut_simd_f32s(&mut self.c[at..][..S::F32_LANES]).0[0] = value;
             }
+        }
+    }
+
+    #[inline(always)]
+    fn start<S: Simd>(&self, simd: S, column: usize) -> S::f32s {
+        match self.ends {
+            Ends::Bias { bias, .. } => load::<S>(&bias[column..]),
+            Ends::EluSlope { .. } | Ends::Zero => simd.splat_f32s(0.0),
+        }
+    }
+
+    #[inline(always)]
+    fn finish<S: Simd>(&self, simd: S, at: usize, sum: S::f32s) -> S::f32s {
+        match self.ends {
+            Ends::Bias { elu: true, .. } => elu(simd, sum),
+            Ends::EluSlope { y } => simd.mul_f32s(sum, elu_slope(simd, load::<S>(&y[at..]))),
+            Ends::Bias { elu: false, .. } | Ends::Zero => sum,
         }
     }
 }
@@ -369,19 +258,24 @@ fn elu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     simd.select_f32s(positive, x, exp_m1(simd, x))
 }
 
+/// ELU′ from ELU's output: 1 where positive, `y + 1` elsewhere.
+#[inline(always)]
+fn elu_slope<S: Simd>(simd: S, y: S::f32s) -> S::f32s {
+    let one = simd.splat_f32s(1.0);
+    simd.select_f32s(
+        simd.greater_than_f32s(y, simd.splat_f32s(0.0)),
+        one,
+        simd.add_f32s(y, one),
+    )
+}
+
 /// `eˣ − 1` to about 1 ulp for `x ≤ 0`; meaningless above.
 ///
 /// With `n = round(x / ln 2)` and `r = x − n ln 2` it is `2ⁿ (eʳ − 1) + (2ⁿ − 1)`. The polynomial is the minimax fit of
 /// `(eʳ − 1 − r) / r²` on `|r| ≤ ln 2 / 2`, weighted to the least error of `eʳ` (Lawson's iteration).
 #[inline(always)]
 fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
-    const C: [f32; 5] = [
-        0.499_999_94,
-        0.166_665_21,
-        0.041_668_389,
-        0.008_368_716_6,
-        0.001_381_459_9,
-    ];
+    const C: [f32; 5] = [0.499_999_94, 0.166_665_21, 0.041_668_39, 0.008_368_717, 0.001_381_459_9];
     /// Adding it leaves `n + 127`, the exponent field of `2ⁿ`, in the lowest bits.
     const ROUND: f32 = 12_582_912.0 + 127.0;
 
@@ -394,11 +288,39 @@ fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let exponent = simd.wrapping_dyn_shl_u32s(simd.transmute_u32s_f32s(biased), simd.splat_u32s(23));
     let scale = simd.transmute_f32s_u32s(exponent);
 
-    let q = C[..4].iter().rev().fold(simd.splat_f32s(C[4]), |q, &c| {
-        simd.mul_add_f32s(q, r, simd.splat_f32s(c))
-    });
+    let mut q = simd.splat_f32s(C[4]);
+    for c in [C[3], C[2], C[1], C[0]] {
+        q = simd.mul_add_f32s(q, r, simd.splat_f32s(c));
+    }
     let p = simd.mul_add_f32s(simd.mul_f32s(r, r), q, r);
     simd.mul_add_f32s(scale, p, simd.sub_f32s(scale, simd.splat_f32s(1.0)))
+}
+
+/// Sums of the columns of all stretches of `b`: the loss gradient by the bias.
+pub struct ColumnSums<'a> {
+    /// Only their `b` counts.
+    pub stretches: &'a [Stretch<'a>],
+    /// Distance between rows of `b`.
+    pub b_stride: usize,
+    /// One for each column, a multiple of 16.
+    pub sums: &'a mut [f32],
+}
+
+impl WithSimd for ColumnSums<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        for (i, total) in S::as_mut_simd_f32s(self.sums).0.iter_mut().enumerate() {
+            let mut sum = simd.splat_f32s(0.0);
+            for stretch in self.stretches {
+                for row in 0..stretch.depth {
+                    sum = simd.add_f32s(sum, load::<S>(&stretch.b[row * self.b_stride + i * S::F32_LANES..]));
+                }
+            }
+            *total = sum;
+        }
+    }
 }
 
 /// `Σ x²`, in a fixed order.
@@ -424,5 +346,65 @@ impl WithSimd for SumOfSquares<'_> {
             total += f64::from(sum);
         }
         total
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Elu<'a>(&'a mut [f32]);
+
+    impl WithSimd for Elu<'_> {
+        type Output = ();
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) {
+            for x in S::as_mut_simd_f32s(self.0).0 {
+                *x = elu(simd, *x);
+            }
+        }
+    }
+
+    fn elu_of(x: &[f32], arch: Arch) -> Vec<f32> {
+        let mut y = Buffer::zeros(padded(x.len()));
+        y[..x.len()].copy_from_slice(x);
+        arch.dispatch(Elu(&mut y));
+        y[..x.len()].to_vec()
+    }
+
+    #[test]
+    fn elu_is_accurate_to_two_units_in_the_last_place() {
+        // Every 1009th of the negative numbers from −0 through the subnormals to −∞.
+        let x: Vec<f32> = (0x8000_0000..=0xff80_0000_u32)
+            .step_by(1009)
+            .map(f32::from_bits)
+            .collect();
+        for (x, y) in x.iter().zip(elu_of(&x, Arch::new())) {
+            let exact = f64::from(*x).exp_m1();
+            let ulp = f64::from((exact as f32).abs().next_up() - (exact as f32).abs());
+            assert!(
+                (f64::from(y) - exact).abs() <= 2.0 * ulp,
+                "x = {x:e}: {y:e}, not {exact:e}"
+            );
+        }
+    }
+
+    #[test]
+    fn elu_keeps_what_is_positive_and_what_is_not_a_number() {
+        let y = elu_of(
+            &[0.0, 1e-30, 3.0, 200.0, f32::MAX, f32::INFINITY, f32::NAN],
+            Arch::new(),
+        );
+        assert_eq!(y[..6], [0.0, 1e-30, 3.0, 200.0, f32::MAX, f32::INFINITY]);
+        assert!(y[6].is_nan());
+    }
+
+    #[test]
+    fn buffers_start_on_cache_lines() {
+        for len in [0, 1, 16, 1000] {
+            let buffer = Buffer::zeros(len);
+            assert_eq!((buffer.as_ptr().addr() % 64, buffer.len()), (0, len));
+        }
     }
 }

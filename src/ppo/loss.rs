@@ -66,16 +66,54 @@ pub struct Batch<'a> {
     pub returns: &'a [f32],
 }
 
-/// Mean, and reciprocal of (unbiased standard deviation + 1e-8), of the advantages at `rows`. A single sample is not
-/// normalised, as in Stable-Baselines3.
-pub fn advantage_normaliser(advantages: &[f32], rows: &[u32]) -> (f64, f64) {
-    if rows.len() < 2 {
-        return (0.0, 1.0);
+/// One minibatch of an update, and what its samples share.
+#[derive(Debug, Clone, Copy)]
+pub struct Minibatch<'a> {
+    pub batch: &'a Batch<'a>,
+    pub settings: &'a Hyperparameters,
+    /// Counted from zero.
+    pub epoch: usize,
+    /// Within the epoch, counted from zero.
+    pub index: usize,
+    /// Its samples.
+    pub rows: &'a [u32],
+    advantage_mean: f64,
+    /// 1 / (unbiased standard deviation + 1e-8)
+    advantage_scale: f64,
+}
+
+impl<'a> Minibatch<'a> {
+    /// A single sample is not normalised, as in Stable-Baselines3.
+    pub fn new(
+        batch: &'a Batch<'a>,
+        settings: &'a Hyperparameters,
+        epoch: usize,
+        index: usize,
+        rows: &'a [u32],
+    ) -> Self {
+        let (advantage_mean, advantage_scale) = if rows.len() < 2 {
+            (0.0, 1.0)
+        } else {
+            let at = |&row: &u32| f64::from(batch.advantages[row as usize]);
+            let mean = rows.iter().map(at).sum::<f64>() / rows.len() as f64;
+            let squares: f64 = rows.iter().map(|row| (at(row) - mean).powi(2)).sum();
+            (mean, 1.0 / ((squares / (rows.len() as f64 - 1.0)).sqrt() + 1e-8))
+        };
+        Self {
+            batch,
+            settings,
+            epoch,
+            index,
+            rows,
+            advantage_mean,
+            advantage_scale,
+        }
     }
-    let at = |&row: &u32| f64::from(advantages[row as usize]);
-    let mean = rows.iter().map(at).sum::<f64>() / rows.len() as f64;
-    let squares: f64 = rows.iter().map(|row| (at(row) - mean).powi(2)).sum();
-    (mean, 1.0 / ((squares / (rows.len() as f64 - 1.0)).sqrt() + 1e-8))
+
+    /// Normalised advantage of a sample.
+    pub fn advantage(&self, row: usize) -> f64 {
+        (f64::from(self.batch.advantages[row]) - self.advantage_mean) * self.advantage_scale
+    }
 }
 
 /// The clipped surrogate of one sample.
@@ -148,11 +186,21 @@ pub(super) mod tests {
 
     #[test]
     fn advantages_are_normalised_with_the_unbiased_standard_deviation() {
-        // Rows 0, 2, 3: 1, 3, 8; mean 4; variance (9 + 1 + 16)/2 = 13.
-        let (mean, scale) = advantage_normaliser(&[1.0, 100.0, 3.0, 8.0], &[3, 0, 2]);
-        assert_eq!(mean, 4.0);
-        assert_eq!(scale, 1.0 / (13.0_f64.sqrt() + 1e-8));
-        assert_eq!(advantage_normaliser(&[5.0], &[0]), (0.0, 1.0));
+        let advantages = [1.0, 100.0, 3.0, 8.0];
+        let none: &[f32] = &[];
+        let batch = &Batch {
+            observations: none,
+            actions: none,
+            means: none,
+            log_std: none,
+            log_probs: none,
+            advantages: &advantages,
+            returns: none,
+        };
+        // Rows 3, 0, 2: 8, 1, 3; mean 4; variance (16 + 9 + 1)/2 = 13.
+        let minibatch = Minibatch::new(batch, &SETTINGS, 0, 0, &[3, 0, 2]);
+        assert!((minibatch.advantage(3) - 4.0 / (13.0_f64.sqrt() + 1e-8)).abs() < 1e-15);
+        assert_eq!(Minibatch::new(batch, &SETTINGS, 0, 0, &[3]).advantage(3), 8.0);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 /*!
 Proximal policy optimisation on the CPU.
 
-[`reference`] states what is computed, in candle; [`Learner`] computes the same several times faster with fused
+[`mod@reference`] states what is computed, in candle; [`Learner`] computes the same several times faster with fused
 products on all cores; [`PackedMlp`] evaluates one network during rollouts, with the same bits.
 
 The semantics are those of Stable-Baselines3 (advantages normalised per minibatch, unclipped value loss, joint
@@ -16,13 +16,16 @@ mod loss;
 mod network;
 mod optimizer;
 mod packed;
+mod panel;
 pub mod reference;
 mod team;
 #[cfg(test)]
 mod tests;
+mod update;
 
 pub use gaussian::{DiagonalGaussian, KlDivergence};
-pub use learner::{Learner, LearnerState, UpdateFault, UpdateStatistics};
+pub use learner::{Learner, LearnerState};
 pub use loss::{Batch, Hyperparameters};
 pub use network::{ActorCritic, Layer, Mlp, TensorError};
 pub use packed::{PackedMlp, Scratch};
+pub use update::{UpdateFault, UpdateStatistics};

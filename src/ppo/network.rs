@@ -275,7 +275,9 @@ mod tests {
         ActorCritic::orthogonal(11, &[20, 7], 3, -1.0, &mut ChaCha8Rng::seed_from_u64(1))
     }
 
-    fn owned(network: &ActorCritic) -> Vec<(String, Vec<usize>, Vec<f32>)> {
+    type Named = Vec<(String, Vec<usize>, Vec<f32>)>;
+
+    fn owned(network: &ActorCritic) -> Named {
         network
             .tensors()
             .into_iter()
@@ -329,7 +331,7 @@ mod tests {
 
     #[test]
     fn unfit_tensors_are_refused_by_name() {
-        let error = |change: fn(&mut Vec<(String, Vec<usize>, Vec<f32>)>)| {
+        let error = |change: fn(&mut Named)| {
             let mut tensors = owned(&network());
             change(&mut tensors);
             ActorCritic::from_tensors(tensors).unwrap_err().to_string()

@@ -1,78 +1,15 @@
 /*!
-Weights rearranged for the kernels, and inference with them.
+Inference, with weights rearranged for the kernels.
 */
 
 use pulp::Arch;
 
-use super::kernels::{Buffer, Forward, PANEL, padded, row_stride};
+use super::kernels::{Buffer, row_stride};
+use super::panel::{self, pack, panel_starts};
 use super::{Layer, Mlp};
 
 /// Rows that go through a network together: their activations stay in the cache between layers.
 pub const BLOCK: usize = 64;
-
-/// Number of panels of a layer with `outputs` outputs.
-pub fn panel_count(outputs: usize) -> usize {
-    outputs.div_ceil(PANEL)
-}
-
-/// Outputs in a layer's panel, without padding.
-pub fn panel_outputs(outputs: usize, panel: usize) -> usize {
-    PANEL.min(outputs - panel * PANEL)
-}
-
-/// Writes one panel of a layer; shape (inputs + 1, padded outputs of the panel), the bias last.
-pub fn pack(layer: &Layer, panel: usize, values: &mut [f32]) {
-    let inputs = layer.inputs();
-    let width = values.len() / (inputs + 1);
-    for i in 0..panel_outputs(layer.outputs(), panel) {
-        let output = panel * PANEL + i;
-        for (input, weight) in layer.weight[output * inputs..][..inputs].iter().enumerate() {
-            values[input * width + i] = *weight;
-        }
-        values[inputs * width + i] = layer.bias[output];
-    }
-}
-
-/// The inverse of [`pack`].
-pub fn unpack(values: &[f32], panel: usize, layer: &mut Layer) {
-    let inputs = layer.inputs();
-    let width = values.len() / (inputs + 1);
-    for i in 0..panel_outputs(layer.outputs(), panel) {
-        let output = panel * PANEL + i;
-        for (input, weight) in layer.weight[output * inputs..][..inputs].iter_mut().enumerate() {
-            *weight = values[input * width + i];
-        }
-        layer.bias[output] = values[inputs * width + i];
-    }
-}
-
-/// A layer's output for a block of rows. `y` has [`row_stride`] of the outputs.
-#[allow(clippy::too_many_arguments)]
-pub fn forward_layer<'a>(
-    arch: Arch,
-    rows: usize,
-    x: &[f32],
-    x_stride: usize,
-    panels: impl Iterator<Item = &'a [f32]>,
-    outputs: usize,
-    elu: bool,
-    y: &mut [f32],
-) {
-    let y_stride = row_stride(outputs);
-    for (i, panel) in panels.enumerate() {
-        let width = padded(panel_outputs(outputs, i));
-        arch.dispatch(Forward {
-            rows,
-            x,
-            x_stride,
-            panel,
-            width,
-            elu,
-            y: &mut y[i * PANEL..],
-            y_stride,
-        });
-    }
-}
 
 /// A network ready for evaluation. Rows may be evaluated in any grouping, on any number of threads at once: each row's
 /// bits stay the same.
@@ -95,21 +32,20 @@ pub struct Scratch {
     buffers: [Buffer; 2],
 }
 
+impl Default for Scratch {
+    fn default() -> Self {
+        Self {
+            buffers: [Buffer::zeros(0), Buffer::zeros(0)],
+        }
+    }
+}
+
 impl PackedMlp {
     /// Packs the weights.
     pub fn new(mlp: &Mlp) -> Self {
-        let pack_layer = |layer: &Layer| {
-            let pack_panel = |panel| {
-                let width = padded(panel_outputs(layer.outputs(), panel));
-                let mut values = Buffer::zeros((layer.inputs() + 1) * width);
-                pack(layer, panel, &mut values);
-                values
-            };
-            let outputs = layer.outputs();
-            PackedLayer {
-                outputs,
-                panels: (0..panel_count(outputs)).map(pack_panel).collect(),
-            }
+        let pack_layer = |layer: &Layer| PackedLayer {
+            outputs: layer.outputs(),
+            panels: panel_starts(layer.outputs()).map(|first| pack(layer, first)).collect(),
         };
         Self {
             arch: Arch::new(),
@@ -119,7 +55,7 @@ impl PackedMlp {
     }
 
     /// Evaluates `inputs`, shape (rows, inputs), to `outputs`, shape (rows, outputs). Allocates only when `scratch` is
-    /// new or has served smaller networks.
+    /// new or has served narrower networks.
     ///
     /// # Panics
     /// When the slices do not have these shapes.
@@ -142,41 +78,27 @@ impl PackedMlp {
             .map(|layer| row_stride(layer.outputs))
             .max()
             .unwrap_or(0);
-        let [mut x, mut y] = scratch.at_least(BLOCK * widest);
-        let blocks = inputs
+        if scratch.buffers[0].len() < BLOCK * widest {
+            scratch.buffers = [Buffer::zeros(BLOCK * widest), Buffer::zeros(BLOCK * widest)];
+        }
+        let [mut x, mut y] = scratch.buffers.each_mut();
+        for (block, out) in inputs
             .chunks(BLOCK * self.inputs)
-            .zip(outputs.chunks_mut(BLOCK * output_count));
-        for (block, out) in blocks {
+            .zip(outputs.chunks_mut(BLOCK * output_count))
+        {
             let rows = block.len() / self.inputs;
             let mut x_stride = self.inputs;
             for (i, layer) in self.layers.iter().enumerate() {
-                let input = if i == 0 { block } else { &*x };
+                let input = if i == 0 { block } else { &**x };
                 let elu = i + 1 < self.layers.len();
                 let panels = layer.panels.iter().map(|panel| &**panel);
-                forward_layer(self.arch, rows, input, x_stride, panels, layer.outputs, elu, y);
+                panel::forward(self.arch, rows, (input, x_stride), panels, layer.outputs, elu, y);
                 x_stride = row_stride(layer.outputs);
                 std::mem::swap(&mut x, &mut y);
             }
             for (out, row) in out.chunks_mut(output_count).zip(x.chunks(x_stride)) {
                 out.copy_from_slice(&row[..output_count]);
             }
-        }
-    }
-}
-
-impl Scratch {
-    fn at_least(&mut self, len: usize) -> [&mut [f32]; 2] {
-        if self.buffers[0].len() < len {
-            self.buffers = [Buffer::zeros(len), Buffer::zeros(len)];
-        }
-        self.buffers.each_mut().map(|buffer| &mut **buffer)
-    }
-}
-
-impl Default for Scratch {
-    fn default() -> Self {
-        Self {
-            buffers: [Buffer::zeros(0), Buffer::zeros(0)],
         }
     }
 }

@@ -167,3 +167,61 @@ fn kl(old_means: &Tensor, old_log_std: &Tensor, means: &Tensor, log_std: &Tensor
     let per_action = (quadratic.broadcast_add(&(log_std - old_log_std)?)? - 0.5)?;
     per_action.sum(D::Minus1)?.mean_all()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::Layer;
+    use super::super::loss::tests::SETTINGS;
+    use super::*;
+
+    /* The expected numbers:
+    import numpy as np
+    x = np.array([[.5, -1], [1, 2], [-.5, .25]])
+    W, b, w, c = np.array([[1, -.5], [.25, .75]]), np.array([.1, -.2]), np.array([.5, 1]), -.25
+    a = np.array([[1, 0], [.5, 3], [-1, .5]])
+    m0, s0 = np.array([[1, -1], [.25, 1.75], [-.5, 0]]), np.array([-.625, .25])
+    s, A, R = np.array([-.5, .375]), np.array([1, -2, .5]), np.array([.5, 2, -1])
+    def log_prob(m, s): return np.sum(-.5*((a - m)/np.exp(s))**2 - s - .5*np.log(2*np.pi), 1)
+    m, V = x@W.T + b, x@w + c
+    A = (A - A.mean())/(A.std(ddof=1) + 1e-8)
+    r = np.exp(log_prob(m, s) - log_prob(m0, s0))                 # .886, .683, .869; A < 0 in the second
+    policy = -np.minimum(A*r, A*np.clip(r, .8, 1.2)).mean()
+    value, entropy = ((V - R)**2).mean(), np.sum(.5 + .5*np.log(2*np.pi) + s)
+    kl = np.mean(np.sum(s - s0 + (np.exp(2*s0) + (m0 - m)**2)/(2*np.exp(2*s)) - .5, 1))
+    print(log_prob(m0, s0), policy, value, entropy, kl, policy + .5*value - .01*entropy) */
+    #[test]
+    fn loss_equals_that_of_numpy() {
+        let linear = |weight: &[f32], bias: &[f32]| Mlp {
+            layers: vec![Layer {
+                weight: weight.into(),
+                bias: bias.into(),
+            }],
+        };
+        let network = ActorCritic {
+            policy: linear(&[1.0, -0.5, 0.25, 0.75], &[0.1, -0.2]),
+            value: linear(&[0.5, 1.0], &[-0.25]),
+            log_std: vec![-0.5, 0.375],
+        };
+        let batch = Batch {
+            observations: &[0.5, -1.0, 1.0, 2.0, -0.5, 0.25],
+            actions: &[1.0, 0.0, 0.5, 3.0, -1.0, 0.5],
+            means: &[1.0, -1.0, 0.25, 1.75, -0.5, 0.0],
+            log_std: &[-0.625, 0.25],
+            log_probs: &[-1.7661424, -2.0458024, -1.9749863],
+            advantages: &[1.0, -2.0, 0.5],
+            returns: &[0.5, 2.0, -1.0],
+        };
+        let reference = Reference::new(&network, DType::F64).unwrap();
+        let loss = reference.loss(&batch, &[0, 1, 2], &SETTINGS).unwrap();
+        for (name, actual, expected) in [
+            ("policy", loss.policy, -0.030324988),
+            ("value", loss.value, 0.958333333),
+            ("entropy", loss.entropy, 2.712877066),
+            ("KL", loss.kl, 0.050856559),
+            ("total", loss.total, 0.421712908),
+        ] {
+            let actual: f64 = actual.to_scalar().unwrap();
+            assert!((actual - expected).abs() < 1e-7, "{name}: {actual}, not {expected}");
+        }
+    }
+}

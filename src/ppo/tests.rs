@@ -1,14 +1,15 @@
 //! The fused learner against the reference in candle, and its promises about bits.
 
-use std::sync::Mutex;
-
 use candle_core::{DType, Tensor};
-use rand::{Rng, RngExt, SeedableRng};
+use proptest::prelude::*;
+use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::loss::Minibatch;
 use super::loss::tests::SETTINGS;
 use super::reference::Reference;
+use super::team::Team;
 use super::*;
 
 /// A batch that owns its numbers, from a policy somewhat away from the one to be trained.
@@ -75,7 +76,7 @@ impl Samples {
     }
 }
 
-fn normal(count: usize, scale: f32, rng: &mut impl Rng) -> Vec<f32> {
+fn normal(count: usize, scale: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
     (0..count)
         .map(|_| scale * Distribution::<f32>::sample(&StandardNormal, rng))
         .collect()
@@ -144,7 +145,7 @@ fn fused_gradients_equal_those_of_automatic_differentiation() {
         let loss = reference.loss(&samples.batch(), order, &settings).unwrap();
         let expected = reference.gradient(&loss.total).unwrap();
 
-        let fused = learner(&network, settings, 1).gradient(&samples.batch(), order);
+        let fused = learner(&network, settings.clone(), 1).gradient(&samples.batch(), &settings, order);
         for ((name, _, fused), expected) in fused.tensors().into_iter().zip(&expected) {
             let expected = numbers(expected);
             let scale = norm(expected.iter().copied());
@@ -321,6 +322,26 @@ fn any_number_of_threads_gives_the_same_bits() {
 }
 
 #[test]
+fn any_instruction_set_gives_the_same_bits() {
+    let network = network();
+    let samples = Samples::new(&network, 70, 1);
+    let order = permutations(70, 2, 2);
+    let state = |change: fn(&mut Learner)| {
+        let mut learner = learner(&network, settings(70), 1);
+        change(&mut learner);
+        learner.update(&samples.batch(), &order).unwrap();
+        learner.state()
+    };
+    let best = state(|_| ());
+    assert!(state(|learner| learner.arch = pulp::Arch::Scalar) == best);
+    #[cfg(target_arch = "x86_64")]
+    if pulp::x86::V3::try_new().is_some() {
+        let avx2 = |learner: &mut Learner| learner.arch = pulp::x86::V3::try_new().map_or(learner.arch, pulp::Arch::V3);
+        assert!(state(avx2) == best);
+    }
+}
+
+#[test]
 fn a_restored_learner_continues_with_the_same_bits() {
     let network = network();
     let samples = Samples::new(&network, 300, 1);
@@ -356,6 +377,43 @@ fn a_row_has_the_same_bits_in_any_batch() {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn inference_equals_the_plain_sum_at_any_size(
+        rows in 1_usize..70, inputs in 1_usize..40, hidden in 1_usize..70, outputs in 1_usize..40, seed: u64,
+    ) {
+        let rng = &mut ChaCha8Rng::seed_from_u64(seed);
+        let network = ActorCritic::orthogonal(inputs, &[hidden], outputs, 0.0, rng).policy;
+        let x = normal(rows * inputs, 1.0, rng);
+        let mut y = vec![0.0; rows * outputs];
+        PackedMlp::new(&network).forward(rows, &x, &mut y, &mut Scratch::default());
+        for (x, y) in x.chunks(inputs).zip(y.chunks(outputs)) {
+            let x: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
+            let hidden: Vec<f64> = linear(&network.layers[0], &x).map(|x| if x > 0.0 { x } else { x.exp_m1() }).collect();
+            for (&y, expected) in y.iter().zip(linear(&network.layers[1], &hidden)) {
+                prop_assert!((f64::from(y) - expected).abs() < 1e-6, "{y} is not {expected}");
+            }
+        }
+    }
+}
+
+fn linear(layer: &Layer, x: &[f64]) -> impl Iterator<Item = f64> {
+    layer
+        .weight
+        .chunks(layer.inputs())
+        .zip(&layer.bias)
+        .map(move |(weights, &bias)| {
+            f64::from(bias)
+                + weights
+                    .iter()
+                    .zip(x)
+                    .map(|(&weight, x)| f64::from(weight) * x)
+                    .sum::<f64>()
+        })
+}
+
 #[test]
 fn the_policy_of_the_rollout_is_at_distance_zero_in_the_first_minibatch() {
     let network = network();
@@ -382,16 +440,14 @@ fn a_nan_stops_the_update_before_its_step() {
         epoch: 0,
         minibatch,
         samples: rows,
-        policy_loss,
-        value_loss,
-        ..
+        summary,
     } = fault
     else {
         panic!("{fault}");
     };
     assert_eq!(minibatch, faulty);
     assert_eq!(rows, order[0][faulty * 100..][..100]);
-    assert!(policy_loss.is_nan() && value_loss.is_finite());
+    assert!(summary.policy_loss.is_nan() && summary.value_loss.is_finite());
 
     let mut healthy = self::learner(&network, settings(100), 1);
     let before = vec![order[0][..faulty * 100].to_vec()];
@@ -430,10 +486,11 @@ fn a_batch_that_does_not_fit_is_refused() {
 
 impl Learner {
     /// Gradient over one minibatch, without a step.
-    fn gradient(&self, batch: &Batch<'_>, rows: &[u32]) -> ActorCritic {
-        let progress = Mutex::new(learner::Progress::new(self));
-        team::Team::run(1, |team| {
-            self.minibatch(team, batch, 0, 0, rows, &progress);
+    fn gradient(&self, batch: &Batch<'_>, settings: &Hyperparameters, rows: &[u32]) -> ActorCritic {
+        Team::run(1, |team| {
+            let minibatch = Minibatch::new(batch, settings, 0, 0, rows);
+            self.passes(team, &minibatch);
+            self.gradients(team, &minibatch, |_| ());
         });
         self.unpacked(|parameters| &parameters.gradient)
     }

@@ -18,7 +18,7 @@ const DRAWN_GROUPS: std::ops::RangeInclusive<i32> = 0..=2;
 /// From this many free balls on they are one entity.
 const FEWEST_BALLS: usize = 4;
 /// Share of the tint in light parts of a robot.
-const TINT_SHARE: f32 = 0.55;
+const TINT_SHARE: f32 = 0.5;
 
 /// What moves in a model, and under which name.
 #[derive(Debug)]
@@ -78,6 +78,15 @@ pub(super) fn ball_looks(model: &Model, balls: &[usize]) -> (Vec<f32>, Vec<Color
     let of_body: std::collections::BTreeMap<usize, Geom> = geoms.map(|geom| (geom.body, geom)).collect();
     let geoms = balls.iter().filter_map(|body| of_body.get(body));
     geoms.map(|geom| (geom.size[0] as f32, colour(geom.rgba, None))).unzip()
+}
+
+/// Whether there is anything but the robot and grounds.
+pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
+    let trunk = model.id(Kind::Body, "trunk")?;
+    let is_obstacle = |geom: Geom| {
+        !matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) && !is_below(model, geom.body, trunk)
+    };
+    Ok((0..model.count(Kind::Geom)).any(|id| is_obstacle(model.geom(id))))
 }
 
 /// An entity below another one; the name may hold anything.

@@ -106,14 +106,14 @@ fn field_mesh(model: &Model, geom: &Geom, id: usize) -> Mesh3D {
         normals.push([-slope_x, -slope_y, 1.0].map(|value| (value / length) as f32));
         let square = [local[0], local[1]].map(|value| (value / f64::from(SQUARE_M)).floor() as i64);
         let shade = mix(HEIGHT_COLOURS[0], HEIGHT_COLOURS[1], elevations[row * columns + column]);
-        colours.push(rgba(if (square[0] + square[1]).rem_euclid(2) == 0 { shade } else { mix(shade, [0; 3], 0.07) }));
+        colours.push(rgba(if (square[0] + square[1]).rem_euclid(2) == 0 { shade } else { mix(shade, [0; 3], 0.14) }));
     }
     let width = kept_columns.len() as u32;
     let mut triangles = Vec::new();
     for row in 0..kept_rows.len() as u32 - 1 {
         for first in (0..width - 1).map(|column| row * width + column) {
             let [right, above] = [first + 1, first + width];
-            triangles.extend([[first, right, above], [above, right, above + 1]]);
+            triangles.extend([[first, right, above + 1], [first, above + 1, above]]);
         }
     }
     Mesh3D::new(positions).with_triangle_indices(triangles).with_vertex_normals(normals).with_vertex_colors(colours)

@@ -9,6 +9,7 @@ footer that is written last.
 use std::fs::{self, File};
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
@@ -79,8 +80,10 @@ impl Stream {
             recording.set_log_time_enabled(false);
             recording.set_log_tick_enabled(false);
         }
-        stream.flush().map_err(|error| match (error, stream.file.is_some()) {
-            (RecordError::Write { target, reason }, false) => RecordError::Viewer { url: target, reason },
+        stream.flush().map_err(|error| match (error, &stream.file) {
+            (RecordError::Write { target, .. }, None) => {
+                RecordError::Viewer { url: target, reason: format!("nothing within {PATIENCE:?}") }
+            }
             (error, _) => error,
         })?;
         Ok(stream)
@@ -121,22 +124,23 @@ impl Stream {
         let flushed = self.recording()?.flush_with_timeout(PATIENCE);
         flushed.map_err(|error| {
             if let Some(broken) = self.recording.take() {
-                // Dropping it may wait without end.
-                drop(std::thread::Builder::new().name("broken recording".into()).spawn(move || drop(broken)));
+                drop_in_background(broken);
             }
-            RecordError::Write { target: self.target.clone(), reason: error.to_string() }
+            let hint = if self.file.is_some() { "; is the disk full?" } else { "" };
+            RecordError::Write { target: self.target.clone(), reason: format!("{error}{hint}") }
         })
     }
 
     /// Writes out everything and closes the file or the connection.
     pub(super) fn finish(mut self) -> Result<(), RecordError> {
         self.flush()?;
-        drop(self.recording.take());
+        let failed = |reason: &str| RecordError::Write { target: self.target.clone(), reason: reason.to_owned() };
+        if let Some(recording) = self.recording.take() {
+            let closed = drop_in_background(recording);
+            closed.recv_timeout(PATIENCE).map_err(|_| failed("it could not be closed"))?;
+        }
         match &self.file {
-            Some(path) if !has_footer(path) => Err(RecordError::Write {
-                target: self.target.clone(),
-                reason: "its end could not be written; is the disk full?".into(),
-            }),
+            Some(path) if !has_footer(path) => Err(failed("its end could not be written; is the disk full?")),
             _ => Ok(()),
         }
     }
@@ -150,6 +154,19 @@ impl Drop for Stream {
             let _ = self.flush();
         }
     }
+}
+
+/// Closes a recording, which may wait without end, and says so when it is done.
+fn drop_in_background(recording: RecordingStream) -> Receiver<()> {
+    let (done, wait) = std::sync::mpsc::channel();
+    let close = move || {
+        drop(recording);
+        // Nobody has to be waiting.
+        let _ = done.send(());
+    };
+    // Without a thread the closure is dropped here, and the recording with it.
+    drop(std::thread::Builder::new().name("closing a recording".into()).spawn(close));
+    wait
 }
 
 /// Whether a file ends as a complete recording does.

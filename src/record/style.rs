@@ -11,9 +11,13 @@ pub type Rgb = [u8; 3];
 pub const BLUE: Rgb = [0, 114, 178];
 /// The baseline.
 pub const ORANGE: Rgb = [230, 159, 0];
-/// Foot forces.
+/// A series of a plot.
 pub(super) const GREEN: Rgb = [0, 158, 115];
-/// Pushes and falls.
+/// Foot forces, and labels of what went well.
+pub(super) const LIGHT_GREEN: Rgb = [90, 225, 165];
+/// Labels of falls and faults.
+pub(super) const ALARM: Rgb = [255, 150, 110];
+/// Pushes and pulls.
 pub(super) const VERMILLION: Rgb = [213, 94, 0];
 /// The rope of a pull.
 pub(super) const YELLOW: Rgb = [240, 228, 66];
@@ -38,9 +42,9 @@ pub(super) const LABEL_SHOWN_S: f64 = 1.2;
 /// Length of a rope between trunk and force arrow [m].
 pub(super) const ROPE_LENGTH_M: f64 = 0.6;
 /// Distance of the eye from the robot [m].
-pub(super) const EYE_DISTANCE_M: f32 = 1.75;
-/// From the robot to the eye: right of it, a little ahead and above. World frame, any length.
-pub(super) const EYE_DIRECTION: [f32; 3] = [0.62, -1.0, 0.5];
+pub(super) const EYE_DISTANCE_M: f32 = 1.6;
+/// From the robot to the eye: right of it, a little behind and above. World frame, any length.
+pub(super) const EYE_DIRECTION: [f32; 3] = [-0.3, -1.0, 0.48];
 
 /// How long to wait for a disk or a viewer before giving up on it.
 pub(super) const PATIENCE: Duration = Duration::from_secs(5);

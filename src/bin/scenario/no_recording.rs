@@ -1,0 +1,35 @@
+//! Without the `record` feature there is nothing to record with.
+
+use supple::policy::Policy;
+use supple::scenario::catalog::Scenario;
+use supple::scenario::{Played, Script};
+use supple::trace::Trace;
+
+use crate::args::Args;
+
+/// No recording.
+pub struct Recording;
+
+impl Recording {
+    pub fn start(args: &Args, _: &Scenario, _: &[(String, Policy)], _: &[Script]) -> anyhow::Result<Self> {
+        if args.record.is_some() || args.connect.is_some() || args.on_fall.is_some() {
+            anyhow::bail!("this program was built without recordings; build it with --features record");
+        }
+        Ok(Recording)
+    }
+
+    pub fn add(&mut self, _: usize, _: &Played) -> anyhow::Result<()> {
+        Ok(())
+    }
+
+    pub fn finish(
+        self,
+        _: &Args,
+        _: &Scenario,
+        _: &[(String, Policy)],
+        _: &[Script],
+        _: &[Trace],
+    ) -> anyhow::Result<()> {
+        Ok(())
+    }
+}

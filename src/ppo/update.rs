@@ -1,0 +1,182 @@
+/*!
+The course of an update: from the sums of a minibatch to its step, statistics or fault.
+*/
+
+use super::Batch;
+use super::loss::Minibatch;
+use super::optimizer::AdamStep;
+
+/// What an update did; means over its minibatches unless said otherwise.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct UpdateStatistics {
+    /// Clipped surrogate, negated.
+    pub policy_loss: f64,
+    /// Mean squared error of the values.
+    pub value_loss: f64,
+    /// Entropy of the policy.
+    pub entropy: f64,
+    /// Divergence from the policy of the rollout.
+    pub kl: f64,
+    /// Fraction of samples with a probability ratio outside the clip range.
+    pub clip_fraction: f64,
+    /// Joint norm before clipping.
+    pub gradient_norm: f64,
+    /// Largest joint norm before clipping.
+    pub max_gradient_norm: f64,
+    /// Of the last minibatch.
+    pub learning_rate: f64,
+}
+
+/// Why an update stopped. The parameters are those before the step in question.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum UpdateFault {
+    /// A slice of the batch does not fit the others.
+    #[error("{name} of the batch should have {expected} elements, but has {actual}")]
+    Shape {
+        /// The slice.
+        name: &'static str,
+        /// Length that fits.
+        expected: usize,
+        /// Length given.
+        actual: usize,
+    },
+    /// A permutation names a sample that is not in the batch.
+    #[error("the permutation of epoch {epoch} names sample {sample} of only {samples}")]
+    Sample {
+        /// Counted from zero.
+        epoch: usize,
+        /// Index given.
+        sample: u32,
+        /// Number of samples.
+        samples: usize,
+    },
+    /// The loss, the divergence or the gradient is infinite or not a number.
+    #[error("minibatch {minibatch} of epoch {epoch} is not finite: {summary:?}")]
+    NotFinite {
+        /// Counted from zero.
+        epoch: usize,
+        /// Within the epoch, counted from zero.
+        minibatch: usize,
+        /// Samples of the minibatch.
+        samples: Vec<u32>,
+        /// The values seen.
+        summary: UpdateStatistics,
+    },
+}
+
+/// What the minibatches of an update pass on.
+#[derive(Debug)]
+pub struct Progress {
+    pub steps: u64,
+    pub learning_rate: f64,
+    pub statistics: UpdateStatistics,
+    /// The step to take; none after a fault.
+    pub step: Option<AdamStep>,
+    pub fault: Option<UpdateFault>,
+}
+
+impl Progress {
+    /// At the start of an update.
+    pub fn new(steps: u64, learning_rate: f64) -> Self {
+        let statistics = UpdateStatistics {
+            learning_rate,
+            ..UpdateStatistics::default()
+        };
+        Self {
+            steps,
+            learning_rate,
+            statistics,
+            step: None,
+            fault: None,
+        }
+    }
+
+    /// Decides on the step of `minibatch`, of which an update has `count`, from its statistics.
+    pub fn conclude(&mut self, minibatch: &Minibatch<'_>, mut summary: UpdateStatistics, count: usize) {
+        let Minibatch {
+            epoch,
+            index,
+            rows,
+            settings,
+            ..
+        } = *minibatch;
+        summary.learning_rate = settings.adapted_learning_rate(self.learning_rate, summary.kl);
+        if summary.is_finite() {
+            self.learning_rate = summary.learning_rate;
+            self.steps += 1;
+            self.step = Some(AdamStep::new(
+                settings,
+                self.steps,
+                self.learning_rate,
+                summary.gradient_norm,
+            ));
+            self.statistics.add(&summary, 1.0 / count as f64);
+        } else {
+            self.step = None;
+            self.fault = Some(UpdateFault::NotFinite {
+                epoch,
+                minibatch: index,
+                samples: rows.to_vec(),
+                summary,
+            });
+        }
+    }
+}
+
+impl UpdateStatistics {
+    fn is_finite(&self) -> bool {
+        [
+            self.policy_loss,
+            self.value_loss,
+            self.entropy,
+            self.kl,
+            self.gradient_norm,
+        ]
+        .iter()
+        .all(|x| x.is_finite())
+    }
+
+    /// Adds a minibatch that is `share` of the update.
+    fn add(&mut self, minibatch: &Self, share: f64) {
+        self.policy_loss += share * minibatch.policy_loss;
+        self.value_loss += share * minibatch.value_loss;
+        self.entropy += share * minibatch.entropy;
+        self.kl += share * minibatch.kl;
+        self.clip_fraction += share * minibatch.clip_fraction;
+        self.gradient_norm += share * minibatch.gradient_norm;
+        self.max_gradient_norm = self.max_gradient_norm.max(minibatch.max_gradient_norm);
+        self.learning_rate = minibatch.learning_rate;
+    }
+}
+
+/// Checks that slices have fitting lengths and that permutations stay within the batch.
+pub fn check(
+    batch: &Batch<'_>,
+    permutations: &[Vec<u32>],
+    observations: usize,
+    actions: usize,
+) -> Result<(), UpdateFault> {
+    let samples = batch.returns.len();
+    for (name, slice, expected) in [
+        ("observations", batch.observations, samples * observations),
+        ("actions", batch.actions, samples * actions),
+        ("means", batch.means, samples * actions),
+        ("log_std", batch.log_std, actions),
+        ("log_probs", batch.log_probs, samples),
+        ("advantages", batch.advantages, samples),
+    ] {
+        if slice.len() != expected {
+            return Err(UpdateFault::Shape {
+                name,
+                expected,
+                actual: slice.len(),
+            });
+        }
+    }
+    for (epoch, rows) in permutations.iter().enumerate() {
+        if let Some(&sample) = rows.iter().find(|&&row| row as usize >= samples) {
+            return Err(UpdateFault::Sample { epoch, sample, samples });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,221 @@
+/*! Numbers from traces: the definitions behind every table and figure. Pure functions.
+
+Times are simulation times. A *window* is half-open, `(from, until]`, because a frame stands for the step that ends at
+its time. Velocities are in the heading frame (forward, left).
+*/
+
+use crate::trace::{Frame, Trace};
+
+/// Mass of the Go1 times gravity, for the cost of transport [N].
+const WEIGHT_N: f64 = 13.100_448 * 9.81;
+
+/// Length of the moving average in decay times while walking: one stride [s].
+pub const STRIDE_S: f64 = 0.4;
+
+/// Length of the moving average in decay times while standing [s].
+pub const STANDING_AVERAGE_S: f64 = 0.1;
+
+/// A foot counts as touching from this force on [N].
+const CONTACT_N: f64 = 1.0;
+
+/// A named number with its unit; `None` if the trace does not define it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Metric {
+    /// Snake case, with the unit where it has one.
+    pub name: &'static str,
+    /// What it is, for people.
+    pub label: &'static str,
+    /// The number.
+    pub value: Option<f64>,
+    /// Its unit.
+    pub unit: &'static str,
+}
+
+/// Frames of a window.
+pub fn window(trace: &Trace, from_s: f64, until_s: f64) -> impl Iterator<Item = &Frame> + Clone {
+    let half_s = 0.5 * trace.period_s;
+    trace.frames.iter().filter(move |frame| frame.time_s > from_s + half_s && frame.time_s < until_s + half_s)
+}
+
+/// Mean of a quantity over frames, if there are any.
+pub fn mean<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
+    let (sum, count) = frames.fold((0.0, 0_u32), |(sum, count), frame| (sum + of(frame), count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+/// Mean velocity minus command: forward [m/s], left [m/s], yaw rate [rad/s].
+pub fn velocity_errors(trace: &Trace, from_s: f64, until_s: f64) -> Option<[f64; 3]> {
+    let frames = window(trace, from_s, until_s);
+    Some([
+        mean(frames.clone(), |frame| frame.velocity_in_heading[0] - frame.command.forward)?,
+        mean(frames.clone(), |frame| frame.velocity_in_heading[1] - frame.command.left)?,
+        mean(frames, |frame| frame.yaw_rate - frame.command.yaw)?,
+    ])
+}
+
+/// Mechanical power over weight times horizontal speed.
+pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
+    let frames = window(trace, from_s, until_s);
+    let power_w = mean(frames.clone(), |frame| frame.power_w)?;
+    let forward = mean(frames.clone(), |frame| frame.velocity_in_heading[0])?;
+    let left = mean(frames, |frame| frame.velocity_in_heading[1])?;
+    let speed = forward.hypot(left);
+    (speed > 0.05).then(|| power_w / (WEIGHT_N * speed))
+}
+
+/// Touchdowns of a foot per second, mean over the feet [Hz].
+pub fn stride_frequency(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
+    let mut touchdowns = 0_u32;
+    for leg in 0..4 {
+        let mut airborne_since: Option<f64> = None;
+        for frame in window(trace, from_s, until_s) {
+            let touching = frame.foot_forces[leg].iter().map(|force| force * force).sum::<f64>().sqrt() > CONTACT_N;
+            match (touching, airborne_since) {
+                // Chatter of a standing foot is not a step.
+                (true, Some(since_s)) => {
+                    touchdowns += u32::from(frame.time_s - since_s > 0.05);
+                    airborne_since = None;
+                }
+                (false, None) => airborne_since = Some(frame.time_s),
+                _ => {}
+            }
+        }
+    }
+    (until_s > from_s).then(|| f64::from(touchdowns) / 4.0 / (until_s - from_s))
+}
+
+/// Mean of the highest points that feet reach between touchdowns [m].
+pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
+    let mut peaks = Vec::new();
+    for leg in 0..4 {
+        let mut peak: Option<f64> = None;
+        for frame in window(trace, from_s, until_s) {
+            let touching = frame.foot_forces[leg].iter().map(|force| force * force).sum::<f64>().sqrt() > CONTACT_N;
+            if touching {
+                // Chatter of a standing foot is not a swing.
+                peaks.extend(peak.take().filter(|peak| *peak > 0.005));
+            } else {
+                peak = Some(peak.unwrap_or(0.0).max(frame.foot_heights[leg]));
+            }
+        }
+    }
+    (!peaks.is_empty()).then(|| peaks.iter().sum::<f64>() / peaks.len() as f64)
+}
+
+/// How long a velocity disturbance lasts [s].
+///
+/// `e(t)` is the velocity along the push minus its mean over the last second before the push, smoothed by a centred
+/// moving average of `average_s`. The decay time is the last time after the push at which `|e|` exceeds `threshold`
+/// times the push's size. None after a fall, or if the trace does not reach around the push.
+pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average_s: f64) -> Option<f64> {
+    let size = push[0].hypot(push[1]);
+    if trace.fall().is_some() || size <= 0.0 {
+        return None;
+    }
+    let along = |frame: &Frame| {
+        (frame.velocity_in_heading[0] * push[0] + frame.velocity_in_heading[1] * push[1]) / size
+    };
+    let before = mean(window(trace, push_s - 1.0, push_s), along)?;
+    let error: Vec<(f64, f64)> =
+        window(trace, push_s, f64::INFINITY).map(|frame| (frame.time_s - push_s, along(frame) - before)).collect();
+    let half = (0.5 * average_s / trace.period_s).round() as usize;
+    let smoothed = |index: usize| {
+        // Cut at the push: what came before it must not be mixed in.
+        let span = &error[index.saturating_sub(half)..(index + half + 1).min(error.len())];
+        span.iter().map(|(_, value)| value).sum::<f64>() / span.len() as f64
+    };
+    // The average reaches half its length beyond the last frame it can be formed for.
+    let last = error.len().checked_sub(half + 1)?;
+    let exceeding = (0..=last).rev().find(|index| smoothed(*index).abs() > threshold * size);
+    Some(exceeding.map_or(0.0, |index| error[index].0))
+}
+
+/// Mean velocity offset from the command along a force that is constant in the world [m/s].
+pub fn offset_along_force(trace: &Trace, force: [f64; 2], from_s: f64, until_s: f64) -> Option<f64> {
+    let size = force[0].hypot(force[1]);
+    let along = |frame: &Frame| {
+        let yaw = frame.roll_pitch_yaw[2];
+        let (forward, left) = (
+            (force[0] * yaw.cos() + force[1] * yaw.sin()) / size,
+            (force[1] * yaw.cos() - force[0] * yaw.sin()) / size,
+        );
+        (frame.velocity_in_heading[0] - frame.command.forward) * forward
+            + (frame.velocity_in_heading[1] - frame.command.left) * left
+    };
+    if trace.fall().is_some() || size <= 0.0 { None } else { mean(window(trace, from_s, until_s), along) }
+}
+
+/// Largest value of a quantity.
+pub fn largest<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
+    frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| old.max(value))))
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::trace::{Event, EventKind};
+
+    /// A trace at 60 Hz whose heading velocity is given as a function of time.
+    pub(crate) fn synthetic(duration_s: f64, velocity: impl Fn(f64) -> [f64; 3]) -> Trace {
+        let period_s = 1.0 / 60.0;
+        let frames = (1..=(duration_s / period_s).round() as usize)
+            .map(|step| {
+                let time_s = step as f64 * period_s;
+                Frame { time_s, velocity_in_heading: velocity(time_s), ..Frame::default() }
+            })
+            .collect();
+        Trace { period_s, frames, events: Vec::new() }
+    }
+
+    #[test]
+    fn a_decaying_exponential_has_its_analytic_decay_time() {
+        // e(t) = 0.5 exp(−t / 0.2) falls to 10 % at t = 0.2 ln 10 = 0.4605 s.
+        let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.5 * (-(t - 2.0) / 0.2).exp() } else { 0.0 }, 0.0]);
+        let found = decay_time(&trace, 2.0, [0.0, 0.5], 0.1, 0.0).unwrap();
+        assert!((found - 0.4605).abs() <= 1.0 / 60.0, "{found}");
+    }
+
+    #[test]
+    fn an_oscillating_gait_without_a_push_effect_has_decay_time_zero() {
+        let trace = synthetic(5.0, |t| [0.5, 0.1 * (std::f64::consts::TAU * t / STRIDE_S).sin(), 0.0]);
+        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S), Some(0.0));
+    }
+
+    #[test]
+    fn a_fall_has_no_decay_time() {
+        let mut trace = synthetic(5.0, |_| [0.0; 3]);
+        trace.events.push(Event { time_s: 2.5, kind: EventKind::Fall, text: String::new() });
+        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, 0.0), None);
+    }
+
+    #[test]
+    fn a_constant_offset_is_the_leash_offset_also_when_the_robot_has_turned() {
+        // Pulled to the world's left with 10 N; the robot has turned left by 90°, so that left of the world is forward.
+        let mut trace = synthetic(4.0, |_| [0.2, 0.0, 0.0]);
+        trace.frames.iter_mut().for_each(|frame| frame.roll_pitch_yaw[2] = std::f64::consts::FRAC_PI_2);
+        let found = offset_along_force(&trace, [0.0, 10.0], 1.0, 4.0).unwrap();
+        assert!((found - 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn windows_hold_the_frames_of_the_steps_that_end_in_them() {
+        let trace = synthetic(3.0, |_| [0.0; 3]);
+        assert_eq!(window(&trace, 1.0, 2.0).count(), 60);
+        assert!((window(&trace, 1.0, 2.0).next().unwrap().time_s - 61.0 / 60.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn steps_and_swings_are_counted_from_foot_forces() {
+        // Every foot: 0.25 s on the ground, 0.25 s in the air with a peak of 6 cm: 2 strides per second.
+        let mut trace = synthetic(4.0, |_| [0.5, 0.0, 0.0]);
+        for frame in &mut trace.frames {
+            let phase = (frame.time_s * 2.0).fract();
+            let height = if phase > 0.5 { 0.06 * (std::f64::consts::TAU * (phase - 0.5)).sin() } else { 0.0 };
+            frame.foot_heights = [height; 4];
+            frame.foot_forces = [[0.0, 0.0, if phase > 0.5 { 0.0 } else { 30.0 }]; 4];
+        }
+        let frequency = stride_frequency(&trace, 0.0, 4.0).unwrap();
+        assert!((frequency - 2.0).abs() <= 0.25, "{frequency}");
+        assert!((swing_height(&trace, 0.0, 4.0).unwrap() - 0.06).abs() < 0.001);
+    }
+}

@@ -1,0 +1,57 @@
+/*! Disturbing a policy and watching what it does.
+
+A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Rollout`] plays any script with
+any policy and yields a [`Trace`], frame by frame; [`metrics`] reads traces. Nothing here is ever seen in training.
+*/
+
+pub mod catalog;
+pub mod metrics;
+mod play;
+pub mod terrain;
+
+use serde::{Deserialize, Serialize};
+
+use crate::scene::Scene;
+use crate::sim::{Conditions, Push};
+use crate::task::Command;
+
+pub use play::{Played, Rollout};
+
+/// A push at an instant.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TimedPush {
+    /// When [s].
+    pub time_s: f64,
+    /// Heading frame.
+    pub push: Push,
+}
+
+/// A constant force on the trunk during an interval, as of a leash.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pull {
+    /// Begins [s].
+    pub from_s: f64,
+    /// Ends [s].
+    pub until_s: f64,
+    /// Forward and left at the robot's start: world frame [N].
+    pub force: [f64; 2],
+}
+
+/// What happens in a rollout.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Script {
+    /// Robot, ground, obstacles.
+    pub scene: Scene,
+    /// Slope, friction, encoder offsets.
+    pub conditions: Conditions,
+    /// What the policy is asked to do, from the start to the end.
+    pub command: Command,
+    /// Length of the rollout [s].
+    pub duration_s: f64,
+    /// Length that is still played after a fall [s].
+    pub after_fall_s: f64,
+    /// In order of time.
+    pub pushes: Vec<TimedPush>,
+    /// A leash.
+    pub pull: Option<Pull>,
+}

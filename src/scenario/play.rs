@@ -1,0 +1,279 @@
+//! Plays a script with a policy, one policy step at a time.
+
+use nalgebra::Vector3;
+
+use super::Script;
+use crate::go1::{Go1, Joints};
+use crate::mujoco::{self, Data, Kind};
+use crate::policy::Policy;
+use crate::ppo::Scratch;
+use crate::sim::{Sim, StepObserver};
+use crate::task::observation::{self, Reduced};
+use crate::task::{Stages, SwingTracker, Terms};
+use crate::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
+
+/// How long a push's arrow stays in the frames [s].
+const PUSH_SHOWN_S: f64 = 0.3;
+
+/// What one step of a rollout brought.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Played {
+    /// The state after the step; none if the physics failed in it.
+    pub frame: Option<Frame>,
+    /// What happened in it.
+    pub events: Vec<Event>,
+}
+
+/// A script being played.
+#[derive(Debug)]
+pub struct Rollout<'a> {
+    script: &'a Script,
+    policy: &'a Policy,
+    sim: Sim,
+    with_bodies: bool,
+    step: usize,
+    steps: usize,
+    pushes_done: usize,
+    shown_push: Option<(f64, Vector3<f64>)>,
+    pulling: bool,
+    fallen_since: Option<usize>,
+    previous: Reduced,
+    current: Reduced,
+    last_target: Joints,
+    swings: SwingTracker,
+    scratch: Scratch,
+}
+
+impl<'a> Rollout<'a> {
+    /// Sets the scene. `with_bodies` keeps every body's pose in the frames, which recordings need and metrics do not.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo, such as a scene that does not compile.
+    pub fn new(script: &'a Script, policy: &'a Policy, with_bodies: bool) -> mujoco::Result<Self> {
+        let config = &policy.provenance.config;
+        let mut sim = Sim::new(&script.scene, &policy.simulation, config.episode.min_height_m)?;
+        sim.reset(script.conditions, &policy.nominal_pose)?;
+        let state = sim.state();
+        let current = observation::reduced(&state);
+        Ok(Rollout {
+            steps: policy.simulation.policy_steps(script.duration_s),
+            script,
+            policy,
+            sim,
+            with_bodies,
+            step: 0,
+            pushes_done: 0,
+            shown_push: None,
+            pulling: false,
+            fallen_since: None,
+            previous: current,
+            current,
+            last_target: policy.nominal_pose,
+            swings: SwingTracker::new(&state.feet),
+            scratch: Scratch::default(),
+        })
+    }
+
+    /// Steps that a rollout without a fall has.
+    pub fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// Plays to the end.
+    pub fn trace(mut self) -> Trace {
+        let mut trace = Trace { period_s: self.sim.policy_period_s(), ..Trace::default() };
+        while let Some(played) = self.next() {
+            trace.events.extend(played.events);
+            trace.frames.extend(played.frame);
+        }
+        trace
+    }
+
+    fn try_step(&mut self, events: &mut Vec<Event>) -> mujoco::Result<Frame> {
+        let period_s = self.sim.policy_period_s();
+        let time_s = self.step as f64 * period_s;
+        self.disturb(time_s, events)?;
+
+        let seen = observation::pack(&self.previous, &self.last_target, &self.current, &self.script.command);
+        let target = self.policy.joint_targets(&seen, &mut self.scratch);
+        let mut meter = Meter::default();
+        let summary = self.sim.step(&target, &mut meter)?;
+        self.step += 1;
+        let time_s = self.step as f64 * period_s;
+
+        let state = self.sim.state();
+        self.previous = self.current;
+        self.current = observation::reduced(&state);
+        self.last_target = target;
+        let config = &self.policy.provenance.config;
+        let (foot_height, _) = self.swings.update(&state.feet, config.reward.foot_height_m);
+        let terms = Terms::new(&state, &self.script.command, &summary, foot_height, &config.reward);
+        if let (Some(fall), None) = (summary.fall, self.fallen_since) {
+            self.fallen_since = Some(self.step);
+            let text = format!("fell: {}", self.sim.describe(fall));
+            events.push(Event { time_s, kind: EventKind::Fall, text });
+        }
+
+        let substeps = f64::from(meter.substeps.max(1));
+        let (roll, pitch, yaw) = state.roll_pitch_yaw();
+        let data = self.sim.data();
+        let stages = Stages::new(&config.episode, &config.simulation);
+        let is_training_episode = self.script.pushes.len() == 1;
+        Ok(Frame {
+            time_s,
+            bodies: if self.with_bodies { poses(data) } else { Vec::new() },
+            command: self.script.command,
+            velocity: state.velocity_in_base.into(),
+            velocity_in_heading: state.velocity_in_heading().into(),
+            position: state.position.into(),
+            yaw_rate: state.angular_velocity_in_base.z,
+            roll_pitch_yaw: [roll, pitch, yaw],
+            height_m: state.height,
+            power_w: summary.power_w,
+            torque_n_m: summary.torque_n_m,
+            reward: terms.total(&config.reward),
+            terms,
+            joint_angles: state.joint_angles,
+            joint_targets: target,
+            torques: meter.torques,
+            foot_positions: self.sim.robot().feet().map(|geom| array(&data.geom_positions()[3 * geom..])),
+            foot_heights: state.feet.map(|foot| foot.height),
+            foot_forces: meter.foot_forces.map(|force| force.map(|value| value / substeps)),
+            peak_foot_force_n: meter.peak_foot_force_n,
+            peak_obstacle_force_n: meter.peak_obstacle_force_n,
+            obstacle_impulse_n_s: meter.obstacle_force_sum_n * period_s / substeps,
+            disturbance: self.disturbance(time_s),
+            stage: is_training_episode.then(|| {
+                let since_push = time_s - self.script.pushes[0].time_s;
+                let step = (since_push / period_s).round() as i64 + stages.recovery_start as i64 - 1;
+                stages.at(step.max(0) as usize)
+            }),
+        })
+    }
+
+    /// Applies what is due before the step that starts at `time_s`.
+    fn disturb(&mut self, time_s: f64, events: &mut Vec<Event>) -> mujoco::Result<()> {
+        let half_a_step_s = 0.5 * self.sim.policy_period_s();
+        while let Some(due) = self.script.pushes.get(self.pushes_done).filter(|p| p.time_s < time_s + half_a_step_s) {
+            let before = self.sim.state();
+            self.sim.push(&due.push)?;
+            let after = self.sim.state();
+            let change = after.world_from_base * after.velocity_in_base - before.world_from_base * before.velocity_in_base;
+            self.shown_push = Some((time_s + PUSH_SHOWN_S, change));
+            self.pushes_done += 1;
+            let [forward, left] = due.push.linear;
+            let text = format!("push: {forward:+.2} m/s forward, {left:+.2} m/s left");
+            events.push(Event { time_s, kind: EventKind::Disturbance, text });
+        }
+        if let Some(pull) = self.script.pull {
+            let active = (pull.from_s..pull.until_s).contains(&(time_s + 1e-9));
+            if active != self.pulling {
+                let force = if active { pull.force } else { [0.0; 2] };
+                self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
+                self.pulling = active;
+                let text = match active {
+                    true => format!("pull: {:+.1} N forward, {:+.1} N left", pull.force[0], pull.force[1]),
+                    false => "pull ends".to_owned(),
+                };
+                events.push(Event { time_s, kind: EventKind::Disturbance, text });
+            }
+        }
+        Ok(())
+    }
+
+    fn disturbance(&self, time_s: f64) -> Option<Disturbance> {
+        if let (true, Some(pull)) = (self.pulling, self.script.pull) {
+            return Some(Disturbance::Pull { force: [pull.force[0], pull.force[1], 0.0] });
+        }
+        let (until_s, velocity) = self.shown_push?;
+        (time_s <= until_s).then(|| Disturbance::Push { velocity: velocity.into() })
+    }
+
+    /// The simulation, to look at.
+    pub fn sim(&self) -> &Sim {
+        &self.sim
+    }
+}
+
+impl Iterator for Rollout<'_> {
+    type Item = Played;
+
+    /// One policy step, until the script is over, the robot has lain for a while, or the physics failed.
+    fn next(&mut self) -> Option<Played> {
+        let after_fall = self.policy.simulation.policy_steps(self.script.after_fall_s);
+        let over = self.fallen_since.is_some_and(|since| self.step >= since + after_fall);
+        if over || self.step >= self.steps {
+            return None;
+        }
+        let mut events = Vec::new();
+        match self.try_step(&mut events) {
+            Ok(frame) => Some(Played { frame: Some(frame), events }),
+            Err(fault) => {
+                let time_s = self.step as f64 * self.sim.policy_period_s();
+                events.push(Event { time_s, kind: EventKind::Fault, text: fault.to_string() });
+                self.steps = 0;
+                Some(Played { frame: None, events })
+            }
+        }
+    }
+}
+
+/// Forces over the physics steps of one policy step.
+#[derive(Default)]
+struct Meter {
+    substeps: u32,
+    torques: Joints,
+    foot_forces: [[f64; 3]; 4],
+    peak_foot_force_n: f64,
+    peak_obstacle_force_n: f64,
+    obstacle_force_sum_n: f64,
+}
+
+impl StepObserver for Meter {
+    fn observe(&mut self, data: &Data, robot: &Go1, torques: &Joints) {
+        self.substeps += 1;
+        self.torques = *torques;
+        let (mut feet, mut obstacles) = ([[0.0; 3]; 4], [0.0; 3]);
+        for contact in data.contacts() {
+            let [first, second] = contact.geoms;
+            let on_second = data.contact_force(contact.index);
+            // The robot's share: forces are given on the second geometry.
+            let (geom, other, sign) = match (robot.is_part(first), robot.is_part(second)) {
+                (true, false) => (first, second, -1.0),
+                (false, true) => (second, first, 1.0),
+                _ => continue,
+            };
+            if let Some(leg) = robot.feet().iter().position(|foot| *foot == geom) {
+                (0..3).for_each(|k| feet[leg][k] += sign * on_second[k]);
+            }
+            if other != robot.ground() {
+                (0..3).for_each(|k| obstacles[k] += sign * on_second[k]);
+            }
+        }
+        for (sum, force) in self.foot_forces.iter_mut().zip(feet) {
+            (0..3).for_each(|k| sum[k] += force[k]);
+            self.peak_foot_force_n = self.peak_foot_force_n.max(norm(force));
+        }
+        let obstacle_force_n = norm(obstacles);
+        self.peak_obstacle_force_n = self.peak_obstacle_force_n.max(obstacle_force_n);
+        self.obstacle_force_sum_n += obstacle_force_n;
+    }
+}
+
+fn norm(force: [f64; 3]) -> f64 {
+    force.iter().map(|value| value * value).sum::<f64>().sqrt()
+}
+
+fn array<const N: usize>(values: &[f64]) -> [f64; N] {
+    std::array::from_fn(|k| values[k])
+}
+
+fn poses(data: &Data) -> Vec<Pose> {
+    let (positions, quaternions) = (data.body_positions(), data.body_quaternions());
+    (0..data.model().count(Kind::Body))
+        .map(|body| Pose {
+            position: array::<3>(&positions[3 * body..]).map(|value| value as f32),
+            quaternion: array::<4>(&quaternions[4 * body..]).map(|value| value as f32),
+        })
+        .collect()
+}
