@@ -465,8 +465,7 @@ fn share(key: &'static str, value: f64) -> Result<(), ConfigError> {
 }
 
 fn parse(name: &str, text: &str) -> Result<Value, ConfigError> {
-    serde_yaml::from_str(text)
-        .map_err(|error| ConfigError::Parse { name: name.to_owned(), message: error.to_string() })
+    serde_yaml::from_str(text).map_err(|error| ConfigError::Parse { name: name.to_owned(), message: error.to_string() })
 }
 
 /// Reads a configuration and lays it over its base. `folder` is where relative paths start.
@@ -547,9 +546,21 @@ mod tests {
     #[test]
     fn bad_values_name_the_key_and_what_was_expected() {
         let cases = [
-            ("walking_s: 2.0", "walking_s: -1", "config key episode.walking_s is -1, expected at least one policy step"),
-            ("policy_rate_hz: 60", "policy_rate_hz: 70", "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz), such as 280"),
-            ("environments: 64", "environments: 60", "config key ppo.environments is 60, expected a divisor of ppo.batch_size (8192)"),
+            (
+                "walking_s: 2.0",
+                "walking_s: -1",
+                "config key episode.walking_s is -1, expected at least one policy step",
+            ),
+            (
+                "policy_rate_hz: 60",
+                "policy_rate_hz: 70",
+                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz), such as 280",
+            ),
+            (
+                "environments: 64",
+                "environments: 60",
+                "config key ppo.environments is 60, expected a divisor of ppo.batch_size (8192)",
+            ),
             ("scale_rad: 0.3", "scale_rad: .nan", "config key action.scale_rad is NaN, expected a positive number"),
         ];
         for (from, to, message) in cases {

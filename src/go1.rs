@@ -119,9 +119,8 @@ impl Go1 {
             }
             body == trunk
         };
-        let is_body_part = (0..model.count(Kind::Geom))
-            .map(|geom| in_robot(model.geom_body(geom)) && !feet.contains(&geom))
-            .collect();
+        let is_body_part =
+            (0..model.count(Kind::Geom)).map(|geom| in_robot(model.geom_body(geom)) && !feet.contains(&geom)).collect();
         Ok(Go1 {
             trunk,
             root_position: model.joint_position_index(root),

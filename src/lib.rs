@@ -16,9 +16,9 @@ pub mod policies;
 pub mod policy;
 pub mod ppo;
 pub mod provenance;
+pub mod random;
 #[cfg(feature = "record")]
 pub mod record;
-pub mod random;
 pub mod rollout;
 pub mod run;
 pub mod scenario;

@@ -14,12 +14,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, ConfigError, Simulation};
 use crate::files;
-use crate::tensors::{self, Tensor};
 use crate::go1::{JOINT_COUNT, Joints, joint_name, same_in_every_leg};
 use crate::ppo::{ActorCritic, Layer, Mlp, PackedMlp, Scratch};
 use crate::random::{Purpose, stream};
 use crate::task::Normaliser;
 use crate::task::observation::{LAYOUT, LENGTH, Observation, Quantity};
+use crate::tensors::{self, Tensor};
 
 /// Version of the file format.
 pub const FORMAT: u32 = 1;
@@ -188,8 +188,8 @@ impl Policy {
     /// # Errors
     /// [`PolicyError`] that says what was found and what was expected.
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
-        let bytes = files::read_bounded(path, MAX_BYTES)
-            .map_err(|source| PolicyError::Io { path: path.to_owned(), source })?;
+        let bytes =
+            files::read_bounded(path, MAX_BYTES).map_err(|source| PolicyError::Io { path: path.to_owned(), source })?;
         Self::from_bytes(&bytes, path)
     }
 
@@ -205,10 +205,8 @@ impl Policy {
         metadata.check().map_err(fail)?;
 
         let read = |name: &str, shape: &[usize]| tensors::read_f64(&tensors, name, shape).map_err(fail);
-        let normaliser = Normaliser {
-            offset: read("normaliser.offset", &[LENGTH])?,
-            scale: read("normaliser.scale", &[LENGTH])?,
-        };
+        let normaliser =
+            Normaliser { offset: read("normaliser.offset", &[LENGTH])?, scale: read("normaliser.scale", &[LENGTH])? };
         let actor = read_actor(&tensors).map_err(fail)?;
         let policy = Policy {
             packed: PackedMlp::new(&actor),

@@ -115,13 +115,14 @@ impl Collection<'_> {
             bootstraps: vec![0.0; rows],
             episodes: Vec::new(),
         };
-        let mut noise: Vec<_> = (0..count)
-            .map(|env| stream(self.seed, Purpose::Action, (first + env) as u64, self.iteration))
-            .collect();
+        let mut noise: Vec<_> =
+            (0..count).map(|env| stream(self.seed, Purpose::Action, (first + env) as u64, self.iteration)).collect();
         let mut scratch = Scratch::default();
         let (mut seen, mut means) = (vec![0.0; count * LENGTH], vec![0.0; count * width]);
         // Rows after which the return goes on with a value, and the observations that it is the value of.
         let (mut continued, mut final_observations) = (Vec::new(), Vec::new());
+        // By environment: sums over them must not depend on which environments a worker has.
+        let mut episodes: Vec<Vec<EpisodeReport>> = vec![Vec::new(); count];
 
         for step in 0..steps {
             for (env, seen) in envs.iter().zip(seen.chunks_exact_mut(LENGTH)) {
@@ -143,7 +144,7 @@ impl Collection<'_> {
                 let (outcome, report) = env.step(action);
                 rollout.rewards[row] = outcome.reward as f32;
                 rollout.ends[row] = outcome.end;
-                rollout.episodes.extend(report);
+                episodes[index].extend(report);
                 let goes_on = outcome.end == Some(End::TimeLimit) || (outcome.end.is_none() && step + 1 == steps);
                 if goes_on {
                     let start = final_observations.len();
@@ -157,6 +158,7 @@ impl Collection<'_> {
             }
         }
 
+        rollout.episodes = episodes.into_iter().flatten().collect();
         networks.value.forward(rows, &rollout.observations, &mut rollout.values, &mut scratch);
         let mut final_values = vec![0.0; continued.len()];
         networks.value.forward(continued.len(), &final_observations, &mut final_values, &mut scratch);

@@ -181,7 +181,8 @@ impl Sim {
     /// A fault of MuJoCo.
     pub fn push(&mut self, push: &Push) -> Result<()> {
         let (_, _, yaw) = self.state().roll_pitch_yaw();
-        let linear = UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(push.linear[0], push.linear[1], 0.0);
+        let linear =
+            UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(push.linear[0], push.linear[1], 0.0);
         self.robot.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
         self.data.step1()
     }
@@ -254,7 +255,9 @@ impl Sim {
     /// A fault of MuJoCo, or a state of another model.
     pub fn restore(&mut self, state: &SimState) -> Result<()> {
         let model = self.data.model();
-        if state.positions.len() != model.nq() || state.velocities.len() != model.nv() || state.warm_start.len() != model.nv()
+        if state.positions.len() != model.nq()
+            || state.velocities.len() != model.nv()
+            || state.warm_start.len() != model.nv()
         {
             return Err(Error::Load { what: "a saved state".into(), message: "it belongs to another model".into() });
         }

@@ -28,24 +28,12 @@ impl EventWriter {
     /// The directory or the file cannot be created or written.
     pub fn create(dir: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(dir)?;
-        let wall_time_s = SystemTime::now()
-            .duration_since(UNIX_EPOCH)
-            .unwrap_or_default()
-            .as_secs_f64();
-        let path = dir.join(format!(
-            "events.out.tfevents.{wall_time_s:010.0}.{}.supple",
-            std::process::id()
-        ));
+        let wall_time_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
+        let path = dir.join(format!("events.out.tfevents.{wall_time_s:010.0}.{}.supple", std::process::id()));
         // Appending: a second writer in the same second of the same process must not cut the first one's file.
         let file = File::options().create(true).append(true).open(path)?;
-        let mut writer = EventWriter {
-            file,
-            session_started: false,
-        };
-        writer.write(&Event {
-            what: Some(event::What::FileVersion("brain.Event:2".into())),
-            ..Event::at(0, wall_time_s)
-        })?;
+        let mut writer = EventWriter { file, session_started: false };
+        writer.write(0, wall_time_s, event::What::FileVersion("brain.Event:2".into()))?;
         Ok(writer)
     }
 
@@ -58,44 +46,26 @@ impl EventWriter {
     pub fn scalars(&mut self, step: u64, wall_time_s: f64, values: &[(&str, f64)]) -> io::Result<()> {
         let step = i64::try_from(step).unwrap_or(i64::MAX);
         if !self.session_started {
-            let start = event::What::SessionLog(SessionLog {
-                status: SessionStatus::Start.into(),
-            });
-            self.write(&Event {
-                what: Some(start),
-                ..Event::at(step, wall_time_s)
-            })?;
+            let status = SessionStatus::Start.into();
+            self.write(step, wall_time_s, event::What::SessionLog(SessionLog { status }))?;
             self.session_started = true;
         }
-        let value = |&(tag, value): &(&str, f64)| Value {
-            tag: tag.to_owned(),
-            simple_value: Some(value as f32),
-        };
-        let summary = event::What::Summary(Summary {
-            value: values.iter().map(value).collect(),
-        });
-        self.write(&Event {
-            what: Some(summary),
-            ..Event::at(step, wall_time_s)
-        })
+        let value = |&(tag, value): &(&str, f64)| Value { tag: tag.to_owned(), simple_value: Some(value as f32) };
+        let value = values.iter().map(value).collect();
+        self.write(step, wall_time_s, event::What::Summary(Summary { value }))
     }
 
     /// One `write` per record and no buffer: a reader never sees half a record for long, and nothing is left to flush.
-    fn write(&mut self, event: &Event) -> io::Result<()> {
-        self.file.write_all(&record(&event.encode_to_vec()))
+    fn write(&mut self, step: i64, wall_time: f64, what: event::What) -> io::Result<()> {
+        let what = Some(what);
+        self.file.write_all(&record(&Event { wall_time, step, what }.encode_to_vec()))
     }
 }
 
 /// A TFRecord: length, masked sum of the length, data, masked sum of the data; numbers little-endian.
 fn record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
-    [
-        &length[..],
-        &masked_crc(&length).to_le_bytes(),
-        data,
-        &masked_crc(data).to_le_bytes(),
-    ]
-    .concat()
+    [&length[..], &masked_crc(&length).to_le_bytes(), data, &masked_crc(data).to_le_bytes()].concat()
 }
 
 /// CRC-32C rotated right by 15 bits plus a constant, so that a sum of data that holds sums is not degenerate.
@@ -112,16 +82,6 @@ struct Event {
     step: i64,
     #[prost(oneof = "event::What", tags = "3, 5, 7")]
     what: Option<event::What>,
-}
-
-impl Event {
-    fn at(step: i64, wall_time: f64) -> Self {
-        Event {
-            wall_time,
-            step,
-            what: None,
-        }
-    }
 }
 
 mod event {
@@ -190,9 +150,7 @@ mod tests {
     const SESSION_START: &str = "09 00 00 00 00 00 00 f8 3f 10 07 3a 02 08 01";
 
     fn bytes(hex: &str) -> Vec<u8> {
-        hex.split_whitespace()
-            .map(|byte| u8::from_str_radix(byte, 16).unwrap())
-            .collect()
+        hex.split_whitespace().map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
     }
 
     #[test]
@@ -207,17 +165,9 @@ mod tests {
         let mut writer = EventWriter::create(&dir.path().join("run")).unwrap();
         writer.scalars(7, 1.5, &[("reward/mean", 0.25)]).unwrap();
         writer.scalars(7, 1.5, &[("reward/mean", 0.25)]).unwrap();
-        let path = std::fs::read_dir(dir.path().join("run"))
-            .unwrap()
-            .next()
-            .unwrap()
-            .unwrap()
-            .path();
+        let path = std::fs::read_dir(dir.path().join("run")).unwrap().next().unwrap().unwrap().path();
         let name = path.file_name().unwrap().to_str().unwrap().to_owned();
-        assert!(
-            name.starts_with("events.out.tfevents.") && name.ends_with(".supple"),
-            "{name}"
-        );
+        assert!(name.starts_with("events.out.tfevents.") && name.ends_with(".supple"), "{name}");
 
         let content = std::fs::read(path).unwrap();
         let length = u64::from_le_bytes(content[..8].try_into().unwrap()) as usize;
@@ -230,10 +180,7 @@ mod tests {
 
     #[test]
     fn a_value_of_zero_is_written_and_not_left_out() {
-        let value = Value {
-            tag: "a".into(),
-            simple_value: Some(0.0),
-        };
+        let value = Value { tag: "a".into(), simple_value: Some(0.0) };
         assert_eq!(value.encode_to_vec(), bytes("0a 01 61 15 00 00 00 00"));
     }
 }

@@ -81,12 +81,7 @@ pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Resul
     Ok(values)
 }
 
-fn tensor_bytes<'a>(
-    tensors: &SafeTensors<'a>,
-    name: &str,
-    dtype: Dtype,
-    shape: &[usize],
-) -> Result<&'a [u8], String> {
+fn tensor_bytes<'a>(tensors: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
     let view = tensors.tensor(name).map_err(|_| format!("it has no tensor {name}"))?;
     if view.dtype() != dtype || view.shape() != shape {
         let (found, kind) = (view.shape(), view.dtype());

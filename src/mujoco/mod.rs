@@ -37,9 +37,11 @@ type Message = [std::ffi::c_char; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
 
 const EMPTY_MESSAGE: Message = [0; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
 
+/// MuJoCo's message on one line.
 fn text(message: &Message) -> String {
     // SAFETY: the shim and MuJoCo always terminate the message within the buffer, which starts as zeros.
-    unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy().trim().to_owned()
+    let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
 }
 
 /// Turns the return code of a guarded call into a result.

@@ -45,12 +45,7 @@ impl Block {
         let room = |columns: usize| Buffer::zeros(BLOCK * row_stride(columns));
         let outputs = || mlp.layers.iter().map(|layer| room(layer.outputs()));
         let activations = std::iter::once(room(mlp.inputs())).chain(outputs()).collect();
-        Self {
-            rows: 0,
-            activations,
-            deltas: outputs().collect(),
-            sums: Sums::default(),
-        }
+        Self { rows: 0, activations, deltas: outputs().collect(), sums: Sums::default() }
     }
 
     /// Gathers the observations of `rows` and evaluates the network.
@@ -81,10 +76,7 @@ impl Block {
         let Minibatch { batch, settings, .. } = *minibatch;
         let actions = batch.log_std.len();
         let stride = row_stride(actions);
-        let mut sums = Sums {
-            log_std_gradient: vec![0.0; actions],
-            ..Sums::default()
-        };
+        let mut sums = Sums { log_std_gradient: vec![0.0; actions], ..Sums::default() };
         let last = self.deltas.len() - 1;
         let (means, deltas) = (&self.activations[last + 1], &mut self.deltas[last]);
 
@@ -120,10 +112,7 @@ impl Block {
             value_loss += error * error;
             delta[0] = (scale * error) as f32;
         }
-        self.sums = Sums {
-            value_loss,
-            ..Sums::default()
-        };
+        self.sums = Sums { value_loss, ..Sums::default() };
     }
 
     /// Carries the loss gradient from the last layer's output back to the first layer's.
@@ -133,11 +122,7 @@ impl Block {
             let (before, after) = self.deltas.split_at_mut(i);
             let stretches: Vec<_> = panels
                 .iter()
-                .map(|panel| Stretch {
-                    depth: panel.outputs(),
-                    a: &after[0][panel.first..],
-                    b: &panel.transposed,
-                })
+                .map(|panel| Stretch { depth: panel.outputs(), a: &after[0][panel.first..], b: &panel.transposed })
                 .collect();
             let product = Product {
                 rows: self.rows,
@@ -146,9 +131,7 @@ impl Block {
                 a_transposed: false,
                 a_stride: row_stride(layer_outputs),
                 b_stride: row_stride(inputs),
-                ends: Ends::EluSlope {
-                    y: &self.activations[i],
-                },
+                ends: Ends::EluSlope { y: &self.activations[i] },
                 c: &mut before[i - 1],
                 c_stride: row_stride(inputs),
             };

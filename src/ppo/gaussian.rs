@@ -23,11 +23,7 @@ impl DiagonalGaussian {
         let log_std: Vec<f64> = log_std.iter().map(|&x| f64::from(x)).collect();
         let inverse_std = log_std.iter().map(|x| (-x).exp()).collect();
         let log_peak = -log_std.iter().map(|x| x + HALF_LOG_TWO_PI).sum::<f64>();
-        Self {
-            log_std,
-            inverse_std,
-            log_peak,
-        }
+        Self { log_std, inverse_std, log_peak }
     }
 
     /// `1/σ`, one for each action.
@@ -38,14 +34,10 @@ impl DiagonalGaussian {
     /// `ln p(action)`, summed over actions.
     #[inline]
     pub fn log_prob(&self, mean: &[f32], action: &[f32]) -> f64 {
-        let squares = mean
-            .iter()
-            .zip(action)
-            .zip(&self.inverse_std)
-            .map(|((&mean, &action), inverse_std)| {
-                let z = (f64::from(action) - f64::from(mean)) * inverse_std;
-                z * z
-            });
+        let squares = mean.iter().zip(action).zip(&self.inverse_std).map(|((&mean, &action), inverse_std)| {
+            let z = (f64::from(action) - f64::from(mean)) * inverse_std;
+            z * z
+        });
         self.log_peak - 0.5 * squares.sum::<f64>()
     }
 
@@ -70,23 +62,16 @@ impl<'a> KlDivergence<'a> {
             let log_ratio = old - new;
             0.5 * (2.0 * log_ratio).exp_m1() - log_ratio
         });
-        Self {
-            new,
-            of_equal_means: terms.sum(),
-        }
+        Self { new, of_equal_means: terms.sum() }
     }
 
     /// At a state where the means are these.
     #[inline]
     pub fn at(&self, old_mean: &[f32], new_mean: &[f32]) -> f64 {
-        let squares = old_mean
-            .iter()
-            .zip(new_mean)
-            .zip(&self.new.inverse_std)
-            .map(|((&old, &new), inverse_std)| {
-                let z = (f64::from(old) - f64::from(new)) * inverse_std;
-                z * z
-            });
+        let squares = old_mean.iter().zip(new_mean).zip(&self.new.inverse_std).map(|((&old, &new), inverse_std)| {
+            let z = (f64::from(old) - f64::from(new)) * inverse_std;
+            z * z
+        });
         self.of_equal_means + 0.5 * squares.sum::<f64>()
     }
 }
@@ -111,18 +96,12 @@ mod tests {
     print(np.sum(np.log(sn/so) + (so**2 + (mo-mn)**2)/(2*sn**2) - .5)) */
 
     fn assert_close(actual: f64, expected: f64) {
-        assert!(
-            (actual - expected).abs() < 1e-12 * expected.abs(),
-            "{actual} is not {expected}"
-        );
+        assert!((actual - expected).abs() < 1e-12 * expected.abs(), "{actual} is not {expected}");
     }
 
     #[test]
     fn log_prob_equals_the_textbook_formula() {
-        assert_close(
-            DiagonalGaussian::new(&NEW).log_prob(&NEW_MEAN, &ACTION),
-            -4.77537299653387,
-        );
+        assert_close(DiagonalGaussian::new(&NEW).log_prob(&NEW_MEAN, &ACTION), -4.77537299653387);
     }
 
     #[test]
@@ -133,10 +112,7 @@ mod tests {
     #[test]
     fn kl_equals_the_textbook_formula() {
         let (old, new) = (DiagonalGaussian::new(&OLD), DiagonalGaussian::new(&NEW));
-        assert_close(
-            KlDivergence::new(&old, &new).at(&OLD_MEAN, &NEW_MEAN),
-            0.4160324150920287,
-        );
+        assert_close(KlDivergence::new(&old, &new).at(&OLD_MEAN, &NEW_MEAN), 0.4160324150920287);
     }
 
     #[test]

@@ -262,11 +262,7 @@ fn elu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 #[inline(always)]
 fn elu_slope<S: Simd>(simd: S, y: S::f32s) -> S::f32s {
     let one = simd.splat_f32s(1.0);
-    simd.select_f32s(
-        simd.greater_than_f32s(y, simd.splat_f32s(0.0)),
-        one,
-        simd.add_f32s(y, one),
-    )
+    simd.select_f32s(simd.greater_than_f32s(y, simd.splat_f32s(0.0)), one, simd.add_f32s(y, one))
 }
 
 /// `eˣ − 1` to about 1 ulp for `x ≤ 0`; meaningless above.
@@ -376,26 +372,17 @@ mod tests {
     #[test]
     fn elu_is_accurate_to_two_units_in_the_last_place() {
         // Every 1009th of the negative numbers from −0 through the subnormals to −∞.
-        let x: Vec<f32> = (0x8000_0000..=0xff80_0000_u32)
-            .step_by(1009)
-            .map(f32::from_bits)
-            .collect();
+        let x: Vec<f32> = (0x8000_0000..=0xff80_0000_u32).step_by(1009).map(f32::from_bits).collect();
         for (x, y) in x.iter().zip(elu_of(&x, Arch::new())) {
             let exact = f64::from(*x).exp_m1();
             let ulp = f64::from((exact as f32).abs().next_up() - (exact as f32).abs());
-            assert!(
-                (f64::from(y) - exact).abs() <= 2.0 * ulp,
-                "x = {x:e}: {y:e}, not {exact:e}"
-            );
+            assert!((f64::from(y) - exact).abs() <= 2.0 * ulp, "x = {x:e}: {y:e}, not {exact:e}");
         }
     }
 
     #[test]
     fn elu_keeps_what_is_positive_and_what_is_not_a_number() {
-        let y = elu_of(
-            &[0.0, 1e-30, 3.0, 200.0, f32::MAX, f32::INFINITY, f32::NAN],
-            Arch::new(),
-        );
+        let y = elu_of(&[0.0, 1e-30, 3.0, 200.0, f32::MAX, f32::INFINITY, f32::NAN], Arch::new());
         assert_eq!(y[..6], [0.0, 1e-30, 3.0, 200.0, f32::MAX, f32::INFINITY]);
         assert!(y[6].is_nan());
     }

@@ -45,13 +45,7 @@ impl LearnerState {
     /// Before the first update.
     pub fn new(parameters: ActorCritic, settings: &Hyperparameters) -> Self {
         let (first_moment, second_moment) = (parameters.zeros_like(), parameters.zeros_like());
-        Self {
-            parameters,
-            first_moment,
-            second_moment,
-            steps: 0,
-            learning_rate: settings.learning_rate,
-        }
+        Self { parameters, first_moment, second_moment, steps: 0, learning_rate: settings.learning_rate }
     }
 }
 
@@ -81,10 +75,7 @@ impl Learner {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
         let mut panels = Vec::new();
-        for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)]
-            .into_iter()
-            .enumerate()
-        {
+        for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)].into_iter().enumerate() {
             for (depth, layer) in mlps[0].layers.iter().enumerate() {
                 let layers = mlps.map(|mlp| &mlp.layers[depth]);
                 let panel = |first| RwLock::new(Panel::new(network, depth, first, layers));
@@ -128,11 +119,7 @@ impl Learner {
         let mut unpacked = self.shapes.clone();
         unpacked.log_std.copy_from_slice(part(&read(&self.log_std)));
         for panel in self.panels.iter().map(read) {
-            let mlp = if panel.network == 0 {
-                &mut unpacked.policy
-            } else {
-                &mut unpacked.value
-            };
+            let mlp = if panel.network == 0 { &mut unpacked.policy } else { &mut unpacked.value };
             unpack(part(&panel.parameters), panel.first, &mut mlp.layers[panel.depth]);
         }
         unpacked
@@ -145,12 +132,7 @@ impl Learner {
     /// When the batch or a permutation does not fit, or the loss or its gradient is not finite. Steps before the fault
     /// stay taken.
     pub fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
-        check(
-            batch,
-            permutations,
-            self.shapes.policy.inputs(),
-            self.shapes.policy.outputs(),
-        )?;
+        check(batch, permutations, self.shapes.policy.inputs(), self.shapes.policy.outputs())?;
         let size = self.settings.minibatch_size;
         let count = permutations.iter().map(|rows| rows.chunks(size).len()).sum();
 
@@ -160,9 +142,7 @@ impl Learner {
                 for (index, rows) in permutation.chunks(size).enumerate() {
                     let minibatch = Minibatch::new(batch, &self.settings, epoch, index, rows);
                     self.passes(team, &minibatch);
-                    self.gradients(team, &minibatch, |summary| {
-                        lock(&progress).conclude(&minibatch, summary, count)
-                    });
+                    self.gradients(team, &minibatch, |summary| lock(&progress).conclude(&minibatch, summary, count));
                     let Some(step) = lock(&progress).step else { return };
                     self.steps(team, &step);
                 }
@@ -178,9 +158,7 @@ impl Learner {
     /// Phase 1: forward and backward pass of both networks, block by block.
     pub(super) fn passes(&self, team: &Team, minibatch: &Minibatch<'_>) {
         let panels: Vec<_> = self.panels.iter().map(read).collect();
-        let layers: Vec<_> = panels
-            .chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth))
-            .collect();
+        let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.shapes.policy.layers.len());
         let networks: [&[Panels<'_, '_>]; 2] = [policy, value];
         let new = DiagonalGaussian::new(&read(&self.log_std).values);
@@ -231,11 +209,7 @@ impl Learner {
                 c_stride: width,
             };
             product.compute(self.arch);
-            self.arch.dispatch(ColumnSums {
-                stretches: &stretches,
-                b_stride: delta_stride,
-                sums: bias,
-            });
+            self.arch.dispatch(ColumnSums { stretches: &stretches, b_stride: delta_stride, sums: bias });
             panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
         };
         team.phase(self.panels.len(), task, || conclude(self.summary(minibatch)));
@@ -244,10 +218,7 @@ impl Learner {
     /// After phase 2, on one thread: the gradient of `ln σ`, the losses and the gradient norm.
     fn summary(&self, minibatch: &Minibatch<'_>) -> UpdateStatistics {
         let count = minibatch.rows.chunks(BLOCK).len();
-        let [policy, value] = self
-            .blocks
-            .each_ref()
-            .map(|blocks| blocks[..count].iter().map(read).collect::<Vec<_>>());
+        let [policy, value] = self.blocks.each_ref().map(|blocks| blocks[..count].iter().map(read).collect::<Vec<_>>());
         let mean = |blocks: &[RwLockReadGuard<'_, Block>], part: fn(&Sums) -> f64| {
             blocks.iter().map(|block| part(&block.sums)).sum::<f64>() / minibatch.rows.len() as f64
         };
@@ -275,16 +246,10 @@ impl Learner {
         let task = |task: usize| match self.panels.get(task) {
             Some(panel) => {
                 let mut panel = write(panel);
-                self.arch.dispatch(Adam {
-                    parameters: &mut panel.parameters,
-                    step,
-                });
+                self.arch.dispatch(Adam { parameters: &mut panel.parameters, step });
                 panel.transpose();
             }
-            None => self.arch.dispatch(Adam {
-                parameters: &mut write(&self.log_std),
-                step,
-            }),
+            None => self.arch.dispatch(Adam { parameters: &mut write(&self.log_std), step }),
         };
         team.phase(self.panels.len() + 1, task, || ());
     }

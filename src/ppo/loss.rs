@@ -99,15 +99,7 @@ impl<'a> Minibatch<'a> {
             let squares: f64 = rows.iter().map(|row| (at(row) - mean).powi(2)).sum();
             (mean, 1.0 / ((squares / (rows.len() as f64 - 1.0)).sqrt() + 1e-8))
         };
-        Self {
-            batch,
-            settings,
-            epoch,
-            index,
-            rows,
-            advantage_mean,
-            advantage_scale,
-        }
+        Self { batch, settings, epoch, index, rows, advantage_mean, advantage_scale }
     }
 
     /// Normalised advantage of a sample.
@@ -133,16 +125,8 @@ impl Surrogate {
         let free = advantage * ratio;
         let limited = advantage * ratio.clamp(1.0 - clip_range, 1.0 + clip_range);
         // `limited` is constant in `r` wherever it is the smaller one.
-        let (loss, slope) = if limited < free {
-            (-limited, 0.0)
-        } else {
-            (-free, -free)
-        };
-        Self {
-            loss,
-            slope,
-            clipped: (ratio - 1.0).abs() > clip_range,
-        }
+        let (loss, slope) = if limited < free { (-limited, 0.0) } else { (-free, -free) };
+        Self { loss, slope, clipped: (ratio - 1.0).abs() > clip_range }
     }
 }
 
@@ -212,10 +196,7 @@ pub(super) mod tests {
         assert_eq!(rate(1.2e-5, 1.0), 1e-5);
         assert_eq!(rate(9e-3, 1e-6), 1e-2);
         assert_eq!(rate(2e-3, 0.0), 2e-3);
-        let fixed = Hyperparameters {
-            desired_kl: None,
-            ..SETTINGS
-        };
+        let fixed = Hyperparameters { desired_kl: None, ..SETTINGS };
         assert_eq!(fixed.adapted_learning_rate(2e-3, 1.0), 2e-3);
     }
 }

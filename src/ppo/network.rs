@@ -21,10 +21,7 @@ pub struct Layer {
 impl Layer {
     /// All zero.
     pub fn zeros(inputs: usize, outputs: usize) -> Self {
-        Self {
-            weight: vec![0.0; inputs * outputs],
-            bias: vec![0.0; outputs],
-        }
+        Self { weight: vec![0.0; inputs * outputs], bias: vec![0.0; outputs] }
     }
 
     /// Weights with orthonormal rows or columns, whichever are fewer, times `gain`; no bias.
@@ -33,11 +30,7 @@ impl Layer {
         let mut layer = Self::zeros(inputs, outputs);
         for (i, weight) in layer.weight.iter_mut().enumerate() {
             let (output, input) = (i / inputs, i % inputs);
-            let value = if outputs < inputs {
-                vectors[output][input]
-            } else {
-                vectors[input][output]
-            };
+            let value = if outputs < inputs { vectors[output][input] } else { vectors[input][output] };
             *weight = (gain * value) as f32;
         }
         layer
@@ -129,27 +122,15 @@ impl ActorCritic {
         };
         let policy = mlp(actions, 0.01);
         let value = mlp(1, 1.0);
-        Self {
-            policy,
-            value,
-            log_std: vec![log_std; actions],
-        }
+        Self { policy, value, log_std: vec![log_std; actions] }
     }
 
     /// All zero, with the shapes of `self`.
     pub fn zeros_like(&self) -> Self {
         let zeros = |mlp: &Mlp| Mlp {
-            layers: mlp
-                .layers
-                .iter()
-                .map(|layer| Layer::zeros(layer.inputs(), layer.outputs()))
-                .collect(),
+            layers: mlp.layers.iter().map(|layer| Layer::zeros(layer.inputs(), layer.outputs())).collect(),
         };
-        Self {
-            policy: zeros(&self.policy),
-            value: zeros(&self.value),
-            log_std: vec![0.0; self.log_std.len()],
-        }
+        Self { policy: zeros(&self.policy), value: zeros(&self.value), log_std: vec![0.0; self.log_std.len()] }
     }
 
     /// Names, shapes and values in a fixed order: `policy.0.weight`, `policy.0.bias`, …, `value.0.weight`, …,
@@ -160,11 +141,7 @@ impl ActorCritic {
             for (i, layer) in mlp.layers.iter().enumerate() {
                 let shape = vec![layer.outputs(), layer.inputs()];
                 tensors.push((format!("{network}.{i}.weight"), shape, layer.weight.as_slice()));
-                tensors.push((
-                    format!("{network}.{i}.bias"),
-                    vec![layer.outputs()],
-                    layer.bias.as_slice(),
-                ));
+                tensors.push((format!("{network}.{i}.bias"), vec![layer.outputs()], layer.bias.as_slice()));
             }
         }
         tensors.push(("log_std".to_owned(), vec![self.log_std.len()], self.log_std.as_slice()));
@@ -178,10 +155,8 @@ impl ActorCritic {
     pub fn from_tensors(
         tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
     ) -> Result<Self, TensorError> {
-        let mut tensors: BTreeMap<_, _> = tensors
-            .into_iter()
-            .map(|(name, shape, values)| (name, (shape, values)))
-            .collect();
+        let mut tensors: BTreeMap<_, _> =
+            tensors.into_iter().map(|(name, shape, values)| (name, (shape, values))).collect();
 
         let (log_std_shape, log_std) = take(&mut tensors, "log_std")?;
         check("log_std", vec![log_std.len()], &log_std_shape, log_std.len())?;
@@ -197,21 +172,14 @@ impl ActorCritic {
 type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
 fn take(tensors: &mut Tensors, name: &str) -> Result<(Vec<usize>, Vec<f32>), TensorError> {
-    tensors
-        .remove(name)
-        .ok_or_else(|| TensorError::Missing { name: name.to_owned() })
+    tensors.remove(name).ok_or_else(|| TensorError::Missing { name: name.to_owned() })
 }
 
 fn check(name: &str, expected: Vec<usize>, actual: &[usize], len: usize) -> Result<(), TensorError> {
     if expected == actual && expected.iter().product::<usize>() == len && len > 0 {
         return Ok(());
     }
-    Err(TensorError::Shape {
-        name: name.to_owned(),
-        expected,
-        actual: actual.to_vec(),
-        len,
-    })
+    Err(TensorError::Shape { name: name.to_owned(), expected, actual: actual.to_vec(), len })
 }
 
 fn take_mlp(tensors: &mut Tensors, network: &str, inputs: Option<usize>, outputs: usize) -> Result<Mlp, TensorError> {
@@ -227,12 +195,7 @@ fn take_mlp(tensors: &mut Tensors, network: &str, inputs: Option<usize>, outputs
         let given_inputs = weight_shape.get(1).copied().unwrap_or(0);
         let layer_inputs = layers.last().map(Layer::outputs).or(inputs).unwrap_or(given_inputs);
         check(&bias_name, vec![layer_outputs], &bias_shape, bias.len())?;
-        check(
-            &weight_name,
-            vec![layer_outputs, layer_inputs],
-            &weight_shape,
-            weight.len(),
-        )?;
+        check(&weight_name, vec![layer_outputs, layer_inputs], &weight_shape, weight.len())?;
 
         layers.push(Layer { weight, bias });
         if last {
@@ -251,10 +214,7 @@ fn orthonormal_vectors(count: usize, length: usize, rng: &mut impl Rng) -> Vec<V
         for _ in 0..2 {
             for other in &vectors {
                 let projection = dot(&vector, other);
-                vector
-                    .iter_mut()
-                    .zip(other)
-                    .for_each(|(x, other)| *x -= projection * other);
+                vector.iter_mut().zip(other).for_each(|(x, other)| *x -= projection * other);
             }
         }
         let norm = dot(&vector, &vector).sqrt();
@@ -278,11 +238,7 @@ mod tests {
     type Named = Vec<(String, Vec<usize>, Vec<f32>)>;
 
     fn owned(network: &ActorCritic) -> Named {
-        network
-            .tensors()
-            .into_iter()
-            .map(|(name, shape, values)| (name, shape, values.to_vec()))
-            .collect()
+        network.tensors().into_iter().map(|(name, shape, values)| (name, shape, values.to_vec())).collect()
     }
 
     fn largest_deviation_from_orthogonality(layer: &Layer, gain: f32) -> f32 {

@@ -20,12 +20,7 @@ impl Parameters {
     /// Values and first and second moments.
     pub fn new([values, first_moment, second_moment]: [Buffer; 3]) -> Self {
         let gradient = Buffer::zeros(values.len());
-        Self {
-            values,
-            gradient,
-            first_moment,
-            second_moment,
-        }
+        Self { values, gradient, first_moment, second_moment }
     }
 }
 
@@ -41,12 +36,7 @@ impl WithSimd for Adam<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, _: S) {
         let step = *self.step;
-        let Parameters {
-            values,
-            gradient,
-            first_moment,
-            second_moment,
-        } = self.parameters;
+        let Parameters { values, gradient, first_moment, second_moment } = self.parameters;
         let moments = first_moment.iter_mut().zip(second_moment.iter_mut());
         for ((value, gradient), (m, v)) in values.iter_mut().zip(gradient.iter()).zip(moments) {
             let gradient = gradient * step.gradient_scale;
@@ -113,10 +103,7 @@ mod tests {
         for (count, gradient, norm) in [(1, [0.3, -0.4], 0.5), (2, [3.0, 4.0], 5.0)] {
             parameters.gradient.copy_from_slice(&gradient);
             let step = &AdamStep::new(&SETTINGS, count, 1e-3, norm);
-            Arch::new().dispatch(Adam {
-                parameters: &mut parameters,
-                step,
-            });
+            Arch::new().dispatch(Adam { parameters: &mut parameters, step });
         }
         for (actual, expected) in [
             (&parameters.values, [0.9980001, -1.9990527]),
@@ -124,10 +111,7 @@ mod tests {
             (&parameters.second_moment, [1.799_096e-4, 3.198_393e-4]),
         ] {
             for (actual, expected) in actual.iter().zip(expected) {
-                assert!(
-                    (actual - expected).abs() < 2e-6 * expected.abs(),
-                    "{actual} is not {expected}"
-                );
+                assert!((actual - expected).abs() < 2e-6 * expected.abs(), "{actual} is not {expected}");
             }
         }
     }

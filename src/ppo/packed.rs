@@ -34,9 +34,7 @@ pub struct Scratch {
 
 impl Default for Scratch {
     fn default() -> Self {
-        Self {
-            buffers: [Buffer::zeros(0), Buffer::zeros(0)],
-        }
+        Self { buffers: [Buffer::zeros(0), Buffer::zeros(0)] }
     }
 }
 
@@ -47,11 +45,7 @@ impl PackedMlp {
             outputs: layer.outputs(),
             panels: panel_starts(layer.outputs()).map(|first| pack(layer, first)).collect(),
         };
-        Self {
-            arch: Arch::new(),
-            inputs: mlp.inputs(),
-            layers: mlp.layers.iter().map(pack_layer).collect(),
-        }
+        Self { arch: Arch::new(), inputs: mlp.inputs(), layers: mlp.layers.iter().map(pack_layer).collect() }
     }
 
     /// Evaluates `inputs`, shape (rows, inputs), to `outputs`, shape (rows, outputs). Allocates only when `scratch` is
@@ -61,31 +55,15 @@ impl PackedMlp {
     /// When the slices do not have these shapes.
     pub fn forward(&self, rows: usize, inputs: &[f32], outputs: &mut [f32], scratch: &mut Scratch) {
         let output_count = self.layers.last().map_or(self.inputs, |layer| layer.outputs);
-        assert_eq!(
-            inputs.len(),
-            rows * self.inputs,
-            "inputs must have shape (rows, inputs)"
-        );
-        assert_eq!(
-            outputs.len(),
-            rows * output_count,
-            "outputs must have shape (rows, outputs)"
-        );
+        assert_eq!(inputs.len(), rows * self.inputs, "inputs must have shape (rows, inputs)");
+        assert_eq!(outputs.len(), rows * output_count, "outputs must have shape (rows, outputs)");
 
-        let widest = self
-            .layers
-            .iter()
-            .map(|layer| row_stride(layer.outputs))
-            .max()
-            .unwrap_or(0);
+        let widest = self.layers.iter().map(|layer| row_stride(layer.outputs)).max().unwrap_or(0);
         if scratch.buffers[0].len() < BLOCK * widest {
             scratch.buffers = [Buffer::zeros(BLOCK * widest), Buffer::zeros(BLOCK * widest)];
         }
         let [mut x, mut y] = scratch.buffers.each_mut();
-        for (block, out) in inputs
-            .chunks(BLOCK * self.inputs)
-            .zip(outputs.chunks_mut(BLOCK * output_count))
-        {
+        for (block, out) in inputs.chunks(BLOCK * self.inputs).zip(outputs.chunks_mut(BLOCK * output_count)) {
             let rows = block.len() / self.inputs;
             let mut x_stride = self.inputs;
             for (i, layer) in self.layers.iter().enumerate() {

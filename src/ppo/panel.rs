@@ -26,9 +26,7 @@ pub fn pack(layer: &Layer, first: usize) -> Buffer {
     for i in 0..outputs {
         let weights = &layer.weight[(first + i) * inputs..][..inputs];
         let column = values[i..].iter_mut().step_by(padded(outputs));
-        column
-            .zip(weights.iter().chain([&layer.bias[first + i]]))
-            .for_each(|(value, parameter)| *value = *parameter);
+        column.zip(weights.iter().chain([&layer.bias[first + i]])).for_each(|(value, parameter)| *value = *parameter);
     }
     values
 }
@@ -62,11 +60,7 @@ pub fn forward<'a>(
         let product = Product {
             rows,
             columns: width,
-            stretches: &[Stretch {
-                depth: weights.len() / width,
-                a: x,
-                b: weights,
-            }],
+            stretches: &[Stretch { depth: weights.len() / width, a: x, b: weights }],
             a_transposed: false,
             a_stride: x_stride,
             b_stride: width,
@@ -104,11 +98,7 @@ impl Panel {
     /// The panel that starts at output `first` of a layer and of its moments.
     pub fn new(network: usize, depth: usize, first: usize, [values, first_moment, second_moment]: [&Layer; 3]) -> Self {
         let (inputs, layer_outputs) = (values.inputs(), values.outputs());
-        let transposed_rows = if depth == 0 {
-            0
-        } else {
-            panel_outputs(layer_outputs, first)
-        };
+        let transposed_rows = if depth == 0 { 0 } else { panel_outputs(layer_outputs, first) };
         let mut panel = Self {
             network,
             depth,
@@ -133,10 +123,7 @@ impl Panel {
         let width = padded(self.outputs());
         for (i, row) in self.transposed.chunks_mut(row_stride(self.inputs)).enumerate() {
             let column = self.parameters.values[i..].iter().step_by(width);
-            row[..self.inputs]
-                .iter_mut()
-                .zip(column)
-                .for_each(|(x, weight)| *x = *weight);
+            row[..self.inputs].iter_mut().zip(column).for_each(|(x, weight)| *x = *weight);
         }
     }
 }

@@ -53,16 +53,8 @@ impl Reference {
             pairs.map(|(weight, bias)| Linear::new(weight, Some(bias))).collect()
         };
         let (policy, value) = (mlp(&network.policy), mlp(&network.value));
-        let log_std = tensors
-            .next()
-            .ok_or_else(|| candle_core::Error::Msg("no log_std".into()))?;
-        Ok(Self {
-            policy,
-            value,
-            log_std,
-            variables,
-            dtype,
-        })
+        let log_std = tensors.next().ok_or_else(|| candle_core::Error::Msg("no log_std".into()))?;
+        Ok(Self { policy, value, log_std, variables, dtype })
     }
 
     /// Trainable tensors in the order of [`ActorCritic::tensors`].
@@ -101,13 +93,7 @@ impl Reference {
         let entropy = (&self.log_std + 0.5 * (1.0 + LOG_TWO_PI))?.sum_all()?;
         let kl = kl(&old_means, &old_log_std, &means, &self.log_std)?;
         let total = ((&policy + (&value * settings.value_coefficient)?)? - (&entropy * settings.entropy_coefficient)?)?;
-        Ok(Loss {
-            total,
-            policy,
-            value,
-            entropy,
-            kl,
-        })
+        Ok(Loss { total, policy, value, entropy, kl })
     }
 
     /// Gradient of `loss`, in the order of [`ActorCritic::tensors`].
@@ -118,12 +104,7 @@ impl Reference {
         let gradients = loss.backward()?;
         self.variables
             .iter()
-            .map(|(_, variable)| {
-                gradients
-                    .get(variable)
-                    .cloned()
-                    .map_or_else(|| variable.zeros_like(), Ok)
-            })
+            .map(|(_, variable)| gradients.get(variable).cloned().map_or_else(|| variable.zeros_like(), Ok))
             .collect()
     }
 }
@@ -160,10 +141,7 @@ fn log_prob(means: &Tensor, log_std: &Tensor, actions: &Tensor) -> Result<Tensor
 fn kl(old_means: &Tensor, old_log_std: &Tensor, means: &Tensor, log_std: &Tensor) -> Result<Tensor> {
     let variance = (log_std * 2.0)?.exp()?;
     let old_variance = (old_log_std * 2.0)?.exp()?;
-    let quadratic = (old_means - means)?
-        .sqr()?
-        .broadcast_add(&old_variance)?
-        .broadcast_div(&(variance * 2.0)?)?;
+    let quadratic = (old_means - means)?.sqr()?.broadcast_add(&old_variance)?.broadcast_div(&(variance * 2.0)?)?;
     let per_action = (quadratic.broadcast_add(&(log_std - old_log_std)?)? - 0.5)?;
     per_action.sum(D::Minus1)?.mean_all()
 }
@@ -191,12 +169,8 @@ mod tests {
     print(log_prob(m0, s0), policy, value, entropy, kl, policy + .5*value - .01*entropy) */
     #[test]
     fn loss_equals_that_of_numpy() {
-        let linear = |weight: &[f32], bias: &[f32]| Mlp {
-            layers: vec![Layer {
-                weight: weight.into(),
-                bias: bias.into(),
-            }],
-        };
+        let linear =
+            |weight: &[f32], bias: &[f32]| Mlp { layers: vec![Layer { weight: weight.into(), bias: bias.into() }] };
         let network = ActorCritic {
             policy: linear(&[1.0, -0.5, 0.25, 0.75], &[0.1, -0.2]),
             value: linear(&[0.5, 1.0], &[-0.25]),

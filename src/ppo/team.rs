@@ -72,10 +72,7 @@ impl Team {
     fn wait_while(&self, phase: usize) {
         let mut spins = 0;
         while self.phase.load(Ordering::Acquire) == phase {
-            assert!(
-                !self.broken.load(Ordering::Relaxed),
-                "another thread of the team has panicked"
-            );
+            assert!(!self.broken.load(Ordering::Relaxed), "another thread of the team has panicked");
             if spins < SPINS {
                 spins += 1;
                 std::hint::spin_loop();
@@ -120,10 +117,7 @@ mod tests {
             let mut done = done.into_inner().unwrap();
             done.sort_unstable();
             assert_eq!(done, (0..70).collect::<Vec<_>>());
-            assert_eq!(
-                concluded.into_inner().unwrap(),
-                (1..=10).map(|round| round * 7).collect::<Vec<_>>()
-            );
+            assert_eq!(concluded.into_inner().unwrap(), (1..=10).map(|round| round * 7).collect::<Vec<_>>());
         }
     }
 

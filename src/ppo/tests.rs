@@ -30,28 +30,13 @@ impl Samples {
         let observations = normal(samples * inputs, 1.0, rng);
         let mut means = vec![0.0; samples * actions];
         PackedMlp::new(&network.policy).forward(samples, &observations, &mut means, &mut Scratch::default());
-        means
-            .iter_mut()
-            .zip(normal(samples * actions, 0.05, rng))
-            .for_each(|(mean, x)| *mean += x);
-        let log_std: Vec<f32> = network
-            .log_std
-            .iter()
-            .map(|x| x + rng.random_range(-0.1..0.1))
-            .collect();
+        means.iter_mut().zip(normal(samples * actions, 0.05, rng)).for_each(|(mean, x)| *mean += x);
+        let log_std: Vec<f32> = network.log_std.iter().map(|x| x + rng.random_range(-0.1..0.1)).collect();
         let policy = DiagonalGaussian::new(&log_std);
         let noise = normal(samples * actions, 1.0, rng);
         let std = log_std.iter().map(|x| x.exp()).cycle();
-        let taken: Vec<f32> = means
-            .iter()
-            .zip(noise)
-            .zip(std)
-            .map(|((mean, x), std)| mean + std * x)
-            .collect();
-        let log_probs = means
-            .chunks(actions)
-            .zip(taken.chunks(actions))
-            .map(|(m, a)| policy.log_prob(m, a) as f32);
+        let taken: Vec<f32> = means.iter().zip(noise).zip(std).map(|((mean, x), std)| mean + std * x).collect();
+        let log_probs = means.chunks(actions).zip(taken.chunks(actions)).map(|(m, a)| policy.log_prob(m, a) as f32);
         Self {
             log_probs: log_probs.collect(),
             observations,
@@ -77,9 +62,7 @@ impl Samples {
 }
 
 fn normal(count: usize, scale: f32, rng: &mut ChaCha8Rng) -> Vec<f32> {
-    (0..count)
-        .map(|_| scale * Distribution::<f32>::sample(&StandardNormal, rng))
-        .collect()
+    (0..count).map(|_| scale * Distribution::<f32>::sample(&StandardNormal, rng)).collect()
 }
 
 fn permutations(samples: usize, epochs: usize, seed: u64) -> Vec<Vec<u32>> {
@@ -104,10 +87,7 @@ fn network() -> ActorCritic {
 }
 
 fn settings(minibatch_size: usize) -> Hyperparameters {
-    Hyperparameters {
-        minibatch_size,
-        ..SETTINGS
-    }
+    Hyperparameters { minibatch_size, ..SETTINGS }
 }
 
 fn learner(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> Learner {
@@ -115,13 +95,7 @@ fn learner(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> 
 }
 
 fn numbers(tensor: &Tensor) -> Vec<f64> {
-    tensor
-        .to_dtype(DType::F64)
-        .unwrap()
-        .flatten_all()
-        .unwrap()
-        .to_vec1()
-        .unwrap()
+    tensor.to_dtype(DType::F64).unwrap().flatten_all().unwrap().to_vec1().unwrap()
 }
 
 fn norm(x: impl Iterator<Item = f64>) -> f64 {
@@ -149,24 +123,13 @@ fn fused_gradients_equal_those_of_automatic_differentiation() {
         for ((name, _, fused), expected) in fused.tensors().into_iter().zip(&expected) {
             let expected = numbers(expected);
             let scale = norm(expected.iter().copied());
-            let error = norm(
-                fused
-                    .iter()
-                    .zip(&expected)
-                    .map(|(&fused, expected)| f64::from(fused) - expected),
-            );
+            let error = norm(fused.iter().zip(&expected).map(|(&fused, expected)| f64::from(fused) - expected));
             assert!(scale > 1e-6, "{name} has no gradient");
-            assert!(
-                error < 1e-5 * scale,
-                "{name} with {rows} rows: error {error:e} of {scale:e}"
-            );
+            assert!(error < 1e-5 * scale, "{name} with {rows} rows: error {error:e} of {scale:e}");
             let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
             for (i, (&fused, expected)) in fused.iter().zip(&expected).enumerate() {
                 let error = (f64::from(fused) - expected).abs();
-                assert!(
-                    error < 1e-4 * expected.abs() + 1e-5 * largest,
-                    "{name}[{i}]: {fused:e}, not {expected:e}"
-                );
+                assert!(error < 1e-4 * expected.abs() + 1e-5 * largest, "{name}[{i}]: {fused:e}, not {expected:e}");
             }
         }
     }
@@ -180,17 +143,11 @@ fn reference_update(
     settings: &Hyperparameters,
 ) -> (Vec<Vec<f64>>, UpdateStatistics) {
     let reference = Reference::new(network, DType::F64).unwrap();
-    let mut moments: Vec<(Vec<f64>, Vec<f64>)> = network
-        .tensors()
-        .iter()
-        .map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()]))
-        .collect();
+    let mut moments: Vec<(Vec<f64>, Vec<f64>)> =
+        network.tensors().iter().map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()])).collect();
     let scalar = |x: &Tensor| x.to_scalar::<f64>().unwrap();
     let (mut rate, mut count, mut statistics) = (settings.learning_rate, 0, UpdateStatistics::default());
-    for rows in permutations
-        .iter()
-        .flat_map(|rows| rows.chunks(settings.minibatch_size))
-    {
+    for rows in permutations.iter().flat_map(|rows| rows.chunks(settings.minibatch_size)) {
         let loss = reference.loss(batch, rows, settings).unwrap();
         let gradients: Vec<_> = reference.gradient(&loss.total).unwrap().iter().map(numbers).collect();
 
@@ -236,14 +193,7 @@ fn reference_update(
     ] {
         *sum /= n;
     }
-    (
-        reference
-            .variables()
-            .iter()
-            .map(|(_, variable)| numbers(variable.as_tensor()))
-            .collect(),
-        statistics,
-    )
+    (reference.variables().iter().map(|(_, variable)| numbers(variable.as_tensor())).collect(), statistics)
 }
 
 #[test]
@@ -260,19 +210,8 @@ fn an_update_equals_the_textbook_loop() {
     let before = network.tensors();
     let after = learner.parameters();
     for ((before, (name, _, after)), expected) in before.iter().zip(after.tensors()).zip(&expected) {
-        let way = norm(
-            before
-                .2
-                .iter()
-                .zip(expected)
-                .map(|(&before, expected)| f64::from(before) - expected),
-        );
-        let error = norm(
-            after
-                .iter()
-                .zip(expected)
-                .map(|(&after, expected)| f64::from(after) - expected),
-        );
+        let way = norm(before.2.iter().zip(expected).map(|(&before, expected)| f64::from(before) - expected));
+        let error = norm(after.iter().zip(expected).map(|(&after, expected)| f64::from(after) - expected));
         assert!(way > 1e-3, "{name} has not moved");
         assert!(error < 1e-4 * way, "{name}: off by {error:e} after {way:e}");
     }
@@ -281,26 +220,11 @@ fn an_update_equals_the_textbook_loop() {
         ("value loss", statistics.value_loss, expected_statistics.value_loss),
         ("entropy", statistics.entropy, expected_statistics.entropy),
         ("KL", statistics.kl, expected_statistics.kl),
-        (
-            "gradient norm",
-            statistics.gradient_norm,
-            expected_statistics.gradient_norm,
-        ),
-        (
-            "largest gradient norm",
-            statistics.max_gradient_norm,
-            expected_statistics.max_gradient_norm,
-        ),
-        (
-            "learning rate",
-            statistics.learning_rate,
-            expected_statistics.learning_rate,
-        ),
+        ("gradient norm", statistics.gradient_norm, expected_statistics.gradient_norm),
+        ("largest gradient norm", statistics.max_gradient_norm, expected_statistics.max_gradient_norm),
+        ("learning rate", statistics.learning_rate, expected_statistics.learning_rate),
     ] {
-        assert!(
-            (actual - expected).abs() < 1e-4 * expected.abs(),
-            "{name}: {actual}, not {expected}"
-        );
+        assert!((actual - expected).abs() < 1e-4 * expected.abs(), "{name}: {actual}, not {expected}");
     }
     assert!(statistics.clip_fraction > 0.0 && statistics.clip_fraction < 1.0);
 }
@@ -400,18 +324,9 @@ proptest! {
 }
 
 fn linear(layer: &Layer, x: &[f64]) -> impl Iterator<Item = f64> {
-    layer
-        .weight
-        .chunks(layer.inputs())
-        .zip(&layer.bias)
-        .map(move |(weights, &bias)| {
-            f64::from(bias)
-                + weights
-                    .iter()
-                    .zip(x)
-                    .map(|(&weight, x)| f64::from(weight) * x)
-                    .sum::<f64>()
-        })
+    layer.weight.chunks(layer.inputs()).zip(&layer.bias).map(move |(weights, &bias)| {
+        f64::from(bias) + weights.iter().zip(x).map(|(&weight, x)| f64::from(weight) * x).sum::<f64>()
+    })
 }
 
 #[test]
@@ -436,13 +351,7 @@ fn a_nan_stops_the_update_before_its_step() {
 
     let mut learner = learner(&network, settings(100), 2);
     let fault = learner.update(&samples.batch(), &order).unwrap_err();
-    let UpdateFault::NotFinite {
-        epoch: 0,
-        minibatch,
-        samples: rows,
-        summary,
-    } = fault
-    else {
+    let UpdateFault::NotFinite { epoch: 0, minibatch, samples: rows, summary } = fault else {
         panic!("{fault}");
     };
     assert_eq!(minibatch, faulty);
@@ -470,10 +379,7 @@ fn a_batch_that_does_not_fit_is_refused() {
     let network = network();
     let samples = Samples::new(&network, 64, 1);
     let mut learner = learner(&network, settings(64), 1);
-    let short = Batch {
-        means: &samples.means[1..],
-        ..samples.batch()
-    };
+    let short = Batch { means: &samples.means[1..], ..samples.batch() };
     assert_eq!(
         learner.update(&short, &permutations(64, 1, 1)).unwrap_err().to_string(),
         "means of the batch should have 320 elements, but has 319"

@@ -78,62 +78,29 @@ pub struct Progress {
 impl Progress {
     /// At the start of an update.
     pub fn new(steps: u64, learning_rate: f64) -> Self {
-        let statistics = UpdateStatistics {
-            learning_rate,
-            ..UpdateStatistics::default()
-        };
-        Self {
-            steps,
-            learning_rate,
-            statistics,
-            step: None,
-            fault: None,
-        }
+        let statistics = UpdateStatistics { learning_rate, ..UpdateStatistics::default() };
+        Self { steps, learning_rate, statistics, step: None, fault: None }
     }
 
     /// Decides on the step of `minibatch`, of which an update has `count`, from its statistics.
     pub fn conclude(&mut self, minibatch: &Minibatch<'_>, mut summary: UpdateStatistics, count: usize) {
-        let Minibatch {
-            epoch,
-            index,
-            rows,
-            settings,
-            ..
-        } = *minibatch;
+        let Minibatch { epoch, index, rows, settings, .. } = *minibatch;
         summary.learning_rate = settings.adapted_learning_rate(self.learning_rate, summary.kl);
         if summary.is_finite() {
             self.learning_rate = summary.learning_rate;
             self.steps += 1;
-            self.step = Some(AdamStep::new(
-                settings,
-                self.steps,
-                self.learning_rate,
-                summary.gradient_norm,
-            ));
+            self.step = Some(AdamStep::new(settings, self.steps, self.learning_rate, summary.gradient_norm));
             self.statistics.add(&summary, 1.0 / count as f64);
         } else {
             self.step = None;
-            self.fault = Some(UpdateFault::NotFinite {
-                epoch,
-                minibatch: index,
-                samples: rows.to_vec(),
-                summary,
-            });
+            self.fault = Some(UpdateFault::NotFinite { epoch, minibatch: index, samples: rows.to_vec(), summary });
         }
     }
 }
 
 impl UpdateStatistics {
     fn is_finite(&self) -> bool {
-        [
-            self.policy_loss,
-            self.value_loss,
-            self.entropy,
-            self.kl,
-            self.gradient_norm,
-        ]
-        .iter()
-        .all(|x| x.is_finite())
+        [self.policy_loss, self.value_loss, self.entropy, self.kl, self.gradient_norm].iter().all(|x| x.is_finite())
     }
 
     /// Adds a minibatch that is `share` of the update.
@@ -166,11 +133,7 @@ pub fn check(
         ("advantages", batch.advantages, samples),
     ] {
         if slice.len() != expected {
-            return Err(UpdateFault::Shape {
-                name,
-                expected,
-                actual: slice.len(),
-            });
+            return Err(UpdateFault::Shape { name, expected, actual: slice.len() });
         }
     }
     for (epoch, rows) in permutations.iter().enumerate() {

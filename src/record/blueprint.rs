@@ -12,8 +12,8 @@ use rerun::blueprint::components::{
 use rerun::blueprint::datatypes;
 use rerun::external::re_log_types::{BlueprintActivationCommand, LogMsg};
 use rerun::external::re_sdk_types::blueprint::archetypes::{
-    Background, ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns, TimeAxis,
-    TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint,
+    Background, ContainerBlueprint, EyeControls3D, LineGrid3D, PanelBlueprint, PlotLegend, ScalarAxis, TextLogColumns,
+    TimeAxis, TimePanelBlueprint, ViewBlueprint, ViewContents, ViewportBlueprint,
 };
 use rerun::{AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder};
 
@@ -72,7 +72,8 @@ impl Layout<'_> {
 
     /// Several robots: side by side, below them their plots and events.
     fn comparison(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
-        let worlds = robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
+        let worlds =
+            robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
         let above = self.container(ContainerKind::Horizontal, "Robots", &worlds)?.0;
         let plots = self.plots(robots, ContainerKind::Horizontal)?;
         let below = [(plots, 0.76), (self.events(robots)?, 0.24)];
@@ -144,9 +145,8 @@ impl Layout<'_> {
         use datatypes::TextLogColumnKind::{Body, LogLevel};
         let column = |kind| TextLogColumn(datatypes::TextLogColumn { visible: true.into(), kind });
         let time = TimelineColumn(datatypes::TimelineColumn { visible: true.into(), timeline: TIMELINE.into() });
-        let columns = TextLogColumns::new()
-            .with_timeline_columns([time])
-            .with_text_log_columns([LogLevel, Body].map(column));
+        let columns =
+            TextLogColumns::new().with_timeline_columns([time]).with_text_log_columns([LogLevel, Body].map(column));
         let contents: Vec<String> = robots.iter().map(|robot| format!("+ {}", events_path(robot))).collect();
         self.view("TextLog", "Events", &EntityPath::from("events"), &contents, &[("TextLogColumns", &columns)])
     }

@@ -6,7 +6,7 @@ their middle against capsules from their first end, quaternions with w first aga
 */
 
 use rerun::components::HalfSize3D;
-use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, FillMode, Quaternion};
+use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, FillMode, Points3D, Quaternion};
 
 use super::RecordError;
 use super::stream::Stream;
@@ -60,7 +60,7 @@ pub(super) fn log_model(
             solids.add(geom, colour(geom.rgba, tint.filter(|_| is_robot[body])));
         }
         let path = match (body, model.name(Kind::Body, body)) {
-            (0, _) => child(root, "static"),
+            (0, _) => child(&scene_path(root), "fixed"),
             (_, "") => child(root, &format!("body {body}")),
             (_, name) => child(root, name),
         };
@@ -69,23 +69,31 @@ pub(super) fn log_model(
             bodies.push((body, path));
         }
     }
+    if !balls.is_empty() {
+        let geoms = balls.iter().flat_map(|ball| looks[*ball].first());
+        let (radii, colours): (Vec<f32>, Vec<Color>) =
+            geoms.map(|geom| (geom.size[0] as f32, colour(geom.rgba, None))).unzip();
+        let archetype = Points3D::update_fields().with_radii(radii).with_colors(colours);
+        stream.log_static(&balls_path(root), &archetype)?;
+    }
     Ok(Parts { trunk, bodies, balls })
 }
 
-/// Radius [m] and colour of each ball.
-pub(super) fn ball_looks(model: &Model, balls: &[usize]) -> (Vec<f32>, Vec<Color>) {
-    let geoms = (0..model.count(Kind::Geom)).map(|id| model.geom(id));
-    let of_body: std::collections::BTreeMap<usize, Geom> = geoms.map(|geom| (geom.body, geom)).collect();
-    let geoms = balls.iter().filter_map(|body| of_body.get(body));
-    geoms.map(|geom| (geom.size[0] as f32, colour(geom.rgba, None))).unzip()
+/// What of the scene is not a body of its own: grounds, what is fixed to the world, balls.
+pub(super) fn scene_path(root: &EntityPath) -> EntityPath {
+    child(root, "scene")
+}
+
+/// All balls together.
+pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
+    child(&scene_path(root), "balls")
 }
 
 /// Whether there is anything but the robot and grounds.
 pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
     let trunk = model.id(Kind::Body, "trunk")?;
-    let is_obstacle = |geom: Geom| {
-        !matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) && !is_below(model, geom.body, trunk)
-    };
+    let is_obstacle =
+        |geom: Geom| !matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) && !is_below(model, geom.body, trunk);
     Ok((0..model.count(Kind::Geom)).any(|id| is_obstacle(model.geom(id))))
 }
 

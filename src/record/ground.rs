@@ -8,7 +8,7 @@ split along the same diagonal as MuJoCo's, with heights as shades.
 use rerun::{EntityPath, Mesh3D, Transform3D};
 
 use super::RecordError;
-use super::geometry::child;
+use super::geometry::{child, scene_path};
 use super::stream::Stream;
 use super::style::{BACKGROUND, Rgb};
 use crate::mujoco::{Geom, Kind, Model, Shape};
@@ -39,7 +39,7 @@ pub(super) fn log_grounds(stream: &Stream, root: &EntityPath, model: &Model) -> 
     let mut patches = Vec::new();
     for geom in (0..model.count(Kind::Geom)).map(|id| model.geom(id)) {
         let name = if geom.name.is_empty() { "ground" } else { &geom.name };
-        let path = child(root, name);
+        let path = child(&scene_path(root), name);
         match geom.shape {
             Shape::Plane => {
                 stream.log_static(&path, &patch_mesh(geom.position[2] as f32))?;

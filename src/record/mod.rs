@@ -8,6 +8,7 @@ nothing here steps physics, and nothing that steps physics waits here for longer
 mod blueprint;
 mod geometry;
 mod ground;
+mod overlay;
 mod plots;
 mod robot;
 mod stream;
@@ -22,7 +23,7 @@ use std::path::PathBuf;
 
 use crate::mujoco::{self, Model};
 use crate::scene::Ground;
-use crate::trace::{Event, Frame};
+use crate::trace::{Event, Frame, Trace};
 use robot::Robot;
 use stream::Stream;
 
@@ -113,7 +114,8 @@ impl Recorder {
     pub fn new(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
         let stream = Stream::open(sink, title)?;
         let names: Vec<&str> = robots.iter().map(|robot| robot.name).collect();
-        let obstacles = robots.iter().map(|robot| geometry::has_obstacles(robot.model)).collect::<Result<Vec<_>, _>>()?;
+        let obstacles =
+            robots.iter().map(|robot| geometry::has_obstacles(robot.model)).collect::<Result<Vec<_>, _>>()?;
         let has_obstacles = obstacles.contains(&true);
         blueprint::send(stream.recording()?, &names, has_obstacles)?;
         let robots = robots.iter().enumerate();
@@ -141,6 +143,22 @@ impl Recorder {
         let count = self.robots.len();
         let robot = self.robots.get_mut(robot).ok_or(RecordError::Robot { index: robot, count })?;
         robot.event(&self.stream, event)
+    }
+
+    /// Adds a whole rollout of a robot.
+    ///
+    /// # Errors
+    /// As [`Recorder::frame`].
+    pub fn trace(&mut self, robot: usize, trace: &Trace) -> Result<(), RecordError> {
+        let mut events = trace.events.iter().peekable();
+        for (index, frame) in trace.frames.iter().enumerate() {
+            self.frame(robot, frame)?;
+            let next_s = trace.frames.get(index + 1).map_or(f64::INFINITY, |next| next.time_s);
+            while let Some(event) = events.next_if(|event| event.time_s < next_s) {
+                self.event(robot, event)?;
+            }
+        }
+        Ok(())
     }
 
     /// Writes out what is left and closes the recording.

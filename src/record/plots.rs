@@ -168,10 +168,8 @@ pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bo
             Series::Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
             Series::Tracking | Series::Single => [(robot, colour)].into_iter().unzip(),
         };
-        let style = SeriesLines::new()
-            .with_names(names)
-            .with_colors(colours.into_iter().map(opaque))
-            .with_widths([2.0]);
+        let style =
+            SeriesLines::new().with_names(names).with_colors(colours.into_iter().map(opaque)).with_widths([2.0]);
         stream.log_static(&plot.path(robot), &style)?;
     }
     Ok(())

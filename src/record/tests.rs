@@ -16,10 +16,14 @@ use crate::trace::{Disturbance, EventKind, Pose};
 
 fn obstacles() -> String {
     let ball = |k: usize| {
-        format!(r#"<body name="ball{k}" pos="1 {k} 1"><freejoint/><geom name="ball{k}" type="sphere" size="0.1"/></body>"#)
+        format!(
+            r#"<body name="ball{k}" pos="1 {k} 1"><freejoint/><geom name="ball{k}" type="sphere" size="0.1"/></body>"#
+        )
     };
     let balls: String = (0..5).map(ball).collect();
-    format!(r#"{balls}<body name="crate" pos="2 0 1"><freejoint/><geom name="crate" type="box" size="0.1 0.1 0.1"/></body>"#)
+    format!(
+        r#"{balls}<body name="crate" pos="2 0 1"><freejoint/><geom name="crate" type="box" size="0.1 0.1 0.1"/></body>"#
+    )
 }
 
 fn scene(ground: Ground) -> Scene {
@@ -63,6 +67,7 @@ fn frame(model: &Model, time_s: f64) -> Frame {
         obstacle_impulse_n_s: 0.0,
         disturbance: None,
         stage: Some(Stage::Walking),
+        ..Frame::default()
     }
 }
 
@@ -131,7 +136,9 @@ fn a_recording_has_every_entity_that_its_layout_names() {
         assert!(found, "{query} shows nothing of {recorded:#?}");
     }
     assert!(followed.iter().all(|entity| recorded.contains(entity)), "{followed:?}");
-    for name in ["trunk", "FL_calf", "crate", "balls", "ground", "push", "rope", "label", "foot\\ forces"] {
+    let overlay = ["push", "rope", "pull", "label", "path", "foot\\ forces"].map(|name| format!("overlay/{name}"));
+    let bodies = ["trunk", "FL_calf", "crate", "scene/balls", "scene/ground"].map(str::to_owned);
+    for name in bodies.iter().chain(&overlay) {
         assert!(recorded.contains(&format!("/world/compliant/{name}")), "{name} of {recorded:#?}");
     }
     assert!(!recorded.iter().any(|entity| entity.contains("ball0")), "balls are one entity");

@@ -53,13 +53,13 @@ pub struct ParameterError {
 #[derive(Args, Debug, Clone, PartialEq, Serialize)]
 pub struct Task {
     /// Commanded forward velocity [m/s]
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long)]
     pub forward_m_s: f64,
     /// Commanded velocity to the left [m/s]
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long)]
     pub left_m_s: f64,
     /// Commanded yaw rate, counter-clockwise [rad/s]
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long)]
     pub yaw_rad_s: f64,
     /// Length of the rollout [s]
     #[arg(long)]
@@ -86,7 +86,7 @@ pub struct PushAway {
     #[arg(long)]
     pub push_m_s: f64,
     /// Direction of the push: 0 forward, 90 left [deg]
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long)]
     pub direction_deg: f64,
     /// Time of the push; up to one stride (0.4 s) later, as the seed has it [s]
     #[arg(long)]
@@ -107,7 +107,7 @@ pub struct Leash {
     #[arg(long)]
     pub force_n: f64,
     /// Direction of the pull in the world: 0 ahead, 90 left [deg]
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long)]
     pub direction_deg: f64,
     /// When the pull begins [s]
     #[arg(long)]
@@ -200,7 +200,7 @@ pub struct Terrain {
     #[arg(long)]
     pub steps: u32,
     /// Slope: rise over run
-    #[arg(long, allow_negative_numbers = true)]
+    #[arg(long)]
     pub incline: f64,
 }
 
@@ -422,9 +422,12 @@ impl FreeBox {
         let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n);
         // The box is the last body.
         let place = |frame: &crate::trace::Frame| frame.bodies.last().map(|pose| pose.position);
-        let moved = trace.frames.first().and_then(place).zip(trace.frames.last().and_then(place)).map(|(a, b)| {
-            f64::from(b[0] - a[0]).hypot(f64::from(b[1] - a[1]))
-        });
+        let moved = trace
+            .frames
+            .first()
+            .and_then(place)
+            .zip(trace.frames.last().and_then(place))
+            .map(|(a, b)| f64::from(b[0] - a[0]).hypot(f64::from(b[1] - a[1])));
         found.push(metric("box_displacement_m", "box moved by", moved, "m"));
         found.push(metric("contact_time_s", "in contact", Some(contact_s), "s"));
         found.push(metric("contact_impulse_n_s", "impulse on the box", Some(impulse), "N s"));
@@ -504,13 +507,7 @@ fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'s
     Metric { name, label, value, unit }
 }
 
-fn in_range(
-    name: &'static str,
-    found: f64,
-    low: f64,
-    high: f64,
-    expected: &'static str,
-) -> Result<(), ParameterError> {
+fn in_range(name: &'static str, found: f64, low: f64, high: f64, expected: &'static str) -> Result<(), ParameterError> {
     if (low..=high).contains(&found) {
         Ok(())
     } else {

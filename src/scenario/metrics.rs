@@ -112,21 +112,19 @@ pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, av
     if trace.fall().is_some() || size <= 0.0 {
         return None;
     }
-    let along = |frame: &Frame| {
-        (frame.velocity_in_heading[0] * push[0] + frame.velocity_in_heading[1] * push[1]) / size
-    };
+    let along =
+        |frame: &Frame| (frame.velocity_in_heading[0] * push[0] + frame.velocity_in_heading[1] * push[1]) / size;
     let before = mean(window(trace, push_s - 1.0, push_s), along)?;
-    let error: Vec<(f64, f64)> =
-        window(trace, push_s, f64::INFINITY).map(|frame| (frame.time_s - push_s, along(frame) - before)).collect();
+    let error: Vec<(f64, f64)> = trace.frames.iter().map(|f| (f.time_s - push_s, along(f) - before)).collect();
     let half = (0.5 * average_s / trace.period_s).round() as usize;
     let smoothed = |index: usize| {
-        // Cut at the push: what came before it must not be mixed in.
         let span = &error[index.saturating_sub(half)..(index + half + 1).min(error.len())];
         span.iter().map(|(_, value)| value).sum::<f64>() / span.len() as f64
     };
     // The average reaches half its length beyond the last frame it can be formed for.
     let last = error.len().checked_sub(half + 1)?;
-    let exceeding = (0..=last).rev().find(|index| smoothed(*index).abs() > threshold * size);
+    let first = error.iter().position(|(time_s, _)| *time_s > 0.0)?;
+    let exceeding = (first..=last).rev().find(|index| smoothed(*index).abs() > threshold * size);
     Some(exceeding.map_or(0.0, |index| error[index].0))
 }
 

@@ -158,7 +158,8 @@ impl<'a> Rollout<'a> {
             let before = self.sim.state();
             self.sim.push(&due.push)?;
             let after = self.sim.state();
-            let change = after.world_from_base * after.velocity_in_base - before.world_from_base * before.velocity_in_base;
+            let change =
+                after.world_from_base * after.velocity_in_base - before.world_from_base * before.velocity_in_base;
             self.shown_push = Some((time_s + PUSH_SHOWN_S, change));
             self.pushes_done += 1;
             let [forward, left] = due.push.linear;

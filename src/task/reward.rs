@@ -35,7 +35,13 @@ pub struct Terms {
 
 impl Terms {
     /// All terms of a step. `foot_height` comes from the [`SwingTracker`], which needs the past.
-    pub fn new(state: &RobotState, command: &Command, summary: &StepSummary, foot_height: f64, config: &Reward) -> Self {
+    pub fn new(
+        state: &RobotState,
+        command: &Command,
+        summary: &StepSummary,
+        foot_height: f64,
+        config: &Reward,
+    ) -> Self {
         Terms {
             linear_velocity: linear_velocity(state, command, config.tracking_sharpness),
             angular_velocity: angular_velocity(state, command, config.tracking_sharpness),

@@ -63,7 +63,9 @@ pub enum What {
 pub fn parse() -> anyhow::Result<Args> {
     let line: Vec<OsString> = std::env::args_os().collect();
     let args = from_line(command(None)?, &line);
-    let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else { return Ok(args) };
+    let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else {
+        return Ok(args);
+    };
     let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
     let parameters = flat_parameters(&file.display().to_string(), &text)?;
     Ok(from_line(command(Some((scenario.name(), parameters)))?, &line))
@@ -102,7 +104,8 @@ fn with_defaults(
     }
     Ok(command.mut_subcommand(scenario, |subcommand| {
         parameters.into_iter().fold(subcommand, |subcommand, (name, value)| {
-            subcommand.mut_arg(name, |argument| argument.default_value(value).required(false))
+            subcommand
+                .mut_arg(name, |argument| argument.default_value(value).required(false).allow_negative_numbers(true))
         })
     }))
 }

@@ -34,7 +34,11 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     let What::Play(scenario) = &args.what else {
         for scenario in Args::command().get_subcommands().filter(|command| command.get_name() != "list") {
-            println!("{:10} {}", scenario.get_name(), scenario.get_about().map(ToString::to_string).unwrap_or_default());
+            println!(
+                "{:10} {}",
+                scenario.get_name(),
+                scenario.get_about().map(ToString::to_string).unwrap_or_default()
+            );
         }
         return Ok(());
     };

@@ -36,14 +36,18 @@ impl Recording {
         let sink = match (&path, &args.connect) {
             (Some(path), _) => Sink::File(path.clone()),
             (None, Some(url)) => Sink::Connect(url.clone()),
-            (None, None) => return Ok(Recording { recorder: None, path: None }),
+            (None, None) => {
+                return Ok(Recording { recorder: None, path: None });
+            }
         };
         Ok(Recording { recorder: Some(open(sink, scenario.name(), robots, scripts)?), path })
     }
 
     /// Adds a step of a robot.
     pub fn add(&mut self, robot: usize, played: &Played) -> anyhow::Result<()> {
-        let Some(recorder) = &mut self.recorder else { return Ok(()) };
+        let Some(recorder) = &mut self.recorder else {
+            return Ok(());
+        };
         if let Some(frame) = &played.frame {
             recorder.frame(robot, frame)?;
         }

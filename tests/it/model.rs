@@ -1,0 +1,99 @@
+//! `models/go1.xml` against the manufacturer's figures.
+
+use supple::config::Config;
+use supple::go1::{JOINT_COUNT, joint_name, same_in_every_leg};
+use supple::mujoco::{Kind, Model};
+use supple::scene::{RobotFile, Scene};
+use supple::sim::{Conditions, Sim};
+
+fn scene() -> Scene {
+    Scene::flat(RobotFile::Embedded, 1.0 / 240.0)
+}
+
+fn model() -> Model {
+    scene().compile().unwrap()
+}
+
+#[test]
+fn masses_are_the_manufacturers_with_rotors() {
+    let model = model();
+    let mass = |name: &str| model.body_mass()[model.id(Kind::Body, name).unwrap()];
+    assert!((model.body_mass().iter().sum::<f64>() - 13.100_448).abs() < 1e-9);
+    assert_eq!(mass("trunk"), 5.561);
+    for leg in ["FR", "FL", "RR", "RL"] {
+        let of = |link: &str| mass(&format!("{leg}_{link}"));
+        assert_eq!([of("hip"), of("thigh"), of("calf")], [0.68, 1.009, 0.195_862]);
+    }
+}
+
+#[test]
+fn joints_come_in_unitrees_order_with_its_limits_and_no_damping() {
+    let model = model();
+    let names: Vec<String> = (1..=JOINT_COUNT).map(|joint| model.name(Kind::Joint, joint).to_owned()).collect();
+    let expected: Vec<String> = (0..JOINT_COUNT).map(|joint| format!("{}_joint", joint_name(joint))).collect();
+    assert_eq!(names, expected);
+    for joint in 0..JOINT_COUNT {
+        let (range, torque, armature) = match joint % 3 {
+            0 => ([-0.863, 0.863], 23.7, 0.004_481_385_914),
+            1 => ([-0.686, 4.501], 23.7, 0.004_481_385_914),
+            _ => ([-2.818, -0.888], 35.55, 0.010_083_118_31),
+        };
+        assert_eq!(model.joint_range(joint + 1), range);
+        assert_eq!(model.control_range(joint), [-torque, torque]);
+        assert_eq!(model.armature()[6 + joint], armature);
+    }
+    assert!(model.damping().iter().all(|damping| *damping == 0.0));
+}
+
+#[test]
+fn every_element_has_a_name() {
+    for model in [scene().compile().unwrap(), scene().compile_visual().unwrap()] {
+        for kind in [Kind::Body, Kind::Joint, Kind::Geom, Kind::Site, Kind::Actuator] {
+            for id in 0..model.count(kind) {
+                assert!(!model.name(kind, id).is_empty(), "{kind:?} {id} has no name");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_robot_stands_where_the_model_says_under_kp_40_and_kd_1() {
+    let config = Config::load("compliant").unwrap();
+    let mut sim = Sim::new(&scene(), &config.simulation, 0.2).unwrap();
+    let target = same_in_every_leg([0.0, 0.72, -1.44]);
+    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, joint_offsets: [0.0; 12] };
+    sim.reset(conditions, &target).unwrap();
+    let start = sim.state();
+    for _ in 0..120 {
+        assert_eq!(sim.step(&target, &mut ()).unwrap().fall, None);
+    }
+    let end = sim.state();
+    assert!((start.height - 0.3076).abs() < 1e-4 && (end.height - 0.3076).abs() < 5e-4, "{}", end.height);
+    for (before, after) in start.joint_angles.iter().zip(end.joint_angles) {
+        assert!((before - after).abs() < 0.003, "{before} {after}");
+    }
+    assert!(end.feet.iter().all(|foot| foot.contact && foot.height.abs() < 0.003));
+}
+
+#[test]
+fn visual_geometries_do_not_change_the_physics() {
+    let (stepped, seen) = (scene().compile().unwrap(), scene().compile_visual().unwrap());
+    assert_eq!(stepped.body_mass(), seen.body_mass());
+    assert_eq!((stepped.nq(), stepped.nv(), stepped.nu()), (seen.nq(), seen.nv(), seen.nu()));
+    assert!(seen.count(Kind::Geom) > stepped.count(Kind::Geom));
+}
+
+#[test]
+fn a_broken_model_is_refused_with_mujocos_words() {
+    let error = Model::from_xml(&[("broken.xml", "<mujoco><worldbody><geom size='0'/></worldbody></mujoco>")]);
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("broken.xml") && error.contains("size"), "{error}");
+    let missing = Model::from_file(std::path::Path::new("/nowhere/robot.xml")).unwrap_err().to_string();
+    assert!(missing.contains("/nowhere/robot.xml"), "{missing}");
+}
+
+#[test]
+fn a_missing_name_lists_the_names_there_are() {
+    let error = model().id(Kind::Joint, "tail_joint").unwrap_err().to_string();
+    assert!(error.contains("no joint named 'tail_joint'") && error.contains("FR_hip_joint"), "{error}");
+}

@@ -1,0 +1,191 @@
+//! The programs as a user runs them.
+
+use serde_json::Value;
+
+use crate::support::{complaint, run, small_config_file, standing_policy};
+
+/// Metrics without the wall-clock times.
+fn metrics(folder: &std::path::Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
+    text.lines()
+        .map(|line| {
+            let mut object: Value = serde_json::from_str(line).unwrap();
+            object.as_object_mut().unwrap().remove("time").unwrap();
+            object
+        })
+        .collect()
+}
+
+/// Names the first iteration and number that differ.
+fn assert_same(a: &[Value], b: &[Value]) {
+    assert_eq!(a.len(), b.len());
+    for (a, b) in a.iter().zip(b) {
+        for (key, value) in a.as_object().unwrap() {
+            assert_eq!(value, &b[key], "{key} of iteration {}", a["iteration"]);
+        }
+    }
+}
+
+#[test]
+fn metrics_do_not_depend_on_the_number_of_threads() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    for threads in ["1", "2", "3"] {
+        let arguments = ["--config", "small.yaml", "--samples", "5120", "--threads", threads, "--out", threads];
+        let output = run("train", folder.path(), &arguments);
+        assert!(output.status.success(), "{}", complaint(&output));
+    }
+    let one = metrics(&folder.path().join("1"));
+    assert_eq!(one.len(), 20);
+    assert!(one.iter().any(|line| line["falls"].as_u64() > Some(0)), "the test should see falls");
+    assert!(one.iter().any(|line| line["push_share"].as_f64() > Some(0.0)), "the test should see pushes");
+    assert_same(&one, &metrics(&folder.path().join("2")));
+    assert_same(&one, &metrics(&folder.path().join("3")));
+}
+
+#[test]
+fn a_resumed_run_gives_the_bits_of_an_uninterrupted_one() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let train = |arguments: &[&str]| {
+        let output = run("train", folder.path(), arguments);
+        assert!(output.status.success(), "{}", complaint(&output));
+    };
+    train(&["--config", "small.yaml", "--samples", "5120", "--out", "whole"]);
+    train(&["--config", "small.yaml", "--samples", "2560", "--out", "halves"]);
+    train(&["--resume", "halves", "--samples", "5120", "--threads", "1"]);
+    let (whole, halves) = (folder.path().join("whole"), folder.path().join("halves"));
+    assert_same(&metrics(&whole), &metrics(&halves));
+    let policy = |run: &std::path::Path| std::fs::read(run.join("policy.safetensors")).unwrap();
+    assert!(policy(&whole) == policy(&halves), "the policies differ");
+}
+
+#[test]
+fn a_damaged_checkpoint_falls_back_to_the_one_before() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let arguments = ["--config", "small.yaml", "--samples", "1536", "--out", "run"];
+    assert!(run("train", folder.path(), &arguments).status.success());
+    let newest = folder.path().join("run/checkpoint.safetensors");
+    let mut bytes = std::fs::read(&newest).unwrap();
+    let middle = bytes.len() * 9 / 10;
+    bytes[middle] ^= 1;
+    std::fs::write(&newest, &bytes).unwrap();
+
+    let output = run("train", folder.path(), &["--resume", "run", "--samples", "1792"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    assert!(complaint(&output).contains("going on from the checkpoint before it"), "{}", complaint(&output));
+    assert_eq!(metrics(&folder.path().join("run")).len(), 7);
+
+    for file in ["checkpoint.safetensors", "checkpoint.previous.safetensors"] {
+        let path = folder.path().join("run").join(file);
+        let bytes = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+    }
+    let output = run("train", folder.path(), &["--resume", "run"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).contains("was it cut off"), "{}", complaint(&output));
+}
+
+#[test]
+fn bad_input_is_one_line_that_names_the_thing_and_exits_with_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = small_config_file(folder.path());
+    let text = std::fs::read_to_string(&config).unwrap();
+    let write = |name: &str, from: &str, to: &str| {
+        assert!(text.contains(from), "{from}");
+        std::fs::write(folder.path().join(name), text.replacen(from, to, 1)).unwrap();
+    };
+    write("unknown.yaml", "latency_s:", "latencyy_s:");
+    write("negative.yaml", "walking_s: 0.3", "walking_s: -0.3");
+    write("rates.yaml", "policy_rate_hz: 60", "policy_rate_hz: 70");
+    write("model.yaml", "model: go1", "model: nowhere/robot.xml");
+    std::fs::create_dir(folder.path().join("taken")).unwrap();
+    let cases: [(&[&str], &str); 8] = [
+        (&["--config", "unknown.yaml", "--out", "x"], "latencyy_s"),
+        (&["--config", "negative.yaml", "--out", "x"], "episode.walking_s is -0.3, expected at least one policy step"),
+        (&["--config", "rates.yaml", "--out", "x"], "a multiple of policy_rate_hz (70 Hz)"),
+        (&["--config", "model.yaml", "--out", "x"], "nowhere/robot.xml"),
+        (&["--config", "nowhere.yaml", "--out", "x"], "nowhere.yaml"),
+        (&["--config", "small.yaml", "--out", "taken"], "taken exists already"),
+        (&["--resume", "taken"], "taken is not a run's folder"),
+        (&["--resume", "nowhere"], "nowhere is not a run's folder"),
+    ];
+    for (arguments, expected) in cases {
+        let output = run("train", folder.path(), arguments);
+        let complaint = complaint(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
+        assert_eq!(complaint.lines().count(), 1, "{complaint}");
+        assert!(!folder.path().join("x").exists(), "{arguments:?} left a folder");
+    }
+}
+
+#[test]
+fn ctrl_c_finishes_the_iteration_and_says_how_to_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_train"))
+        .args(["--config", "small.yaml", "--samples", "100000000", "--out", "run"])
+        .current_dir(folder.path())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let log = folder.path().join("run/metrics.jsonl");
+    while !std::fs::metadata(&log).is_ok_and(|file| file.len() > 0) {
+        assert!(child.try_wait().unwrap().is_none(), "train ended by itself");
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(interrupt.success());
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success());
+    assert!(complaint(&output).contains("go on with: train --resume run"), "{}", complaint(&output));
+    assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1"]).status.success());
+}
+
+#[test]
+fn scenario_prints_one_json_object_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
+    let arguments = ["push", "--policy", "standing.safetensors", "--push-m-s", "0.1", "--json", "--csv", "t.csv"];
+    let output = run("scenario", folder.path(), &arguments);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(object["scenario"], "push");
+    assert_eq!(object["parameters"]["push_m_s"], 0.1);
+    assert!(object["runs"][0]["metrics"]["decay_10_s"].is_number(), "{object}");
+    assert_eq!(std::fs::read_to_string(folder.path().join("t.csv")).unwrap().lines().count(), 1 + 480);
+    assert!(folder.path().join("push.rrd").exists() == cfg!(feature = "record"));
+}
+
+#[test]
+fn scenario_refuses_bad_input_with_exit_code_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let policy = standing_policy();
+    policy.save(&folder.path().join("standing.safetensors")).unwrap();
+    let bytes = policy.to_bytes().unwrap();
+    std::fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() / 2]).unwrap();
+    std::fs::write(folder.path().join("odd.yaml"), "push_m_ss: 1\n").unwrap();
+    let mut other = standing_policy();
+    other.actor.layers[1].bias.pop();
+    let rows = other.actor.layers[1].weight.len() - other.actor.layers[1].inputs();
+    other.actor.layers[1].weight.truncate(8 * 11.min(rows));
+    std::fs::write(folder.path().join("other.safetensors"), other.to_bytes().unwrap()).unwrap();
+    let cases: [(&[&str], &str); 7] = [
+        (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
+        (&["push", "--policy", "cut.safetensors"], "was it cut off"),
+        (&["push", "--policy", "other.safetensors"], "11 outputs, expected 12"),
+        (&["push", "--policy", "standing.safetensors", "--push-m-s", "-1"], "--push-m-s is -1, expected 0 to 20 m/s"),
+        (&["box", "--policy", "standing.safetensors", "--mass-kg", "0"], "--mass-kg is 0, expected 0.001"),
+        (&["push", "--policy", "standing.safetensors", "--params", "odd.yaml"], "no parameter 'push_m_ss'"),
+        (&["walk", "--policy", "standing.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
+    ];
+    for (arguments, expected) in cases {
+        let output = run("scenario", folder.path(), arguments);
+        let complaint = complaint(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
+        assert!(output.stdout.is_empty());
+    }
+}
