@@ -14,6 +14,7 @@ use serde_yaml::Value;
 pub const EMBEDDED: &[(&str, &str)] = &[
     ("compliant", include_str!("../configs/compliant.yaml")),
     ("baseline", include_str!("../configs/baseline.yaml")),
+    ("fast", include_str!("../configs/fast.yaml")),
     ("hardware", include_str!("../configs/hardware.yaml")),
 ];
 

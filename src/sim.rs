@@ -90,6 +90,9 @@ pub struct Sim {
     substeps: usize,
     min_height_m: f64,
     start: Vec<f64>,
+    /// Positions as the last first half-step found them. It normalises quaternions, which is not idempotent to the last
+    /// bit: resuming from positions after it would not give the same bits.
+    unnormalised: Vec<f64>,
 }
 
 impl Sim {
@@ -112,6 +115,7 @@ impl Sim {
             conditions,
             substeps: config.substeps(),
             min_height_m,
+            unnormalised: start.clone(),
             start,
         })
     }
@@ -125,6 +129,13 @@ impl Sim {
         self.data.positions_mut()[..self.start.len()].copy_from_slice(&self.start);
         self.latency.reset(*target);
         self.apply(conditions);
+        self.look()
+    }
+
+    /// The first half of a physics step.
+    fn look(&mut self) -> Result<()> {
+        self.unnormalised.clear();
+        self.unnormalised.extend_from_slice(self.data.positions());
         self.data.step1()
     }
 
@@ -148,7 +159,7 @@ impl Sim {
             self.robot.set_torques(&mut self.data, &torques);
             self.data.step2()?;
             observer.observe(&self.data, &self.robot, &torques);
-            self.data.step1()?;
+            self.look()?;
             let squared = squared_torque(&torques);
             summary.power_w += mechanical_power(&torques, &rates);
             summary.torque_n_m += squared.sqrt();
@@ -184,7 +195,7 @@ impl Sim {
         let linear =
             UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(push.linear[0], push.linear[1], 0.0);
         self.robot.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
-        self.data.step1()
+        self.look()
     }
 
     /// Sets the force that acts on the trunk from now on, world frame [N].
@@ -240,7 +251,7 @@ impl Sim {
     /// What has to be kept to go on exactly from here.
     pub fn save(&self) -> SimState {
         SimState {
-            positions: self.data.positions().to_vec(),
+            positions: self.unnormalised.clone(),
             velocities: self.data.velocities().to_vec(),
             warm_start: self.data.warm_start().to_vec(),
             time_s: self.data.time_s(),
@@ -268,6 +279,6 @@ impl Sim {
         self.data.warm_start_mut().copy_from_slice(&state.warm_start);
         self.data.set_time_s(state.time_s);
         self.latency = state.latency.clone();
-        self.data.step1()
+        self.look()
     }
 }
