@@ -73,7 +73,7 @@ pub struct RunState {
     pub iteration: u64,
     /// Samples collected.
     pub samples: u64,
-    /// Wall-clock time spent training, over all sessions [s].
+    /// Wall-clock time spent training, over all sessions \[s\].
     pub elapsed_s: f64,
     /// The command curriculum.
     pub commands: CommandCurriculum,

@@ -100,7 +100,7 @@ pub struct Simulation {
     pub kp_n_m_per_rad: f64,
     /// `K_d` [N·m·s/rad].
     pub kd_n_m_s_per_rad: f64,
-    /// Delay of the joint target [s].
+    /// Delay of the joint target \[s\].
     pub latency_s: f64,
 }
 
@@ -110,12 +110,12 @@ impl Simulation {
         (self.physics_rate_hz / self.policy_rate_hz) as usize
     }
 
-    /// Duration of a physics step [s].
+    /// Duration of a physics step \[s\].
     pub fn timestep_s(&self) -> f64 {
         1.0 / f64::from(self.physics_rate_hz)
     }
 
-    /// Duration of a policy step [s].
+    /// Duration of a policy step \[s\].
     pub fn policy_period_s(&self) -> f64 {
         1.0 / f64::from(self.policy_rate_hz)
     }
@@ -130,9 +130,9 @@ impl Simulation {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Action {
-    /// Hip, thigh and calf of every leg [rad].
+    /// Hip, thigh and calf of every leg \[rad\].
     pub nominal_pose_rad: [f64; 3],
-    /// [rad] per unit of action.
+    /// \[rad\] per unit of action.
     pub scale_rad: f64,
 }
 
@@ -176,11 +176,11 @@ pub struct CommandRange {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Episode {
-    /// Duration of the walking stage [s].
+    /// Duration of the walking stage \[s\].
     pub walking_s: f64,
-    /// Duration of the recovery stage, which starts with the push [s].
+    /// Duration of the recovery stage, which starts with the push \[s\].
     pub recovery_s: f64,
-    /// Duration of the post-recovery stage [s].
+    /// Duration of the post-recovery stage \[s\].
     pub post_recovery_s: f64,
     /// Whether tracking rewards are replaced in the recovery stage; false is the baseline.
     pub recovery_stage: bool,
@@ -192,7 +192,7 @@ pub struct Episode {
     pub push_rate_rad_s: f64,
     /// Largest incline (rise over run).
     pub slope: f64,
-    /// Base height below which the robot has fallen [m].
+    /// Base height below which the robot has fallen \[m\].
     pub min_height_m: f64,
 }
 
@@ -220,9 +220,9 @@ pub struct Reward {
     pub height_sharpness: f64,
     /// The 0.45 of equation 3.
     pub negative_sharpness: f64,
-    /// `y_des` [m].
+    /// `y_des` \[m\].
     pub base_height_m: f64,
-    /// `p_des` [m].
+    /// `p_des` \[m\].
     pub foot_height_m: f64,
 }
 
@@ -234,7 +234,7 @@ pub struct Randomisation {
     pub enabled: bool,
     /// Range of the floor's sliding friction.
     pub friction: [f64; 2],
-    /// Standard deviation of the encoders' calibration offsets [rad].
+    /// Standard deviation of the encoders' calibration offsets \[rad\].
     pub joint_offset_sd_rad: f64,
     /// Sliding friction when randomisation is off.
     pub default_friction: f64,
@@ -331,7 +331,7 @@ impl Config {
         let s = &self.simulation;
         require(s.policy_rate_hz > 0, "simulation.policy_rate_hz", s.policy_rate_hz, "at least 1 Hz")?;
         require(
-            s.physics_rate_hz > 0 && s.physics_rate_hz % s.policy_rate_hz == 0,
+            s.physics_rate_hz > 0 && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
             "simulation.physics_rate_hz",
             s.physics_rate_hz,
             &format!("a multiple of policy_rate_hz ({} Hz), such as {}", s.policy_rate_hz, 4 * s.policy_rate_hz),

@@ -64,7 +64,7 @@ impl Latency {
     }
 }
 
-/// `Σ |τ·q̇|` [W].
+/// `Σ |τ·q̇|` \[W\].
 pub fn mechanical_power(torques: &Joints, rates: &Joints) -> f64 {
     (0..JOINT_COUNT).map(|joint| (torques[joint] * rates[joint]).abs()).sum()
 }

@@ -52,7 +52,7 @@ pub struct EpisodeReport {
     pub terms: Terms,
     /// Mean `r_lin` of the walking stage, if the episode went through the whole of it.
     pub walking_linear: Option<f64>,
-    /// Mean peak height of the swings that ended in this episode [m].
+    /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
     /// What MuJoCo reported, for a fault.
     pub fault: Option<mujoco::Error>,
@@ -291,7 +291,7 @@ mod tests {
     /// Actions of a clumsy trot.
     fn action(step: usize) -> [f32; 12] {
         std::array::from_fn(|joint| {
-            let phase = step as f32 * 0.3 + if matches!(joint / 3, 0 | 3) { 0.0 } else { 3.14 };
+            let phase = step as f32 * 0.3 + if matches!(joint / 3, 0 | 3) { 0.0 } else { std::f32::consts::PI };
             0.8 * (phase + (joint % 3) as f32).sin()
         })
     }

@@ -40,7 +40,7 @@ pub fn paper_axes(vector: Vector3<f64>) -> [f64; 3] {
 /// A foot at the end of a policy step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FootState {
-    /// Bottom of the foot's sphere above the ground under it [m].
+    /// Bottom of the foot's sphere above the ground under it \[m\].
     pub height: f64,
     /// Velocity of its centre, world frame [m/s].
     pub velocity: [f64; 3],
@@ -51,11 +51,11 @@ pub struct FootState {
 /// What there is to know about the robot at one instant.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RobotState {
-    /// Origin of the trunk, world frame [m].
+    /// Origin of the trunk, world frame \[m\].
     pub position: Vector3<f64>,
     /// Rotation from the base frame to the world frame.
     pub world_from_base: UnitQuaternion<f64>,
-    /// Height of the base above the ground under it [m].
+    /// Height of the base above the ground under it \[m\].
     pub height: f64,
     /// Velocity of the trunk's origin, base frame [m/s].
     pub velocity_in_base: Vector3<f64>,
@@ -63,7 +63,7 @@ pub struct RobotState {
     pub angular_velocity_in_base: Vector3<f64>,
     /// Gravity, base frame [m/s²].
     pub gravity_in_base: Vector3<f64>,
-    /// Joint angles [rad].
+    /// Joint angles \[rad\].
     pub joint_angles: Joints,
     /// Joint rates [rad/s].
     pub joint_rates: Joints,
@@ -72,7 +72,7 @@ pub struct RobotState {
 }
 
 impl RobotState {
-    /// Roll, pitch and yaw of the trunk relative to the world [rad].
+    /// Roll, pitch and yaw of the trunk relative to the world \[rad\].
     pub fn roll_pitch_yaw(&self) -> (f64, f64, f64) {
         self.world_from_base.euler_angles()
     }
@@ -161,7 +161,7 @@ impl Go1 {
         self.torque_limits
     }
 
-    /// True joint angles [rad].
+    /// True joint angles \[rad\].
     pub fn joint_angles(&self, data: &Data) -> Joints {
         self.joint_position.map(|index| data.positions()[index])
     }
@@ -189,7 +189,7 @@ impl Go1 {
         }
     }
 
-    /// Sets the force on the trunk at its centre of mass, world frame [N]. It acts until it is set anew.
+    /// Sets the force on the trunk at its centre of mass, world frame \[N\]. It acts until it is set anew.
     pub fn set_trunk_force(&self, data: &mut Data, force: Vector3<f64>) {
         let start = 6 * self.trunk;
         data.applied_forces_mut()[start..start + 3].copy_from_slice(force.as_slice());

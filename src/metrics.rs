@@ -33,11 +33,11 @@ pub struct IterationMetrics {
     pub push_share: Option<f64>,
     /// Mean sum of rewards of an episode.
     pub episode_reward: Option<f64>,
-    /// Mean length of an episode [steps].
+    /// Mean length of an episode \[steps\].
     pub episode_steps: Option<f64>,
     /// Mean `r_lin` of completed walking stages, 0 to 1: the share of its maximum.
     pub walking_linear: Option<f64>,
-    /// Mean peak height of swings [m].
+    /// Mean peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
     /// Mean terms of Table II per step.
     pub terms: Option<Terms>,
@@ -92,13 +92,13 @@ impl From<UpdateStatistics> for LearnerMetrics {
 /// Wall-clock times.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Timing {
-    /// Collecting [s].
+    /// Collecting \[s\].
     pub rollout_s: f64,
-    /// Learning [s].
+    /// Learning \[s\].
     pub update_s: f64,
     /// Samples over the whole iteration's time [1/s].
     pub samples_per_s: f64,
-    /// Training time of the run, over all sessions [s].
+    /// Training time of the run, over all sessions \[s\].
     pub elapsed_s: f64,
 }
 
@@ -135,7 +135,7 @@ pub struct EpisodeMeans {
     pub steps: Option<f64>,
     /// Mean `r_lin` of completed walking stages.
     pub walking_linear: Option<f64>,
-    /// Peak height of swings [m].
+    /// Peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
     /// Terms per step.
     pub terms: Option<Terms>,

@@ -30,7 +30,7 @@ const MAX_BYTES: u64 = 64 << 20;
 /// Stored pairs of observation and joint targets.
 const GOLDEN: usize = 3;
 
-/// Joint targets may differ by this much from the stored ones on another machine [rad].
+/// Joint targets may differ by this much from the stored ones on another machine \[rad\].
 const GOLDEN_TOLERANCE: f64 = 1e-5;
 
 /// Why a policy file was refused.
@@ -103,9 +103,9 @@ pub struct Policy {
     pub actor: Mlp,
     /// Scaling of the observation.
     pub normaliser: Normaliser,
-    /// Joint targets at action zero [rad].
+    /// Joint targets at action zero \[rad\].
     pub nominal_pose: Joints,
-    /// [rad] per unit of action.
+    /// \[rad\] per unit of action.
     pub scale_rad: f64,
     /// Rates, gains and latency it was trained with.
     pub simulation: Simulation,
@@ -129,7 +129,7 @@ impl Policy {
         }
     }
 
-    /// Joint targets [rad] for an observation in physical units.
+    /// Joint targets \[rad\] for an observation in physical units.
     pub fn joint_targets(&self, observation: &Observation, scratch: &mut Scratch) -> Joints {
         let (mut seen, mut action) = ([0.0; LENGTH], [0.0; JOINT_COUNT]);
         self.normaliser.apply(observation, &mut seen);
@@ -221,8 +221,7 @@ impl Policy {
         let expected = read("golden.joint_target", &[GOLDEN, JOINT_COUNT])?;
         let found = policy.targets_of(&observations);
         let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        // Written so that a NaN fails.
-        if !(worst <= GOLDEN_TOLERANCE) {
+        if worst.is_nan() || worst > GOLDEN_TOLERANCE {
             return Err(fail(format!(
                 "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: \
                  the file is damaged"

@@ -47,18 +47,18 @@ pub enum Ground {
 /// Elevations on a regular grid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeightField {
-    /// Half-lengths along x and y [m].
+    /// Half-lengths along x and y \[m\].
     pub half_size: [f64; 2],
     /// Grid points along y.
     pub rows: usize,
     /// Grid points along x.
     pub columns: usize,
-    /// Heights [m], row-major, shape (rows, columns); row 0 at the least y, column 0 at the least x.
+    /// Heights \[m\], row-major, shape (rows, columns); row 0 at the least y, column 0 at the least x.
     pub heights: Vec<f64>,
 }
 
 impl HeightField {
-    /// Samples `height(x, y)` [m] on a grid of about `spacing_m`.
+    /// Samples `height(x, y)` \[m\] on a grid of about `spacing_m`.
     pub fn sample(half_size: [f64; 2], spacing_m: f64, height: impl Fn(f64, f64) -> f64) -> Self {
         let points = |half: f64| (2.0 * half / spacing_m).round() as usize + 1;
         let (rows, columns) = (points(half_size[1]), points(half_size[0]));
@@ -69,14 +69,14 @@ impl HeightField {
         HeightField { half_size, rows, columns, heights }
     }
 
-    /// Lowest and highest elevation [m].
+    /// Lowest and highest elevation \[m\].
     pub fn range(&self) -> [f64; 2] {
         let low = self.heights.iter().copied().fold(f64::INFINITY, f64::min);
         let high = self.heights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         [low, high]
     }
 
-    /// Bilinear elevation [m]; beyond the edge, that of the nearest point of the edge.
+    /// Bilinear elevation \[m\]; beyond the edge, that of the nearest point of the edge.
     fn height(&self, x: f64, y: f64) -> f64 {
         let grid = |value: f64, half: f64, count: usize| {
             let position = ((value / half + 1.0) / 2.0).clamp(0.0, 1.0) * (count - 1) as f64;
@@ -95,7 +95,7 @@ impl HeightField {
 }
 
 impl Ground {
-    /// Elevation under a point of the world [m].
+    /// Elevation under a point of the world \[m\].
     pub fn height(&self, x: f64, y: f64) -> f64 {
         match self {
             Ground::Flat => 0.0,
@@ -111,7 +111,7 @@ pub struct Buffers {
     pub contacts: usize,
     /// Constraint rows, `njmax`.
     pub rows: usize,
-    /// Stack [f64], `nstack`.
+    /// Stack \[f64\], `nstack`.
     pub stack: usize,
 }
 
@@ -122,7 +122,7 @@ pub struct Scene {
     pub robot: RobotFile,
     /// What it walks on.
     pub ground: Ground,
-    /// Physics step [s].
+    /// Physics step \[s\].
     pub timestep_s: f64,
     /// MJCF elements of the world body beside robot and ground, each named.
     pub obstacles: String,

@@ -17,7 +17,7 @@ use crate::scene::{Ground, Scene};
 /// Why the robot counts as fallen (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Fall {
-    /// The base is too low: its height above the ground [m].
+    /// The base is too low: its height above the ground \[m\].
     Low(f64),
     /// The geometry of this id, not a foot, touches the ground.
     Touch(usize),
@@ -26,7 +26,7 @@ pub enum Fall {
 /// What happened in one policy step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepSummary {
-    /// `Σ|τ·q̇|`, mean over the physics steps [W].
+    /// `Σ|τ·q̇|`, mean over the physics steps \[W\].
     pub power_w: f64,
     /// `‖τ‖₂`, mean over the physics steps [N·m].
     pub torque_n_m: f64,
@@ -43,7 +43,7 @@ pub struct Conditions {
     pub gravity: [f64; 3],
     /// Sliding friction of the ground.
     pub friction: f64,
-    /// What the encoders read too much [rad].
+    /// What the encoders read too much \[rad\].
     pub joint_offsets: Joints,
 }
 
@@ -145,7 +145,7 @@ impl Sim {
         self.conditions = conditions;
     }
 
-    /// One policy step towards joint targets [rad].
+    /// One policy step towards joint targets \[rad\].
     ///
     /// # Errors
     /// A fault of MuJoCo; the simulation must be reset before it goes on.
@@ -173,7 +173,7 @@ impl Sim {
         Ok(summary)
     }
 
-    /// Joint angles as the encoders read them [rad].
+    /// Joint angles as the encoders read them \[rad\].
     pub fn measured_angles(&self) -> Joints {
         let angles = self.robot.joint_angles(&self.data);
         std::array::from_fn(|joint| angles[joint] + self.conditions.joint_offsets[joint])
@@ -198,7 +198,7 @@ impl Sim {
         self.look()
     }
 
-    /// Sets the force that acts on the trunk from now on, world frame [N].
+    /// Sets the force that acts on the trunk from now on, world frame \[N\].
     pub fn set_trunk_force(&mut self, force: Vector3<f64>) {
         self.robot.set_trunk_force(&mut self.data, force);
     }
@@ -243,7 +243,7 @@ impl Sim {
         &self.ground
     }
 
-    /// Duration of a policy step [s].
+    /// Duration of a policy step \[s\].
     pub fn policy_period_s(&self) -> f64 {
         self.substeps as f64 * self.data.model().timestep_s()
     }

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use crate::go1::Joints;
 use crate::task::{Command, Stage, Terms};
 
-/// Position [m] and orientation (w, x, y, z) of a body, world frame.
+/// Position \[m\] and orientation (w, x, y, z) of a body, world frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Pose {
-    /// Origin of the body's frame [m].
+    /// Origin of the body's frame \[m\].
     pub position: [f32; 3],
     /// Unit quaternion (w, x, y, z), world from body.
     pub quaternion: [f32; 4],
@@ -24,9 +24,9 @@ pub enum Disturbance {
         /// World frame [m/s].
         velocity: [f64; 3],
     },
-    /// A force on the trunk, world frame [N]; drawn as a rope.
+    /// A force on the trunk, world frame \[N\]; drawn as a rope.
     Pull {
-        /// World frame [N].
+        /// World frame \[N\].
         force: [f64; 3],
     },
 }
@@ -34,7 +34,7 @@ pub enum Disturbance {
 /// The state at the end of one policy step and what the step cost.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Frame {
-    /// Simulation time [s].
+    /// Simulation time \[s\].
     pub time_s: f64,
     /// Every body of the model, in the model's order; body 0 is the world.
     pub bodies: Vec<Pose>,
@@ -44,15 +44,15 @@ pub struct Frame {
     pub velocity: [f64; 3],
     /// Trunk velocity (forward, left, up), heading frame [m/s].
     pub velocity_in_heading: [f64; 3],
-    /// Origin of the trunk, world frame [m].
+    /// Origin of the trunk, world frame \[m\].
     pub position: [f64; 3],
     /// About the base's up axis [rad/s].
     pub yaw_rate: f64,
-    /// Roll, pitch, yaw [rad].
+    /// Roll, pitch, yaw \[rad\].
     pub roll_pitch_yaw: [f64; 3],
-    /// Base height above the ground under it [m].
+    /// Base height above the ground under it \[m\].
     pub height_m: f64,
-    /// `Σ|τ·q̇|`, mean over the step's physics steps [W].
+    /// `Σ|τ·q̇|`, mean over the step's physics steps \[W\].
     pub power_w: f64,
     /// `‖τ‖₂`, mean over the step's physics steps [N·m].
     pub torque_n_m: f64,
@@ -60,21 +60,21 @@ pub struct Frame {
     pub reward: f64,
     /// Its terms.
     pub terms: Terms,
-    /// Joint angles [rad].
+    /// Joint angles \[rad\].
     pub joint_angles: Joints,
-    /// Joint targets given to the controller [rad].
+    /// Joint targets given to the controller \[rad\].
     pub joint_targets: Joints,
     /// Torques of the last physics step [N·m].
     pub torques: Joints,
-    /// Foot centres, world frame [m].
+    /// Foot centres, world frame \[m\].
     pub foot_positions: [[f64; 3]; 4],
-    /// Lowest point of each foot above the ground under it [m].
+    /// Lowest point of each foot above the ground under it \[m\].
     pub foot_heights: [f64; 4],
-    /// Contact force on each foot, world frame, mean over the step's physics steps [N].
+    /// Contact force on each foot, world frame, mean over the step's physics steps \[N\].
     pub foot_forces: [[f64; 3]; 4],
-    /// Largest contact force on any one foot in the step's physics steps [N].
+    /// Largest contact force on any one foot in the step's physics steps \[N\].
     pub peak_foot_force_n: f64,
-    /// Largest contact force between the robot and obstacles in the step's physics steps [N].
+    /// Largest contact force between the robot and obstacles in the step's physics steps \[N\].
     pub peak_obstacle_force_n: f64,
     /// Impulse between the robot and obstacles over the step [N·s].
     pub obstacle_impulse_n_s: f64,
@@ -87,7 +87,7 @@ pub struct Frame {
 /// Something worth a line of text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Event {
-    /// Simulation time [s].
+    /// Simulation time \[s\].
     pub time_s: f64,
     /// What kind.
     pub kind: EventKind,
@@ -112,7 +112,7 @@ pub enum EventKind {
 /// A rollout.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trace {
-    /// Time between frames [s].
+    /// Time between frames \[s\].
     pub period_s: f64,
     /// One frame for each policy step.
     pub frames: Vec<Frame>,

@@ -15,9 +15,9 @@ pub struct Contact {
     pub index: usize,
     /// The two geometries, ordered by MuJoCo's shape types (plane, height field, sphere, capsule, …, box).
     pub geoms: [usize; 2],
-    /// Contact point, world frame. [m]
+    /// Contact point, world frame. \[m\]
     pub position: [f64; 3],
-    /// Signed distance, negative when penetrating. [m]
+    /// Signed distance, negative when penetrating. \[m\]
     pub distance: f64,
 }
 
@@ -66,7 +66,7 @@ macro_rules! fields {
 }
 
 fields! {
-    /// Generalised positions, shape (nq). A free joint's are position (world) [m] and quaternion (w, x, y, z).
+    /// Generalised positions, shape (nq). A free joint's are position (world) \[m\] and quaternion (w, x, y, z).
     positions / positions_mut = qpos[Model::nq];
     /// Generalised velocities, shape (nv). A free joint's are linear (world frame) [m/s] and angular (body frame) [rad/s].
     velocities / velocities_mut = qvel[Model::nv];
@@ -78,13 +78,13 @@ fields! {
     applied_forces / applied_forces_mut = xfrc_applied[|m| 6 * m.count(Kind::Body)];
     /// Actuator forces of the last second half-step, shape (nu).
     actuator_forces = actuator_force[Model::nu];
-    /// Body frame origins, world frame, shape (nbody, 3). [m]
+    /// Body frame origins, world frame, shape (nbody, 3). \[m\]
     body_positions = xpos[|m| 3 * m.count(Kind::Body)];
     /// Body orientations (w, x, y, z), shape (nbody, 4).
     body_quaternions = xquat[|m| 4 * m.count(Kind::Body)];
-    /// Centres of mass of the bodies, world frame, shape (nbody, 3). [m]
+    /// Centres of mass of the bodies, world frame, shape (nbody, 3). \[m\]
     body_centres_of_mass = xipos[|m| 3 * m.count(Kind::Body)];
-    /// Geometry centres, world frame, shape (ngeom, 3). [m]
+    /// Geometry centres, world frame, shape (ngeom, 3). \[m\]
     geom_positions = geom_xpos[|m| 3 * m.count(Kind::Geom)];
     /// Generalised accelerations of the last second half-step, shape (nv).
     accelerations = qacc[Model::nv];
@@ -119,12 +119,12 @@ impl Data {
         unsafe { self.raw.as_ref() }
     }
 
-    /// Simulation time [s].
+    /// Simulation time \[s\].
     pub fn time_s(&self) -> f64 {
         self.raw().time
     }
 
-    /// Sets the simulation time [s].
+    /// Sets the simulation time \[s\].
     pub fn set_time_s(&mut self, time_s: f64) {
         // SAFETY: the pointer is valid and `self` is borrowed mutably.
         unsafe { self.raw.as_mut() }.time = time_s;
@@ -218,7 +218,7 @@ impl Data {
         })
     }
 
-    /// Force on the second geometry of a contact by the first, world frame [N]. Valid after [`Data::step2`] and before
+    /// Force on the second geometry of a contact by the first, world frame \[N\]. Valid after [`Data::step2`] and before
     /// the next [`Data::step1`].
     ///
     /// # Panics

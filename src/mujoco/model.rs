@@ -84,9 +84,9 @@ pub struct Geom {
     pub body: usize,
     /// Its shape.
     pub shape: Shape,
-    /// Shape-specific sizes [m].
+    /// Shape-specific sizes \[m\].
     pub size: [f64; 3],
-    /// Position in its body's frame [m].
+    /// Position in its body's frame \[m\].
     pub position: [f64; 3],
     /// Orientation in its body's frame (w, x, y, z).
     pub quaternion: [f64; 4],
@@ -209,7 +209,7 @@ impl Model {
         self.raw().nconmax as usize
     }
 
-    /// Capacity of the constraint buffer [rows].
+    /// Capacity of the constraint buffer \[rows\].
     pub fn njmax(&self) -> usize {
         self.raw().njmax as usize
     }
@@ -254,7 +254,7 @@ impl Model {
         unsafe { CStr::from_ptr(name) }.to_str().unwrap_or("")
     }
 
-    /// Physics step [s].
+    /// Physics step \[s\].
     pub fn timestep_s(&self) -> f64 {
         self.raw().opt.timestep
     }
@@ -289,7 +289,7 @@ impl Model {
         self.slice(self.raw().jnt_dofadr, self.raw().njnt)[joint] as usize
     }
 
-    /// Lower and upper limit of a joint [rad].
+    /// Lower and upper limit of a joint \[rad\].
     pub fn joint_range(&self, joint: usize) -> [f64; 2] {
         let range = self.slice(self.raw().jnt_range, 2 * self.raw().njnt);
         [range[2 * joint], range[2 * joint + 1]]
@@ -311,7 +311,7 @@ impl Model {
         [range[2 * actuator], range[2 * actuator + 1]]
     }
 
-    /// Mass of every body, shape (nbody). [kg]
+    /// Mass of every body, shape (nbody). \[kg\]
     pub fn body_mass(&self) -> &[f64] {
         self.slice(self.raw().body_mass, self.raw().nbody)
     }

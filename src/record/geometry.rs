@@ -136,7 +136,7 @@ fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
 /// Geometries of one kind.
 #[derive(Default)]
 struct Batch {
-    /// As MuJoCo has them, see [`Shape`] [m].
+    /// As MuJoCo has them, see [`Shape`] \[m\].
     sizes: Vec<[f32; 3]>,
     positions: Vec<[f32; 3]>,
     quaternions: Vec<Quaternion>,

@@ -13,11 +13,11 @@ use super::stream::Stream;
 use super::style::{BACKGROUND, Rgb};
 use crate::mujoco::{Geom, Kind, Model, Shape};
 
-/// Side of a square of the pattern [m].
+/// Side of a square of the pattern \[m\].
 const SQUARE_M: f32 = 0.5;
 /// Squares along a side of the patch, even.
 const SQUARES: i32 = 48;
-/// Distance from the patch's middle at which the ground begins to fade, and at which it has vanished [m].
+/// Distance from the patch's middle at which the ground begins to fade, and at which it has vanished \[m\].
 const FADE_M: [f32; 2] = [3.5, 11.5];
 /// Most grid points of a height field that are drawn along a side.
 const MOST_POINTS: usize = 401;

@@ -18,15 +18,15 @@ use super::style::*;
 use crate::scene::Ground;
 use crate::trace::{Disturbance, Event, EventKind, Frame};
 
-/// Time between two points of the trunk's trail [s], and how many there are.
+/// Time between two points of the trunk's trail \[s\], and how many there are.
 const TRUNK_TRAIL: (f64, usize) = (0.1, 100);
 /// As above, for the feet.
 const FOOT_TRAIL: (f64, usize) = (1.0 / 30.0, 22);
-/// Height of trails and shadows above the ground, so that both are seen [m].
+/// Height of trails and shadows above the ground, so that both are seen \[m\].
 const ABOVE_GROUND_M: f32 = 0.003;
-/// Height of an event's label above the trunk [m].
+/// Height of an event's label above the trunk \[m\].
 const LABEL_HEIGHT_M: f32 = 0.28;
-/// From the trunk's origin to its side [m].
+/// From the trunk's origin to its side \[m\].
 const TRUNK_RADIUS_M: f64 = 0.13;
 
 /// What is drawn now, and until when.

@@ -17,13 +17,13 @@ use crate::mujoco::Kind;
 use crate::task::Stage;
 use crate::trace::{Event, EventKind, Frame, Pose};
 
-/// Least movement [m] and turn (of a quaternion's components) that is logged.
+/// Least movement \[m\] and turn (of a quaternion's components) that is logged.
 const LEAST_CHANGE: f32 = 2e-5;
 /// More balls than this are logged in every other frame, for the file's size.
 const BALLS_IN_EVERY_FRAME: usize = 500;
-/// Balls that moved less than this stay where they were logged [m].
+/// Balls that moved less than this stay where they were logged \[m\].
 const LEAST_BALL_CHANGE_M: f32 = 5e-4;
-/// Time constant of the camera [s].
+/// Time constant of the camera \[s\].
 const CAMERA_LAG_S: f32 = 0.25;
 
 /// Where a robot's things are and what was logged last.

@@ -21,7 +21,7 @@ use super::style::PATIENCE;
 
 /// Name under which viewers file our recordings and layouts.
 pub(super) const APPLICATION: &str = "supple";
-/// The only timeline [s].
+/// The only timeline \[s\].
 pub(super) const TIMELINE: &str = "sim_time";
 
 /// Where a recording goes.
@@ -94,7 +94,7 @@ impl Stream {
         self.recording.as_ref().ok_or_else(|| RecordError::Closed { target: self.target.clone() })
     }
 
-    /// What is logged from now on belongs to this time [s].
+    /// What is logged from now on belongs to this time \[s\].
     pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
         self.recording()?.set_duration_secs(TIMELINE, time_s);
         Ok(())

@@ -35,13 +35,13 @@ pub(super) const BACKGROUND: Rgb = [38, 43, 50];
 pub(super) const METRES_PER_NEWTON: f64 = 1.0 / 300.0;
 /// Length of a push arrow [m per m/s].
 pub(super) const METRES_PER_PUSH: f64 = 0.5;
-/// How long a push stays visible [s].
+/// How long a push stays visible \[s\].
 pub(super) const PUSH_SHOWN_S: f64 = 0.3;
-/// How long the label of an event stays visible [s]; that of a fall stays for good.
+/// How long the label of an event stays visible \[s\]; that of a fall stays for good.
 pub(super) const LABEL_SHOWN_S: f64 = 1.2;
-/// Length of a rope between trunk and force arrow [m].
+/// Length of a rope between trunk and force arrow \[m\].
 pub(super) const ROPE_LENGTH_M: f64 = 0.6;
-/// Distance of the eye from the robot [m].
+/// Distance of the eye from the robot \[m\].
 pub(super) const EYE_DISTANCE_M: f32 = 1.6;
 /// From the robot to the eye: right of it, a little behind and above. World frame, any length.
 pub(super) const EYE_DIRECTION: [f32; 3] = [-0.3, -1.0, 0.48];

@@ -31,10 +31,10 @@ pub const DEFAULTS: &[(&str, &str)] = &[
     ("terrain", include_str!("../../configs/scenarios/terrain.yaml")),
 ];
 
-/// Half-length of height fields along x and y [m].
+/// Half-length of height fields along x and y \[m\].
 const FIELD_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];
 
-/// Length still shown after a fall [s].
+/// Length still shown after a fall \[s\].
 const AFTER_FALL_S: f64 = 1.0;
 
 /// A parameter outside its range.
@@ -52,16 +52,16 @@ pub struct ParameterError {
 /// What every scenario asks of the policy.
 #[derive(Args, Debug, Clone, PartialEq, Serialize)]
 pub struct Task {
-    /// Commanded forward velocity [m/s]
+    /// Commanded forward velocity (m/s)
     #[arg(long)]
     pub forward_m_s: f64,
-    /// Commanded velocity to the left [m/s]
+    /// Commanded velocity to the left (m/s)
     #[arg(long)]
     pub left_m_s: f64,
-    /// Commanded yaw rate, counter-clockwise [rad/s]
+    /// Commanded yaw rate, counter-clockwise (rad/s)
     #[arg(long)]
     pub yaw_rad_s: f64,
-    /// Length of the rollout [s]
+    /// Length of the rollout (s)
     #[arg(long)]
     pub duration_s: f64,
 }
@@ -82,16 +82,16 @@ pub struct PushAway {
     #[serde(flatten)]
     #[allow(missing_docs)]
     pub task: Task,
-    /// Size of the velocity change [m/s]
+    /// Size of the velocity change (m/s)
     #[arg(long)]
     pub push_m_s: f64,
-    /// Direction of the push: 0 forward, 90 left [deg]
+    /// Direction of the push: 0 forward, 90 left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// Time of the push; up to one stride (0.4 s) later, as the seed has it [s]
+    /// Time of the push; up to one stride (0.4 s) later, as the seed has it (s)
     #[arg(long)]
     pub at_s: f64,
-    /// Push again at this interval; 0 pushes once [s]
+    /// Push again at this interval; 0 pushes once (s)
     #[arg(long)]
     pub every_s: f64,
 }
@@ -103,16 +103,16 @@ pub struct Leash {
     #[serde(flatten)]
     #[allow(missing_docs)]
     pub task: Task,
-    /// Pulling force [N]
+    /// Pulling force (N)
     #[arg(long)]
     pub force_n: f64,
-    /// Direction of the pull in the world: 0 ahead, 90 left [deg]
+    /// Direction of the pull in the world: 0 ahead, 90 left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// When the pull begins [s]
+    /// When the pull begins (s)
     #[arg(long)]
     pub at_s: f64,
-    /// How long it lasts [s]
+    /// How long it lasts (s)
     #[arg(long)]
     pub for_s: f64,
 }
@@ -124,19 +124,19 @@ pub struct FreeBox {
     #[serde(flatten)]
     #[allow(missing_docs)]
     pub task: Task,
-    /// Mass of the box [kg]
+    /// Mass of the box (kg)
     #[arg(long)]
     pub mass_kg: f64,
-    /// Edge length of the box [m]
+    /// Edge length of the box (m)
     #[arg(long)]
     pub size_m: f64,
-    /// From the robot's centre to the box's near face [m]
+    /// From the robot's centre to the box's near face (m)
     #[arg(long)]
     pub distance_m: f64,
     /// Sliding friction of the box on the ground
     #[arg(long)]
     pub friction: f64,
-    /// Largest sideways offset of the box, drawn from the seed [m]
+    /// Largest sideways offset of the box, drawn from the seed (m)
     #[arg(long)]
     pub max_offset_m: f64,
 }
@@ -151,16 +151,16 @@ pub struct BallPit {
     /// Number of balls, laid out in a square
     #[arg(long)]
     pub balls: u32,
-    /// Mass of a ball [kg]
+    /// Mass of a ball (kg)
     #[arg(long)]
     pub mass_kg: f64,
-    /// Radius of a ball [m]
+    /// Radius of a ball (m)
     #[arg(long)]
     pub radius_m: f64,
-    /// Gap between neighbours [m]
+    /// Gap between neighbours (m)
     #[arg(long)]
     pub gap_m: f64,
-    /// From the robot's centre to the first row [m]
+    /// From the robot's centre to the first row (m)
     #[arg(long)]
     pub distance_m: f64,
 }
@@ -187,13 +187,13 @@ pub struct Terrain {
     /// Shape of the ground
     #[arg(long, value_enum)]
     pub kind: TerrainKind,
-    /// Perlin: peak to peak; steps: rise of each [m]
+    /// Perlin: peak to peak; steps: rise of each (m)
     #[arg(long)]
     pub height_m: f64,
-    /// Perlin: lattice cells per metre [1/m]
+    /// Perlin: lattice cells per metre (1/m)
     #[arg(long)]
     pub frequency_per_m: f64,
-    /// Steps: length of each [m]
+    /// Steps: length of each (m)
     #[arg(long)]
     pub step_length_m: f64,
     /// Steps: number up, and as many down
@@ -447,7 +447,7 @@ impl BallPit {
         f64::from(self.balls).sqrt().ceil() as u32
     }
 
-    /// Where the last row ends [m].
+    /// Where the last row ends \[m\].
     fn far_edge_m(&self) -> f64 {
         let pitch = 2.0 * self.radius_m + self.gap_m;
         self.distance_m + f64::from(self.side()) * pitch

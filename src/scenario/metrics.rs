@@ -6,16 +6,16 @@ its time. Velocities are in the heading frame (forward, left).
 
 use crate::trace::{Frame, Trace};
 
-/// Mass of the Go1 times gravity, for the cost of transport [N].
+/// Mass of the Go1 times gravity, for the cost of transport \[N\].
 const WEIGHT_N: f64 = 13.100_448 * 9.81;
 
-/// Length of the moving average in decay times while walking: one stride [s].
+/// Length of the moving average in decay times while walking: one stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
 
-/// Length of the moving average in decay times while standing [s].
+/// Length of the moving average in decay times while standing \[s\].
 pub const STANDING_AVERAGE_S: f64 = 0.1;
 
-/// A foot counts as touching from this force on [N].
+/// A foot counts as touching from this force on \[N\].
 const CONTACT_N: f64 = 1.0;
 
 /// A named number with its unit; `None` if the trace does not define it.
@@ -63,7 +63,7 @@ pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64
     (speed > 0.05).then(|| power_w / (WEIGHT_N * speed))
 }
 
-/// Touchdowns of a foot per second, mean over the feet [Hz].
+/// Touchdowns of a foot per second, mean over the feet \[Hz\].
 pub fn stride_frequency(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let mut touchdowns = 0_u32;
     for leg in 0..4 {
@@ -84,7 +84,7 @@ pub fn stride_frequency(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64>
     (until_s > from_s).then(|| f64::from(touchdowns) / 4.0 / (until_s - from_s))
 }
 
-/// Mean of the highest points that feet reach between touchdowns [m].
+/// Mean of the highest points that feet reach between touchdowns \[m\].
 pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let mut peaks = Vec::new();
     for leg in 0..4 {
@@ -102,7 +102,7 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     (!peaks.is_empty()).then(|| peaks.iter().sum::<f64>() / peaks.len() as f64)
 }
 
-/// How long a velocity disturbance lasts [s].
+/// How long a velocity disturbance lasts \[s\].
 ///
 /// `e(t)` is the velocity along the push minus its mean over the last second before the push, smoothed by a centred
 /// moving average of `average_s`. The decay time is the last time after the push at which `|e|` exceeds `threshold`

@@ -1,7 +1,7 @@
 /*! Disturbing a policy and watching what it does.
 
 A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Rollout`] plays any script with
-any policy and yields a [`Trace`], frame by frame; [`metrics`] reads traces. Nothing here is ever seen in training.
+any policy and yields a [`Trace`](crate::trace::Trace), frame by frame; [`metrics`] reads traces. Nothing here is ever seen in training.
 */
 
 pub mod catalog;
@@ -20,7 +20,7 @@ pub use play::{Played, Rollout};
 /// A push at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TimedPush {
-    /// When [s].
+    /// When \[s\].
     pub time_s: f64,
     /// Heading frame.
     pub push: Push,
@@ -29,11 +29,11 @@ pub struct TimedPush {
 /// A constant force on the trunk during an interval, as of a leash.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pull {
-    /// Begins [s].
+    /// Begins \[s\].
     pub from_s: f64,
-    /// Ends [s].
+    /// Ends \[s\].
     pub until_s: f64,
-    /// Forward and left at the robot's start: world frame [N].
+    /// Forward and left at the robot's start: world frame \[N\].
     pub force: [f64; 2],
 }
 
@@ -46,9 +46,9 @@ pub struct Script {
     pub conditions: Conditions,
     /// What the policy is asked to do, from the start to the end.
     pub command: Command,
-    /// Length of the rollout [s].
+    /// Length of the rollout \[s\].
     pub duration_s: f64,
-    /// Length that is still played after a fall [s].
+    /// Length that is still played after a fall \[s\].
     pub after_fall_s: f64,
     /// In order of time.
     pub pushes: Vec<TimedPush>,

@@ -12,7 +12,7 @@ use crate::task::observation::{self, Reduced};
 use crate::task::{Stages, SwingTracker, Terms};
 use crate::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
 
-/// How long a push's arrow stays in the frames [s].
+/// How long a push's arrow stays in the frames \[s\].
 const PUSH_SHOWN_S: f64 = 0.3;
 
 /// What one step of a rollout brought.
@@ -80,9 +80,9 @@ impl<'a> Rollout<'a> {
     }
 
     /// Plays to the end.
-    pub fn trace(mut self) -> Trace {
+    pub fn trace(self) -> Trace {
         let mut trace = Trace { period_s: self.sim.policy_period_s(), ..Trace::default() };
-        while let Some(played) = self.next() {
+        for played in self {
             trace.events.extend(played.events);
             trace.frames.extend(played.frame);
         }

@@ -10,10 +10,10 @@ use rand::seq::SliceRandom;
 use crate::random::{Purpose, stream};
 use crate::scene::HeightField;
 
-/// Radius around the start that stays flat [m].
+/// Radius around the start that stays flat \[m\].
 const FLAT_RADIUS_M: f64 = 0.5;
 
-/// Width of the transition from flat to uneven [m].
+/// Width of the transition from flat to uneven \[m\].
 const RAMP_M: f64 = 0.5;
 
 /// Two-dimensional gradient noise with a lattice of unit cells.

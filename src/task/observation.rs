@@ -1,7 +1,7 @@
 /*! The observation of section III-A, `o_t = {ô_{t−1}, a_{t−1}, ô_t, v_x*, v_z*, ω_y*} ∈ R^83`.
 
 [`LAYOUT`] is the one description of it: packing, scaling, the policy file and the tests all follow it. Vectors appear
-in the paper's axes (left, up, forward), quantities in the units of Table I; `a_{t−1}` is the joint target [rad] that
+in the paper's axes (left, up, forward), quantities in the units of Table I; `a_{t−1}` is the joint target \[rad\] that
 was last given to the PD controller.
 */
 
@@ -15,11 +15,11 @@ use crate::go1::{JOINT_COUNT, Joints, RobotState, paper_axes, same_in_every_leg}
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
-    /// `y`: base height above the ground [m].
+    /// `y`: base height above the ground \[m\].
     BaseHeight,
     /// `g_x, g_y, g_z`: gravity in the base frame, paper's axes [m/s²].
     LocalGravity,
-    /// `q_0…11` [rad].
+    /// `q_0…11` \[rad\].
     JointAngles,
     /// `v_x, v_y, v_z`: velocity in the base frame, paper's axes [m/s].
     LocalVelocity,
@@ -27,7 +27,7 @@ pub enum Quantity {
     LocalAngularVelocity,
     /// `q̇_0…11` [rad/s].
     JointRates,
-    /// `a_{t−1}`: the last joint targets [rad].
+    /// `a_{t−1}`: the last joint targets \[rad\].
     JointTargets,
     /// `v_x*, v_z*, ω_y*`: left [m/s], forward [m/s], yaw rate [rad/s].
     Command,

@@ -21,7 +21,7 @@ pub struct Terms {
     pub linear_velocity: f64,
     /// `r_ang`.
     pub angular_velocity: f64,
-    /// `r_e` [W].
+    /// `r_e` \[W\].
     pub energy: f64,
     /// `r_τ` [N²·m²].
     pub torque: f64,
@@ -131,7 +131,7 @@ pub fn foot_clearance(feet: &[FootState; 4], desired_m: f64) -> f64 {
 /// Follows every foot through its swing for `r_h = Σ_i (p_i,peak / p_des − 1)²`, paid once when the foot touches down.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SwingTracker {
-    /// Highest point of the current swing of each foot [m].
+    /// Highest point of the current swing of each foot \[m\].
     pub peak: [f64; 4],
     in_contact: [bool; 4],
 }

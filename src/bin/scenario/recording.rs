@@ -11,7 +11,7 @@ use supple::trace::Trace;
 
 use crate::args::Args;
 
-/// Length of a clip before the fall [s].
+/// Length of a clip before the fall \[s\].
 const CLIP_S: f64 = 2.0;
 
 /// A recording under way, or none.
