@@ -445,6 +445,19 @@ pub fn flat_parameters(name: &str, text: &str) -> Result<Vec<(String, String)>, 
     mapping.iter().map(entry).collect()
 }
 
+/// YAML texts laid over one another, later ones over earlier ones, as a checked type.
+///
+/// # Errors
+/// [`ConfigError::Parse`] with the name and the reason.
+pub fn layered<T: serde::de::DeserializeOwned>(name: &str, layers: &[&str]) -> Result<T, ConfigError> {
+    let mut whole = Value::Mapping(serde_yaml::Mapping::new());
+    for text in layers {
+        overlay(&mut whole, parse(name, text)?);
+    }
+    serde_yaml::from_value(whole)
+        .map_err(|error| ConfigError::Parse { name: name.to_owned(), message: error.to_string() })
+}
+
 fn require(valid: bool, key: &'static str, found: impl ToString, expected: &str) -> Result<(), ConfigError> {
     if valid {
         Ok(())

@@ -138,7 +138,7 @@ impl LocomotionEnv {
     fn begin(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
         let state = self.sim.state();
-        self.progress.swings = SwingTracker::new(&state.feet);
+        self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
         self.progress.current = observation::reduced(&state);
         self.progress.previous = self.progress.current;
         Ok(())
@@ -169,17 +169,15 @@ impl LocomotionEnv {
             self.sim.push(&self.progress.plan.push)?;
             self.progress.pushed = true;
         }
-        let summary = self.sim.step(&target, &mut ())?;
+        let summary = self.sim.step(&target, &mut self.progress.swings)?;
         let state = self.sim.state();
 
         let p = &mut self.progress;
-        let (foot_height, landed) = p.swings.update(&state.feet, self.config.reward.foot_height_m);
-        let terms = Terms::new(&state, &p.plan.command, &summary, foot_height, &self.config.reward);
+        let landings = p.swings.take();
+        let terms = Terms::new(&state, &p.plan.command, &summary, landings.foot_height, &self.config.reward);
         p.terms.add(&terms);
-        for peak in landed.into_iter().flatten() {
-            p.swing_sum_m += peak;
-            p.swing_count += 1;
-        }
+        p.swing_sum_m += landings.peak_sum_m;
+        p.swing_count += landings.count;
         let mut paid = terms;
         match stage {
             Stage::Walking => p.walking.add(&terms),

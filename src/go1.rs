@@ -37,6 +37,15 @@ pub fn paper_axes(vector: Vector3<f64>) -> [f64; 3] {
     [vector.y, vector.z, vector.x]
 }
 
+/// Where a foot is.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Foothold {
+    /// Bottom of the foot's sphere above the ground under it \[m\].
+    pub height: f64,
+    /// Whether it touches anything.
+    pub contact: bool,
+}
+
 /// A foot at the end of a policy step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FootState {
@@ -202,20 +211,10 @@ impl Go1 {
         let position = Vector3::new(q[0], q[1], q[2]);
         let base_from_world = world_from_base.inverse();
         let gravity = data.model().gravity();
-        let mut contact = [false; 4];
-        for touching in data.contacts() {
-            for (foot, geom) in contact.iter_mut().zip(self.feet) {
-                *foot |= touching.geoms.contains(&geom);
-            }
-        }
+        let footholds = self.footholds(data, ground);
         let feet = std::array::from_fn(|leg| {
-            let geom = self.feet[leg];
-            let centre = &data.geom_positions()[3 * geom..3 * geom + 3];
-            FootState {
-                height: centre[2] - self.foot_radius[leg] - ground.height(centre[0], centre[1]),
-                velocity: data.geom_velocity(geom),
-                contact: contact[leg],
-            }
+            let Foothold { height, contact } = footholds[leg];
+            FootState { height, contact, velocity: data.geom_velocity(self.feet[leg]) }
         });
         RobotState {
             height: position.z - ground.height(position.x, position.y),
@@ -228,6 +227,21 @@ impl Go1 {
             world_from_base,
             feet,
         }
+    }
+
+    /// Height and contact of every foot as of the last first half-step.
+    pub fn footholds(&self, data: &Data, ground: &Ground) -> [Foothold; 4] {
+        let mut contact = [false; 4];
+        for touching in data.contacts() {
+            for (foot, geom) in contact.iter_mut().zip(self.feet) {
+                *foot |= touching.geoms.contains(&geom);
+            }
+        }
+        std::array::from_fn(|leg| {
+            let centre = &data.geom_positions()[3 * self.feet[leg]..];
+            let height = centre[2] - self.foot_radius[leg] - ground.height(centre[0], centre[1]);
+            Foothold { height, contact: contact[leg] }
+        })
     }
 
     /// A part other than a foot that touches the ground, if there is one.

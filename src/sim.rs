@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::Simulation;
 use crate::control::{Gains, Latency, mechanical_power, squared_torque};
-use crate::go1::{Go1, JOINT_COUNT, Joints, RobotState};
+use crate::go1::{Foothold, Go1, JOINT_COUNT, Joints, RobotState};
 use crate::mujoco::{Data, Error, Kind, Result};
 use crate::scene::{Ground, Scene};
 
@@ -56,16 +56,18 @@ pub struct Push {
     pub angular: [f64; 3],
 }
 
-/// Looks at the physics between its two halves, when contact forces exist.
+/// Looks at every physics step of a policy step.
 pub trait StepObserver {
-    /// Called in every physics step with the state after integration and the forces that led to it.
-    fn observe(&mut self, data: &Data, robot: &Go1, torques: &Joints);
+    /// Called between the two halves, when contact forces exist: with the state after integration, and contacts and
+    /// forces that led to it.
+    fn forces(&mut self, _data: &Data, _robot: &Go1, _torques: &Joints) {}
+
+    /// Called at the end, with the feet where they are now.
+    fn feet(&mut self, _feet: &[Foothold; 4]) {}
 }
 
-/// Training needs no forces.
-impl StepObserver for () {
-    fn observe(&mut self, _: &Data, _: &Go1, _: &Joints) {}
-}
+/// Sees nothing.
+impl StepObserver for () {}
 
 /// Everything that a resumed simulation needs to give the same bits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -158,8 +160,9 @@ impl Sim {
             let torques = self.gains.torques(&acting, &self.measured_angles(), &rates, &limits);
             self.robot.set_torques(&mut self.data, &torques);
             self.data.step2()?;
-            observer.observe(&self.data, &self.robot, &torques);
+            observer.forces(&self.data, &self.robot, &torques);
             self.look()?;
+            observer.feet(&self.robot.footholds(&self.data, &self.ground));
             let squared = squared_torque(&torques);
             summary.power_w += mechanical_power(&torques, &rates);
             summary.torque_n_m += squared.sqrt();

@@ -8,7 +8,7 @@ use std::fmt::Write as _;
 
 use clap::{Args, Subcommand, ValueEnum};
 use rand::RngExt;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::metrics::{self, Metric, STRIDE_S};
 use super::{Pull, Script, TimedPush, terrain};
@@ -50,7 +50,7 @@ pub struct ParameterError {
 }
 
 /// What every scenario asks of the policy.
-#[derive(Args, Debug, Clone, PartialEq, Serialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Task {
     /// Commanded forward velocity (m/s)
     #[arg(long)]
@@ -67,7 +67,7 @@ pub struct Task {
 }
 
 /// Walk without disturbance.
-#[derive(Args, Debug, Clone, PartialEq, Serialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Walk {
     #[command(flatten)]
     #[serde(flatten)]
@@ -76,7 +76,7 @@ pub struct Walk {
 }
 
 /// Push: a sudden change of the trunk's velocity.
-#[derive(Args, Debug, Clone, PartialEq, Serialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PushAway {
     #[command(flatten)]
     #[serde(flatten)]
@@ -97,7 +97,7 @@ pub struct PushAway {
 }
 
 /// Leash: a constant pull on the trunk.
-#[derive(Args, Debug, Clone, PartialEq, Serialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Leash {
     #[command(flatten)]
     #[serde(flatten)]
@@ -118,7 +118,7 @@ pub struct Leash {
 }
 
 /// Box: walk into a free box.
-#[derive(Args, Debug, Clone, PartialEq, Serialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FreeBox {
     #[command(flatten)]
     #[serde(flatten)]
@@ -142,7 +142,7 @@ pub struct FreeBox {
 }
 
 /// Ball pit: cross a field of loose balls.
-#[derive(Args, Debug, Clone, PartialEq, Serialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BallPit {
     #[command(flatten)]
     #[serde(flatten)]
@@ -166,7 +166,7 @@ pub struct BallPit {
 }
 
 /// Kind of terrain.
-#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TerrainKind {
     /// Gradient noise.
@@ -178,7 +178,7 @@ pub enum TerrainKind {
 }
 
 /// Terrain: uneven ground.
-#[derive(Args, Debug, Clone, PartialEq, Serialize)]
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Terrain {
     #[command(flatten)]
     #[serde(flatten)]

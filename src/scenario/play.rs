@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::Script;
-use crate::go1::{Go1, Joints};
+use crate::go1::{Foothold, Go1, Joints};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Policy;
 use crate::ppo::Scratch;
@@ -69,7 +69,7 @@ impl<'a> Rollout<'a> {
             previous: current,
             current,
             last_target: policy.nominal_pose,
-            swings: SwingTracker::new(&state.feet),
+            swings: SwingTracker::new(&state.feet, config.reward.foot_height_m),
             scratch: Scratch::default(),
         })
     }
@@ -96,7 +96,7 @@ impl<'a> Rollout<'a> {
 
         let seen = observation::pack(&self.previous, &self.last_target, &self.current, &self.script.command);
         let target = self.policy.joint_targets(&seen, &mut self.scratch);
-        let mut meter = Meter::default();
+        let mut meter = Meter { swings: self.swings, ..Meter::default() };
         let summary = self.sim.step(&target, &mut meter)?;
         self.step += 1;
         let time_s = self.step as f64 * period_s;
@@ -106,7 +106,8 @@ impl<'a> Rollout<'a> {
         self.current = observation::reduced(&state);
         self.last_target = target;
         let config = &self.policy.provenance.config;
-        let (foot_height, _) = self.swings.update(&state.feet, config.reward.foot_height_m);
+        let foot_height = meter.swings.take().foot_height;
+        self.swings = meter.swings;
         let terms = Terms::new(&state, &self.script.command, &summary, foot_height, &config.reward);
         if let (Some(fall), None) = (summary.fall, self.fallen_since) {
             self.fallen_since = Some(self.step);
@@ -222,6 +223,7 @@ impl Iterator for Rollout<'_> {
 /// Forces over the physics steps of one policy step.
 #[derive(Default)]
 struct Meter {
+    swings: SwingTracker,
     substeps: u32,
     torques: Joints,
     foot_forces: [[f64; 3]; 4],
@@ -231,7 +233,11 @@ struct Meter {
 }
 
 impl StepObserver for Meter {
-    fn observe(&mut self, data: &Data, robot: &Go1, torques: &Joints) {
+    fn feet(&mut self, feet: &[Foothold; 4]) {
+        self.swings.feet(feet);
+    }
+
+    fn forces(&mut self, data: &Data, robot: &Go1, torques: &Joints) {
         self.substeps += 1;
         self.torques = *torques;
         let (mut feet, mut obstacles) = ([[0.0; 3]; 4], [0.0; 3]);

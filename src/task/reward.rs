@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 
 use super::episode::Command;
 use crate::config::Reward;
-use crate::go1::{FootState, RobotState};
-use crate::sim::StepSummary;
+use crate::go1::{FootState, Foothold, RobotState};
+use crate::sim::{StepObserver, StepSummary};
 
 /// The terms of Table II for one step, before their weights.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
@@ -129,33 +129,57 @@ pub fn foot_clearance(feet: &[FootState; 4], desired_m: f64) -> f64 {
 }
 
 /// Follows every foot through its swing for `r_h = Σ_i (p_i,peak / p_des − 1)²`, paid once when the foot touches down.
+///
+/// It looks at every physics step: a foot that chatters on the ground at 240 Hz touches down again and again, at a peak
+/// of nothing, and pays for it.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SwingTracker {
-    /// Highest point of the current swing of each foot \[m\].
-    pub peak: [f64; 4],
+    desired_m: f64,
+    peak_m: [f64; 4],
     in_contact: [bool; 4],
+    paid: f64,
+    landed_m: f64,
+    landings: usize,
+}
+
+/// What a [`SwingTracker`] has gathered since it was last asked.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Landings {
+    /// `r_h`.
+    pub foot_height: f64,
+    /// Swings that ended.
+    pub count: usize,
+    /// Sum of their peak heights \[m\].
+    pub peak_sum_m: f64,
 }
 
 impl SwingTracker {
-    /// Starts with feet as they are; the first touchdown counts only after a swing.
-    pub fn new(feet: &[FootState; 4]) -> Self {
-        SwingTracker { peak: [0.0; 4], in_contact: feet.map(|foot| foot.contact) }
+    /// Starts with feet as they are; `desired_m` is `p_des`.
+    pub fn new(feet: &[FootState; 4], desired_m: f64) -> Self {
+        SwingTracker { desired_m, in_contact: feet.map(|foot| foot.contact), ..SwingTracker::default() }
     }
 
-    /// Takes the feet at the end of a policy step; returns `r_h` and the peaks of the swings that ended in it.
-    pub fn update(&mut self, feet: &[FootState; 4], desired_m: f64) -> (f64, [Option<f64>; 4]) {
-        let (mut sum, mut landed) = (0.0, [None; 4]);
+    /// What has landed since the last call.
+    pub fn take(&mut self) -> Landings {
+        let landings = Landings { foot_height: self.paid, count: self.landings, peak_sum_m: self.landed_m };
+        (self.paid, self.landings, self.landed_m) = (0.0, 0, 0.0);
+        landings
+    }
+}
+
+impl StepObserver for SwingTracker {
+    fn feet(&mut self, feet: &[Foothold; 4]) {
         for (leg, foot) in feet.iter().enumerate() {
             if !foot.contact {
-                self.peak[leg] = self.peak[leg].max(foot.height);
+                self.peak_m[leg] = self.peak_m[leg].max(foot.height);
             } else if !self.in_contact[leg] {
-                sum += (self.peak[leg] / desired_m - 1.0).powi(2);
-                landed[leg] = Some(self.peak[leg]);
-                self.peak[leg] = 0.0;
+                self.paid += (self.peak_m[leg] / self.desired_m - 1.0).powi(2);
+                self.landings += 1;
+                self.landed_m += self.peak_m[leg];
+                self.peak_m[leg] = 0.0;
             }
             self.in_contact[leg] = foot.contact;
         }
-        (sum, landed)
     }
 }
 
@@ -217,16 +241,21 @@ mod tests {
 
     #[test]
     fn foot_height_term_is_paid_once_at_touchdown_with_the_peak_of_the_swing() {
-        let at = |height: f64, contact: bool| [FootState { height, velocity: [0.0; 3], contact }; 4];
-        let mut tracker = SwingTracker::new(&at(0.0, true));
-        assert_eq!(tracker.update(&at(0.04, false), 0.08).0, 0.0);
-        assert_eq!(tracker.update(&at(0.06, false), 0.08).0, 0.0);
-        assert_eq!(tracker.update(&at(0.01, false), 0.08).0, 0.0);
-        let (paid, landed) = tracker.update(&at(0.0, true), 0.08);
+        let at = |height: f64, contact: bool| [Foothold { height, contact }; 4];
+        let on_ground = [FootState { contact: true, ..FootState::default() }; 4];
+        let mut tracker = SwingTracker::new(&on_ground, 0.08);
+        for height in [0.04, 0.06, 0.01] {
+            tracker.feet(&at(height, false));
+            assert_eq!(tracker.take(), Landings::default());
+        }
+        tracker.feet(&at(0.0, true));
+        let landings = tracker.take();
         // four feet: 4 · (0.06 / 0.08 − 1)² = 4 · 0.0625
-        close(paid, 0.25);
-        assert_eq!(landed, [Some(0.06); 4]);
-        assert_eq!(tracker.update(&at(0.0, true), 0.08).0, 0.0);
+        close(landings.foot_height, 0.25);
+        close(landings.peak_sum_m, 4.0 * 0.06);
+        assert_eq!(landings.count, 4);
+        tracker.feet(&at(0.0, true));
+        assert_eq!(tracker.take(), Landings::default());
     }
 
     #[test]

@@ -1,0 +1,169 @@
+/*! The update of one Table III batch, against the rate at which this machine multiplies matrices.
+
+The batch is a real rollout of a fresh policy. Every repetition starts from the same parameters, so that all do the same
+work. A sample that goes through one epoch once is a sample pass. The peak is measured in turn with the updates: square
+f32 products of 1024 by candle, whose `gemm` uses all cores.
+*/
+
+use candle_core::{Device, Tensor};
+use rand::seq::SliceRandom;
+use serde::Serialize;
+use supple::config::{Config, Ppo};
+use supple::env::LocomotionEnv;
+use supple::go1::JOINT_COUNT;
+use supple::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, Mlp};
+use supple::random::{Purpose, stream};
+use supple::rollout::{Collection, Rollout};
+use supple::task::Normaliser;
+use supple::task::observation::LENGTH;
+
+use crate::stopwatch::{Effort, median, timed};
+
+/// Edge of the matrices behind the peak.
+const EDGE: usize = 1024;
+
+/// Products in one timing of the peak.
+const PRODUCTS: usize = 20;
+
+/// The update on some threads.
+#[derive(Debug, Serialize)]
+pub struct Rates {
+    /// Threads.
+    pub threads: usize,
+    /// Sample passes through both networks and back [1/s].
+    pub sample_passes_per_s: f64,
+    /// Floating-point work of the networks' products [GFLOP/s].
+    pub gflop_per_s: f64,
+}
+
+/// All of it.
+#[derive(Debug, Serialize)]
+pub struct Update {
+    /// Samples of the batch.
+    pub batch_size: usize,
+    /// Samples of a gradient step.
+    pub minibatch_size: usize,
+    /// Epochs of an update.
+    pub epochs: usize,
+    /// Floating-point work of a sample pass [kFLOP].
+    pub kflop_per_sample_pass: f64,
+    /// On one thread.
+    pub one_thread: Rates,
+    /// On all threads.
+    pub all_threads: Rates,
+    /// Square f32 products on all threads [GFLOP/s].
+    pub peak_gflop_per_s: f64,
+    /// Median of the repetitions' own ratios, on all threads.
+    pub update_over_peak: f64,
+}
+
+/// Collects a batch and learns from it.
+pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Result<Update> {
+    let ppo = &config.ppo;
+    let mut rng = stream(0, Purpose::Weights, 0, 0);
+    let log_std = ppo.initial_log_std as f32;
+    let network = ActorCritic::orthogonal(LENGTH, &ppo.hidden_layers, JOINT_COUNT, log_std, &mut rng);
+    let rollout = rollout(config, &network, threads, effort)?;
+    let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
+    let batch = Batch {
+        observations: &rollout.observations,
+        actions: &rollout.actions,
+        means: &rollout.means,
+        log_std: &network.log_std,
+        log_probs: &rollout.log_probs,
+        advantages: &advantages,
+        returns: &returns,
+    };
+    let permutations: Vec<Vec<u32>> = (0..effort.epochs)
+        .map(|epoch| {
+            let mut order: Vec<u32> = (0..rollout.len() as u32).collect();
+            order.shuffle(&mut stream(0, Purpose::Shuffle, 0, epoch as u64));
+            order
+        })
+        .collect();
+    let settings = hyperparameters(ppo);
+    let start = LearnerState::new(network.clone(), &settings);
+    let sample_passes = (effort.epochs * rollout.len()) as f64;
+    let update_s = |threads| -> anyhow::Result<f64> {
+        let mut learner = Learner::new(&start, settings.clone(), threads);
+        let (elapsed_s, statistics) = timed(|| learner.update(&batch, &permutations));
+        statistics?;
+        Ok(elapsed_s)
+    };
+
+    let flop = flop_per_sample_pass(&network);
+    let (mut one, mut all, mut peaks) = (Vec::new(), Vec::new(), Vec::new());
+    for _ in 0..effort.repetitions {
+        peaks.push(product_gflop_per_s()?);
+        all.push(sample_passes / update_s(threads)?);
+        one.push(sample_passes / update_s(1)?);
+    }
+    let gflop = |rate: f64| 1e-9 * flop * rate;
+    let update_over_peak = median(all.iter().zip(&peaks).map(|(rate, peak)| gflop(*rate) / peak));
+    let rates = |threads, rates: Vec<f64>| {
+        let sample_passes_per_s = median(rates);
+        Rates { threads, sample_passes_per_s, gflop_per_s: gflop(sample_passes_per_s) }
+    };
+    Ok(Update {
+        batch_size: rollout.len(),
+        minibatch_size: ppo.minibatch_size,
+        epochs: effort.epochs,
+        kflop_per_sample_pass: 1e-3 * flop,
+        one_thread: rates(1, one),
+        all_threads: rates(threads, all),
+        peak_gflop_per_s: median(peaks),
+        update_over_peak,
+    })
+}
+
+fn rollout(config: &Config, network: &ActorCritic, threads: usize, effort: &Effort) -> anyhow::Result<Rollout> {
+    let collection = Collection {
+        network,
+        normaliser: &Normaliser::new(config),
+        seed: 0,
+        iteration: 0,
+        steps: config.ppo.batch_size / effort.environments,
+        command_share: config.command.initial_share,
+        threads,
+    };
+    let environment = |index| LocomotionEnv::new(config, 0, index as u64, collection.command_share);
+    let mut environments = (0..effort.environments).map(environment).collect::<Result<Vec<_>, _>>()?;
+    Ok(collection.collect(&mut environments)?)
+}
+
+/// As training sets them.
+fn hyperparameters(ppo: &Ppo) -> Hyperparameters {
+    Hyperparameters {
+        minibatch_size: ppo.minibatch_size,
+        clip_range: ppo.clip_range,
+        value_coefficient: ppo.value_coefficient,
+        entropy_coefficient: ppo.entropy_coefficient,
+        max_gradient_norm: ppo.max_gradient_norm,
+        learning_rate: ppo.initial_learning_rate,
+        learning_rate_min: ppo.min_learning_rate,
+        learning_rate_max: ppo.max_learning_rate,
+        desired_kl: Some(ppo.desired_kl),
+        adam_beta1: 0.9,
+        adam_beta2: 0.999,
+        adam_epsilon: ppo.adam_epsilon,
+    }
+}
+
+/// Two for each weight and direction: forward, gradient of the weights, and but for the first layer of the inputs.
+fn flop_per_sample_pass(network: &ActorCritic) -> f64 {
+    let of_mlp = |mlp: &Mlp| {
+        let weights = mlp.layers.iter().map(|layer| layer.weight.len());
+        weights.enumerate().map(|(depth, count)| if depth == 0 { 4 * count } else { 6 * count }).sum::<usize>()
+    };
+    (of_mlp(&network.policy) + of_mlp(&network.value)) as f64
+}
+
+fn product_gflop_per_s() -> candle_core::Result<f64> {
+    let matrix = || Tensor::randn(0_f32, 1.0, (EDGE, EDGE), &Device::Cpu);
+    let (a, b) = (matrix()?, matrix()?);
+    a.matmul(&b)?;
+    let (elapsed_s, result) =
+        timed(|| (0..PRODUCTS).try_for_each(|_| a.matmul(&b).map(|c| drop(std::hint::black_box(c)))));
+    result?;
+    Ok(1e-9 * 2.0 * (EDGE as f64).powi(3) * PRODUCTS as f64 / elapsed_s)
+}

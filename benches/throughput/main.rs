@@ -1,0 +1,91 @@
+/*! How fast everything is, measured in one run on one machine, so that ratios can be trusted where times cannot.
+
+`cargo bench --bench throughput` prints a table, `-- --json` the same figures as one JSON object, `-- --quick` only shows
+that everything runs. Physics, learner, whole iterations and the ball pit are always measured; PyTorch and
+Stable-Baselines3 as well once `benches/peers/setup` has installed them. docs/performance.md says what the figures mean.
+*/
+
+mod learner;
+mod peers;
+mod physics;
+mod pit;
+mod replay;
+mod report;
+mod stopwatch;
+mod training;
+
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::Parser;
+use supple::config::Config;
+use supple::policies;
+use supple::policy::Policy;
+
+use report::{Machine, Report};
+use stopwatch::Effort;
+
+/// Measure how fast physics, learner, training and the ball pit are.
+#[derive(Parser)]
+struct Args {
+    /// Print one JSON object and nothing else
+    #[arg(long)]
+    json: bool,
+    /// Little work and one repetition: shows that everything runs, measures nothing
+    #[arg(long)]
+    quick: bool,
+    /// Policy that moves the robot: a file, a run's folder, or a shipped one [default: compliant, if it ships]
+    #[arg(long, value_name = "NAME")]
+    policy: Option<String>,
+    /// Leave the peers out even if they are installed
+    #[arg(long)]
+    no_peers: bool,
+    /// Given by `cargo bench`; without it, as under `cargo test --benches`, everything is quick
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let effort = if args.quick || !args.bench { Effort::quick() } else { Effort::full() };
+    let config = Config::load("compliant")?;
+    let policy = moving_policy(args.policy.as_deref())?;
+    let threads = std::thread::available_parallelism().map_or(1, |cores| cores.get());
+
+    let machine = Machine::new(threads, &effort);
+    eprintln!("physics and environment …");
+    let physics = physics::measure(&config, policy.as_ref(), threads, &effort).context("physics")?;
+    eprintln!("learner …");
+    let learner = learner::measure(&config, threads, &effort).context("learner")?;
+    eprintln!("whole iterations …");
+    let training = training::measure(&config, threads, &effort).context("training")?;
+    eprintln!("ball pit …");
+    let pit = pit::measure(policy, &config, &effort).context("ball pit")?;
+    let peers = if args.no_peers { None } else { peers::measure(&config, threads, &effort).context("peers")? };
+
+    let report = Report::new(machine, physics, learner, training, pit, peers);
+    if args.json {
+        println!("{}", serde_json::to_string(&report)?);
+    } else {
+        println!("{report}");
+    }
+    Ok(())
+}
+
+/// The policy that was asked for, or the shipped one. Before any ships there is none.
+fn moving_policy(name: Option<&str>) -> anyhow::Result<Option<Policy>> {
+    match name {
+        Some(name) => Ok(Some(policies::find(name)?)),
+        None if policies::EMBEDDED.is_empty() => Ok(None),
+        None => Ok(Some(policies::find("compliant")?)),
+    }
+}

@@ -1,0 +1,134 @@
+/*! Whole iterations as training runs them, on one thread and on all.
+
+Two trainers of the same seed take turns, so that both see the same machine; since results do not depend on the number
+of threads, both also do the same work, iteration by iteration. The share of the time that more threads do not shorten
+follows from the two (Karp and Flatt), and what Amdahl's law makes of it on more cores is a projection, not a
+measurement.
+*/
+
+use serde::Serialize;
+use supple::config::Config;
+use supple::metrics::IterationMetrics;
+use supple::train::Trainer;
+
+use crate::stopwatch::{Effort, median, timed};
+
+/// Cores to project to.
+const CORES: [usize; 3] = [8, 16, 64];
+
+/// Times of an iteration on some threads, medians.
+#[derive(Debug, Serialize)]
+pub struct Iteration {
+    /// Threads.
+    pub threads: usize,
+    /// Samples collected and learnt from [1/s].
+    pub samples_per_s: f64,
+    /// Collecting and advantages [s].
+    pub rollout_s: f64,
+    /// Shuffling and learning [s].
+    pub update_s: f64,
+    /// What is left: metrics and copies [s].
+    pub rest_s: f64,
+}
+
+/// How a part of an iteration takes to more threads.
+#[derive(Debug, Serialize)]
+pub struct Scaling {
+    /// Time on one thread over time on all, median of the iterations' own ratios.
+    pub speed_up: f64,
+    /// Share of the time on one thread that more threads do not shorten; none on a single core.
+    pub serial_share: Option<f64>,
+}
+
+/// Samples per second on more cores, by Amdahl's law.
+#[derive(Debug, Serialize)]
+pub struct Projection {
+    /// Cores.
+    pub cores: usize,
+    /// Projected [1/s].
+    pub samples_per_s: f64,
+}
+
+/// All of it.
+#[derive(Debug, Serialize)]
+pub struct Training {
+    /// Samples of an iteration.
+    pub batch_size: usize,
+    /// On one thread.
+    pub one_thread: Iteration,
+    /// On all threads.
+    pub all_threads: Iteration,
+    /// The whole iteration.
+    pub whole: Scaling,
+    /// Its rollout.
+    pub rollout: Scaling,
+    /// Its update.
+    pub update: Scaling,
+    /// Not measured.
+    pub projected: Vec<Projection>,
+}
+
+/// Wall-clock times of one iteration [s].
+struct Times {
+    whole: f64,
+    rollout: f64,
+    update: f64,
+}
+
+/// Trains for a while.
+pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Result<Training> {
+    let mut config = config.clone();
+    config.ppo.epochs = effort.epochs;
+    let mut one = Trainer::new("throughput", config.clone(), 0, 1)?;
+    let mut all = Trainer::new("throughput", config.clone(), 0, threads)?;
+    let (mut one_times, mut all_times) = (Vec::new(), Vec::new());
+    // The first iteration fills caches and is not counted.
+    for iteration in 0..=effort.repetitions {
+        let (one_time, all_time) = (times(&mut one)?, times(&mut all)?);
+        if iteration > 0 {
+            one_times.push(one_time);
+            all_times.push(all_time);
+        }
+    }
+    let scaling = |part: fn(&Times) -> f64| {
+        let speed_up = median(one_times.iter().zip(&all_times).map(|(one, all)| part(one) / part(all)));
+        let n = threads as f64;
+        Scaling {
+            speed_up,
+            serial_share: (threads > 1).then(|| ((1.0 / speed_up - 1.0 / n) / (1.0 - 1.0 / n)).max(0.0)),
+        }
+    };
+    let (rollout, update) = (scaling(|times| times.rollout), scaling(|times| times.update));
+    let one_thread = summary(1, config.ppo.batch_size, &one_times);
+    let whole = scaling(|times| times.whole);
+    let projected = whole.serial_share.map_or(Vec::new(), |serial| {
+        let speed_up = |cores: usize| 1.0 / (serial + (1.0 - serial) / cores as f64);
+        CORES.map(|cores| Projection { cores, samples_per_s: one_thread.samples_per_s * speed_up(cores) }).into()
+    });
+    Ok(Training {
+        batch_size: config.ppo.batch_size,
+        all_threads: summary(threads, config.ppo.batch_size, &all_times),
+        one_thread,
+        whole,
+        rollout,
+        update,
+        projected,
+    })
+}
+
+fn times(trainer: &mut Trainer) -> anyhow::Result<Times> {
+    let (whole, metrics) = timed(|| trainer.iterate());
+    let IterationMetrics { time, .. } = metrics?;
+    Ok(Times { whole, rollout: time.rollout_s, update: time.update_s })
+}
+
+fn summary(threads: usize, batch_size: usize, times: &[Times]) -> Iteration {
+    let middle = |part: fn(&Times) -> f64| median(times.iter().map(part));
+    Iteration {
+        threads,
+        samples_per_s: batch_size as f64 / middle(|times| times.whole),
+        rollout_s: middle(|times| times.rollout),
+        update_s: middle(|times| times.update),
+        rest_s: middle(|times| times.whole - times.rollout - times.update),
+    }
+}

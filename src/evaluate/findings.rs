@@ -1,0 +1,180 @@
+//! What an experiment shows: claims of the paper with our numbers, tables and figures.
+
+use serde::Serialize;
+
+use super::Quantity;
+use super::results::Results;
+use super::statistics::{Comparison, Estimate, Expected, Spread, Verdict};
+
+/// Everything that an experiment shows.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Findings {
+    /// What the paper says, and whether it is so here.
+    pub claims: Vec<Claim>,
+    /// Numbers.
+    pub tables: Vec<Table>,
+    /// Drawings.
+    pub figures: Vec<Figure>,
+    /// What a reader has to know about the numbers of this run.
+    pub notes: Vec<String>,
+}
+
+/// A statement of the paper.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Claim {
+    /// In our words.
+    pub text: String,
+    /// The paper's numbers, if it gives any.
+    pub paper: String,
+    /// What is compared.
+    pub quantity: Quantity,
+    /// Our numbers.
+    pub comparison: Comparison,
+    /// What they say.
+    pub verdict: Verdict,
+}
+
+impl Claim {
+    /// That the first set lies above or below the second.
+    pub fn direction(text: &str, paper: &str, quantity: Quantity, expected: Expected, comparison: Comparison) -> Self {
+        let verdict = Verdict::of(comparison.difference, expected);
+        Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
+    }
+
+    /// That both sets stay below a bound.
+    pub fn bound(text: &str, paper: &str, quantity: Quantity, bound: f64, comparison: Comparison) -> Self {
+        let verdict = Verdict::below(bound, &comparison);
+        Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
+    }
+}
+
+/// A line of a table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Row {
+    /// What was varied; empty if nothing was.
+    pub condition: String,
+    /// What was measured.
+    pub quantity: Quantity,
+    /// The paper's numbers, first set / second set; empty if it gives none.
+    pub paper: String,
+    /// Ours.
+    pub comparison: Comparison,
+}
+
+/// A table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Table {
+    /// File name without extension.
+    pub name: String,
+    /// What it shows.
+    pub caption: String,
+    /// In order.
+    pub rows: Vec<Row>,
+    /// Whether it is in the report's page, or only in the files beside it.
+    pub in_page: bool,
+}
+
+impl Table {
+    /// All given quantities in all conditions.
+    pub fn of_conditions(name: &str, caption: &str, results: &Results, quantities: &[&str]) -> Self {
+        let row = |condition: usize, quantity: &str| Row {
+            condition: results.conditions[condition].label.clone(),
+            quantity: results.quantity(quantity),
+            paper: String::new(),
+            comparison: results.compare(condition, quantity),
+        };
+        let conditions = 0..results.conditions.len();
+        let rows = conditions.flat_map(|condition| quantities.iter().map(move |quantity| row(condition, quantity)));
+        Table { name: name.to_owned(), caption: caption.to_owned(), rows: rows.collect(), in_page: true }
+    }
+
+    /// States the paper's numbers in the rows of a quantity.
+    pub fn with_paper(mut self, quantity: &str, paper: &str) -> Self {
+        let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);
+        rows.for_each(|row| row.paper = paper.to_owned());
+        self
+    }
+}
+
+/// A drawing.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Figure {
+    /// File name without extension.
+    pub name: String,
+    /// What it shows.
+    pub caption: String,
+    /// The drawing.
+    pub svg: String,
+}
+
+impl Figure {
+    /// A figure.
+    pub fn new(name: &str, caption: impl Into<String>, svg: String) -> Self {
+        Figure { name: name.to_owned(), caption: caption.into(), svg }
+    }
+}
+
+/// A number in its quantity's unit and digits, without the unit.
+pub fn number(value: f64, quantity: Quantity) -> String {
+    let scaled = if quantity.unit == "%" { 100.0 * value } else { value };
+    let text = format!("{scaled:.*}", quantity.digits);
+    // No minus before a rounded zero.
+    let is_zero = text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.');
+    let text = if is_zero { text.trim_start_matches('-').to_owned() } else { text };
+    text.replace('-', "−")
+}
+
+/// Mean ± standard deviation; says so if not all of a set's seeds have the number.
+pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize) -> String {
+    let Some(Spread { mean, sd, seeds }) = spread else { return "–".to_owned() };
+    let deviation = sd.map_or(String::new(), |sd| format!(" ± {}", number(sd, quantity)));
+    let missing = if seeds < members { format!(" ({seeds} of {members} seeds)") } else { String::new() };
+    format!("{}{deviation}{missing}", number(mean, quantity))
+}
+
+/// A signed number with its interval.
+pub fn estimate(estimate: Option<Estimate>, quantity: Quantity) -> String {
+    let Some(Estimate { value, interval }) = estimate else { return "–".to_owned() };
+    let signed = |value: f64| {
+        let text = number(value, quantity);
+        if value > 0.0 && !text.starts_with('−') { format!("+{text}") } else { text }
+    };
+    match interval {
+        Some([low, high]) => format!("{} [{}, {}]", signed(value), signed(low), signed(high)),
+        None => signed(value),
+    }
+}
+
+/// A relative change in per cent with its interval.
+pub fn percent(relative: Option<Estimate>) -> String {
+    estimate(relative, Quantity::new("relative", "relative change", "%", 0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_their_quantitys_digits_and_a_real_minus() {
+        let metres = Quantity::new("x", "x", "m", 2);
+        assert_eq!(number(-1.234, metres), "−1.23");
+        assert_eq!(number(-0.001, metres), "0.00");
+        assert_eq!(number(0.785, Quantity::new("x", "x", "%", 0)), "78");
+    }
+
+    #[test]
+    fn cells_say_how_many_seeds_are_missing() {
+        let watts = Quantity::new("power_w", "power", "W", 1);
+        let cell = |seeds, sd| spread(Some(Spread { mean: 140.9, sd, seeds }), watts, 5);
+        assert_eq!(cell(5, Some(17.0)), "140.9 ± 17.0");
+        assert_eq!(cell(1, None), "140.9 (1 of 5 seeds)");
+        assert_eq!(spread(None, watts, 5), "–");
+    }
+
+    #[test]
+    fn estimates_are_signed() {
+        let metres = Quantity::new("x", "x", "m", 1);
+        let found = estimate(Some(Estimate { value: 0.5, interval: Some([-0.2, 1.2]) }), metres);
+        assert_eq!(found, "+0.5 [−0.2, +1.2]");
+    }
+}

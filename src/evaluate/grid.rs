@@ -1,0 +1,115 @@
+/*! Success over a square grid of pushes: how much of it lies above a level, and the contour of that level (Fig. 2).
+*/
+
+/// Values on a square grid with the same coordinates along both axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Grid {
+    /// Coordinates along either axis, ascending.
+    pub coordinates: Vec<f64>,
+    /// Shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).
+    pub values: Vec<f64>,
+}
+
+/// Coordinates from `-limit` to `limit`.
+pub fn coordinates(limit: f64, points: usize) -> Vec<f64> {
+    (0..points).map(|k| limit * (2.0 * k as f64 / (points - 1) as f64 - 1.0)).collect()
+}
+
+impl Grid {
+    fn side(&self) -> usize {
+        self.coordinates.len()
+    }
+
+    fn at(&self, row: usize, column: usize) -> f64 {
+        self.values[row * self.side() + column]
+    }
+
+    /// Share of grid points at or above a level: what the paper counts inside its contour.
+    pub fn share_at_least(&self, level: f64) -> f64 {
+        // Means of tenths: a value that is the level but for rounding counts.
+        let inside = self.values.iter().filter(|value| **value >= level - 1e-9).count();
+        inside as f64 / self.values.len().max(1) as f64
+    }
+
+    /// Line segments of the contour at a level, by marching squares; each end is (first, second) coordinate.
+    pub fn contour(&self, level: f64) -> Vec<[[f64; 2]; 2]> {
+        let mut segments = Vec::new();
+        for row in 0..self.side().saturating_sub(1) {
+            for column in 0..self.side() - 1 {
+                segments.extend(self.cell(row, column, level));
+            }
+        }
+        segments
+    }
+
+    /// Segments within the cell whose least corner is given.
+    fn cell(&self, row: usize, column: usize, level: f64) -> Vec<[[f64; 2]; 2]> {
+        // Around the cell: corners 0..4 and the edge that follows each.
+        let corners = [(row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)];
+        let value = |corner: usize| self.at(corners[corner].0, corners[corner].1);
+        let above = |corner: usize| value(corner) >= level;
+        let crossing = |edge: usize| {
+            let (from, to) = (edge, (edge + 1) % 4);
+            let share = (level - value(from)) / (value(to) - value(from));
+            let point = |corner: usize| [self.coordinates[corners[corner].0], self.coordinates[corners[corner].1]];
+            let (start, end) = (point(from), point(to));
+            [start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])]
+        };
+        let crossed: Vec<usize> = (0..4).filter(|edge| above(*edge) != above((edge + 1) % 4)).collect();
+        match crossed.as_slice() {
+            [first, second] => vec![[crossing(*first), crossing(*second)]],
+            // A saddle: the mean decides which corners belong together.
+            [_, _, _, _] => {
+                let centre_above = (0..4).map(value).sum::<f64>() / 4.0 >= level;
+                let pairs = if centre_above == above(0) { [[0, 1], [2, 3]] } else { [[3, 0], [1, 2]] };
+                pairs.iter().map(|[first, second]| [crossing(*first), crossing(*second)]).collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn surface(points: usize, of: impl Fn(f64, f64) -> f64) -> Grid {
+        let coordinates = coordinates(1.5, points);
+        let values = coordinates.iter().flat_map(|x| coordinates.iter().map(|y| of(*x, *y))).collect();
+        Grid { coordinates, values }
+    }
+
+    #[test]
+    fn share_of_a_known_surface() {
+        // 1 inside |x|, |y| ≤ 0.75, 0 outside: 7 × 7 of 13 × 13 points at a spacing of 0.25.
+        let grid = surface(13, |x, y| f64::from(u8::from(x.abs() <= 0.76 && y.abs() <= 0.76)));
+        assert_eq!(grid.share_at_least(0.8), 49.0 / 169.0);
+        assert_eq!(grid.share_at_least(0.0), 1.0);
+        // Eight of ten trials are 80 %, whatever the rounding.
+        let tenths = Grid { coordinates: vec![0.0, 1.0], values: vec![0.1 * 8.0, 0.7 + 0.1, 0.8 - 1e-12, 0.79] };
+        assert_eq!(tenths.share_at_least(0.8), 0.75);
+    }
+
+    #[test]
+    fn contour_of_a_cone_is_a_circle() {
+        // 1 − r/2 = 0.5 at r = 1.
+        let grid = surface(61, |x, y| 1.0 - 0.5 * x.hypot(y));
+        let segments = grid.contour(0.5);
+        assert!(segments.iter().flatten().all(|[x, y]| (x.hypot(*y) - 1.0).abs() < 2e-3));
+        let length: f64 = segments.iter().map(|[a, b]| (a[0] - b[0]).hypot(a[1] - b[1])).sum();
+        assert!((length - std::f64::consts::TAU).abs() < 0.01, "{length}");
+    }
+
+    #[test]
+    fn a_saddle_keeps_its_high_corners_apart_if_its_middle_is_low() {
+        let grid = Grid { coordinates: vec![0.0, 1.0], values: vec![1.0, 0.0, 0.0, 1.0] };
+        for level in [0.4, 0.6] {
+            let segments = grid.contour(level);
+            assert_eq!(segments.len(), 2);
+            // Both cut off a corner 0.4 away from it: the low corners at 0.4, the high ones at 0.6.
+            for [a, b] in segments {
+                assert!(((a[0] - b[0]).hypot(a[1] - b[1]) - 0.4 * 2.0_f64.sqrt()).abs() < 1e-9);
+            }
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! A rectangular panel: data to pixels, grid lines, ticks and labels.
+
+use super::svg::{Anchor, Stroke, Svg, Text};
+use super::{COLOURS, GREY, INK, LARGE, LINES, PALE, SMALL};
+
+/// A panel.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Panel {
+    /// Upper left corner [px].
+    pub corner: [f64; 2],
+    /// Width and height [px].
+    pub size: [f64; 2],
+    /// Data range along x.
+    pub x: [f64; 2],
+    /// Data range along y, upwards.
+    pub y: [f64; 2],
+}
+
+impl Panel {
+    /// Pixels of a point of data.
+    pub fn at(&self, point: [f64; 2]) -> [f64; 2] {
+        let share = |value: f64, [low, high]: [f64; 2]| (value - low) / (high - low);
+        [
+            self.corner[0] + self.size[0] * share(point[0], self.x),
+            self.corner[1] + self.size[1] * (1.0 - share(point[1], self.y)),
+        ]
+    }
+
+    /// Frame, grid lines, ticks, labels. Without `y_label` the numbers along y are left out too: a neighbour has them.
+    pub fn draw_axes(&self, svg: &mut Svg, x_label: &str, y_label: Option<&str>) {
+        let [left, top] = self.corner;
+        let [right, bottom] = [left + self.size[0], top + self.size[1]];
+        let (x_ticks, y_ticks) = (ticks(self.x, 5), ticks(self.y, 5));
+        for tick in &x_ticks {
+            let [x, _] = self.at([*tick, 0.0]);
+            svg.line([x, top], [x, bottom], Stroke::new(PALE, 1.0));
+            svg.text([x, bottom + 16.0], &tick_text(*tick, &x_ticks), Text::new(SMALL, Anchor::Middle));
+        }
+        for tick in &y_ticks {
+            let [_, y] = self.at([0.0, *tick]);
+            svg.line([left, y], [right, y], Stroke::new(PALE, 1.0));
+            if y_label.is_some() {
+                svg.text([left - 6.0, y + 4.0], &tick_text(*tick, &y_ticks), Text::new(SMALL, Anchor::End));
+            }
+        }
+        self.draw_frame(svg);
+        svg.text([0.5 * (left + right), bottom + 35.0], x_label, Text::new(SMALL, Anchor::Middle));
+        if let Some(label) = y_label {
+            svg.text([left - 42.0, 0.5 * (top + bottom)], label, Text::new(SMALL, Anchor::Middle).upwards());
+        }
+    }
+
+    /// The panel's border.
+    pub fn draw_frame(&self, svg: &mut Svg) {
+        let [left, top] = self.corner;
+        let [right, bottom] = [left + self.size[0], top + self.size[1]];
+        svg.outline(&[[left, top], [right, top], [right, bottom], [left, bottom]], Stroke::new(GREY, 1.0));
+    }
+
+    /// A title above the panel.
+    pub fn draw_title(&self, svg: &mut Svg, title: &str) {
+        let centre = self.corner[0] + 0.5 * self.size[0];
+        svg.text([centre, self.corner[1] - 9.0], title, Text::new(LARGE, Anchor::Middle).bold());
+    }
+}
+
+/// Names of the two sets with their lines, beginning at a point.
+pub fn draw_legend(svg: &mut Svg, at: [f64; 2], names: &[String; 2]) {
+    let mut x = at[0];
+    for (set, name) in names.iter().enumerate() {
+        svg.line([x, at[1] - 4.0], [x + 28.0, at[1] - 4.0], LINES[set]);
+        draw_mark(svg, [x + 14.0, at[1] - 4.0], set, 4.0, true);
+        svg.text([x + 34.0, at[1]], name, Text::new(LARGE, Anchor::Start));
+        x += 34.0 + 0.62 * LARGE * name.chars().count() as f64 + 28.0;
+    }
+}
+
+/// A set's mark: circles for the first, squares for the second.
+pub fn draw_mark(svg: &mut Svg, centre: [f64; 2], set: usize, radius: f64, filled: bool) {
+    let colour = COLOURS[set];
+    let fill = if filled { colour } else { "white" };
+    let stroke = Stroke::new(colour, 1.2);
+    if set == 0 {
+        svg.circle(centre, radius, fill, stroke);
+    } else {
+        let [x, y] = centre;
+        let r = 0.9 * radius;
+        let square = [[x - r, y - r], [x + r, y - r], [x + r, y + r], [x - r, y + r]];
+        svg.area(&[&square], fill, 1.0);
+        svg.outline(&square, stroke);
+    }
+}
+
+/// A cross where something is marked.
+pub fn draw_cross(svg: &mut Svg, centre: [f64; 2], radius: f64) {
+    let [x, y] = centre;
+    for sign in [-1.0, 1.0] {
+        svg.line([x - radius, y - sign * radius], [x + radius, y + sign * radius], Stroke::new(INK, 1.5));
+    }
+}
+
+/// Round numbers within a range, about `count` of them.
+pub fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
+    let [low, high] = range;
+    let span = high - low;
+    if span.is_nan() || span <= 0.0 || !span.is_finite() {
+        return vec![low];
+    }
+    let raw = span / count as f64;
+    let magnitude = 10.0_f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 2.5, 5.0, 10.0].into_iter().map(|m| m * magnitude).find(|step| *step >= 0.999 * raw);
+    let step = step.unwrap_or(10.0 * magnitude);
+    let first = (low / step - 1e-6).ceil() as i64;
+    let last = (high / step + 1e-6).floor() as i64;
+    (first..=last).map(|k| k as f64 * step).collect()
+}
+
+/// A tick's number with as many digits as its neighbours need.
+pub fn tick_text(tick: f64, all: &[f64]) -> String {
+    let needs = |value: f64| {
+        (0..=6).find(|digits| {
+            let scale = 10.0_f64.powi(*digits);
+            ((value * scale).round() / scale - value).abs() < 1e-9 * (1.0 + value.abs())
+        })
+    };
+    let digits = all.iter().filter_map(|value| needs(*value)).max().unwrap_or(0);
+    let text = format!("{tick:.*}", digits as usize);
+    if tick.abs() < 1e-12 { "0".to_owned() } else { text.replace('-', "−") }
+}
+
+/// A range that begins at zero, if all is positive, and ends a little above the largest value.
+pub fn range_from_zero(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    let (low, high) = values.filter(|v| v.is_finite()).fold((0.0_f64, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
+    if high - low <= 0.0 { [0.0, 1.0] } else { [1.08 * low, 1.08 * high] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_round_and_within_the_range() {
+        assert_eq!(ticks([-1.5, 1.5], 5), [-1.0, 0.0, 1.0]);
+        assert_eq!(ticks([0.0, 0.5], 5), [0.0, 0.1, 0.2, 0.30000000000000004, 0.4, 0.5]);
+        assert_eq!(ticks([3.0, 3.0], 5), [3.0]);
+        assert_eq!(tick_text(0.5, &[0.0, 0.25, 0.5]), "0.50");
+        assert_eq!(tick_text(-1.0, &[-1.0, 0.0]), "−1");
+    }
+
+    #[test]
+    fn a_panels_corners_are_its_ranges() {
+        let panel = Panel { corner: [10.0, 20.0], size: [100.0, 50.0], x: [0.0, 2.0], y: [-1.0, 1.0] };
+        assert_eq!(panel.at([0.0, -1.0]), [10.0, 70.0]);
+        assert_eq!(panel.at([2.0, 1.0]), [110.0, 20.0]);
+    }
+}

@@ -1,0 +1,233 @@
+/*! Means over seeds, paired differences, and what may be said about them.
+
+A cell of a table is the mean ± standard deviation over seeds, as in the paper. Both methods saw the same trials, so a
+difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. Pairs are few, and a percentile
+bootstrap over few pairs is too narrow rather than too wide: the interval is a yardstick, not a test.
+*/
+
+use std::collections::BTreeMap;
+
+use rand::RngExt;
+use serde::Serialize;
+
+use crate::random::{Purpose, stream};
+
+/// Resamples of a bootstrap.
+const RESAMPLES: usize = 10_000;
+
+/// Share of resamples on either side of the interval.
+const TAIL: f64 = 0.025;
+
+/// One number for each seed that has one.
+pub type PerSeed = BTreeMap<u64, f64>;
+
+/// Mean and standard deviation over seeds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Sample standard deviation; none with a single seed.
+    pub sd: Option<f64>,
+    /// Seeds.
+    pub seeds: usize,
+}
+
+impl Spread {
+    /// Of numbers by seed, if there are any.
+    pub fn of(values: &PerSeed) -> Option<Self> {
+        let seeds = values.len();
+        let mean = mean(values.values().copied())?;
+        let sd = (seeds > 1).then(|| {
+            let squares: f64 = values.values().map(|value| (value - mean).powi(2)).sum();
+            (squares / (seeds - 1) as f64).sqrt()
+        });
+        Some(Spread { mean, sd, seeds })
+    }
+}
+
+/// A number and the interval that holds it with 95 %.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Estimate {
+    /// From all seeds.
+    pub value: f64,
+    /// Percentile bootstrap; none with fewer than two pairs of seeds.
+    pub interval: Option<[f64; 2]>,
+}
+
+/// One quantity of two sets of policies.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// First set.
+    pub a: PerSeed,
+    /// Second set.
+    pub b: PerSeed,
+    /// Mean of the first set.
+    pub a_spread: Option<Spread>,
+    /// Mean of the second set.
+    pub b_spread: Option<Spread>,
+    /// First minus second, over the seeds that both have.
+    pub difference: Option<Estimate>,
+    /// First over second, minus one, over the same seeds; none unless the second is positive.
+    pub relative: Option<Estimate>,
+}
+
+impl Comparison {
+    /// Compares seed by seed.
+    pub fn new(a: PerSeed, b: PerSeed) -> Self {
+        let pairs: Vec<[f64; 2]> = a.iter().filter_map(|(seed, a)| Some([*a, *b.get(seed)?])).collect();
+        let means = |chosen: &[usize]| {
+            let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which]));
+            Some([of(0)?, of(1)?])
+        };
+        let difference = estimate(pairs.len(), |chosen| means(chosen).map(|[a, b]| a - b));
+        let relative = estimate(pairs.len(), |chosen| means(chosen).filter(|[_, b]| *b > 0.0).map(|[a, b]| a / b - 1.0));
+        Comparison { a_spread: Spread::of(&a), b_spread: Spread::of(&b), difference, relative, a, b }
+    }
+}
+
+/// A statistic of pairs and its bootstrap interval. `statistic` is given indices of pairs, with repetitions.
+pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<Estimate> {
+    let all: Vec<usize> = (0..pairs).collect();
+    let value = statistic(&all)?;
+    Some(Estimate { value, interval: interval(pairs, statistic) })
+}
+
+/// 95 % percentile interval of a statistic over resampled pairs.
+fn interval(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<[f64; 2]> {
+    if pairs < 2 {
+        return None;
+    }
+    // The same resamples for every quantity: intervals then differ only because the numbers do.
+    let mut rng = stream(0, Purpose::Bootstrap, pairs as u64, 0);
+    let mut chosen = vec![0; pairs];
+    let mut found: Vec<f64> = (0..RESAMPLES)
+        .filter_map(|_| {
+            chosen.iter_mut().for_each(|pair| *pair = rng.random_range(0..pairs));
+            statistic(&chosen)
+        })
+        .collect();
+    found.sort_by(f64::total_cmp);
+    let at = |share: f64| found.get((share * (found.len().saturating_sub(1)) as f64).round() as usize).copied();
+    Some([at(TAIL)?, at(1.0 - TAIL)?])
+}
+
+/// Mean, if there is anything to average.
+pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+/// Which way the paper says the first set's number lies from the second's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Expected {
+    /// Above.
+    Higher,
+    /// Below.
+    Lower,
+}
+
+/// What the numbers say about a claim.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The interval lies on the paper's side of zero.
+    AsThePaper,
+    /// The interval holds zero.
+    NoEffect,
+    /// The interval lies on the other side of zero.
+    Opposite,
+    /// No interval: only one pair of seeds.
+    OnePair,
+    /// A number is missing on one side or both.
+    Undefined,
+    /// A bound that both sets keep.
+    Holds,
+    /// A bound that a set breaks.
+    Fails,
+}
+
+impl Verdict {
+    /// Of a difference.
+    pub fn of(difference: Option<Estimate>, expected: Expected) -> Self {
+        let Some(estimate) = difference else { return Verdict::Undefined };
+        let Some([low, high]) = estimate.interval else { return Verdict::OnePair };
+        match expected {
+            Expected::Higher if low > 0.0 => Verdict::AsThePaper,
+            Expected::Lower if high < 0.0 => Verdict::AsThePaper,
+            Expected::Higher if high < 0.0 => Verdict::Opposite,
+            Expected::Lower if low > 0.0 => Verdict::Opposite,
+            _ => Verdict::NoEffect,
+        }
+    }
+
+    /// Of a bound that both sets have to keep.
+    pub fn below(bound: f64, comparison: &Comparison) -> Self {
+        match (comparison.a_spread, comparison.b_spread) {
+            (Some(a), Some(b)) if a.mean < bound && b.mean < bound => Verdict::Holds,
+            (Some(_), Some(_)) => Verdict::Fails,
+            _ => Verdict::Undefined,
+        }
+    }
+
+    /// In words.
+    pub fn text(self) -> &'static str {
+        match self {
+            Verdict::AsThePaper => "effect in the paper's direction",
+            Verdict::NoEffect => "no effect: the interval holds zero",
+            Verdict::Opposite => "opposite effect",
+            Verdict::OnePair => "one pair of seeds: no interval can be formed",
+            Verdict::Undefined => "not defined: see the falls",
+            Verdict::Holds => "holds for both",
+            Verdict::Fails => "does not hold for both",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn per_seed(values: &[f64]) -> PerSeed {
+        values.iter().enumerate().map(|(seed, value)| (seed as u64, *value)).collect()
+    }
+
+    #[test]
+    fn mean_and_sample_standard_deviation() {
+        // mean 4; squares (2² + 0 + 2²) / (3 − 1) = 4
+        let spread = Spread::of(&per_seed(&[2.0, 4.0, 6.0])).unwrap();
+        assert_eq!((spread.mean, spread.sd, spread.seeds), (4.0, Some(2.0), 3));
+        assert_eq!(Spread::of(&per_seed(&[3.0])).unwrap().sd, None);
+        assert_eq!(Spread::of(&PerSeed::new()), None);
+    }
+
+    #[test]
+    fn a_constant_shift_has_an_interval_of_no_width() {
+        let comparison = Comparison::new(per_seed(&[1.5, 2.5, 3.5]), per_seed(&[1.0, 2.0, 3.0]));
+        let difference = comparison.difference.unwrap();
+        assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
+        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::AsThePaper);
+        assert_eq!(Verdict::of(comparison.difference, Expected::Lower), Verdict::Opposite);
+        // 7.5 / 6 − 1
+        assert!((comparison.relative.unwrap().value - 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn two_pairs_resample_to_their_mean_and_themselves() {
+        // Differences −1 and 3: resamples give −1 (1/4), 1 (1/2), 3 (1/4).
+        let comparison = Comparison::new(per_seed(&[0.0, 4.0]), per_seed(&[1.0, 1.0]));
+        assert_eq!(comparison.difference.unwrap().interval, Some([-1.0, 3.0]));
+        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::NoEffect);
+    }
+
+    #[test]
+    fn only_common_seeds_are_paired_and_one_pair_has_no_interval() {
+        let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
+        let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
+        let comparison = Comparison::new(a, b);
+        assert_eq!(comparison.difference, Some(Estimate { value: 3.0, interval: None }));
+        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::OnePair);
+        let none = Comparison::new(per_seed(&[1.0]), PerSeed::new());
+        assert_eq!(Verdict::of(none.difference, Expected::Higher), Verdict::Undefined);
+    }
+}

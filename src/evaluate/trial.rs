@@ -1,0 +1,144 @@
+//! One trial: a scenario, its seed, a policy, and the numbers that come out.
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::config::Config;
+use crate::mujoco;
+use crate::policy::Policy;
+use crate::random::{Purpose, stream};
+use crate::scenario::catalog::{ParameterError, Scenario};
+use crate::scenario::metrics::STRIDE_S;
+use crate::scenario::{Rollout, Script};
+use crate::trace::{EventKind, Trace};
+
+/// Why a trial could not be played.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialError {
+    /// A parameter of the protocol.
+    #[error("a scenario of the protocol is not valid: {0}")]
+    Parameter(#[from] ParameterError),
+    /// The scene does not compile.
+    #[error(transparent)]
+    Mujoco(#[from] mujoco::Error),
+}
+
+/// How a trial ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum End {
+    /// Time was up.
+    Upright,
+    /// The robot fell.
+    Fell,
+    /// The physics failed; counted apart, and as no success.
+    Fault,
+}
+
+impl End {
+    /// Of a trace.
+    pub fn of(trace: &Trace) -> Self {
+        let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
+        match (happened(EventKind::Fall), happened(EventKind::Fault)) {
+            (true, _) => End::Fell,
+            (false, true) => End::Fault,
+            (false, false) => End::Upright,
+        }
+    }
+
+    /// 1 for a fall, else 0.
+    pub fn fell(self) -> f64 {
+        f64::from(u8::from(self == End::Fell))
+    }
+}
+
+/// What is kept of a trial.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sample {
+    /// How it ended.
+    pub end: End,
+    /// The experiment's quantities in their order; none where the trial does not define one.
+    pub values: Vec<Option<f64>>,
+    /// What the experiment's figures draw; its own order.
+    pub series: Vec<Vec<f32>>,
+}
+
+/// The seed of a trial, the same for every policy of a seed: trials of two methods are paired.
+///
+/// `experiment` tells experiments apart, `condition` what is varied within one.
+pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u64 {
+    // Counter 0 is the scenarios' own.
+    let condition = u64::from(experiment) << 32 | (1 + condition as u64);
+    stream(seed, Purpose::Scenario, condition, 1 + u64::from(trial)).random()
+}
+
+/// The script of a trial. Its disturbance comes at a time drawn uniformly over one stride.
+///
+/// # Errors
+/// [`ParameterError`]
+pub fn script(scenario: &Scenario, seed: u64, config: &Config) -> Result<Script, ParameterError> {
+    let phase_s = STRIDE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0);
+    let mut scenario = scenario.clone();
+    match &mut scenario {
+        // A pushed robot is pushed at a phase of its own; on uneven ground no time is special.
+        Scenario::Walk(_) | Scenario::Push(_) | Scenario::Terrain(_) => {}
+        Scenario::Leash(leash) => {
+            leash.at_s += phase_s;
+            leash.task.duration_s += phase_s;
+        }
+        // The obstacle is farther away by what the robot walks in that time.
+        Scenario::Box(free_box) => free_box.distance_m += phase_s * free_box.task.forward_m_s,
+        Scenario::BallPit(pit) => pit.distance_m += phase_s * pit.task.forward_m_s,
+    }
+    let mut script = scenario.script(seed, config)?;
+    script.after_fall_s = 0.0;
+    Ok(script)
+}
+
+/// Plays a trial to its end. `with_bodies` keeps the poses of obstacles.
+///
+/// # Errors
+/// [`TrialError`]
+pub fn play(
+    scenario: &Scenario,
+    seed: u64,
+    policy: &Policy,
+    with_bodies: bool,
+) -> Result<(Script, Trace), TrialError> {
+    let script = script(scenario, seed, &policy.provenance.config)?;
+    let trace = Rollout::new(&script, policy, with_bodies)?.trace();
+    Ok((script, trace))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::evaluate::protocol::defaults;
+    use crate::scenario::catalog::Leash;
+
+    #[test]
+    fn trial_seeds_differ_in_every_coordinate() {
+        let seeds = [trial_seed(0, 1, 0, 0), trial_seed(1, 1, 0, 0), trial_seed(0, 2, 0, 0), trial_seed(0, 1, 1, 0)];
+        let mut all = [seeds.as_slice(), &[trial_seed(0, 1, 0, 1)]].concat();
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), 5);
+    }
+
+    #[test]
+    fn a_pull_begins_within_one_stride_and_lasts_as_long_as_ever() {
+        let leash: Leash = defaults("leash").unwrap();
+        let config = Config::load("compliant").unwrap();
+        let starts: Vec<f64> = (0..50)
+            .map(|seed| {
+                let script = script(&Scenario::Leash(leash.clone()), seed, &config).unwrap();
+                let pull = script.pull.unwrap();
+                assert!((pull.until_s - pull.from_s - leash.for_s).abs() < 1e-9);
+                assert!(script.duration_s >= pull.until_s - 1e-9);
+                pull.from_s - leash.at_s
+            })
+            .collect();
+        assert!(starts.iter().all(|late| (0.0..STRIDE_S).contains(late)));
+        assert!(starts.iter().any(|late| *late < 0.1) && starts.iter().any(|late| *late > 0.3));
+    }
+}
