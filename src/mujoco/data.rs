@@ -266,3 +266,90 @@ impl Data {
         [velocity[3], velocity[4], velocity[5]]
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mujoco::Model;
+
+    const BALL: &str = r#"<mujoco>
+  <size nconmax="4" njmax="40"/>
+  <worldbody>
+    <geom name="floor" type="plane" size="1 1 1"/>
+    <body name="ball" pos="0 0 0.1"><freejoint name="ball"/><geom name="ball" size="0.1" mass="1"/></body>
+  </worldbody>
+</mujoco>"#;
+
+    fn ball() -> Data {
+        Data::new(Model::from_xml(&[("ball.xml", BALL)]).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_resting_ball_is_carried_by_its_weight() {
+        let mut data = ball();
+        for _ in 0..500 {
+            data.step1().unwrap();
+            data.step2().unwrap();
+        }
+        let force = data.contact_force(data.contacts().next().unwrap().index);
+        // The floor is the first geometry: the force is on the ball, upwards, 1 kg · 9.81 m/s².
+        assert!((force[2] - 9.81).abs() < 1e-3 && force[0].abs() < 1e-6 && force[1].abs() < 1e-6, "{force:?}");
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_an_error_and_not_a_silent_reset() {
+        for _ in 0..2 {
+            let mut data = ball();
+            data.velocities_mut()[2] = f64::NAN;
+            let error = data.step().unwrap_err();
+            assert_eq!(error, Error::Unstable { kind: StateKind::Velocity, index: 2 });
+            // MuJoCo's own reset has zeroed its counters once; the next fault must show as well.
+            data.reset().unwrap();
+            data.positions_mut()[0] = f64::INFINITY;
+            assert!(matches!(data.step1(), Err(Error::Unstable { kind: StateKind::Position, .. })));
+        }
+    }
+
+    #[test]
+    fn a_full_buffer_is_an_error_that_names_it() {
+        let bodies: String = (0..6)
+            .map(|k| {
+                format!(
+                    r#"<body name="b{k}" pos="{k} 0 0.1"><freejoint name="b{k}"/><geom name="b{k}" size="0.1"/></body>"#
+                )
+            })
+            .collect();
+        let xml = BALL.replace("</worldbody>", &format!("{bodies}</worldbody>"));
+        // Compiling already runs the contacts of the reference pose: lift the balls there, drop them here.
+        let xml = xml.replace("0 0.1\"", "0 1\"");
+        let mut data = Data::new(Model::from_xml(&[("balls.xml", &xml)]).unwrap()).unwrap();
+        for ball in 0..7 {
+            data.positions_mut()[7 * ball + 2] = 0.09;
+        }
+        let error = data.step1().unwrap_err();
+        assert_eq!(error, Error::BufferFull { buffer: Buffer::Contacts, size: 4 });
+        assert!(error.to_string().contains("nconmax"));
+    }
+
+    #[test]
+    fn simulations_on_several_threads_do_not_disturb_one_another() {
+        let run = |fault: bool| {
+            let mut data = ball();
+            data.velocities_mut()[0] = 1.0;
+            for step in 0..1000 {
+                if fault && step % 100 == 50 {
+                    data.velocities_mut()[0] = f64::NAN;
+                    assert!(data.step().is_err());
+                    data.reset().unwrap();
+                }
+                data.step().unwrap();
+            }
+            data.positions().to_vec()
+        };
+        let alone = run(false);
+        let workers: Vec<_> = (0..4).map(|k| std::thread::spawn(move || run(k % 2 == 1))).collect();
+        let results: Vec<_> = workers.into_iter().map(|worker| worker.join().unwrap()).collect();
+        assert_eq!(results[0], alone);
+        assert_eq!(results[2], alone);
+    }
+}

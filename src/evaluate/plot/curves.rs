@@ -1,0 +1,68 @@
+//! A quantity over time with mean and band, one panel for each set, on the same scale (Fig. 3).
+
+use super::axes::Panel;
+use super::svg::{Anchor, Stroke, Svg, Text};
+use super::{BAND, COLOURS, GREY, INK, SMALL, WIDTH};
+
+/// Mean and extremes of several runs.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Curve {
+    /// Above it.
+    pub title: String,
+    /// (time, mean) in order of time.
+    pub mean: Vec<[f64; 2]>,
+    /// (time, least).
+    pub least: Vec<[f64; 2]>,
+    /// (time, largest).
+    pub largest: Vec<[f64; 2]>,
+    /// A time to mark, with its label.
+    pub mark: Option<(f64, String)>,
+    /// A band to draw around a level: level, half-width.
+    pub tolerance: Option<[f64; 2]>,
+}
+
+/// Draws both curves.
+pub fn draw(title: &str, curves: [Curve; 2], x_label: &str, y_label: &str) -> String {
+    let mut svg = Svg::new(WIDTH, 300.0);
+    let extremes = || curves.iter().flat_map(|curve| curve.least.iter().chain(&curve.largest));
+    let range = |of: fn(&[f64; 2]) -> f64| {
+        extremes().map(of).fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
+    };
+    let (x, [low, high]) = (range(|point| point[0]), range(|point| point[1]));
+    if x[0] >= x[1] {
+        svg.text([0.5 * WIDTH, 150.0], "no run reached its push", Text::new(SMALL, Anchor::Middle));
+        return svg.finish(title);
+    }
+    let margin = 0.06 * (high - low).max(1e-3);
+    let width = 326.0;
+    for (set, curve) in curves.iter().enumerate() {
+        let corner = [62.0 + set as f64 * (width + 26.0), 30.0];
+        let panel = Panel { corner, size: [width, 216.0], x, y: [low - margin, high + margin] };
+        panel.draw_axes(&mut svg, x_label, (set == 0).then_some(y_label));
+        panel.draw_title(&mut svg, &curve.title);
+        draw_curve(&mut svg, &panel, curve, set);
+    }
+    svg.finish(title)
+}
+
+fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve, set: usize) {
+    let points = |of: &[[f64; 2]]| of.iter().map(|point| panel.at(*point)).collect::<Vec<_>>();
+    let mut band = points(&curve.largest);
+    band.extend(points(&curve.least).iter().rev());
+    svg.area(&[&band], COLOURS[set], BAND);
+    if let Some([level, half]) = curve.tolerance {
+        for value in [level - half, level + half] {
+            let line = Stroke::new(GREY, 1.0).dashed("2 3");
+            svg.line(panel.at([panel.x[0], value]), panel.at([panel.x[1], value]), line);
+        }
+    }
+    svg.line(panel.at([0.0, panel.y[0]]), panel.at([0.0, panel.y[1]]), Stroke::new(GREY, 1.0));
+    svg.polyline(&points(&curve.mean), Stroke::new(COLOURS[set], 2.0));
+    if let Some((time, label)) = &curve.mark {
+        let top = panel.at([*time, panel.y[1]]);
+        svg.line(panel.at([*time, panel.y[0]]), top, Stroke::new(INK, 1.3).dashed("5 3"));
+        let near_the_end = *time > 0.6 * panel.x[1];
+        let (anchor, shift) = if near_the_end { (Anchor::End, -6.0) } else { (Anchor::Start, 6.0) };
+        svg.text([top[0] + shift, top[1] + 17.0], label, Text::new(SMALL, anchor));
+    }
+}

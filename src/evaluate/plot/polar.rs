@@ -1,0 +1,104 @@
+//! A quantity by direction, both sets over one another, mean and ± standard deviation (Figs. 4 and 5).
+
+use std::f64::consts::TAU;
+
+use super::axes::{draw_legend, tick_text, ticks};
+use super::svg::{Anchor, Stroke, Svg, Text};
+use super::{BAND, COLOURS, GREY, LARGE, LINES, PALE, SMALL, WIDTH};
+use crate::evaluate::statistics::Spread;
+
+/// Radius of a panel [px].
+const RADIUS: f64 = 132.0;
+
+/// A panel: for each set, the quantity in directions that divide the circle evenly, counter-clockwise from forward.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Polar {
+    /// Above it.
+    pub title: String,
+    /// By set, by direction; none where it is not defined.
+    pub sets: [Vec<Option<Spread>>; 2],
+}
+
+/// Draws up to two panels on one scale.
+pub fn draw(title: &str, panels: &[Polar], names: &[String; 2], axis: &str) -> String {
+    let mut svg = Svg::new(WIDTH, 400.0);
+    let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
+    let ends = spreads.flat_map(|s| [s.mean - s.sd.unwrap_or(0.0), s.mean + s.sd.unwrap_or(0.0)]);
+    let (low, high) = ends.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+    let scale = Scale { low: 1.02 * low, high: if high > low { 1.02 * high } else { 1.0 } };
+    for (index, panel) in panels.iter().enumerate() {
+        let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64, 206.0];
+        draw_rings(&mut svg, centre, scale, axis);
+        for set in [1, 0] {
+            draw_set(&mut svg, centre, scale, &panel.sets[set], set);
+        }
+        svg.text([centre[0], 20.0], &panel.title, Text::new(LARGE, Anchor::Middle).bold());
+    }
+    draw_legend(&mut svg, [WIDTH * 0.5 - 130.0, 392.0], names);
+    svg.finish(title)
+}
+
+/// From values to radii; negative values lie inside the circle of zero.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Scale {
+    low: f64,
+    high: f64,
+}
+
+impl Scale {
+    fn at(&self, centre: [f64; 2], angle: f64, value: f64) -> [f64; 2] {
+        let radius = RADIUS * ((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0);
+        [centre[0] + radius * angle.cos(), centre[1] - radius * angle.sin()]
+    }
+}
+
+fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
+    for spoke in 0..8 {
+        let angle = TAU * f64::from(spoke) / 8.0;
+        svg.line(scale.at(centre, angle, scale.low), scale.at(centre, angle, scale.high), Stroke::new(PALE, 1.0));
+    }
+    let rings = ticks([scale.low, scale.high], 4);
+    let lowest = rings.first().copied().unwrap_or(0.0);
+    for ring in rings.iter().filter(|ring| **ring > scale.low + 1e-9) {
+        let radius = RADIUS * (ring - scale.low) / (scale.high - scale.low);
+        // Zero stands out when there is something inside it.
+        let colour = if *ring == 0.0 && lowest < 0.0 { GREY } else { PALE };
+        svg.circle(centre, radius, "none", Stroke::new(colour, 1.0));
+    }
+    svg.circle(centre, RADIUS, "none", Stroke::new(GREY, 1.0));
+    let label_angle = TAU / 16.0;
+    for ring in rings.iter().filter(|ring| **ring > scale.low + 1e-9) {
+        let [x, y] = scale.at(centre, label_angle, *ring);
+        svg.text([x, y + 4.0], &tick_text(*ring, &rings), Text::new(SMALL, Anchor::Middle).coloured(GREY));
+    }
+    let out = RADIUS + 8.0;
+    let style = |anchor| Text::new(SMALL, anchor);
+    svg.text([centre[0] + out, centre[1] + 4.0], "forward", style(Anchor::Start));
+    svg.text([centre[0], centre[1] - out], "left", style(Anchor::Middle));
+    svg.text([centre[0] - out, centre[1] + 4.0], "back", style(Anchor::End));
+    svg.text([centre[0], centre[1] + out + 9.0], "right", style(Anchor::Middle));
+    svg.text([centre[0], centre[1] + out + 26.0], axis, style(Anchor::Middle).coloured(GREY));
+}
+
+fn draw_set(svg: &mut Svg, centre: [f64; 2], scale: Scale, values: &[Option<Spread>], set: usize) {
+    let count = values.len();
+    let point = |direction: usize, offset: f64| {
+        let spread = values[direction % count]?;
+        let angle = TAU * (direction % count) as f64 / count as f64;
+        Some(scale.at(centre, angle, spread.mean + offset * spread.sd.unwrap_or(0.0)))
+    };
+    let all = |offset| (0..count).map(|direction| point(direction, offset)).collect::<Option<Vec<_>>>();
+    if let (Some(outer), Some(inner), Some(middle)) = (all(1.0), all(-1.0), all(0.0)) {
+        svg.area(&[&outer, &inner], COLOURS[set], BAND);
+        svg.outline(&middle, LINES[set]);
+        return;
+    }
+    // A direction without a number is a gap.
+    for direction in 0..count {
+        if let (Some(from), Some(to)) = (point(direction, 0.0), point(direction + 1, 0.0)) {
+            svg.line(from, to, LINES[set]);
+        } else if let Some(alone) = point(direction, 0.0) {
+            super::axes::draw_mark(svg, alone, set, 3.0, true);
+        }
+    }
+}

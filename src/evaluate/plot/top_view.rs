@@ -1,0 +1,95 @@
+//! Paths of the robot past a box, seen from above, one panel for each set (Fig. 6).
+
+use super::axes::Panel;
+use super::svg::{Stroke, Svg};
+use super::{COLOURS, GREY, INK, WIDTH};
+
+/// Where a box stands: x [m], y [m], yaw [rad].
+pub type BoxPose = [f64; 3];
+
+/// One run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Run {
+    /// The trunk's path [m].
+    pub path: Vec<[f64; 2]>,
+    /// The box before.
+    pub first: BoxPose,
+    /// The box after.
+    pub last: BoxPose,
+    /// Whether the robot fell at the end of the path.
+    pub fell: bool,
+}
+
+/// Runs of one set; the first is drawn in full, the others faintly.
+#[derive(Debug, Clone, PartialEq)]
+pub struct View {
+    /// Above it.
+    pub title: String,
+    /// In order of trials.
+    pub runs: Vec<Run>,
+}
+
+/// Draws both views on one scale, with equal lengths along both axes.
+pub fn draw(title: &str, views: [View; 2], box_size_m: f64) -> String {
+    let points = || views.iter().flat_map(|view| &view.runs).flat_map(|run| corners_and_path(run, box_size_m));
+    let range = |axis: usize| {
+        points().map(|point| point[axis]).fold([-0.4_f64, 0.4], |[low, high], v| [low.min(v - 0.1), high.max(v + 0.1)])
+    };
+    let (x, mut y) = (range(0), range(1));
+    // Not flatter than can be read, not higher than a page.
+    let (left, width) = (62.0, WIDTH - 62.0 - 14.0);
+    let scale = width / (x[1] - x[0]);
+    let height = (scale * (y[1] - y[0])).clamp(110.0, 330.0);
+    let half = 0.5 * (height / scale - (y[1] - y[0]));
+    y = [y[0] - half, y[1] + half];
+
+    let mut svg = Svg::new(WIDTH, 2.0 * (height + 34.0) + 52.0);
+    for (set, view) in views.iter().enumerate() {
+        let corner = [left, 30.0 + set as f64 * (height + 46.0)];
+        let panel = Panel { corner, size: [width, height], x, y };
+        panel.draw_axes(&mut svg, if set == 1 { "forward [m]" } else { "" }, Some("left [m]"));
+        panel.draw_title(&mut svg, &view.title);
+        for (index, run) in view.runs.iter().enumerate().rev() {
+            draw_run(&mut svg, &panel, run, set, box_size_m, index == 0);
+        }
+    }
+    svg.finish(title)
+}
+
+fn corners_and_path(run: &Run, size_m: f64) -> Vec<[f64; 2]> {
+    let mut points = run.path.clone();
+    points.extend(corners(run.first, size_m));
+    points.extend(corners(run.last, size_m));
+    points
+}
+
+fn corners([x, y, yaw]: BoxPose, size_m: f64) -> [[f64; 2]; 4] {
+    let half = 0.5 * size_m;
+    [[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]].map(|[u, v]: [f64; 2]| {
+        let (u, v) = (half * u, half * v);
+        [x + u * yaw.cos() - v * yaw.sin(), y + u * yaw.sin() + v * yaw.cos()]
+    })
+}
+
+fn draw_run(svg: &mut Svg, panel: &Panel, run: &Run, set: usize, size_m: f64, in_full: bool) {
+    let pixels = |points: &[[f64; 2]]| points.iter().map(|point| clipped(panel, *point)).collect::<Vec<_>>();
+    let (first, last) = (pixels(&corners(run.first, size_m)), pixels(&corners(run.last, size_m)));
+    if in_full {
+        svg.outline(&first, Stroke::new(GREY, 1.5).dashed("4 3"));
+        svg.area(&[&last], "#b58a55", 0.75);
+        svg.outline(&last, Stroke::new(INK, 1.2));
+        svg.polyline(&pixels(&run.path), Stroke::new(COLOURS[set], 2.6));
+    } else {
+        svg.outline(&last, Stroke::new("#b58a55", 0.8).faint(0.45));
+        svg.polyline(&pixels(&run.path), Stroke::new(COLOURS[set], 1.0).faint(0.45));
+    }
+    if let (true, Some(end)) = (run.fell, run.path.last()) {
+        super::axes::draw_cross(svg, clipped(panel, *end), if in_full { 5.0 } else { 3.5 });
+    }
+}
+
+/// Pixels of a point, kept inside the panel.
+fn clipped(panel: &Panel, point: [f64; 2]) -> [f64; 2] {
+    let inside = |value: f64, [low, high]: [f64; 2]| value.clamp(low, high);
+    panel.at([inside(point[0], panel.x), inside(point[1], panel.y)])
+}
