@@ -8,11 +8,12 @@
 | `events.out.tfevents.*` | the same for TensorBoard, one file for each session |
 | `checkpoint.safetensors` | the newest checkpoint; the one before is `checkpoint.previous.safetensors` |
 | `policy.safetensors` | the policy of the newest checkpoint |
+| `lock` | held by the process that trains here |
 
 A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
 */
 
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -34,6 +35,9 @@ pub enum RunError {
     /// There is no run to go on with.
     #[error("{} is not a run's folder: it has no checkpoint; start one with --out", .0.display())]
     NotARun(PathBuf),
+    /// Another process trains there.
+    #[error("another process is training in {}: wait for it, or choose another folder", .0.display())]
+    Busy(PathBuf),
     /// Reading or writing failed.
     #[error("{}: {source}", path.display())]
     Io {
@@ -56,6 +60,8 @@ pub struct RunFolder {
     path: PathBuf,
     metrics: File,
     events: EventWriter,
+    /// Locked as long as it is open; the system unlocks it when the process ends, however it ends.
+    _lock: File,
 }
 
 impl RunFolder {
@@ -75,6 +81,7 @@ impl RunFolder {
             io::ErrorKind::AlreadyExists => RunError::Exists(path.to_owned()),
             _ => RunError::Io { path: path.to_owned(), source },
         })?;
+        let lock = lock(path)?;
         let about = serde_json::json!({
             "config_name": trainer.config_name(),
             "seed": trainer.seed(),
@@ -85,7 +92,7 @@ impl RunFolder {
         let (run, config) = (path.join("run.json"), path.join("config.yaml"));
         files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
         files::write_atomically(&config, trainer.config().to_yaml().as_bytes()).map_err(at(&config))?;
-        Self::open(path)
+        Self::open(path, lock)
     }
 
     /// Opens the folder of a run to go on with it: reads its checkpoint and drops the metrics of iterations that came
@@ -98,17 +105,19 @@ impl RunFolder {
         if !path.join(NEWEST).exists() && !path.join(PREVIOUS).exists() {
             return Err(RunError::NotARun(path.to_owned()));
         }
+        let lock = lock(path)?;
         let (checkpoint, passed_over) = Checkpoint::load(path)?;
         let metrics = path.join("metrics.jsonl");
         cut_metrics(&metrics, checkpoint.run.iteration)
             .map_err(|source| RunError::Io { path: metrics.clone(), source })?;
-        Ok((Self::open(path)?, checkpoint, passed_over))
+        Ok((Self::open(path, lock)?, checkpoint, passed_over))
     }
 
-    fn open(path: &Path) -> Result<Self, RunError> {
+    fn open(path: &Path, lock: File) -> Result<Self, RunError> {
         let metrics_path = path.join("metrics.jsonl");
         let metrics = OpenOptions::new().create(true).append(true).open(&metrics_path);
         Ok(RunFolder {
+            _lock: lock,
             path: path.to_owned(),
             metrics: metrics.map_err(|source| RunError::Io { path: metrics_path, source })?,
             events: EventWriter::create(path).map_err(|source| RunError::Io { path: path.to_owned(), source })?,
@@ -143,6 +152,18 @@ impl RunFolder {
     pub fn save(&self, trainer: &Trainer) -> Result<(), RunError> {
         trainer.checkpoint().save(&self.path)?;
         Ok(trainer.policy().save(&self.path.join("policy.safetensors"))?)
+    }
+}
+
+/// Claims a run's folder for this process.
+fn lock(folder: &Path) -> Result<File, RunError> {
+    let path = folder.join("lock");
+    let io = |source| RunError::Io { path: path.clone(), source };
+    let file = OpenOptions::new().create(true).append(true).open(&path).map_err(io)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(RunError::Busy(folder.to_owned())),
+        Err(TryLockError::Error(source)) => Err(io(source)),
     }
 }
 

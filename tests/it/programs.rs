@@ -122,7 +122,7 @@ fn bad_input_is_one_line_that_names_the_thing_and_exits_with_2() {
 }
 
 #[test]
-fn ctrl_c_finishes_the_iteration_and_says_how_to_go_on() {
+fn ctrl_c_finishes_the_iteration_and_says_how_to_go_on_and_nobody_else_trains_there() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());
     let mut child = std::process::Command::new(env!("CARGO_BIN_EXE_train"))
@@ -131,11 +131,14 @@ fn ctrl_c_finishes_the_iteration_and_says_how_to_go_on() {
         .stderr(std::process::Stdio::piped())
         .spawn()
         .unwrap();
-    let log = folder.path().join("run/metrics.jsonl");
-    while !std::fs::metadata(&log).is_ok_and(|file| file.len() > 0) {
+    let checkpoint = folder.path().join("run/checkpoint.safetensors");
+    while !checkpoint.exists() {
         assert!(child.try_wait().unwrap().is_none(), "train ended by itself");
         std::thread::sleep(std::time::Duration::from_millis(20));
     }
+    let second = run("train", folder.path(), &["--resume", "run"]);
+    assert_eq!(second.status.code(), Some(2));
+    assert!(complaint(&second).contains("another process is training in run"), "{}", complaint(&second));
     let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
     assert!(interrupt.success());
     let output = child.wait_with_output().unwrap();
