@@ -15,6 +15,7 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("compliant", include_str!("../configs/compliant.yaml")),
     ("baseline", include_str!("../configs/baseline.yaml")),
     ("fast", include_str!("../configs/fast.yaml")),
+    ("fast-baseline", include_str!("../configs/fast-baseline.yaml")),
     ("hardware", include_str!("../configs/hardware.yaml")),
 ];
 
