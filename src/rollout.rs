@@ -253,4 +253,42 @@ mod tests {
         let (advantages, _) = rollout([None, Some(End::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
         close(&advantages, [-0.5, -6.0, -7.0]);
     }
+
+    fn collect(threads: usize, disturb: impl Fn(&mut [LocomotionEnv])) -> Rollout {
+        let config = crate::config::Config::load("compliant").unwrap();
+        let mut rng = stream(2, Purpose::Weights, 0, 0);
+        let network = ActorCritic::orthogonal(LENGTH, &[16], 12, -1.0, &mut rng);
+        let mut envs: Vec<_> = (0..5).map(|index| LocomotionEnv::new(&config, 2, index, 1.0).unwrap()).collect();
+        disturb(&mut envs);
+        let normaliser = Normaliser::new(&config);
+        let (network, normaliser) = (&network, &normaliser);
+        Collection { network, normaliser, seed: 2, iteration: 0, steps: 60, command_share: 1.0, threads }
+            .collect(&mut envs)
+            .unwrap()
+    }
+
+    #[test]
+    fn a_physics_fault_ends_one_episode_is_counted_and_leaves_the_others_alone() {
+        let calm = collect(2, |_| {});
+        let faulty = collect(2, |envs| envs[1].sim_mut().data_mut().velocities_mut()[3] = f64::NAN);
+        let faults: Vec<_> = faulty.episodes.iter().filter(|episode| episode.end == End::Fault).collect();
+        assert_eq!(faults.len(), 1);
+        assert!(faults[0].fault.as_ref().is_some_and(|fault| fault.to_string().contains("became unstable")));
+        assert_eq!(faulty.ends[60], Some(End::Fault));
+        assert!(faulty.observations.iter().chain(&faulty.rewards).all(|value| value.is_finite()));
+        let others = |rollout: &Rollout| {
+            let rows: Vec<usize> = (0..60).chain(120..300).collect();
+            rows.iter()
+                .flat_map(|row| rollout.observations[row * LENGTH..(row + 1) * LENGTH].to_vec())
+                .collect::<Vec<_>>()
+        };
+        assert!(others(&calm) == others(&faulty), "the other environments must not notice");
+    }
+
+    #[test]
+    fn batches_do_not_depend_on_the_number_of_workers() {
+        let (one, three) = (collect(1, |_| {}), collect(3, |_| {}));
+        assert!(one.observations == three.observations && one.actions == three.actions && one.values == three.values);
+        assert!(one.rewards == three.rewards && one.bootstraps == three.bootstraps && one.episodes == three.episodes);
+    }
 }
