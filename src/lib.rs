@@ -12,6 +12,7 @@ pub mod files;
 pub mod go1;
 pub mod metrics;
 pub mod mujoco;
+pub mod onnx;
 pub mod policies;
 pub mod policy;
 pub mod ppo;

@@ -279,7 +279,8 @@ impl Metadata {
     }
 }
 
-fn layout_info() -> Vec<BlockInfo> {
+/// The observation's layout in words and numbers.
+pub fn layout_info() -> Vec<BlockInfo> {
     let info = |quantity: Quantity, age| BlockInfo {
         quantity,
         age,

@@ -163,6 +163,24 @@ fn scenario_prints_one_json_object_and_nothing_else() {
 }
 
 #[test]
+fn policy_program_shows_verifies_and_exports() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let shown = run("policy", folder.path(), &["show", "p.safetensors"]);
+    assert!(String::from_utf8_lossy(&shown.stdout).contains("RL_calf    -1.4400"));
+    let json: Value =
+        serde_json::from_slice(&run("policy", folder.path(), &["show", "p.safetensors", "--json"]).stdout).unwrap();
+    assert_eq!(json["observation"].as_array().unwrap().len(), 14);
+    assert!(run("policy", folder.path(), &["verify", "p.safetensors"]).status.success());
+    let arguments = ["export", "p.safetensors", "--format", "onnx", "--out", "p.onnx"];
+    assert!(run("policy", folder.path(), &arguments).status.success());
+    let onnx = std::fs::read(folder.path().join("p.onnx")).unwrap();
+    for name in ["observation", "joint_target", "Gemm", "Elu"] {
+        assert!(onnx.windows(name.len()).any(|window| window == name.as_bytes()), "{name}");
+    }
+}
+
+#[test]
 fn scenario_refuses_bad_input_with_exit_code_2() {
     let folder = tempfile::tempdir().unwrap();
     let policy = standing_policy();

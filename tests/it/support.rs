@@ -52,6 +52,7 @@ pub fn standing_policy() -> Policy {
 pub fn run(program: &str, folder: &Path, arguments: &[&str]) -> Output {
     let path = match program {
         "train" => env!("CARGO_BIN_EXE_train"),
+        "policy" => env!("CARGO_BIN_EXE_policy"),
         "scenario" => env!("CARGO_BIN_EXE_scenario"),
         other => panic!("no program {other}"),
     };

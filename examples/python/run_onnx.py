@@ -1,0 +1,52 @@
+#!/usr/bin/env python3
+"""Walk an exported policy in PyPI's MuJoCo for 5 s and print the velocity error.
+
+    cargo run --release --bin policy -- export compliant --format onnx --out policy.onnx
+    pip install mujoco onnxruntime numpy
+    python3 examples/python/run_onnx.py policy.onnx 0.5
+"""
+import json
+import pathlib
+import sys
+
+import mujoco
+import numpy as np
+import onnxruntime
+
+session = onnxruntime.InferenceSession(sys.argv[1], providers=["CPUExecutionProvider"])
+about = json.loads(session.get_modelmeta().custom_metadata_map["supple"])
+forward = float(sys.argv[2]) if len(sys.argv) > 2 else 0.5
+simulation, nominal = about["simulation"], np.array(about["nominal_pose_rad"])
+model = mujoco.MjModel.from_xml_path(str(pathlib.Path(__file__).parents[2] / "models/scene_flat.xml"))
+data = mujoco.MjData(model)
+mujoco.mj_resetDataKeyframe(model, data, model.keyframe("stand").id)
+paper_axes = [1, 2, 0]  # the paper's x, y, z are left, up, forward
+limits = model.actuator_ctrlrange[:, 1]
+
+
+def reduced():
+    """Table I: height, gravity, joint angles, velocity, angular velocity, joint rates, vectors in the base frame."""
+    base_from_world = data.body("trunk").xmat.reshape(3, 3).T
+    return np.concatenate([
+        [data.qpos[2]], (base_from_world @ model.opt.gravity)[paper_axes], data.qpos[7:],
+        (base_from_world @ data.qvel[:3])[paper_axes], data.qvel[3:6][paper_axes], data.qvel[6:]])
+
+
+mujoco.mj_forward(model, data)
+delay = simulation["latency_s"] * simulation["physics_rate_hz"]  # 7.2 physics steps
+issued = [nominal] * (int(delay) + 2)  # targets of the last physics steps, the newest last
+previous = current = reduced()
+target, speeds = nominal, []
+for step in range(5 * simulation["policy_rate_hz"]):
+    observation = np.concatenate([previous, target, current, [0.0, forward, 0.0]]).astype(np.float32)
+    target = session.run(["joint_target"], {"observation": observation[None]})[0][0].astype(float)
+    for _ in range(simulation["physics_rate_hz"] // simulation["policy_rate_hz"]):
+        issued = issued[1:] + [target]
+        acting = (delay % 1) * issued[0] + (1 - delay % 1) * issued[1]
+        torque = simulation["kp_n_m_per_rad"] * (acting - data.qpos[7:]) - simulation["kd_n_m_s_per_rad"] * data.qvel[6:]
+        data.ctrl = np.clip(torque, -limits, limits)
+        mujoco.mj_step(model, data)
+    mujoco.mj_kinematics(model, data)
+    previous, current = current, reduced()
+    speeds.append(current[18])
+print(f"forward velocity error over the last 3 s: {np.mean(speeds[-180:]) - forward:+.4f} m/s, base at {current[0]:.3f} m")
