@@ -8,6 +8,7 @@
 | `events.out.tfevents.*` | the same for TensorBoard, one file for each session |
 | `checkpoint.safetensors` | the newest checkpoint; the one before is `checkpoint.previous.safetensors` |
 | `policy.safetensors` | the policy of the newest checkpoint |
+| `fault-minibatch.csv` | the minibatch on which the learner failed, if it did |
 | `lock` | held by the process that trains here |
 
 A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
@@ -143,6 +144,17 @@ impl RunFolder {
         let scalars: Vec<(&str, f64)> = scalars.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let now_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
         self.events.scalars(metrics.samples, now_s, &scalars).map_err(at)
+    }
+
+    /// Keeps the minibatch on which the learner failed, if there is one; returns the file.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk.
+    pub fn keep_fault(&self, minibatch: &str) -> Result<PathBuf, RunError> {
+        let path = self.path.join("fault-minibatch.csv");
+        files::write_atomically(&path, minibatch.as_bytes())
+            .map_err(|source| RunError::Io { path: path.clone(), source })?;
+        Ok(path)
     }
 
     /// Writes checkpoint and policy.

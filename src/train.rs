@@ -17,7 +17,7 @@ use crate::policy::{Policy, Provenance};
 use crate::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, UpdateFault};
 use crate::provenance;
 use crate::random::{Purpose, stream};
-use crate::rollout::Collection;
+use crate::rollout::{Collection, Rollout};
 use crate::task::observation::LENGTH;
 use crate::task::{CommandCurriculum, Normaliser};
 
@@ -34,6 +34,8 @@ pub enum TrainError {
         iteration: u64,
         /// What it met.
         fault: UpdateFault,
+        /// The minibatch it met it in, as CSV: a row for each sample. Empty if no minibatch is to blame.
+        minibatch: String,
     },
     /// A checkpoint that does not fit its own configuration.
     #[error("the checkpoint does not fit its configuration: {0}")]
@@ -149,10 +151,11 @@ impl Trainer {
             returns: &returns,
         };
         let permutations = permutations(self.seed, self.iteration, ppo.epochs, rollout.len());
-        let statistics = self
-            .learner
-            .update(&batch, &permutations)
-            .map_err(|fault| TrainError::Learner { iteration: self.iteration, fault })?;
+        let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
+            iteration: self.iteration,
+            minibatch: minibatch_csv(&fault, &rollout, &advantages, &returns),
+            fault,
+        })?;
 
         let means = EpisodeMeans::new(&rollout.episodes, self.config.episode.push_gate);
         self.commands.update(means.walking_linear, &self.config.command);
@@ -259,6 +262,27 @@ fn environments(config: &Config, seed: u64, command_share: f64) -> mujoco::Resul
     (0..config.ppo.environments).map(|index| LocomotionEnv::new(config, seed, index as u64, command_share)).collect()
 }
 
+/// The samples of the minibatch in which an update failed.
+fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, advantages: &[f32], returns: &[f32]) -> String {
+    let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
+    let columns = |name: &str, count: usize| (0..count).map(|k| format!(",{name}_{k}")).collect::<String>();
+    let mut csv = format!(
+        "sample,reward,value,advantage,return,log_prob{}{}\n",
+        columns("action", JOINT_COUNT),
+        columns("observation", LENGTH)
+    );
+    for row in samples.iter().map(|sample| *sample as usize) {
+        let numbers =
+            [rollout.rewards[row], rollout.values[row], advantages[row], returns[row], rollout.log_probs[row]];
+        let action = &rollout.actions[row * JOINT_COUNT..(row + 1) * JOINT_COUNT];
+        let observation = &rollout.observations[row * LENGTH..(row + 1) * LENGTH];
+        let numbers: String =
+            numbers.iter().chain(action).chain(observation).map(|number| format!(",{number}")).collect();
+        csv.push_str(&format!("{row}{numbers}\n"));
+    }
+    csv
+}
+
 /// An order of all samples for every epoch.
 fn permutations(seed: u64, iteration: u64, epochs: usize, samples: usize) -> Vec<Vec<u32>> {
     (0..epochs)
@@ -268,4 +292,30 @@ fn permutations(seed: u64, iteration: u64, epochs: usize, samples: usize) -> Vec
             order
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_update_that_meets_nan_names_the_iteration_and_hands_over_the_minibatch() {
+        let mut config = Config::load("compliant").unwrap();
+        config.ppo.batch_size = 64;
+        config.ppo.minibatch_size = 32;
+        config.ppo.environments = 2;
+        config.ppo.hidden_layers = vec![8];
+        let mut trainer = Trainer::new("test", config, 0, 1).unwrap();
+        trainer.iterate().unwrap();
+        let before = trainer.policy().to_bytes().unwrap();
+        trainer.normaliser.scale[0] = f64::NAN;
+        let error = trainer.iterate().unwrap_err();
+        assert!(error.to_string().contains("iteration 1"), "{error}");
+        let TrainError::Learner { minibatch, .. } = error else { panic!("another error") };
+        assert_eq!(minibatch.lines().count(), 1 + 32);
+        assert!(minibatch.lines().nth(1).unwrap().contains("NaN"));
+        // The parameters are those before the step that failed.
+        trainer.normaliser = Normaliser::new(trainer.config());
+        assert!(trainer.policy().to_bytes().unwrap() == before);
+    }
 }

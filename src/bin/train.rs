@@ -11,7 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use supple::config::Config;
 use supple::metrics::IterationMetrics;
 use supple::run::RunFolder;
-use supple::train::Trainer;
+use supple::train::{TrainError, Trainer};
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
 ///
@@ -67,7 +67,7 @@ fn run(args: Args) -> anyhow::Result<()> {
     let bar = progress_bar(total, trainer.samples());
     let mut saved = trainer.iteration();
     while trainer.samples() < total && !stop.load(Ordering::Relaxed) {
-        let metrics = trainer.iterate()?;
+        let metrics = trainer.iterate().map_err(|error| explain(error, &folder))?;
         folder.log(&metrics)?;
         bar.set_position(metrics.samples);
         bar.set_message(summary(&metrics));
@@ -87,6 +87,20 @@ fn run(args: Args) -> anyhow::Result<()> {
         eprintln!("done: {} samples; the policy is {path}/policy.safetensors", trainer.samples());
     }
     Ok(())
+}
+
+/// Keeps what led to a failure of the learner beside the last good checkpoint.
+fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
+    let TrainError::Learner { minibatch, .. } = &error else { return error.into() };
+    let kept = folder.keep_fault(minibatch);
+    let path = folder.path().display();
+    match kept {
+        Ok(file) => anyhow::Error::from(error).context(format!(
+            "training failed; the minibatch is in {}, the last good checkpoint in {path}",
+            file.display()
+        )),
+        Err(second) => anyhow::Error::from(error).context(format!("training failed, and so did keeping why: {second}")),
+    }
 }
 
 fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
