@@ -33,7 +33,7 @@ pub enum TrainError {
         /// Iterations done before.
         iteration: u64,
         /// What it met.
-        fault: UpdateFault,
+        fault: Box<UpdateFault>,
         /// The minibatch it met it in, as CSV: a row for each sample. Empty if no minibatch is to blame.
         minibatch: String,
     },
@@ -154,7 +154,7 @@ impl Trainer {
         let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
             iteration: self.iteration,
             minibatch: minibatch_csv(&fault, &rollout, &advantages, &returns),
-            fault,
+            fault: Box::new(fault),
         })?;
 
         let means = EpisodeMeans::new(&rollout.episodes, self.config.episode.push_gate);
