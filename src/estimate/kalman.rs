@@ -1,0 +1,299 @@
+/*! Where the trunk is and how fast: the linear Kalman filter of Bledt et al. (2018, "MIT Cheetah 3").
+
+State (18): position `p` and velocity `v` of the IMU's site, centres `p_1 … p_4` of the feet, all in the gravity-aligned
+world. Input: the site's acceleration `a = R f + g`. Measurements (28), with `Δ_i` the foot seen from the site:
+
+| rows | measured | reads |
+|---|---|---|
+| 12 | `p − p_i` | `−Δ_i` |
+| 12 | `v` | `v_i`, the site's velocity if foot i rolls without slipping |
+| 4 | `p_i,z` | foot radius: the ground is at height zero |
+
+Four things differ from the MIT code.
+
+- The state is the IMU's site and not the trunk's origin, since the accelerometer feels the site. The lever arm then
+  enters exactly and needs no angular acceleration.
+- A foot is a sphere that rolls: its centre moves by `Ω × r e_z`, 3 cm/s in a walk at 0.5 m/s. MIT's point foot stands
+  still, and the velocity comes out too low by that.
+- Contact is a yes or no, not the phase of a gait that MIT turns into a trust. A foot without contact has no velocity and
+  height rows, and its position is free, so that at touchdown it is where the joints say.
+- A foot in contact whose `v_i` fits neither the prediction nor another foot slips, or its flag is wrong: its trust
+  falls below one as the misfit grows.
+
+No row and no noise couples x, y and z. The 18-state filter thus is three of six states, and uncorrelated rows can be
+taken one by one: a test compares with the filter in one piece.
+*/
+
+use nalgebra::{SMatrix, SVector, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::kinematics::FOOT_RADIUS_M;
+
+/// Index of the first foot in an axis' state; before it come position and velocity.
+const FEET: usize = 2;
+
+/// What the filter expects of its inputs, as standard deviations. A walk of density σ spreads by σ √t in time t.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterNoise {
+    /// Walk of the position beyond what the velocity explains.
+    pub position_walk_m_sqrt_s: f64,
+    /// Walk of the velocity: errors of accelerometer and tilt.
+    pub velocity_walk_m_s_sqrt_s: f64,
+    /// The same while the IMU's last reading is held.
+    pub held_velocity_walk_m_s_sqrt_s: f64,
+    /// Walk of a foot in contact.
+    pub stance_walk_m_sqrt_s: f64,
+    /// Walk of a foot in the air: so large that its position is what the joints say.
+    pub swing_walk_m_sqrt_s: f64,
+    /// A foot's position from the joints, per axis.
+    pub foot_position_m: f64,
+    /// The site's velocity from a foot in contact, per axis.
+    pub foot_velocity_m_s: f64,
+    /// Height of the ground under a foot in contact.
+    pub foot_height_m: f64,
+    /// Misfit of a foot's velocity from which on its trust falls, in standard deviations.
+    pub misfit_limit: f64,
+}
+
+impl Default for FilterNoise {
+    fn default() -> Self {
+        FilterNoise {
+            position_walk_m_sqrt_s: 0.005,
+            velocity_walk_m_s_sqrt_s: 0.2,
+            held_velocity_walk_m_s_sqrt_s: 0.5,
+            stance_walk_m_sqrt_s: 0.01,
+            swing_walk_m_sqrt_s: 10.0,
+            foot_position_m: 0.02,
+            foot_velocity_m_s: 0.1,
+            foot_height_m: 0.02,
+            misfit_limit: 3.0,
+        }
+    }
+}
+
+/// What joints and gyro say about a foot, world axes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FootMeasurement {
+    /// The foot's centre from the IMU's site, `Δ_i` \[m\].
+    pub offset: Vector3<f64>,
+    /// The foot's centre relative to the IMU's site, `dΔ_i/dt` [m/s].
+    pub velocity: Vector3<f64>,
+    /// Angular velocity of the foot, `Ω` [rad/s].
+    pub spin: Vector3<f64>,
+}
+
+impl FootMeasurement {
+    /// Velocity of the centre of a foot that rolls on level ground [m/s].
+    fn roll(&self) -> Vector3<f64> {
+        self.spin.cross(&Vector3::new(0.0, 0.0, FOOT_RADIUS_M))
+    }
+
+    /// `v_i` [m/s].
+    fn site_velocity(&self) -> Vector3<f64> {
+        self.roll() - self.velocity
+    }
+}
+
+/// How well a step's measurements fitted.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Fit {
+    /// Normalised innovation squared `νᵀ S⁻¹ ν`, over all rows.
+    pub squared: f64,
+    /// Number of rows: what `squared` is on average.
+    pub rows: usize,
+    /// Trust in each foot's contact, from 0 to 1.
+    pub trust: [f64; 4],
+}
+
+/// The filter.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KalmanFilter {
+    noise: FilterNoise,
+    /// x, y and z.
+    axes: [Axis; 3],
+}
+
+impl KalmanFilter {
+    /// Starts at rest with the trunk's origin above the world's, the feet in contact on the ground; without any contact,
+    /// the lowest foot. `arm` is the IMU's site from the trunk's origin, world axes \[m\].
+    pub fn new(noise: FilterNoise, arm: &Vector3<f64>, feet: &[FootMeasurement; 4], contacts: [bool; 4]) -> Self {
+        let depths = feet.iter().zip(contacts).filter(|(_, contact)| *contact).map(|(foot, _)| -foot.offset.z);
+        let (count, sum) = depths.fold((0.0, 0.0), |(count, sum), depth| (count + 1.0, sum + depth));
+        let depth = if count > 0.0 { sum / count } else { feet.iter().map(|foot| -foot.offset.z).fold(0.0, f64::max) };
+        let site = Vector3::new(arm.x, arm.y, depth + FOOT_RADIUS_M);
+        let axes = std::array::from_fn(|axis| {
+            let mut state = State::zeros();
+            state[0] = site[axis];
+            // The horizontal origin is a choice and has no error. Half a metre per second: it may be picked up walking.
+            let position_sd = if axis == 2 { noise.foot_height_m } else { 0.0 };
+            let mut deviations = State::from_element(noise.swing_walk_m_sqrt_s);
+            (deviations[0], deviations[1]) = (position_sd, 0.5);
+            for (foot, measurement) in feet.iter().enumerate() {
+                state[FEET + foot] = site[axis] + measurement.offset[axis];
+            }
+            Axis { state, covariance: Covariance::from_diagonal(&deviations.map(|sd| sd * sd)) }
+        });
+        KalmanFilter { noise, axes }
+    }
+
+    /// Position of the IMU's site, world frame \[m\].
+    pub fn position(&self) -> Vector3<f64> {
+        self.across(0)
+    }
+
+    /// Velocity of the IMU's site, world frame [m/s].
+    pub fn velocity(&self) -> Vector3<f64> {
+        self.across(1)
+    }
+
+    /// Centre of a foot, world frame \[m\].
+    pub fn foot(&self, leg: usize) -> Vector3<f64> {
+        self.across(FEET + leg)
+    }
+
+    fn across(&self, index: usize) -> Vector3<f64> {
+        Vector3::from_fn(|axis, _| self.axes[axis].state[index])
+    }
+
+    /// One tick of `dt_s` \[s\] that ends now. `acceleration` is the site's over that time, world frame [m/s²], `held` if it
+    /// is an old one; `feet` is `None` if the encoders gave nothing.
+    pub fn step(
+        &mut self,
+        acceleration: &Vector3<f64>,
+        held: bool,
+        feet: Option<&[FootMeasurement; 4]>,
+        contacts: [bool; 4],
+        dt_s: f64,
+    ) -> Fit {
+        self.step_over(&[0.0; 4], acceleration, held, feet, contacts, dt_s)
+    }
+
+    /// [`KalmanFilter::step`] over ground of the given height under each foot \[m\].
+    fn step_over(
+        &mut self,
+        ground: &[f64; 4],
+        acceleration: &Vector3<f64>,
+        held: bool,
+        feet: Option<&[FootMeasurement; 4]>,
+        contacts: [bool; 4],
+        dt_s: f64,
+    ) -> Fit {
+        let noise = self.noise;
+        let walk = if held { noise.held_velocity_walk_m_s_sqrt_s } else { noise.velocity_walk_m_s_sqrt_s };
+        for (axis, filter) in self.axes.iter_mut().enumerate() {
+            filter.predict(acceleration[axis], dt_s);
+            filter.covariance[(0, 0)] += noise.position_walk_m_sqrt_s.powi(2) * dt_s;
+            filter.covariance[(1, 1)] += walk.powi(2) * dt_s;
+        }
+        let flags = contacts.map(|contact| if contact { 1.0 } else { 0.0 });
+        let trust = feet.map_or(flags, |feet| self.trust(feet, contacts));
+        for leg in 0..4 {
+            let (stance, swing) = (noise.stance_walk_m_sqrt_s.powi(2), noise.swing_walk_m_sqrt_s.powi(2));
+            let walk = trust[leg] * stance + (1.0 - trust[leg]) * swing;
+            let roll = feet.map_or(Vector3::zeros(), |feet| trust[leg] * feet[leg].roll());
+            for (axis, filter) in self.axes.iter_mut().enumerate() {
+                filter.covariance[(FEET + leg, FEET + leg)] += walk * dt_s;
+                filter.state[FEET + leg] += roll[axis] * dt_s;
+            }
+        }
+        let mut fit = Fit { trust, ..Fit::default() };
+        if let Some(feet) = feet {
+            self.correct(ground, feet, &mut fit);
+        }
+        fit
+    }
+
+    fn correct(&mut self, ground: &[f64; 4], feet: &[FootMeasurement; 4], fit: &mut Fit) {
+        let noise = &self.noise;
+        for (axis, filter) in self.axes.iter_mut().enumerate() {
+            for (leg, foot) in feet.iter().enumerate() {
+                let mut row = |from, minus, value, sd: f64| {
+                    fit.squared += filter.correct(from, minus, value, sd * sd);
+                    fit.rows += 1;
+                };
+                row(0, Some(FEET + leg), -foot.offset[axis], noise.foot_position_m);
+                let trust = fit.trust[leg];
+                if trust > 0.0 {
+                    row(1, None, foot.site_velocity()[axis], noise.foot_velocity_m_s / trust);
+                    if axis == 2 {
+                        row(FEET + leg, None, ground[leg] + FOOT_RADIUS_M, noise.foot_height_m / trust);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Trust in each foot's contact: one if its velocity fits the prediction, or another foot's.
+    fn trust(&self, feet: &[FootMeasurement; 4], contacts: [bool; 4]) -> [f64; 4] {
+        let variance = self.noise.foot_velocity_m_s.powi(2);
+        let velocities = feet.map(|foot| foot.site_velocity());
+        let predicted = self.velocity();
+        std::array::from_fn(|leg| {
+            if !contacts[leg] {
+                return 0.0;
+            }
+            let to_prediction: f64 = (0..3)
+                .map(|axis| {
+                    let innovation = velocities[leg][axis] - predicted[axis];
+                    innovation * innovation / (self.axes[axis].covariance[(1, 1)] + variance)
+                })
+                .sum();
+            let to_another = (0..4)
+                .filter(|other| *other != leg && contacts[*other])
+                .map(|other| (velocities[leg] - velocities[other]).norm_squared() / (2.0 * variance));
+            let misfit = to_another.fold(to_prediction, f64::min).sqrt();
+            (self.noise.misfit_limit / misfit).min(1.0)
+        })
+    }
+}
+
+type State = SVector<f64, 6>;
+type Covariance = SMatrix<f64, 6, 6>;
+
+/// The filter along one axis: position, velocity, four feet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Axis {
+    state: State,
+    covariance: Covariance,
+}
+
+impl Axis {
+    /// `x ← A x + B a`, `P ← A P Aᵀ`, where A differs from one in `p ← p + dt v` alone.
+    fn predict(&mut self, acceleration: f64, dt_s: f64) {
+        self.state[0] += dt_s * (self.state[1] + 0.5 * dt_s * acceleration);
+        self.state[1] += dt_s * acceleration;
+        for column in 0..6 {
+            self.covariance[(0, column)] += dt_s * self.covariance[(1, column)];
+        }
+        for row in 0..6 {
+            self.covariance[(row, 0)] += dt_s * self.covariance[(row, 1)];
+        }
+    }
+
+    /// Takes one measurement of `x[plus] − x[minus]`. The covariance stays symmetric to the last bit. Returns `ν² / s`.
+    fn correct(&mut self, plus: usize, minus: Option<usize>, value: f64, variance: f64) -> f64 {
+        let mut cross: State = self.covariance.column(plus).into();
+        let (mut expected, mut own) = (self.state[plus], cross[plus]);
+        if let Some(minus) = minus {
+            cross -= self.covariance.column(minus);
+            expected -= self.state[minus];
+            own = cross[plus] - cross[minus];
+        }
+        let (innovation, total) = (value - expected, own + variance);
+        self.state += cross * (innovation / total);
+        for column in 0..6 {
+            let scaled = cross[column] / total;
+            for row in 0..=column {
+                let value = self.covariance[(row, column)] - cross[row] * scaled;
+                self.covariance[(row, column)] = value;
+                self.covariance[(column, row)] = value;
+            }
+        }
+        innovation * innovation / total
+    }
+}
+
+#[cfg(test)]
+#[path = "kalman_tests.rs"]
+mod tests;

@@ -1,0 +1,261 @@
+/*! The state of the robot from what it can feel (section IV-D): IMU, joint encoders, and which feet touch the ground.
+
+[`sensors`] says what is felt, and how badly; [`orientation`] finds up; [`kinematics`] finds the feet; [`kalman`] puts
+them together. All of it is pure: readings in, estimate out.
+
+The world of an [`Estimate`] is aligned with gravity, has the ground at height zero, and its origin and heading are those
+of the start. Horizontal position and heading drift, because nothing on the robot measures them.
+*/
+
+pub mod kalman;
+pub mod kinematics;
+pub mod orientation;
+pub mod sensors;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+mod walker;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use crate::go1::joint_name;
+use kalman::{FilterNoise, Fit, FootMeasurement, KalmanFilter};
+use kinematics::{IMU_IN_BASE, feet};
+use orientation::OrientationFilter;
+pub use sensors::{EncoderReading, ImuReading, SensorNoise, Sensors};
+
+/// Strength of gravity that the filters assume [m/s²].
+pub const GRAVITY_M_S2: f64 = 9.81;
+
+/// Why a reading was refused. The estimator keeps its last good state.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SensorFault {
+    /// A reading is NaN or infinite.
+    #[error("{reading} reads {found}, expected a finite number; the last good estimate is kept")]
+    NotFinite {
+        /// Which one, such as `gyro x` or `rate of FR_thigh`.
+        reading: String,
+        /// What it read.
+        found: f64,
+    },
+    /// The time since the last reading makes no sense.
+    #[error("the time since the last reading is {dt_s} s, expected a positive number")]
+    Timestep {
+        /// What was given \[s\].
+        dt_s: f64,
+    },
+    /// A sensor has given nothing for too long, or nothing yet.
+    #[error(
+        "no reading of the {sensor} for {silent_s:.3} s, at most {limit_s:.3} s can be bridged; start a new estimator when it is back"
+    )]
+    Silent {
+        /// `IMU` or `encoders`.
+        sensor: &'static str,
+        /// For how long; infinite if there never was one \[s\].
+        silent_s: f64,
+        /// For how long it may be \[s\].
+        limit_s: f64,
+    },
+}
+
+/// Settings of the [`Estimator`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EstimatorConfig {
+    /// `κ_ref` of the orientation filter. A gyro bias b leaves a tilt of b / κ, a change of speed Δv one of κ Δv / g.
+    pub orientation_gain_per_s: f64,
+    /// For how long a silent sensor is bridged.
+    pub max_silence_s: f64,
+    /// Noise that the Kalman filter expects.
+    pub noise: FilterNoise,
+}
+
+impl Default for EstimatorConfig {
+    fn default() -> Self {
+        // 0.15 °/s / 0.2 /s = 0.75°; 0.2 /s · 1 m/s / 9.81 m/s² = 1.2°.
+        EstimatorConfig { orientation_gain_per_s: 0.2, max_silence_s: 0.1, noise: FilterNoise::default() }
+    }
+}
+
+/// What the robot knows about itself.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// Height of the trunk's origin above the ground under the feet \[m\].
+    pub height_m: f64,
+    /// Velocity of the trunk's origin, base frame [m/s].
+    pub velocity_in_base: Vector3<f64>,
+    /// Rotation from the base frame to the gravity-aligned world.
+    pub world_from_base: UnitQuaternion<f64>,
+    /// Gravity, base frame [m/s²].
+    pub gravity_in_base: Vector3<f64>,
+    /// Angular velocity of the trunk, base frame [rad/s].
+    pub angular_velocity_in_base: Vector3<f64>,
+    /// Origin of the trunk, gravity-aligned world \[m\].
+    pub position: Vector3<f64>,
+    /// Centres of the feet, gravity-aligned world \[m\].
+    pub feet: [Vector3<f64>; 4],
+    /// How well the readings fitted, and the trust in each contact.
+    pub fit: Fit,
+}
+
+/// Turns readings into estimates.
+///
+/// A silent IMU is bridged by holding its last reading, with less confidence in it and without correcting the tilt;
+/// silent encoders are bridged by integrating the IMU.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimator {
+    config: EstimatorConfig,
+    filters: Option<Filters>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Filters {
+    orientation: OrientationFilter,
+    kalman: KalmanFilter,
+    imu: ImuReading,
+    imu_silent_s: f64,
+    encoders_silent_s: f64,
+    estimate: Estimate,
+}
+
+impl Estimator {
+    /// Starts with the first readings.
+    pub fn new(config: EstimatorConfig) -> Self {
+        Estimator { config, filters: None }
+    }
+
+    /// The last good estimate; `None` before the first.
+    pub fn estimate(&self) -> Option<&Estimate> {
+        self.filters.as_ref().map(|filters| &filters.estimate)
+    }
+
+    /// Takes the readings of a tick, `dt_s` \[s\] after the last one; `None` for a sensor that gave nothing. The first
+    /// call should find the robot at rest: up is where the accelerometer points.
+    ///
+    /// # Errors
+    /// [`SensorFault`]. State and estimate are then as before the call. The next call goes on from there, but not after
+    /// [`SensorFault::Silent`], which stays until a new estimator is started.
+    pub fn update(
+        &mut self,
+        imu: Option<&ImuReading>,
+        encoders: Option<&EncoderReading>,
+        contacts: [bool; 4],
+        dt_s: f64,
+    ) -> Result<&Estimate, SensorFault> {
+        check(imu, encoders, dt_s)?;
+        let mut filters = match self.filters.take() {
+            Some(filters) => filters,
+            None => return self.start(imu, encoders, contacts),
+        };
+        let result = filters.update(&self.config, imu, encoders, contacts, dt_s);
+        let filters = self.filters.insert(filters);
+        result.map(|()| &filters.estimate)
+    }
+
+    fn start(
+        &mut self,
+        imu: Option<&ImuReading>,
+        encoders: Option<&EncoderReading>,
+        contacts: [bool; 4],
+    ) -> Result<&Estimate, SensorFault> {
+        let never =
+            |sensor| SensorFault::Silent { sensor, silent_s: f64::INFINITY, limit_s: self.config.max_silence_s };
+        let imu = imu.ok_or(never("IMU"))?;
+        let encoders = encoders.ok_or(never("encoders"))?;
+        let orientation = OrientationFilter::new(self.config.orientation_gain_per_s, &imu.specific_force);
+        let world_from_base = orientation.world_from_base();
+        let feet = measure(imu, encoders, &world_from_base);
+        let kalman = KalmanFilter::new(self.config.noise, &(world_from_base * IMU_IN_BASE), &feet, contacts);
+        let estimate = summarise(&orientation, &kalman, imu, Fit::default());
+        let filters = Filters { orientation, kalman, imu: *imu, imu_silent_s: 0.0, encoders_silent_s: 0.0, estimate };
+        Ok(&self.filters.insert(filters).estimate)
+    }
+}
+
+impl Filters {
+    fn update(
+        &mut self,
+        config: &EstimatorConfig,
+        imu: Option<&ImuReading>,
+        encoders: Option<&EncoderReading>,
+        contacts: [bool; 4],
+        dt_s: f64,
+    ) -> Result<(), SensorFault> {
+        let limit_s = config.max_silence_s;
+        // A silence beyond the limit never ends: what happened in it is unknown.
+        let silence = |present: bool, before: f64| if present && before <= limit_s { 0.0 } else { before + dt_s };
+        self.imu_silent_s = silence(imu.is_some(), self.imu_silent_s);
+        self.encoders_silent_s = silence(encoders.is_some(), self.encoders_silent_s);
+        for (sensor, silent_s) in [("IMU", self.imu_silent_s), ("encoders", self.encoders_silent_s)] {
+            if silent_s > limit_s {
+                return Err(SensorFault::Silent { sensor, silent_s, limit_s });
+            }
+        }
+        let held = imu.is_none();
+        self.imu = imu.copied().unwrap_or(self.imu);
+        self.orientation.update(&self.imu, dt_s, !held);
+        let world_from_base = self.orientation.world_from_base();
+        let acceleration = world_from_base * self.imu.specific_force - Vector3::new(0.0, 0.0, GRAVITY_M_S2);
+        let feet = encoders.map(|encoders| measure(&self.imu, encoders, &world_from_base));
+        let fit = self.kalman.step(&acceleration, held, feet.as_ref(), contacts, dt_s);
+        self.estimate = summarise(&self.orientation, &self.kalman, &self.imu, fit);
+        Ok(())
+    }
+}
+
+/// The feet as seen from the IMU's site, world axes.
+fn measure(imu: &ImuReading, encoders: &EncoderReading, world_from_base: &UnitQuaternion<f64>) -> [FootMeasurement; 4] {
+    feet(&encoders.angles, &encoders.rates).map(|foot| {
+        let offset = foot.position - IMU_IN_BASE;
+        FootMeasurement {
+            offset: world_from_base * offset,
+            velocity: world_from_base * (foot.velocity + imu.gyro.cross(&offset)),
+            spin: world_from_base * (foot.spin + imu.gyro),
+        }
+    })
+}
+
+/// From the IMU's site back to the trunk's origin.
+fn summarise(orientation: &OrientationFilter, kalman: &KalmanFilter, imu: &ImuReading, fit: Fit) -> Estimate {
+    let world_from_base = orientation.world_from_base();
+    let base_from_world = world_from_base.inverse();
+    let position = kalman.position() - world_from_base * IMU_IN_BASE;
+    Estimate {
+        height_m: position.z,
+        velocity_in_base: base_from_world * kalman.velocity() - imu.gyro.cross(&IMU_IN_BASE),
+        world_from_base,
+        gravity_in_base: base_from_world * Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
+        angular_velocity_in_base: imu.gyro,
+        position,
+        feet: std::array::from_fn(|leg| kalman.foot(leg)),
+        fit,
+    }
+}
+
+/// Refuses what is not finite, before anything changes.
+fn check(imu: Option<&ImuReading>, encoders: Option<&EncoderReading>, dt_s: f64) -> Result<(), SensorFault> {
+    if !(dt_s.is_finite() && dt_s > 0.0) {
+        return Err(SensorFault::Timestep { dt_s });
+    }
+    let refuse = |reading: String, found: f64| Err(SensorFault::NotFinite { reading, found });
+    if let Some(imu) = imu {
+        for (name, vector) in [("gyro", imu.gyro), ("accelerometer", imu.specific_force)] {
+            for (axis, value) in ["x", "y", "z"].iter().zip(vector.iter()) {
+                if !value.is_finite() {
+                    return refuse(format!("{name} {axis}"), *value);
+                }
+            }
+        }
+    }
+    if let Some(encoders) = encoders {
+        for (name, joints) in [("angle", &encoders.angles), ("rate", &encoders.rates)] {
+            for (joint, value) in joints.iter().enumerate() {
+                if !value.is_finite() {
+                    return refuse(format!("{name} of {}", joint_name(joint)), *value);
+                }
+            }
+        }
+    }
+    Ok(())
+}

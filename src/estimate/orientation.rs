@@ -1,0 +1,114 @@
+/*! Which way is up: the complementary filter of Bledt et al. (2018, "MIT Cheetah 3").
+
+The gyro is integrated on SO(3) and corrected towards the accelerometer, which sees up as long as the trunk does not
+accelerate:
+
+`R ← R exp((ω + κ ω_corr) dt)`, `ω_corr = a/|a| × Rᵀ e_z`, `κ = κ_ref max(0, min(1, 1 − ||a| − g| / g))`.
+
+The world frame is aligned with gravity, as an IMU sees it. Yaw starts at zero and drifts with the gyro: nothing on the
+robot measures it.
+*/
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::GRAVITY_M_S2;
+use super::sensors::ImuReading;
+
+/// Rotation from the base frame to the gravity-aligned world frame, tracked from the IMU.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OrientationFilter {
+    /// `κ_ref` [1/s].
+    gain: f64,
+    world_from_base: UnitQuaternion<f64>,
+}
+
+impl OrientationFilter {
+    /// Starts as if the trunk were at rest: up is where the specific force points, and the base's x points along the
+    /// world's x.
+    pub fn new(gain_per_s: f64, specific_force: &Vector3<f64>) -> Self {
+        // Turned by half a turn about x if the robot lies exactly on its back, where the shortest rotation is not unique.
+        let level = UnitQuaternion::rotation_between(specific_force, &Vector3::z())
+            .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));
+        let (_, _, yaw) = level.euler_angles();
+        let world_from_base = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), -yaw) * level;
+        OrientationFilter { gain: gain_per_s, world_from_base }
+    }
+
+    /// The rotation now.
+    pub fn world_from_base(&self) -> UnitQuaternion<f64> {
+        self.world_from_base
+    }
+
+    /// Goes on by `dt_s` \[s\] with a reading taken at the end of that time. Without `correct`, the accelerometer is not
+    /// listened to: the reading is an old one.
+    pub fn update(&mut self, reading: &ImuReading, dt_s: f64, correct: bool) {
+        let correction = if correct { self.correction(&reading.specific_force) } else { Vector3::zeros() };
+        let turn = UnitQuaternion::from_scaled_axis((reading.gyro + correction) * dt_s);
+        self.world_from_base *= turn;
+        // A product of unit quaternions leaves the sphere by rounding.
+        self.world_from_base.renormalize_fast();
+    }
+
+    /// `κ ω_corr` [rad/s].
+    fn correction(&self, specific_force: &Vector3<f64>) -> Vector3<f64> {
+        let size = specific_force.norm();
+        let trust = (1.0 - (size - GRAVITY_M_S2).abs() / GRAVITY_M_S2).clamp(0.0, 1.0);
+        if trust == 0.0 {
+            return Vector3::zeros();
+        }
+        let up = self.world_from_base.inverse() * Vector3::z();
+        self.gain * trust * (specific_force / size).cross(&up)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DT_S: f64 = 1.0 / 240.0;
+
+    fn at_rest(world_from_base: UnitQuaternion<f64>) -> ImuReading {
+        let specific_force = world_from_base.inverse() * Vector3::new(0.0, 0.0, GRAVITY_M_S2);
+        ImuReading { gyro: Vector3::zeros(), specific_force }
+    }
+
+    #[test]
+    fn an_error_of_five_degrees_decays_with_the_gain() {
+        let level = at_rest(UnitQuaternion::identity());
+        let tilted = at_rest(UnitQuaternion::from_euler_angles(5.0_f64.to_radians(), 0.0, 0.0));
+        let mut filter = OrientationFilter::new(0.5, &tilted.specific_force);
+        assert!((filter.world_from_base().angle().to_degrees() - 5.0).abs() < 1e-9);
+        // Small errors decay as exp(−κ t): 5° · e⁻¹ = 1.84° after 2 s, 5° · e⁻⁵ = 0.034° after 10 s.
+        for (seconds, expected) in [(2, 1.839), (8, 0.0337)] {
+            (0..seconds * 240).for_each(|_| filter.update(&level, DT_S, true));
+            let error = filter.world_from_base().angle().to_degrees();
+            assert!((error - expected).abs() < 0.01 * expected, "{error}");
+        }
+    }
+
+    #[test]
+    fn it_starts_level_with_no_yaw() {
+        let truth = UnitQuaternion::from_euler_angles(0.3, -0.4, 0.0);
+        let filter = OrientationFilter::new(0.5, &at_rest(truth).specific_force);
+        assert!(filter.world_from_base().angle_to(&truth) < 1e-9);
+    }
+
+    #[test]
+    fn a_turn_is_integrated_exactly() {
+        let mut filter = OrientationFilter::new(0.0, &Vector3::z());
+        let rate = Vector3::new(0.3, -0.5, 0.9);
+        let reading = ImuReading { gyro: rate, specific_force: Vector3::z() * GRAVITY_M_S2 };
+        (0..240).for_each(|_| filter.update(&reading, DT_S, true));
+        assert!(filter.world_from_base().angle_to(&UnitQuaternion::from_scaled_axis(rate)) < 1e-12);
+    }
+
+    #[test]
+    fn a_hard_landing_and_free_fall_do_not_correct() {
+        for size in [2.0, 0.0] {
+            let mut filter = OrientationFilter::new(5.0, &Vector3::z());
+            let specific_force = Vector3::x() * size * GRAVITY_M_S2;
+            filter.update(&ImuReading { gyro: Vector3::zeros(), specific_force }, DT_S, true);
+            assert_eq!(filter.world_from_base(), UnitQuaternion::identity());
+        }
+    }
+}

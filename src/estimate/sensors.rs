@@ -1,0 +1,244 @@
+/*! What the robot can feel: an IMU in the trunk and an encoder at every joint, and what is wrong with their readings.
+
+Unitree names no parts. The defaults of [`SensorNoise`] are those of an IMU of the kind that is usual in such robots
+(Bosch BMI088, data sheet BST-BMI088-DS001) and of the GO-M8010-6 motor's protocol, as each key says. A constant error
+of the joint angles, which calibration leaves, is not here: the simulation has it
+(`Conditions::joint_offsets`), since the controller suffers from it too.
+*/
+
+use std::f64::consts::TAU;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use rand::{Rng, RngExt};
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+
+use super::kinematics::IMU_IN_BASE;
+use crate::go1::{JOINT_COUNT, Joints};
+
+/// A reading of the IMU.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ImuReading {
+    /// Angular velocity of the trunk, base frame [rad/s].
+    pub gyro: Vector3<f64>,
+    /// Acceleration without gravity (+9.81 m/s² upwards at rest) of the IMU's site, base frame [m/s²].
+    pub specific_force: Vector3<f64>,
+}
+
+/// A reading of all joint encoders.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EncoderReading {
+    /// Joint angles \[rad\].
+    pub angles: Joints,
+    /// Joint rates as the encoders' own filter gives them [rad/s].
+    pub rates: Joints,
+}
+
+/// How the trunk moves, for [`ImuReading::exact`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TrunkMotion {
+    /// Rotation from the base frame to the world frame.
+    pub world_from_base: UnitQuaternion<f64>,
+    /// Acceleration of the trunk's origin, world frame [m/s²]: a free joint's first three of `qacc`.
+    pub acceleration: Vector3<f64>,
+    /// Angular velocity, base frame [rad/s]: the last three of `qvel`.
+    pub angular_velocity: Vector3<f64>,
+    /// Angular acceleration, base frame [rad/s²]: the last three of `qacc`.
+    pub angular_acceleration: Vector3<f64>,
+}
+
+impl ImuReading {
+    /// What an IMU without errors reads, under `gravity` in the world frame [m/s²].
+    pub fn exact(motion: &TrunkMotion, gravity: Vector3<f64>) -> Self {
+        let (rate, arm) = (motion.angular_velocity, IMU_IN_BASE);
+        let of_origin = motion.world_from_base.inverse() * (motion.acceleration - gravity);
+        let of_arm = motion.angular_acceleration.cross(&arm) + rate.cross(&rate.cross(&arm));
+        ImuReading { gyro: rate, specific_force: of_origin + of_arm }
+    }
+}
+
+/// Errors of the sensors, as standard deviations where they are random.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorNoise {
+    /// White noise of the gyro, spectral density. BMI088: 0.014 °/s/√Hz.
+    pub gyro_density_rad_s_sqrt_hz: f64,
+    /// Constant error of the gyro, drawn at switch-on. What is left of the BMI088's ±1 °/s after the zeroing at rest that
+    /// such robots do at start: its drift of 0.015 °/s/K over 10 K.
+    pub gyro_bias_rad_s: f64,
+    /// White noise of the accelerometer, spectral density. BMI088: 175 µg/√Hz, mean of its axes.
+    pub accelerometer_density_m_s2_sqrt_hz: f64,
+    /// Constant error of the accelerometer, drawn at switch-on. A quarter of the BMI088's ±20 mg: the rest is calibrated.
+    pub accelerometer_bias_m_s2: f64,
+    /// White noise of joint angles. The ±0.5° that a magnetic encoder is usually off, at the rotor, behind a gear of 6.33.
+    pub angle_rad: f64,
+    /// Steps of the angle at the rotor. Unitree's protocol has 2¹⁵ to a turn (`ris_protocol.h`, "q15").
+    pub angle_steps_per_turn: f64,
+    /// White noise of joint rates. The root mean square over the joints of a Go2, whose motors are of the same make, that
+    /// stands still (`motor_state_data_example_standup.py` in hanlinniu/unitree_sdk2_python).
+    pub rate_rad_s: f64,
+    /// Steps of the rate at the rotor. The protocol has 2⁸ to a turn per second ("q8"); the Go2's rates confirm it.
+    pub rate_steps_per_turn_s: f64,
+    /// First-order low-pass of the rate inside the motor. An assumption: a twentieth of the servo's usual 2 kHz and more.
+    pub rate_cutoff_hz: f64,
+    /// Turns of the rotor for one turn of hip, thigh and calf. Unitree: 6.33; at the calf 1.5 times as much.
+    pub gear: [f64; 3],
+}
+
+impl Default for SensorNoise {
+    fn default() -> Self {
+        SensorNoise {
+            gyro_density_rad_s_sqrt_hz: 0.014_f64.to_radians(),
+            gyro_bias_rad_s: 0.15_f64.to_radians(),
+            accelerometer_density_m_s2_sqrt_hz: 175e-6 * 9.81,
+            accelerometer_bias_m_s2: 0.005 * 9.81,
+            angle_rad: 0.0014,
+            angle_steps_per_turn: 32768.0,
+            rate_rad_s: 0.03,
+            rate_steps_per_turn_s: 256.0,
+            rate_cutoff_hz: 100.0,
+            gear: [6.33, 6.33, 9.495],
+        }
+    }
+}
+
+/// The sensors of one robot from switch-on to switch-off.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sensors {
+    noise: SensorNoise,
+    gyro_bias: Vector3<f64>,
+    accelerometer_bias: Vector3<f64>,
+    /// State of the rates' low-pass; `None` before the first reading.
+    filtered_rates: Option<Joints>,
+}
+
+impl Sensors {
+    /// Switches on: draws the constant errors. The generator is a stream of [`crate::random::Purpose::Sensor`].
+    pub fn new(noise: SensorNoise, rng: &mut impl Rng) -> Self {
+        Sensors {
+            gyro_bias: noise.gyro_bias_rad_s * normal(rng),
+            accelerometer_bias: noise.accelerometer_bias_m_s2 * normal(rng),
+            filtered_rates: None,
+            noise,
+        }
+    }
+
+    /// What the IMU makes of an exact reading, `dt_s` \[s\] after the last one.
+    pub fn imu(&self, exact: &ImuReading, dt_s: f64, rng: &mut impl Rng) -> ImuReading {
+        // White noise of density n, seen through the band up to half the sampling rate, has variance n² / (2 dt).
+        let bandwidth = (0.5 / dt_s).sqrt();
+        ImuReading {
+            gyro: exact.gyro + self.gyro_bias + self.noise.gyro_density_rad_s_sqrt_hz * bandwidth * normal(rng),
+            specific_force: exact.specific_force
+                + self.accelerometer_bias
+                + self.noise.accelerometer_density_m_s2_sqrt_hz * bandwidth * normal(rng),
+        }
+    }
+
+    /// What the encoders make of exact angles \[rad\] and rates [rad/s], `dt_s` \[s\] after the last reading.
+    pub fn encoders(&mut self, exact: &EncoderReading, dt_s: f64, rng: &mut impl Rng) -> EncoderReading {
+        let noise = &self.noise;
+        let before = self.filtered_rates.unwrap_or(exact.rates);
+        let keep = (-TAU * noise.rate_cutoff_hz * dt_s).exp();
+        let rates: Joints = std::array::from_fn(|k| keep * before[k] + (1.0 - keep) * exact.rates[k]);
+        let mut reading = EncoderReading { angles: [0.0; JOINT_COUNT], rates: [0.0; JOINT_COUNT] };
+        for (joint, (exact_angle, filtered_rate)) in exact.angles.iter().zip(rates).enumerate() {
+            let turn = TAU / noise.gear[joint % 3];
+            let angle = exact_angle + noise.angle_rad * rng.sample::<f64, _>(StandardNormal);
+            let rate = filtered_rate + noise.rate_rad_s * rng.sample::<f64, _>(StandardNormal);
+            reading.angles[joint] = quantised(angle, turn / noise.angle_steps_per_turn);
+            reading.rates[joint] = quantised(rate, turn / noise.rate_steps_per_turn_s);
+        }
+        self.filtered_rates = Some(rates);
+        reading
+    }
+}
+
+fn quantised(value: f64, step: f64) -> f64 {
+    (value / step).round() * step
+}
+
+fn normal(rng: &mut impl Rng) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| rng.sample(StandardNormal))
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Quaternion;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    const DT_S: f64 = 1.0 / 240.0;
+
+    fn still() -> EncoderReading {
+        EncoderReading { angles: [0.7; JOINT_COUNT], rates: [0.0; JOINT_COUNT] }
+    }
+
+    #[test]
+    fn the_accelerometer_reads_what_mujoco_says_at_its_site() {
+        // Printed by `golden.c`.
+        let motion = TrunkMotion {
+            world_from_base: UnitQuaternion::from_quaternion(Quaternion::new(0.9, 0.1, -0.3, 0.3)),
+            acceleration: Vector3::new(0.428030140645, 0.437243813540, -11.537073611499),
+            angular_velocity: Vector3::new(1.0, -2.0, 0.7),
+            angular_acceleration: Vector3::new(-5.610478055496, 2.435249246057, 5.875792106002),
+        };
+        let reading = ImuReading::exact(&motion, Vector3::new(0.0, 0.0, -9.81));
+        let golden = Vector3::new(0.024157462103, 0.104514806515, -1.219218227870);
+        assert!((reading.specific_force - golden).norm() < 1e-9, "{}", reading.specific_force);
+    }
+
+    #[test]
+    fn noise_has_the_variance_that_its_density_promises() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let noise = SensorNoise { gyro_bias_rad_s: 0.0, ..SensorNoise::default() };
+        let sensors = Sensors::new(noise, &mut rng);
+        let exact = ImuReading { gyro: Vector3::zeros(), specific_force: Vector3::zeros() };
+        let count = 10_000;
+        let squares: f64 = (0..count).map(|_| sensors.imu(&exact, DT_S, &mut rng).gyro.norm_squared()).sum();
+        // 0.014 °/s/√Hz · √120 Hz = 0.1534 °/s.
+        let sd = (squares / f64::from(3 * count)).sqrt().to_degrees();
+        assert!((sd - 0.1534).abs() < 0.003, "{sd}");
+    }
+
+    #[test]
+    fn a_bias_is_drawn_once_and_stays() {
+        let mut rng = ChaCha8Rng::seed_from_u64(2);
+        let noise = SensorNoise {
+            gyro_density_rad_s_sqrt_hz: 0.0,
+            accelerometer_density_m_s2_sqrt_hz: 0.0,
+            ..SensorNoise::default()
+        };
+        let sensors = Sensors::new(noise, &mut rng);
+        let exact = ImuReading { gyro: Vector3::zeros(), specific_force: Vector3::zeros() };
+        let first = sensors.imu(&exact, DT_S, &mut rng);
+        assert!(first.gyro.norm() > 0.0 && first.specific_force.norm() > 0.0);
+        assert_eq!(first, sensors.imu(&exact, DT_S, &mut rng));
+    }
+
+    #[test]
+    fn encoders_without_noise_are_off_by_half_a_step_at_most() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let noise = SensorNoise { angle_rad: 0.0, rate_rad_s: 0.0, ..SensorNoise::default() };
+        let reading = Sensors::new(noise, &mut rng).encoders(&still(), DT_S, &mut rng);
+        // 2π / 6.33 / 32768 / 2 = 1.51e-5 rad; at the calf two thirds of it.
+        for joint in 0..JOINT_COUNT {
+            let bound = if joint % 3 == 2 { 1.01e-5 } else { 1.52e-5 };
+            assert!((reading.angles[joint] - 0.7).abs() <= bound);
+        }
+    }
+
+    #[test]
+    fn the_rate_follows_a_jump_through_its_low_pass() {
+        let mut rng = ChaCha8Rng::seed_from_u64(4);
+        let noise = SensorNoise { rate_rad_s: 0.0, rate_steps_per_turn_s: 1e9, ..SensorNoise::default() };
+        let mut sensors = Sensors::new(noise, &mut rng);
+        sensors.encoders(&still(), DT_S, &mut rng);
+        let moving = EncoderReading { rates: [1.0; JOINT_COUNT], ..still() };
+        let reading = sensors.encoders(&moving, DT_S, &mut rng);
+        // 1 − exp(−2π · 100 Hz / 240 Hz) = 0.9270
+        assert!((reading.rates[0] - 0.9270).abs() < 1e-4, "{}", reading.rates[0]);
+    }
+}

@@ -1,0 +1,215 @@
+//! The estimator on a made-up trot with the sensors' default errors, and on everything that goes wrong.
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+use super::walker::{DT_S, Truth, Walker};
+use super::*;
+
+/// A run's errors, tick by tick after the start.
+#[derive(Debug, Default)]
+struct Errors {
+    time_s: Vec<f64>,
+    velocity: Vec<Vector3<f64>>,
+    height: Vec<f64>,
+    tilt: Vec<f64>,
+    drift: Vec<f64>,
+}
+
+impl Errors {
+    fn add(&mut self, time_s: f64, estimate: &Estimate, truth: &Truth) {
+        self.time_s.push(time_s);
+        self.velocity.push(estimate.velocity_in_base - truth.velocity_in_base);
+        self.height.push(estimate.height_m - truth.position.z);
+        let up = truth.world_from_base.inverse() * Vector3::new(0.0, 0.0, -1.0);
+        self.tilt.push(estimate.gravity_in_base.angle(&up));
+        self.drift.push((estimate.position - truth.position).xy().norm());
+    }
+
+    fn after(&self, time_s: f64) -> usize {
+        self.time_s.partition_point(|time| *time < time_s)
+    }
+
+    /// Root mean square of the velocity's error per axis, from a time on [m/s].
+    fn velocity_rmse(&self, from_s: f64) -> f64 {
+        let errors = &self.velocity[self.after(from_s)..];
+        (errors.iter().map(Vector3::norm_squared).sum::<f64>() / (3 * errors.len()) as f64).sqrt()
+    }
+
+    fn worst_velocity(&self, from_s: f64, to_s: f64) -> f64 {
+        self.velocity[self.after(from_s)..self.after(to_s)].iter().map(Vector3::norm).fold(0.0, f64::max)
+    }
+
+    fn height_rmse(&self, from_s: f64) -> f64 {
+        let errors = &self.height[self.after(from_s)..];
+        (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt()
+    }
+
+    fn worst_tilt(&self) -> f64 {
+        self.tilt.iter().copied().fold(0.0, f64::max)
+    }
+}
+
+/// What a tick's readings are, for a test to spoil.
+struct Tick {
+    time_s: f64,
+    imu: Option<ImuReading>,
+    encoders: Option<EncoderReading>,
+    contacts: [bool; 4],
+}
+
+fn walk(speed: f64, seconds: u32, seed: u64, mut spoil: impl FnMut(&mut Tick, &mut Walker)) -> Errors {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut sensors = Sensors::new(SensorNoise::default(), &mut rng);
+    let mut walker = Walker::new(speed);
+    let mut estimator = Estimator::new(EstimatorConfig::default());
+    let mut errors = Errors::default();
+    for _ in 0..seconds * 240 {
+        let truth = walker.step();
+        let mut tick = Tick {
+            time_s: walker.time_s(),
+            imu: Some(sensors.imu(&truth.imu, DT_S, &mut rng)),
+            encoders: Some(sensors.encoders(&truth.encoders, DT_S, &mut rng)),
+            contacts: truth.contacts,
+        };
+        spoil(&mut tick, &mut walker);
+        let estimate = estimator.update(tick.imu.as_ref(), tick.encoders.as_ref(), tick.contacts, DT_S).unwrap();
+        errors.add(tick.time_s, estimate, &truth);
+    }
+    errors
+}
+
+fn nothing(_: &mut Tick, _: &mut Walker) {}
+
+fn report(name: &str, errors: &Errors) {
+    println!(
+        "{name}: velocity {:.4} m/s (worst {:.4}), height {:.4} m, tilt {:.2}°, drift {:.3} m",
+        errors.velocity_rmse(1.0),
+        errors.worst_velocity(1.0, f64::INFINITY),
+        errors.height_rmse(1.0),
+        errors.worst_tilt().to_degrees(),
+        errors.drift.last().unwrap()
+    );
+}
+
+#[test]
+fn a_robot_that_stands_stays_where_it_is() {
+    for seed in 0..3 {
+        let errors = walk(0.0, 20, seed, nothing);
+        report("stand", &errors);
+        assert!(errors.velocity_rmse(1.0) < 0.005, "{}", errors.velocity_rmse(1.0));
+        assert!(errors.height_rmse(1.0) < 0.003, "{}", errors.height_rmse(1.0));
+        assert!(errors.drift.iter().all(|drift| *drift < 0.02), "{}", errors.drift.last().unwrap());
+    }
+}
+
+#[test]
+fn a_trot_is_followed() {
+    for (speed, seed) in [(0.5, 0), (0.5, 1), (0.5, 2), (1.0, 3), (-0.5, 4)] {
+        let errors = walk(speed, 12, seed, nothing);
+        report("trot", &errors);
+        assert!(errors.velocity_rmse(1.0) < 0.02, "{}", errors.velocity_rmse(1.0));
+        assert!(errors.height_rmse(1.0) < 0.005, "{}", errors.height_rmse(1.0));
+        assert!(errors.worst_tilt() < 2.0_f64.to_radians(), "{}", errors.worst_tilt());
+    }
+}
+
+#[test]
+fn a_slipping_foot_is_outvoted() {
+    let errors = walk(0.5, 8, 5, |tick, walker| {
+        let slips = (5.05..5.15).contains(&tick.time_s);
+        walker.slip = slips.then_some((0, Vector3::new(-0.5, 0.3, 0.0)));
+    });
+    report("slip", &errors);
+    assert!(errors.worst_velocity(5.0, 5.4) < 0.1, "{}", errors.worst_velocity(5.0, 5.4));
+    assert!(errors.velocity_rmse(5.5) < 0.02);
+}
+
+#[test]
+fn a_contact_flag_may_be_wrong_for_50_ms() {
+    // FR swings from 5.0 to 5.25 s, FL from 5.25 to 5.5 s. Once the first is said to touch, once the second not to.
+    for (leg, says) in [(0, true), (1, false)] {
+        let errors = walk(0.5, 8, 6, |tick, _| {
+            if (5.1..5.15).contains(&tick.time_s) {
+                assert_ne!(tick.contacts[leg], says);
+                tick.contacts[leg] = says;
+            }
+        });
+        report("contact", &errors);
+        assert!(errors.worst_velocity(5.0, 5.4) < 0.1, "{}", errors.worst_velocity(5.0, 5.4));
+        assert!(errors.velocity_rmse(5.5) < 0.02);
+        assert!(errors.height_rmse(5.0) < 0.005);
+    }
+}
+
+#[test]
+fn silence_of_a_sensor_for_20_ms_is_bridged() {
+    for imu in [true, false] {
+        let errors = walk(0.5, 8, 7, |tick, _| {
+            if (5.1..5.12).contains(&tick.time_s) {
+                if imu { tick.imu = None } else { tick.encoders = None }
+            }
+        });
+        report("silence", &errors);
+        assert!(errors.worst_velocity(5.0, 5.4) < 0.15, "{}", errors.worst_velocity(5.0, 5.4));
+        assert!(errors.velocity_rmse(5.5) < 0.02);
+    }
+}
+
+fn standing() -> (Estimator, Truth) {
+    let mut walker = Walker::new(0.0);
+    let mut estimator = Estimator::new(EstimatorConfig::default());
+    let mut truth = walker.step();
+    for _ in 0..10 {
+        truth = walker.step();
+        estimator.update(Some(&truth.imu), Some(&truth.encoders), truth.contacts, DT_S).unwrap();
+    }
+    (estimator, truth)
+}
+
+#[test]
+fn a_reading_that_is_not_a_number_is_named_and_changes_nothing() {
+    let (mut estimator, truth) = standing();
+    let before = estimator.clone();
+    let mut imu = truth.imu;
+    imu.specific_force.y = f64::NAN;
+    let fault = estimator.update(Some(&imu), Some(&truth.encoders), truth.contacts, DT_S).unwrap_err();
+    assert!(matches!(&fault, SensorFault::NotFinite { reading, .. } if reading == "accelerometer y"), "{fault}");
+    let mut encoders = truth.encoders;
+    encoders.rates[4] = f64::INFINITY;
+    let fault = estimator.update(Some(&truth.imu), Some(&encoders), truth.contacts, DT_S).unwrap_err();
+    assert!(matches!(&fault, SensorFault::NotFinite { reading, .. } if reading == "rate of FL_thigh"), "{fault}");
+    let fault = estimator.update(Some(&truth.imu), Some(&truth.encoders), truth.contacts, 0.0).unwrap_err();
+    assert_eq!(fault, SensorFault::Timestep { dt_s: 0.0 });
+    assert_eq!(estimator, before);
+    assert!(estimator.update(Some(&truth.imu), Some(&truth.encoders), truth.contacts, DT_S).is_ok());
+}
+
+#[test]
+fn silence_for_too_long_is_a_fault_that_stays() {
+    let (mut estimator, truth) = standing();
+    let mut step = |imu| estimator.update(imu, Some(&truth.encoders), truth.contacts, DT_S).copied();
+    // 0.1 s · 240 Hz = 24 ticks.
+    for _ in 0..24 {
+        step(None).unwrap();
+    }
+    assert!(matches!(step(None), Err(SensorFault::Silent { sensor: "IMU", .. })));
+    assert!(step(Some(&truth.imu)).is_err());
+    assert!(estimator.estimate().is_some());
+}
+
+#[test]
+fn nothing_can_start_without_both_sensors() {
+    let (_, truth) = standing();
+    let mut estimator = Estimator::new(EstimatorConfig::default());
+    let fault = estimator.update(Some(&truth.imu), None, truth.contacts, DT_S).unwrap_err();
+    assert!(matches!(fault, SensorFault::Silent { sensor: "encoders", .. }));
+    assert!(estimator.estimate().is_none());
+}
+
+#[test]
+fn the_height_includes_the_foot_radius() {
+    let (estimator, truth) = standing();
+    assert!((estimator.estimate().unwrap().height_m - truth.position.z).abs() < 1e-9);
+}
