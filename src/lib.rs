@@ -8,6 +8,8 @@ pub mod checkpoint;
 pub mod config;
 pub mod control;
 pub mod env;
+pub mod estimate;
+pub mod evaluate;
 pub mod files;
 pub mod go1;
 pub mod metrics;

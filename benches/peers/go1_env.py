@@ -26,6 +26,7 @@ class Physics:
         sim = config["simulation"]
         self.models = [copy.copy(model) for _ in range(count)]
         self.datas = [mujoco.MjData(model) for model in self.models]
+        self.all = np.arange(count)
         self.kp, self.kd = sim["kp_n_m_per_rad"], sim["kd_n_m_s_per_rad"]
         self.substeps = round(sim["physics_rate_hz"] / sim["policy_rate_hz"])
         self.min_height, self.desired = config["episode"]["min_height_m"], config["reward"]["foot_height_m"]
@@ -40,10 +41,10 @@ class Physics:
         self.kind[self.feet] = range(1, 5)
         self.start = model.numeric("stand_qpos").data.copy()
         self.positions, self.velocities = np.empty((count, model.nq)), np.empty((count, model.nv))
-        self.centres = np.empty((count, 4, 3))
-        self.contact = np.zeros((count, 4), dtype=bool)
+        self.geoms, self.centres = np.empty((count, model.ngeom, 3)), np.empty((count, 4, 3))
+        self.contact, self.touch = np.zeros((count, 4), dtype=bool), np.zeros(count, dtype=bool)
         # The physics' own memory, looked up once.
-        self.views = [(d.qpos, d.qvel, d.ctrl, d.geom_xpos) for d in self.datas]
+        self.views = [(d.qpos, d.qvel, d.geom_xpos, d.ctrl) for d in self.datas]
         latency = round(sim["latency_s"] * sim["physics_rate_hz"], 6)
         self.whole, self.fraction = int(latency), latency - int(latency)
         self.targets, self.next = np.zeros((self.whole + 2, count, ACTIONS)), 0
@@ -56,7 +57,8 @@ class Physics:
             model.opt.gravity[:] = gravity[i]
             data.qpos[:] = self.start
             mujoco.mj_step1(model, data)
-            self.look(i)
+        if len(which):
+            self.look(which)
         self.targets[:, which] = target
         self.peak[which], self.was_down[which] = 0.0, self.contact[which]
 
@@ -69,17 +71,22 @@ class Physics:
             velocity[:2] += [c * linear[i, 0] - s * linear[i, 1], s * linear[i, 0] + c * linear[i, 1]]
             velocity[3:6] += angular[i]
             mujoco.mj_step1(self.models[i], self.datas[i])
-            self.look(i)
+        if len(which):
+            self.look(which)
 
-    def look(self, i):
-        """Copies what the arrays need. True if a part other than a foot touches the ground."""
-        position, velocity, _, centres = self.views[i]
-        self.positions[i], self.velocities[i], self.centres[i] = position, velocity, centres[self.feet]
-        kinds = self.kind[self.datas[i].contact.geom[:, 1]]
-        down = self.contact[i]
-        down[:] = False
-        down[kinds[kinds > 0] - 1] = True
-        return kinds.min(initial=0) < 0
+    def look(self, which):
+        """Copies what the arrays hold, and finds out what touches the ground."""
+        pairs = []
+        for i in which:
+            self.positions[i], self.velocities[i], self.geoms[i], _ = self.views[i]
+            pairs.append(self.datas[i].contact.geom)
+        self.centres[which] = self.geoms[which][:, self.feet]
+        owner = np.repeat(which, [len(pair) for pair in pairs])
+        kinds = self.kind[np.concatenate(pairs)[:, 1]]
+        is_foot = kinds > 0
+        self.contact[which], self.touch[which] = False, False
+        self.contact[owner[is_foot], kinds[is_foot] - 1] = True
+        self.touch[owner[kinds < 0]] = True
 
     def step(self, target):
         """One policy step towards joint targets; means over its physics steps, falls, and what the feet earned."""
@@ -95,12 +102,12 @@ class Physics:
             rates = self.velocities[:, 6:].copy()
             torques = self.kp * (acting - self.positions[:, 7:]) - self.kd * rates
             np.clip(torques, -self.limits, self.limits, out=torques)
-            for i, (model, data) in enumerate(zip(self.models, self.datas)):
-                self.views[i][2][:] = torques[i]
+            for model, data, view, torque in zip(self.models, self.datas, self.views, torques):
+                view[3][:] = torque
                 mujoco.mj_step2(model, data)
                 mujoco.mj_step1(model, data)
-                fell[i] |= self.look(i)
-            fell |= self.positions[:, 2] < self.min_height
+            self.look(self.all)
+            fell |= self.touch | (self.positions[:, 2] < self.min_height)
             power += np.abs(torques * rates).sum(1)
             squared += (torques * torques).sum(1)
             landed = self.contact & ~self.was_down
@@ -120,8 +127,9 @@ class Go1VecEnv(VecEnv):
     """Environments with their episodes, rewards and observations."""
 
     def __init__(self, scene, config, count, threads, seed=0):
-        ones = np.full(OBSERVATIONS, np.inf, dtype=np.float32)
-        super().__init__(count, spaces.Box(-ones, ones), spaces.Box(-np.inf, np.inf, (ACTIONS,), np.float32))
+        # Stable-Baselines3 wants finite bounds of actions; these are never reached.
+        box = spaces.Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32), spaces.Box(-100, 100, (ACTIONS,), np.float32)
+        super().__init__(count, *box)
         model = mujoco.MjModel.from_xml_path(str(scene))
         shares = [stretch for stretch in np.array_split(np.arange(count), threads) if len(stretch)]
         self.stretches = [slice(share[0], share[-1] + 1) for share in shares]

@@ -6,6 +6,7 @@ Stable-Baselines3 as well once `benches/peers/setup` has installed them. docs/pe
 */
 
 mod learner;
+mod machine;
 mod peers;
 mod physics;
 mod pit;
@@ -22,7 +23,8 @@ use supple::config::Config;
 use supple::policies;
 use supple::policy::Policy;
 
-use report::{Machine, Report};
+use machine::{Machine, Ticks};
+use report::Report;
 use stopwatch::Effort;
 
 /// Measure how fast physics, learner, training and the ball pit are.
@@ -61,7 +63,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let policy = moving_policy(args.policy.as_deref())?;
     let threads = std::thread::available_parallelism().map_or(1, |cores| cores.get());
 
-    let machine = Machine::new(threads, &effort);
+    let start = Ticks::now();
     eprintln!("physics and environment …");
     let physics = physics::measure(&config, policy.as_ref(), threads, &effort).context("physics")?;
     eprintln!("learner …");
@@ -72,6 +74,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let pit = pit::measure(policy, &config, &effort).context("ball pit")?;
     let peers = if args.no_peers { None } else { peers::measure(&config, threads, &effort).context("peers")? };
 
+    let machine = Machine::new(threads, &effort, start);
     let report = Report::new(machine, physics, learner, training, pit, peers);
     if args.json {
         println!("{}", serde_json::to_string(&report)?);

@@ -4,52 +4,13 @@ use std::fmt::{Display, Formatter, Result};
 
 use serde::Serialize;
 use serde_json::Value;
-use supple::provenance::{GIT_REVISION, MUJOCO_VERSION};
 
 use crate::learner::Update;
+use crate::machine::Machine;
 use crate::peers::Peers;
 use crate::physics::Physics;
 use crate::pit::Pit;
-use crate::stopwatch::Effort;
 use crate::training::{Projection, Training};
-
-/// Where and when.
-#[derive(Debug, Serialize)]
-pub struct Machine {
-    /// Of the first processor.
-    pub processor: String,
-    /// Cores in use.
-    pub threads: usize,
-    /// Load average over the minute before the run.
-    pub load: f64,
-    /// Of the program.
-    pub git_revision: &'static str,
-    /// Of the library.
-    pub mujoco_version: &'static str,
-    /// Figures of a quick run mean nothing.
-    pub quick: bool,
-    /// Behind every median.
-    pub repetitions: usize,
-}
-
-impl Machine {
-    /// This one, now.
-    pub fn new(threads: usize, effort: &Effort) -> Self {
-        let read = |path: &str| std::fs::read_to_string(path).unwrap_or_default();
-        let info = read("/proc/cpuinfo");
-        let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(": "));
-        let load = read("/proc/loadavg").split(' ').next().and_then(|load| load.parse().ok());
-        Machine {
-            processor: model.map_or("unknown".into(), |(_, name)| name.to_owned()),
-            threads,
-            load: load.unwrap_or(f64::NAN),
-            git_revision: GIT_REVISION,
-            mujoco_version: MUJOCO_VERSION,
-            quick: effort.quick,
-            repetitions: effort.repetitions,
-        }
-    }
-}
 
 /// All figures. The first six are ratios within this run; those of peers are none where they did not run.
 #[derive(Debug, Serialize)]
@@ -102,7 +63,8 @@ impl Display for Report {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
         let Report { machine, physics, update, training, ball_pit, .. } = self;
         let n = machine.threads;
-        writeln!(f, "{}, {n} threads, load {:.2}, {}", machine.processor, machine.load, machine.git_revision)?;
+        writeln!(f, "{}, {n} threads, supple {}", machine.processor, machine.git_revision)?;
+        writeln!(f, "others took {:.1} % of the cores' time", 100.0 * machine.taken_by_others)?;
         if machine.quick {
             writeln!(f, "a quick run: the figures mean nothing")?;
         } else {
@@ -148,7 +110,7 @@ impl Display for Report {
             let (value, verdict) = match value {
                 Some(value) if value >= target => (format!("{value:.2}"), "met"),
                 Some(value) => (format!("{value:.2}"), "missed"),
-                None => ("-".into(), "peers are not installed"),
+                None => ("-".into(), "not measured"),
             };
             writeln!(f, "{name:<46}{value:>12}{:>12}  {verdict}", format!("≥ {target:.2}"))
         };

@@ -27,7 +27,7 @@ impl Effort {
     pub fn full() -> Self {
         Effort {
             quick: false,
-            repetitions: 7,
+            repetitions: 5,
             environments: 64,
             warm_up_steps: 240,
             steps: 128,

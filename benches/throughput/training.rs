@@ -95,7 +95,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
         let n = threads as f64;
         Scaling {
             speed_up,
-            serial_share: (threads > 1).then(|| ((1.0 / speed_up - 1.0 / n) / (1.0 - 1.0 / n)).max(0.0)),
+            serial_share: (threads > 1).then(|| ((1.0 / speed_up - 1.0 / n) / (1.0 - 1.0 / n)).clamp(0.0, 1.0)),
         }
     };
     let (rollout, update) = (scaling(|times| times.rollout), scaling(|times| times.update));

@@ -114,8 +114,8 @@ pub trait Experiment: Sync {
         false
     }
 
-    /// Reads a trace.
-    fn measure(&self, condition: &Condition, script: &Script, trace: &Trace, end: End) -> Measured;
+    /// Reads a trace of a trial's scenario.
+    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured;
 
     /// Claims, tables and figures.
     fn findings(&self, results: &Results) -> Findings;

@@ -153,9 +153,8 @@ mod tests {
     #[test]
     fn both_protocols_are_valid_and_the_quick_one_is_smaller() {
         let trials = |protocol: &Protocol| -> usize {
-            let count = |experiment: &&dyn Experiment| {
-                experiment.conditions().unwrap().len() * experiment.trials() as usize
-            };
+            let count =
+                |experiment: &&dyn Experiment| experiment.conditions().unwrap().len() * experiment.trials() as usize;
             protocol.experiments().iter().map(count).sum()
         };
         assert!(trials(&Protocol::quick().unwrap()) * 5 < trials(&Protocol::full().unwrap()));

@@ -67,7 +67,7 @@ pub struct Comparison {
     pub b_spread: Option<Spread>,
     /// First minus second, over the seeds that both have.
     pub difference: Option<Estimate>,
-    /// First over second, minus one, over the same seeds; none unless the second is positive.
+    /// First over second, minus one, over the same seeds; none unless both are positive.
     pub relative: Option<Estimate>,
 }
 
@@ -79,8 +79,11 @@ impl Comparison {
             let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which]));
             Some([of(0)?, of(1)?])
         };
-        let difference = estimate(pairs.len(), |chosen| means(chosen).map(|[a, b]| a - b));
-        let relative = estimate(pairs.len(), |chosen| means(chosen).filter(|[_, b]| *b > 0.0).map(|[a, b]| a / b - 1.0));
+        let apart = |pair: &usize| pairs[*pair][0] - pairs[*pair][1];
+        let difference = estimate(pairs.len(), |chosen| mean(chosen.iter().map(apart)));
+        let relative = estimate(pairs.len(), |chosen| {
+            means(chosen).filter(|[a, b]| *a > 0.0 && *b > 0.0).map(|[a, b]| a / b - 1.0)
+        });
         Comparison { a_spread: Spread::of(&a), b_spread: Spread::of(&b), difference, relative, a, b }
     }
 }
@@ -177,7 +180,7 @@ impl Verdict {
             Verdict::NoEffect => "no effect: the interval holds zero",
             Verdict::Opposite => "opposite effect",
             Verdict::OnePair => "one pair of seeds: no interval can be formed",
-            Verdict::Undefined => "not defined: see the falls",
+            Verdict::Undefined => "not defined for one of the sets",
             Verdict::Holds => "holds for both",
             Verdict::Fails => "does not hold for both",
         }

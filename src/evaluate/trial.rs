@@ -3,13 +3,13 @@
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use crate::config::Config;
+use super::{Condition, Experiment, Measured};
 use crate::mujoco;
 use crate::policy::Policy;
 use crate::random::{Purpose, stream};
+use crate::scenario::Rollout;
 use crate::scenario::catalog::{ParameterError, Scenario};
 use crate::scenario::metrics::STRIDE_S;
-use crate::scenario::{Rollout, Script};
 use crate::trace::{EventKind, Trace};
 
 /// Why a trial could not be played.
@@ -60,6 +60,7 @@ pub struct Sample {
     /// The experiment's quantities in their order; none where the trial does not define one.
     pub values: Vec<Option<f64>>,
     /// What the experiment's figures draw; its own order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub series: Vec<Vec<f32>>,
 }
 
@@ -72,11 +73,8 @@ pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u
     stream(seed, Purpose::Scenario, condition, 1 + u64::from(trial)).random()
 }
 
-/// The script of a trial. Its disturbance comes at a time drawn uniformly over one stride.
-///
-/// # Errors
-/// [`ParameterError`]
-pub fn script(scenario: &Scenario, seed: u64, config: &Config) -> Result<Script, ParameterError> {
+/// A trial's scenario: its disturbance comes at a time drawn uniformly over one stride.
+pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     let phase_s = STRIDE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0);
     let mut scenario = scenario.clone();
     match &mut scenario {
@@ -90,24 +88,27 @@ pub fn script(scenario: &Scenario, seed: u64, config: &Config) -> Result<Script,
         Scenario::Box(free_box) => free_box.distance_m += phase_s * free_box.task.forward_m_s,
         Scenario::BallPit(pit) => pit.distance_m += phase_s * pit.task.forward_m_s,
     }
-    let mut script = scenario.script(seed, config)?;
-    script.after_fall_s = 0.0;
-    Ok(script)
+    scenario
 }
 
-/// Plays a trial to its end. `with_bodies` keeps the poses of obstacles.
+/// Plays a trial of an experiment.
 ///
 /// # Errors
 /// [`TrialError`]
 pub fn play(
-    scenario: &Scenario,
+    experiment: &dyn Experiment,
+    condition: &Condition,
     seed: u64,
     policy: &Policy,
-    with_bodies: bool,
-) -> Result<(Script, Trace), TrialError> {
-    let script = script(scenario, seed, &policy.provenance.config)?;
-    let trace = Rollout::new(&script, policy, with_bodies)?.trace();
-    Ok((script, trace))
+) -> Result<Sample, TrialError> {
+    let scenario = vary(&condition.scenario, seed);
+    let mut script = scenario.script(seed, &policy.provenance.config)?;
+    // What a fallen robot does is nobody's result.
+    script.after_fall_s = 0.0;
+    let trace = Rollout::new(&script, policy, experiment.needs_bodies())?.trace();
+    let end = End::of(&trace);
+    let Measured { values, series } = experiment.measure(&scenario, &script, &trace, end);
+    Ok(Sample { end, values, series })
 }
 
 #[cfg(test)]
@@ -128,10 +129,10 @@ mod tests {
     #[test]
     fn a_pull_begins_within_one_stride_and_lasts_as_long_as_ever() {
         let leash: Leash = defaults("leash").unwrap();
-        let config = Config::load("compliant").unwrap();
+        let config = crate::config::Config::load("compliant").unwrap();
         let starts: Vec<f64> = (0..50)
             .map(|seed| {
-                let script = script(&Scenario::Leash(leash.clone()), seed, &config).unwrap();
+                let script = vary(&Scenario::Leash(leash.clone()), seed).script(seed, &config).unwrap();
                 let pull = script.pull.unwrap();
                 assert!((pull.until_s - pull.from_s - leash.for_s).abs() < 1e-9);
                 assert!(script.duration_s >= pull.until_s - 1e-9);

@@ -448,7 +448,7 @@ impl BallPit {
     }
 
     /// Where the last row ends \[m\].
-    fn far_edge_m(&self) -> f64 {
+    pub fn far_edge_m(&self) -> f64 {
         let pitch = 2.0 * self.radius_m + self.gap_m;
         self.distance_m + f64::from(self.side()) * pitch
     }

@@ -1,5 +1,6 @@
 //! Tests of the whole: the compiled model, the programs as a user runs them, and properties of every scenario.
 
+mod evaluate;
 mod model;
 mod programs;
 mod scenarios;

@@ -51,6 +51,7 @@ pub fn standing_policy() -> Policy {
 /// Runs one of the programs in a folder.
 pub fn run(program: &str, folder: &Path, arguments: &[&str]) -> Output {
     let path = match program {
+        "evaluate" => env!("CARGO_BIN_EXE_evaluate"),
         "train" => env!("CARGO_BIN_EXE_train"),
         "policy" => env!("CARGO_BIN_EXE_policy"),
         "scenario" => env!("CARGO_BIN_EXE_scenario"),

@@ -6,9 +6,9 @@ use super::{COLOURS, GREY, INK, LARGE, LINES, PALE, SMALL};
 /// A panel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Panel {
-    /// Upper left corner [px].
+    /// Upper left corner \[px\].
     pub corner: [f64; 2],
-    /// Width and height [px].
+    /// Width and height \[px\].
     pub size: [f64; 2],
     /// Data range along x.
     pub x: [f64; 2],
@@ -64,14 +64,15 @@ impl Panel {
     }
 }
 
-/// Names of the two sets with their lines, beginning at a point.
+/// Names of the two sets with their lines, centred at a point.
 pub fn draw_legend(svg: &mut Svg, at: [f64; 2], names: &[String; 2]) {
-    let mut x = at[0];
+    let width = |name: &String| 34.0 + 0.6 * LARGE * name.chars().count() as f64 + 28.0;
+    let mut x = at[0] - 0.5 * (names.iter().map(width).sum::<f64>() - 28.0);
     for (set, name) in names.iter().enumerate() {
         svg.line([x, at[1] - 4.0], [x + 28.0, at[1] - 4.0], LINES[set]);
         draw_mark(svg, [x + 14.0, at[1] - 4.0], set, 4.0, true);
         svg.text([x + 34.0, at[1]], name, Text::new(LARGE, Anchor::Start));
-        x += 34.0 + 0.62 * LARGE * name.chars().count() as f64 + 28.0;
+        x += width(name);
     }
 }
 

@@ -2,11 +2,11 @@
 
 use super::axes::{Panel, draw_legend, draw_mark, range_from_zero};
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{COLOURS, PALE, SMALL, WIDTH};
+use super::{COLOURS, GREY, PALE, SMALL, WIDTH};
 use crate::evaluate::Quantity;
 use crate::evaluate::statistics::{PerSeed, Spread};
 
-/// Height of a condition's line [px].
+/// Height of a condition's line \[px\].
 const LINE: f64 = 34.0;
 
 /// A panel: one quantity.
@@ -32,13 +32,16 @@ pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String; 2]
     }
     for (index, dots) in panels.iter().enumerate() {
         let scale = if dots.quantity.unit == "%" { 100.0 } else { 1.0 };
-        let values = dots.rows.iter().flatten().flat_map(|values| values.values()).map(|value| scale * value);
+        let reach = |values: &PerSeed| Spread::of(values).map(|spread| spread.mean + spread.sd.unwrap_or(0.0));
+        let rows = || dots.rows.iter().flatten();
+        let values = rows().flat_map(|values| values.values().copied()).chain(rows().filter_map(reach));
+        let values = values.map(|value| scale * value);
         let x = if scale > 1.0 { [-4.0, 104.0] } else { range_from_zero(values) };
         let corner = [left + gap * 0.5 + index as f64 * (width + gap), 14.0];
-        let panel = Panel { corner, size: [width, height], x, y: [height, 0.0] };
+        let panel = Panel { corner, size: [width, height], x, y: [0.0, 1.0] };
         draw_panel(&mut svg, &panel, dots, scale);
     }
-    draw_legend(&mut svg, [0.5 * WIDTH - 130.0, height + 80.0], names);
+    draw_legend(&mut svg, [0.5 * WIDTH, height + 80.0], names);
     svg.finish(title)
 }
 
@@ -55,16 +58,16 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
     svg.text([left + 0.5 * panel.size[0], bottom + 33.0], &dots.quantity.axis(), Text::new(SMALL, Anchor::Middle));
     for (row, sets) in dots.rows.iter().enumerate() {
         for (set, values) in sets.iter().enumerate() {
-            // Panels run downwards here: y is in pixels from the top.
             let y = top + LINE * (row as f64 + 0.5) + if set == 0 { -7.0 } else { 7.0 };
-            let at = |value: f64| [panel.at([scale * value, 0.0])[0], y];
+            // A standard deviation may reach beyond what is possible, and then beyond the panel.
+            let at = |value: f64| [panel.at([scale * value, 0.0])[0].clamp(left, left + panel.size[0]), y];
             if values.len() > 1 {
                 for value in values.values() {
                     draw_mark(svg, at(*value), set, 2.2, false);
                 }
             }
             let Some(spread) = Spread::of(values) else {
-                svg.text([left + 5.0, y + 4.0], "–", Text::new(SMALL, Anchor::Start).coloured(COLOURS[set]));
+                svg.text([left + 5.0, y + 4.0], "no value", Text::new(SMALL, Anchor::Start).coloured(GREY));
                 continue;
             };
             let sd = spread.sd.unwrap_or(0.0);

@@ -57,7 +57,11 @@ fn draw_map(svg: &mut Svg, panel: &Panel, grid: &Grid, level: f64) {
         let (x, y) = (grid.coordinates[index / side], grid.coordinates[index % side]);
         let corner = panel.at([x - half, y + half]);
         let opposite = panel.at([x + half, y - half]);
-        svg.rectangle(corner, [opposite[0] - corner[0], opposite[1] - corner[1]], &colour(*value));
+        // Cells reach a little under their right and lower neighbours, or rounding to pixels would leave seams.
+        let under = |has_neighbour: bool| if has_neighbour { 0.7 } else { 0.0 };
+        let width = opposite[0] - corner[0] + under(index / side + 1 < side);
+        let height = opposite[1] - corner[1] + under(index % side > 0);
+        svg.rectangle(corner, [width, height], &colour(*value));
     }
     // White under black is seen on every colour.
     let segments = grid.contour(level);
@@ -69,7 +73,7 @@ fn draw_map(svg: &mut Svg, panel: &Panel, grid: &Grid, level: f64) {
 }
 
 fn draw_labels(svg: &mut Svg, panel: &Panel, x_label: &str, y_label: Option<&str>) {
-    let ticks = super::axes::ticks(panel.x, 6);
+    let ticks = super::axes::ticks(panel.x, 7);
     let bottom = panel.corner[1] + panel.size[1];
     for tick in &ticks {
         let text = super::axes::tick_text(*tick, &ticks);
@@ -112,8 +116,7 @@ fn colour(share: f64) -> String {
     let position = share.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
     let lower = (position as usize).min(COLOURS.len() - 2);
     let part = position - lower as f64;
-    let mix = |channel: usize| {
-        (COLOURS[lower][channel] * (1.0 - part) + COLOURS[lower + 1][channel] * part).round() as u8
-    };
+    let mix =
+        |channel: usize| (COLOURS[lower][channel] * (1.0 - part) + COLOURS[lower + 1][channel] * part).round() as u8;
     format!("#{:02x}{:02x}{:02x}", mix(0), mix(1), mix(2))
 }

@@ -33,10 +33,10 @@ pub const LINES: [Stroke; 2] = [Stroke::new(COLOURS[0], 2.0), Stroke::new(COLOUR
 /// Opacity of bands.
 pub const BAND: f64 = 0.22;
 
-/// Width of a figure [px]; 7 inches in print.
+/// Width of a figure \[px\]; 7 inches in print.
 pub const WIDTH: f64 = 760.0;
 
-/// Text sizes [px].
+/// Text sizes \[px\].
 pub const SMALL: f64 = 11.5;
-/// Panel titles and legends [px].
+/// Panel titles and legends \[px\].
 pub const LARGE: f64 = 13.5;

@@ -2,13 +2,13 @@
 
 use std::f64::consts::TAU;
 
-use super::axes::{draw_legend, tick_text, ticks};
+use super::axes::{draw_legend, draw_mark, tick_text, ticks};
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, COLOURS, GREY, LARGE, LINES, PALE, SMALL, WIDTH};
 use crate::evaluate::statistics::Spread;
 
-/// Radius of a panel [px].
-const RADIUS: f64 = 132.0;
+/// Radius of a panel \[px\].
+const RADIUS: f64 = 134.0;
 
 /// A panel: for each set, the quantity in directions that divide the circle evenly, counter-clockwise from forward.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,20 +21,22 @@ pub struct Polar {
 
 /// Draws up to two panels on one scale.
 pub fn draw(title: &str, panels: &[Polar], names: &[String; 2], axis: &str) -> String {
-    let mut svg = Svg::new(WIDTH, 400.0);
+    let mut svg = Svg::new(WIDTH, 410.0);
     let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
-    let ends = spreads.flat_map(|s| [s.mean - s.sd.unwrap_or(0.0), s.mean + s.sd.unwrap_or(0.0)]);
+    // A band may reach below zero only where a mean does.
+    let ends = spreads.flat_map(|spread| [spread.mean, spread.mean + spread.sd.unwrap_or(0.0)]);
     let (low, high) = ends.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
     let scale = Scale { low: 1.02 * low, high: if high > low { 1.02 * high } else { 1.0 } };
     for (index, panel) in panels.iter().enumerate() {
-        let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64, 206.0];
+        let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64 - 6.0, 188.0];
         draw_rings(&mut svg, centre, scale, axis);
         for set in [1, 0] {
             draw_set(&mut svg, centre, scale, &panel.sets[set], set);
         }
+        draw_ring_labels(&mut svg, centre, scale);
         svg.text([centre[0], 20.0], &panel.title, Text::new(LARGE, Anchor::Middle).bold());
     }
-    draw_legend(&mut svg, [WIDTH * 0.5 - 130.0, 392.0], names);
+    draw_legend(&mut svg, [WIDTH * 0.5, 400.0], names);
     svg.finish(title)
 }
 
@@ -57,7 +59,7 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
         let angle = TAU * f64::from(spoke) / 8.0;
         svg.line(scale.at(centre, angle, scale.low), scale.at(centre, angle, scale.high), Stroke::new(PALE, 1.0));
     }
-    let rings = ticks([scale.low, scale.high], 4);
+    let rings = ring_values(scale);
     let lowest = rings.first().copied().unwrap_or(0.0);
     for ring in rings.iter().filter(|ring| **ring > scale.low + 1e-9) {
         let radius = RADIUS * (ring - scale.low) / (scale.high - scale.low);
@@ -66,11 +68,6 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
         svg.circle(centre, radius, "none", Stroke::new(colour, 1.0));
     }
     svg.circle(centre, RADIUS, "none", Stroke::new(GREY, 1.0));
-    let label_angle = TAU / 16.0;
-    for ring in rings.iter().filter(|ring| **ring > scale.low + 1e-9) {
-        let [x, y] = scale.at(centre, label_angle, *ring);
-        svg.text([x, y + 4.0], &tick_text(*ring, &rings), Text::new(SMALL, Anchor::Middle).coloured(GREY));
-    }
     let out = RADIUS + 8.0;
     let style = |anchor| Text::new(SMALL, anchor);
     svg.text([centre[0] + out, centre[1] + 4.0], "forward", style(Anchor::Start));
@@ -78,6 +75,21 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
     svg.text([centre[0] - out, centre[1] + 4.0], "back", style(Anchor::End));
     svg.text([centre[0], centre[1] + out + 9.0], "right", style(Anchor::Middle));
     svg.text([centre[0], centre[1] + out + 26.0], axis, style(Anchor::Middle).coloured(GREY));
+}
+
+fn ring_values(scale: Scale) -> Vec<f64> {
+    ticks([scale.low, scale.high], 4)
+}
+
+/// Values of the rings, over everything else.
+fn draw_ring_labels(svg: &mut Svg, centre: [f64; 2], scale: Scale) {
+    let rings = ring_values(scale);
+    // Not where a direction is drawn.
+    let angle = TAU / 16.0 + TAU / 64.0;
+    for ring in rings.iter().filter(|ring| **ring > scale.low + 0.05 * (scale.high - scale.low)) {
+        let [x, y] = scale.at(centre, angle, *ring);
+        svg.text([x, y + 4.0], &tick_text(*ring, &rings), Text::new(SMALL, Anchor::Middle).rimmed());
+    }
 }
 
 fn draw_set(svg: &mut Svg, centre: [f64; 2], scale: Scale, values: &[Option<Spread>], set: usize) {
@@ -91,14 +103,15 @@ fn draw_set(svg: &mut Svg, centre: [f64; 2], scale: Scale, values: &[Option<Spre
     if let (Some(outer), Some(inner), Some(middle)) = (all(1.0), all(-1.0), all(0.0)) {
         svg.area(&[&outer, &inner], COLOURS[set], BAND);
         svg.outline(&middle, LINES[set]);
-        return;
     }
     // A direction without a number is a gap.
     for direction in 0..count {
-        if let (Some(from), Some(to)) = (point(direction, 0.0), point(direction + 1, 0.0)) {
+        let next = point(direction + 1, 0.0).filter(|_| all(0.0).is_none());
+        if let (Some(from), Some(to)) = (point(direction, 0.0), next) {
             svg.line(from, to, LINES[set]);
-        } else if let Some(alone) = point(direction, 0.0) {
-            super::axes::draw_mark(svg, alone, set, 3.0, true);
+        }
+        if let Some(at) = point(direction, 0.0) {
+            draw_mark(svg, at, set, 2.6, true);
         }
     }
 }

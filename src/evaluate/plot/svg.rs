@@ -15,7 +15,7 @@ pub struct Svg {
 pub struct Stroke {
     /// As `#rrggbb`.
     pub colour: &'static str,
-    /// [px]
+    /// \[px\]
     pub width: f64,
     /// `stroke-dasharray`, empty for a full line.
     pub dash: &'static str,
@@ -43,8 +43,7 @@ impl Stroke {
 
     fn attributes(&self) -> String {
         let dash = if self.dash.is_empty() { String::new() } else { format!(r#" stroke-dasharray="{}""#, self.dash) };
-        let opacity =
-            if self.opacity < 1.0 { format!(r#" stroke-opacity="{}""#, self.opacity) } else { String::new() };
+        let opacity = if self.opacity < 1.0 { format!(r#" stroke-opacity="{}""#, self.opacity) } else { String::new() };
         format!(r#"stroke="{}" stroke-width="{}"{dash}{opacity} stroke-linejoin="round""#, self.colour, self.width)
     }
 }
@@ -63,7 +62,7 @@ pub enum Anchor {
 /// How a text looks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Text {
-    /// [px]
+    /// \[px\]
     pub size: f64,
     /// As `#rrggbb`.
     pub colour: &'static str,
@@ -73,12 +72,14 @@ pub struct Text {
     pub anchor: Anchor,
     /// Reads upwards.
     pub upwards: bool,
+    /// With a white rim, to be read over lines.
+    pub rimmed: bool,
 }
 
 impl Text {
     /// Dark, regular, level.
     pub const fn new(size: f64, anchor: Anchor) -> Self {
-        Text { size, colour: super::INK, bold: false, anchor, upwards: false }
+        Text { size, colour: super::INK, bold: false, anchor, upwards: false, rimmed: false }
     }
 
     /// In a colour.
@@ -90,6 +91,12 @@ impl Text {
     /// Heavier.
     pub const fn bold(mut self) -> Self {
         self.bold = true;
+        self
+    }
+
+    /// With a white rim.
+    pub const fn rimmed(mut self) -> Self {
+        self.rimmed = true;
         self
     }
 
@@ -133,7 +140,8 @@ impl Svg {
 
     /// A filled area within closed lines; where two overlap, it is empty.
     pub fn area(&mut self, loops: &[&[[f64; 2]]], colour: &str, opacity: f64) {
-        let path: String = loops.iter().map(|points| format!("M{}Z", list(points))).collect();
+        let path: String =
+            loops.iter().filter(|points| !points.is_empty()).map(|points| format!("M{}Z", list(points))).collect();
         self.add(format_args!(
             r#"<path d="{path}" fill="{colour}" fill-opacity="{opacity}" fill-rule="evenodd" stroke="none"/>"#
         ));
@@ -167,8 +175,13 @@ impl Svg {
         };
         let weight = if style.bold { r#" font-weight="bold""# } else { "" };
         let turn = if style.upwards { format!(r#" transform="rotate(-90 {x:.2} {y:.2})""#) } else { String::new() };
+        let rim = if style.rimmed {
+            r#" stroke="white" stroke-width="3.5" stroke-linejoin="round" paint-order="stroke""#
+        } else {
+            ""
+        };
         self.add(format_args!(
-            r#"<text x="{x:.2}" y="{y:.2}" font-size="{}" fill="{}" text-anchor="{anchor}"{weight}{turn}>{}</text>"#,
+            r#"<text x="{x:.2}" y="{y:.2}" font-size="{}" fill="{}" text-anchor="{anchor}"{weight}{rim}{turn}>{}</text>"#,
             style.size,
             style.colour,
             escaped(text)

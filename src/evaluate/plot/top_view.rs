@@ -4,13 +4,13 @@ use super::axes::Panel;
 use super::svg::{Stroke, Svg};
 use super::{COLOURS, GREY, INK, WIDTH};
 
-/// Where a box stands: x [m], y [m], yaw [rad].
+/// Where a box stands: x \[m\], y \[m\], yaw \[rad\].
 pub type BoxPose = [f64; 3];
 
 /// One run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Run {
-    /// The trunk's path [m].
+    /// The trunk's path \[m\].
     pub path: Vec<[f64; 2]>,
     /// The box before.
     pub first: BoxPose,

@@ -1,0 +1,93 @@
+//! `evaluate`: every figure and table of the paper for two sets of policies.
+
+mod args;
+mod progress;
+
+use std::process::ExitCode;
+
+use anyhow::Context;
+use args::Args;
+use clap::Parser;
+use progress::Progress;
+use supple::evaluate::contestants::Contest;
+use supple::evaluate::protocol::Protocol;
+use supple::evaluate::report::{Report, Section};
+use supple::evaluate::runner::{self, Settings};
+use supple::evaluate::store::Store;
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let (name, protocol) = protocol(args)?;
+    let contest = contest(args)?;
+    contest.notes.iter().for_each(|note| eprintln!("note: {note}"));
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let settings =
+        Settings { threads: args.threads.map_or(cores, usize::from), again: args.again, store: Store::new(&args.out) };
+    let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
+
+    let mut progress = Progress::default();
+    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
+        progress.expect(runner::work(experiment, &contest, &settings)?);
+    }
+    let mut report = Report::new(&contest, name, command());
+    for experiment in protocol.experiments() {
+        let info = experiment.info();
+        let measurement = if wanted(info.name) {
+            progress.begin(&info);
+            let measurement = runner::measure(experiment, &contest, &settings, &|work| progress.advance(work))?;
+            progress.end(&info);
+            Some(measurement)
+        } else {
+            runner::finished(experiment, &contest, &settings.store)?
+        };
+        match measurement {
+            Some(measurement) => report.sections.push(Section::new(experiment, &measurement)),
+            None => report.missing.push(info),
+        }
+    }
+    progress.finish();
+    report.write(&args.out)?;
+    if let Some(path) = &args.results {
+        report.write_document(path)?;
+    }
+    println!("{}", args.out.join("report.html").display());
+    Ok(())
+}
+
+/// The protocol and its name in the report.
+fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
+    Ok(match &args.protocol {
+        Some(path) => (path.display().to_string(), Protocol::load(path)?),
+        None if args.quick => ("quick".to_owned(), Protocol::quick()?),
+        None => ("full".to_owned(), Protocol::full()?),
+    })
+}
+
+fn contest(args: &Args) -> anyhow::Result<Contest> {
+    let names: [String; 2] = args
+        .names
+        .clone()
+        .try_into()
+        .map_err(|names: Vec<String>| anyhow::anyhow!("--names gives {} names, expected two: A,B", names.len()))?;
+    anyhow::ensure!(names[0] != names[1] && names.iter().all(|name| !name.is_empty()), "--names must be two names");
+    Ok(match (&args.a, &args.b) {
+        (Some(a), Some(b)) => Contest::of_paths([a, b], &names)?,
+        _ => Contest::in_folder(&args.policies, &names)?,
+    })
+}
+
+/// The command that makes this report, as one would type it.
+fn command() -> String {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    format!("cargo run --release --bin evaluate -- {}", arguments.join(" ")).trim_end_matches(" -- ").to_owned()
+}

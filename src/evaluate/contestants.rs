@@ -1,0 +1,185 @@
+//! The two sets of policies that are compared, read from folders.
+
+use std::path::{Path, PathBuf};
+
+use crate::policy::{Policy, PolicyError};
+
+/// Why there is nothing to compare.
+#[derive(Debug, thiserror::Error)]
+pub enum ContestantError {
+    /// The folder cannot be read.
+    #[error("cannot read the policies in {}: {source}", path.display())]
+    Read {
+        /// The folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The folder has no policy of a set.
+    #[error("{} has no policy {wanted}; train one with `cargo run --release --bin train`", path.display())]
+    Missing {
+        /// The folder.
+        path: PathBuf,
+        /// File names that were looked for.
+        wanted: String,
+    },
+    /// Two files of one set have the same seed.
+    #[error("{} and {} are both seed {seed} of {set}: only one can be compared", first.display(), second.display())]
+    Twice {
+        /// One file.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+        /// Their seed.
+        seed: u64,
+        /// Name of the set.
+        set: String,
+    },
+    /// A file is no good.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+}
+
+/// A policy that is measured.
+#[derive(Debug)]
+pub struct Contestant {
+    /// Seed of its training: pairs it with the other set's, and seeds its trials.
+    pub seed: u64,
+    /// Where it was read from.
+    pub file: PathBuf,
+    /// Its identity.
+    pub sha256: String,
+    /// The policy.
+    pub policy: Policy,
+}
+
+/// One of the two sets.
+#[derive(Debug)]
+pub struct Side {
+    /// In tables and legends.
+    pub name: String,
+    /// By seed.
+    pub members: Vec<Contestant>,
+}
+
+/// Both sets, and what a reader has to know about them.
+#[derive(Debug)]
+pub struct Contest {
+    /// First (compliant) and second (baseline).
+    pub sides: [Side; 2],
+    /// Files left out, seeds without a partner.
+    pub notes: Vec<String>,
+}
+
+impl Contest {
+    /// Policies `NAME-seedN.safetensors` of two names in one folder.
+    ///
+    /// # Errors
+    /// [`ContestantError`]
+    pub fn in_folder(folder: &Path, names: &[String; 2]) -> Result<Self, ContestantError> {
+        let (mut sides, mut notes) = ([Vec::new(), Vec::new()], Vec::new());
+        for file in policy_files(folder)? {
+            let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let seed_of = |name: &String| stem.strip_prefix(name.as_str())?.strip_prefix("-seed")?.parse::<u64>().ok();
+            match names.iter().position(|name| seed_of(name).is_some()) {
+                Some(side) => sides[side].push((seed_of(&names[side]), file)),
+                None => notes.push(format!("{} was left out: its name is not that of either set", file.display())),
+            }
+        }
+        let [a, b] = sides;
+        let side =
+            |name: &String, files| Side::load(name, folder, files, || format!("{name}-seedN.safetensors, N a number"));
+        Ok(Self::new([side(&names[0], a)?, side(&names[1], b)?], notes))
+    }
+
+    /// All policies of two folders; a path may also be one policy file, or a run's folder.
+    ///
+    /// # Errors
+    /// [`ContestantError`]
+    pub fn of_paths(paths: [&Path; 2], names: &[String; 2]) -> Result<Self, ContestantError> {
+        let side = |index: usize| {
+            let path = paths[index];
+            let files = if path.is_file() { vec![path.to_owned()] } else { policy_files(path)? };
+            // A checkpoint in a run's folder is not a policy.
+            let run = files.iter().find(|file| file.file_name().is_some_and(|name| name == "policy.safetensors"));
+            let files = run.map_or_else(|| files.clone(), |policy| vec![policy.clone()]);
+            let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
+            Side::load(&names[index], path, files, || "*.safetensors".into())
+        };
+        let (mut sides, mut notes) = ([side(0)?, side(1)?], Vec::new());
+        if let [[a], [b]] = [&sides[0].members[..], &sides[1].members[..]]
+            && a.seed != b.seed
+        {
+            notes.push(format!(
+                "the two policies are compared as a pair, though their seeds are {} and {}",
+                a.seed, b.seed
+            ));
+            sides[1].members[0].seed = a.seed;
+        }
+        Ok(Self::new(sides, notes))
+    }
+
+    fn new(sides: [Side; 2], mut notes: Vec<String>) -> Self {
+        for (side, other) in [(0, 1), (1, 0)] {
+            let [own, partner] = [&sides[side], &sides[other]];
+            let lacks = |contestant: &&Contestant| partner.members.iter().all(|other| other.seed != contestant.seed);
+            let alone: Vec<String> = own.members.iter().filter(lacks).map(|member| member.seed.to_string()).collect();
+            if !alone.is_empty() {
+                notes.push(format!(
+                    "{} has no policy of seed {} as {} has: means are over all seeds that there are, differences over \
+                     the seeds that both have",
+                    partner.name,
+                    alone.join(", "),
+                    own.name
+                ));
+            }
+        }
+        Contest { sides, notes }
+    }
+
+    /// Names of both sets.
+    pub fn names(&self) -> [String; 2] {
+        [self.sides[0].name.clone(), self.sides[1].name.clone()]
+    }
+}
+
+impl Side {
+    fn load(
+        name: &str,
+        folder: &Path,
+        files: Vec<(Option<u64>, PathBuf)>,
+        wanted: impl Fn() -> String,
+    ) -> Result<Self, ContestantError> {
+        if files.is_empty() {
+            return Err(ContestantError::Missing { path: folder.to_owned(), wanted: wanted() });
+        }
+        let mut members: Vec<Contestant> = Vec::new();
+        for (seed, file) in files {
+            let policy = Policy::load(&file)?;
+            let seed = seed.unwrap_or(policy.provenance.seed);
+            if let Some(first) = members.iter().find(|member| member.seed == seed) {
+                let (first, set) = (first.file.clone(), name.to_owned());
+                return Err(ContestantError::Twice { first, second: file, seed, set });
+            }
+            members.push(Contestant { seed, file, sha256: policy.sha256(), policy });
+        }
+        members.sort_by_key(|member| member.seed);
+        Ok(Side { name: name.to_owned(), members })
+    }
+}
+
+/// The number after the last `-seed` of a file's name.
+fn seed_in_name(file: &Path) -> Option<u64> {
+    file.file_stem()?.to_str()?.rsplit_once("-seed")?.1.parse().ok()
+}
+
+/// All policy files of a folder, by name.
+fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
+    let fail = |source| ContestantError::Read { path: folder.to_owned(), source };
+    let entries = std::fs::read_dir(folder).map_err(fail)?;
+    let mut files =
+        entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(fail)?;
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "safetensors"));
+    files.sort();
+    Ok(files)
+}

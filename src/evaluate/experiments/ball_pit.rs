@@ -1,0 +1,109 @@
+//! E7: crossing a field of loose balls (Fig. 7a).
+
+use serde::{Deserialize, Serialize};
+
+use super::{parameters, value};
+use crate::config::ConfigError;
+use crate::evaluate::findings::{Claim, Figure, Findings, Table};
+use crate::evaluate::plot::dots::{self, Dots};
+use crate::evaluate::protocol::defaults;
+use crate::evaluate::results::Results;
+use crate::evaluate::statistics::Expected;
+use crate::evaluate::trial::End;
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::scenario::Script;
+use crate::scenario::catalog::{BallPit as Parameters, Scenario};
+use crate::trace::Trace;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("crossed", "got across", "%", 0),
+    FELL,
+    Quantity::new("stuck", "stuck", "%", 0),
+    Quantity::new("crossing_time_s", "time to get across", "s", 1),
+    Quantity::new("distance_m", "distance ahead", "m", 2),
+    Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
+    Quantity::new("power_w", "power", "W", 1),
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BallPit {
+    /// Runs of each policy.
+    pub trials: u32,
+}
+
+impl Experiment for BallPit {
+    fn info(&self) -> Info {
+        Info {
+            id: "E7",
+            number: 7,
+            name: "ball-pit",
+            title: "Ball pit",
+            paper: "Fig. 7a",
+            method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart. The robot is across \
+                     when its trunk passes the last row, and stuck if it neither gets there nor falls in the time it \
+                     has. The time is from the first row to past the last; a trial that does not get across has none. \
+                     Each trial starts at another distance, so that the gait meets the balls at another phase.",
+        }
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        QUANTITIES
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let pit: Parameters = defaults("ball-pit")?;
+        Ok(vec![Condition { label: String::new(), scenario: Scenario::BallPit(pit) }])
+    }
+
+    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
+        let Scenario::BallPit(pit) = scenario else { return Measured::default() };
+        let found = scenario.metrics(script, trace);
+        let when = |edge_m: f64| trace.frames.iter().find(|frame| frame.position[0] > edge_m).map(|f| f.time_s);
+        let times = when(pit.distance_m).zip(when(pit.far_edge_m()));
+        let crossed = times.is_some() && end != End::Fault;
+        let truth = |value: bool| Some(f64::from(u8::from(value)));
+        let values = vec![
+            truth(crossed),
+            Some(end.fell()),
+            truth(!crossed && end == End::Upright),
+            times.map(|(first, last)| last - first),
+            value(&found, "distance_m"),
+            value(&found, "peak_foot_force_n"),
+            value(&found, "power_w"),
+        ];
+        Measured { values, series: Vec::new() }
+    }
+
+    fn findings(&self, results: &Results) -> Findings {
+        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
+        let table = Table::of_conditions("ball-pit", "Crossing 400 loose balls.", results, &names);
+        let panel = |name: &str| Dots {
+            quantity: results.quantity(name),
+            rows: vec![[0, 1].map(|set| results.per_seed(set, 0, name))],
+        };
+        let panels = ["crossed", "fell", "stuck", "peak_foot_force_n"].map(panel);
+        let figure = Figure::new(
+            "ball-pit",
+            "Crossing a pit of 400 balls: mean ± standard deviation over seeds, single seeds as hollow marks.",
+            dots::draw("Crossing a ball pit", &panels, &[String::new()], &results.names),
+        );
+        let claim = |text: &str, paper: &str, name: &str, expected| {
+            Claim::direction(text, paper, results.quantity(name), expected, results.compare(0, name))
+        };
+        let claims = vec![
+            claim("Compliant policies get across the ball pit", "more often", "crossed", Expected::Higher),
+            claim("Their feet hit the balls less hard", "lower", "peak_foot_force_n", Expected::Lower),
+        ];
+        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        parameters(self)
+    }
+}

@@ -1,0 +1,168 @@
+//! E2: how a sideways push fades away (Fig. 3).
+
+use serde::{Deserialize, Serialize};
+
+use super::parameters;
+use crate::config::ConfigError;
+use crate::evaluate::findings::{Claim, Figure, Findings, Table};
+use crate::evaluate::plot::curves::{self, Curve};
+use crate::evaluate::protocol::defaults;
+use crate::evaluate::results::Results;
+use crate::evaluate::statistics::{Expected, Spread};
+use crate::evaluate::trial::{End, Sample};
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::scenario::catalog::{PushAway, Scenario};
+use crate::scenario::metrics::{STRIDE_S, decay_time};
+use crate::scenario::{Script, metrics};
+use crate::trace::Trace;
+
+const QUANTITIES: &[Quantity] = &[
+    FELL,
+    Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
+    Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
+    Quantity::new("left_before_m_s", "sideways velocity before", "m/s", 3),
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Decay {
+    /// Runs of each policy.
+    pub trials: u32,
+    /// What the figure shows before the push \[s\].
+    pub shown_before_s: f64,
+    /// And after it \[s\].
+    pub shown_after_s: f64,
+}
+
+impl Decay {
+    /// Runs of one policy, aligned at their pushes. Series: time since the push, sideways velocity.
+    fn curve(&self, results: &Results, set: usize) -> Curve {
+        let seed = results.shown_seed(set);
+        let runs: Vec<&Sample> = seed
+            .and_then(|seed| results.sets[set].get(&seed)?.first())
+            .map(|runs| runs.iter().filter(|run| run.series.len() == 2).collect())
+            .unwrap_or_default();
+        let mut curve = Curve {
+            title: format!("{}, seed {}", results.names[set], seed.map_or("–".into(), |seed| seed.to_string())),
+            mean: Vec::new(),
+            least: Vec::new(),
+            largest: Vec::new(),
+            mark: None,
+            tolerance: None,
+        };
+        let longest = runs.iter().max_by_key(|run| run.series[0].len());
+        for (step, time) in longest.map_or(&[][..], |run| &run.series[0]).iter().enumerate() {
+            let values: Vec<f64> =
+                runs.iter().filter_map(|run| run.series[1].get(step)).copied().map(f64::from).collect();
+            let time = f64::from(*time);
+            curve.mean.push([time, values.iter().sum::<f64>() / values.len() as f64]);
+            curve.least.push([time, values.iter().copied().fold(f64::INFINITY, f64::min)]);
+            curve.largest.push([time, values.iter().copied().fold(f64::NEG_INFINITY, f64::max)]);
+        }
+        let of_seed = |quantity: &str| results.per_seed(set, 0, quantity).get(&seed?).copied();
+        curve.mark = of_seed("decay_10_s").map(|decay| (decay, format!("{decay:.2} s")));
+        let push_m_s = match &results.conditions[0].scenario {
+            Scenario::Push(push) => push.push_m_s,
+            _ => 0.0,
+        };
+        curve.tolerance = of_seed("left_before_m_s").map(|level| [level, 0.1 * push_m_s]);
+        curve
+    }
+}
+
+impl Experiment for Decay {
+    fn info(&self) -> Info {
+        Info {
+            id: "E2",
+            number: 2,
+            name: "decay",
+            title: "Decay of a sideways push",
+            paper: "Fig. 3",
+            method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
+                     push minus its mean over the last second before, smoothed by a centred moving average of one \
+                     stride (0.4 s). Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
+                     the push; a fall has none. The figure shows the unsmoothed velocity of one policy's runs.",
+        }
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        QUANTITIES
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let push: PushAway = defaults("push")?;
+        Ok(vec![Condition { label: "0.5 m/s to the left".into(), scenario: Scenario::Push(push) }])
+    }
+
+    fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
+        let mut values = vec![None; QUANTITIES.len()];
+        values[0] = Some(end.fell());
+        let Some(push) = script.pushes.first() else { return Measured { values, series: Vec::new() } };
+        if end == End::Upright {
+            values[1] = decay_time(trace, push.time_s, push.push.linear, 0.1, STRIDE_S);
+            values[2] = decay_time(trace, push.time_s, push.push.linear, 0.2, STRIDE_S);
+            let before = metrics::window(trace, push.time_s - 1.0, push.time_s);
+            values[3] = metrics::mean(before, |frame| frame.velocity_in_heading[1]);
+        }
+        // Times in steps from the one that the push is applied before, so that runs can be averaged step by step.
+        let half_s = 0.5 * trace.period_s;
+        let pushed = trace.frames.iter().position(|frame| frame.time_s > push.time_s + half_s);
+        let shown = |seconds: f64| (seconds / trace.period_s).round() as usize;
+        let series = pushed.map(|pushed| {
+            let first = pushed.saturating_sub(shown(self.shown_before_s));
+            let frames = &trace.frames[first..(pushed + shown(self.shown_after_s)).min(trace.frames.len())];
+            let time = |index: usize| ((first + index) as f64 - pushed as f64 + 1.0) * trace.period_s;
+            vec![
+                (0..frames.len()).map(|index| time(index) as f32).collect(),
+                frames.iter().map(|frame| frame.velocity_in_heading[1] as f32).collect(),
+            ]
+        });
+        Measured { values, series: series.unwrap_or_default() }
+    }
+
+    fn findings(&self, results: &Results) -> Findings {
+        let table = Table::of_conditions(
+            "decay",
+            "Decay of a sideways push of 0.5 m/s.",
+            results,
+            &["decay_10_s", "decay_20_s", "fell"],
+        )
+        .with_paper("decay_10_s", "+85 %");
+        let curves = [self.curve(results, 0), self.curve(results, 1)];
+        let svg = curves::draw(
+            "Sideways velocity after a push, one policy of each set",
+            curves,
+            "time since the push [s]",
+            "sideways velocity [m/s]",
+        );
+        let decays = [0, 1].map(|set| Spread::of(&results.per_seed(set, 0, "decay_10_s")).map(|spread| spread.mean));
+        let words = decays.map(|decay| decay.map_or("none".to_owned(), |decay| format!("{decay:.2} s")));
+        let figure = Figure::new(
+            "decay",
+            format!(
+                "Sideways velocity after a push of 0.5 m/s to the left while walking at 0.5 m/s: mean and min–max band of \
+                 {} runs of one policy. Dotted: ±10 % of the push around the velocity before; dashed: this policy's mean \
+                 decay time. Over all seeds it is {} ({}) and {} ({}).",
+                self.trials, words[0], results.names[0], words[1], results.names[1]
+            ),
+            svg,
+        );
+        let claim = Claim::direction(
+            "After a sideways push, compliant policies take longer to stabilise",
+            "+85 %",
+            results.quantity("decay_10_s"),
+            Expected::Higher,
+            results.compare(0, "decay_10_s"),
+        );
+        Findings { claims: vec![claim], tables: vec![table], figures: vec![figure], notes: Vec::new() }
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        parameters(self)
+    }
+}

@@ -1,0 +1,136 @@
+//! E4: how long a push from any side lasts, standing and walking (Fig. 4).
+
+use serde::{Deserialize, Serialize};
+
+use super::{directions, parameters, polar};
+use crate::config::ConfigError;
+use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
+use crate::evaluate::plot;
+use crate::evaluate::protocol::defaults;
+use crate::evaluate::results::Results;
+use crate::evaluate::statistics::{Expected, Spread};
+use crate::evaluate::trial::End;
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::scenario::Script;
+use crate::scenario::catalog::{PushAway, Scenario, Task};
+use crate::scenario::metrics::{STANDING_AVERAGE_S, STRIDE_S, decay_time};
+use crate::trace::Trace;
+
+const QUANTITIES: &[Quantity] =
+    &[Quantity::new("decay_10_s", "decay to 10 %", "s", 2), Quantity::new("decay_20_s", "decay to 20 %", "s", 2), FELL];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Directions {
+    /// Directions that divide the circle evenly.
+    pub directions: u32,
+    /// Runs of each policy in each direction.
+    pub trials: u32,
+    /// Forward commands \[m/s\]; 0 is standing.
+    pub commands_m_s: Vec<f64>,
+}
+
+impl Directions {
+    /// Conditions of a command, and its name.
+    fn command(&self, index: usize) -> (std::ops::Range<usize>, String) {
+        let count = self.directions as usize;
+        let command = self.commands_m_s[index];
+        let name = if command == 0.0 { "standing".to_owned() } else { format!("walking at {command} m/s") };
+        (index * count..(index + 1) * count, name)
+    }
+}
+
+impl Experiment for Directions {
+    fn info(&self) -> Info {
+        Info {
+            id: "E4",
+            number: 4,
+            name: "directions",
+            title: "Decay of pushes from all sides",
+            paper: "Fig. 4",
+            method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2; \
+                     when standing, the moving average is 0.1 s long.",
+        }
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        QUANTITIES
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: PushAway = defaults("push")?;
+        let condition = |command: f64, direction_deg: f64| Condition {
+            label: format!("{}, {direction_deg:.1}°", if command == 0.0 { "standing" } else { "walking" }),
+            scenario: Scenario::Push(PushAway {
+                direction_deg,
+                task: Task { forward_m_s: command, ..base.task.clone() },
+                ..base
+            }),
+        };
+        let commands = self.commands_m_s.iter();
+        Ok(commands.flat_map(|command| directions(self.directions).map(|d| condition(*command, d))).collect())
+    }
+
+    fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
+        let average_s = if script.command.forward == 0.0 { STANDING_AVERAGE_S } else { STRIDE_S };
+        let decay = |threshold| {
+            let push = script.pushes.first().filter(|_| end == End::Upright)?;
+            decay_time(trace, push.time_s, push.push.linear, threshold, average_s)
+        };
+        Measured { values: vec![decay(0.1), decay(0.2), Some(end.fell())], series: Vec::new() }
+    }
+
+    fn findings(&self, results: &Results) -> Findings {
+        let decay = results.quantity("decay_10_s");
+        let (mut claims, mut rows, mut panels) = (Vec::new(), Vec::new(), Vec::new());
+        for index in 0..self.commands_m_s.len() {
+            let (conditions, name) = self.command(index);
+            let all: Vec<usize> = conditions.clone().collect();
+            let longer = |condition: &&usize| {
+                let mean =
+                    |set| Spread::of(&results.per_seed(set, **condition, "decay_10_s")).map(|spread| spread.mean);
+                mean(0).zip(mean(1)).is_some_and(|(a, b)| a > b)
+            };
+            let longer = all.iter().filter(longer).count();
+            let text = format!(
+                "Pushed while {name}, compliant policies take longer in all directions (here: in {longer} of {}; the \
+                 numbers are means over directions)",
+                all.len()
+            );
+            let comparison = results.compare_over(&all, "decay_10_s");
+            claims.push(Claim::direction(&text, "longer", decay, Expected::Higher, comparison));
+            for quantity in QUANTITIES {
+                rows.push(Row {
+                    condition: name.clone(),
+                    quantity: *quantity,
+                    paper: String::new(),
+                    comparison: results.compare_over(&all, quantity.name),
+                });
+            }
+            panels.push(polar(name, results, conditions, "decay_10_s"));
+        }
+        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
+        let mut every = Table::of_conditions("directions-all", "Decay time of a push by direction.", results, &names);
+        every.in_page = false;
+        let caption = "Decay time of a push of 0.5 m/s, mean over all directions.".to_owned();
+        let table = Table { name: "directions".into(), caption, rows, in_page: true };
+        let svg =
+            plot::polar::draw("Decay time of a push by direction", &panels, &results.names, "decay time to 10 % [s]");
+        let figure = Figure::new(
+            "directions",
+            "Decay time of a push of 0.5 m/s by the direction it pushes to: mean and ± standard deviation over seeds. \
+             Trials with a fall have no decay time.",
+            svg,
+        );
+        Findings { claims, tables: vec![table, every], figures: vec![figure], notes: Vec::new() }
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        parameters(self)
+    }
+}

@@ -1,0 +1,180 @@
+//! E6: walking into a free box (Fig. 6).
+
+use serde::{Deserialize, Serialize};
+
+use super::{parameters, value};
+use crate::config::ConfigError;
+use crate::evaluate::findings::{Claim, Figure, Findings, Table};
+use crate::evaluate::plot::dots::{self, Dots};
+use crate::evaluate::plot::top_view::{self, Run, View};
+use crate::evaluate::protocol::defaults;
+use crate::evaluate::results::Results;
+use crate::evaluate::statistics::Expected;
+use crate::evaluate::trial::{End, Sample};
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::scenario::Script;
+use crate::scenario::catalog::{FreeBox as Parameters, Scenario};
+use crate::scenario::metrics::velocity_errors;
+use crate::trace::{Pose, Trace};
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("box_displacement_m", "box moved by", "m", 2),
+    Quantity::new("peak_contact_force_n", "peak contact force", "N", 0),
+    Quantity::new("mean_contact_force_n", "mean contact force", "N", 1),
+    Quantity::new("contact_impulse_n_s", "impulse", "N·s", 1),
+    Quantity::new("contact_time_s", "time in contact", "s", 2),
+    Quantity::new("passed", "got past the box", "%", 0),
+    Quantity::new("resumed", "and resumed its course", "%", 0),
+    Quantity::new("sideways_m", "sideways of its line at the end", "m", 2),
+    FELL,
+];
+
+/// Steps between points of a path that is kept.
+const PATH_STEPS: usize = 6;
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FreeBox {
+    /// Runs of each policy.
+    pub trials: u32,
+    /// A robot has resumed its course if over this time at the end \[s\] …
+    pub resumed_s: f64,
+    /// … its mean velocity is this close to the command \[m/s\].
+    pub resumed_m_s: f64,
+}
+
+impl FreeBox {
+    fn view(&self, results: &Results, set: usize) -> View {
+        let seed = results.shown_seed(set);
+        let samples = seed.and_then(|seed| results.sets[set].get(&seed)?.first());
+        View {
+            title: format!("{}, seed {}", results.names[set], seed.map_or("–".into(), |seed| seed.to_string())),
+            runs: samples.map_or(Vec::new(), |samples| samples.iter().filter_map(run).collect()),
+        }
+    }
+}
+
+/// Series of a trial: the path's x and y, the box's first and last pose.
+fn run(sample: &Sample) -> Option<Run> {
+    let [x, y, first, last] = sample.series.as_slice() else { return None };
+    let pose = |series: &[f32]| <[f32; 3]>::try_from(series).ok().map(|pose| pose.map(f64::from));
+    Some(Run {
+        path: x.iter().zip(y).map(|(x, y)| [f64::from(*x), f64::from(*y)]).collect(),
+        first: pose(first)?,
+        last: pose(last)?,
+        fell: sample.end == End::Fell,
+    })
+}
+
+/// x \[m\], y \[m\], yaw \[rad\].
+fn flat_pose(pose: &Pose) -> Vec<f32> {
+    let [w, x, y, z] = pose.quaternion;
+    let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    vec![pose.position[0], pose.position[1], yaw]
+}
+
+impl Experiment for FreeBox {
+    fn info(&self) -> Info {
+        Info {
+            id: "E6",
+            number: 6,
+            name: "box",
+            title: "Collision with a box",
+            paper: "Fig. 6",
+            method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length (friction 0.6), which is \
+                     offset sideways by an amount drawn for each trial. Contact forces are the sum over all contacts \
+                     between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
+                     it ends beyond the box's far side, and has resumed its course when it then walks at its command.",
+        }
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        QUANTITIES
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let free_box: Parameters = defaults("box")?;
+        Ok(vec![Condition { label: String::new(), scenario: Scenario::Box(free_box) }])
+    }
+
+    fn needs_bodies(&self) -> bool {
+        true
+    }
+
+    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
+        let mut values = vec![None; QUANTITIES.len()];
+        let found = scenario.metrics(script, trace);
+        let passed = end == End::Upright && value(&found, "passed") == Some(1.0);
+        if end == End::Upright {
+            for (index, quantity) in QUANTITIES.iter().enumerate().take(5) {
+                values[index] = value(&found, quantity.name);
+            }
+            values[7] = trace.frames.last().map(|frame| frame.position[1].abs());
+        }
+        let errors = velocity_errors(trace, script.duration_s - self.resumed_s, script.duration_s);
+        let resumed = passed && errors.is_some_and(|[forward, left, _]| forward.hypot(left) < self.resumed_m_s);
+        values[5] = Some(f64::from(u8::from(passed)));
+        values[6] = Some(f64::from(u8::from(resumed)));
+        values[8] = Some(end.fell());
+
+        let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
+        // The box is the last body.
+        let poses: Vec<&Pose> = trace.frames.iter().filter_map(|frame| frame.bodies.last()).collect();
+        let series = match (poses.first(), poses.last()) {
+            (Some(first), Some(last)) => vec![path(0), path(1), flat_pose(first), flat_pose(last)],
+            _ => Vec::new(),
+        };
+        Measured { values, series }
+    }
+
+    fn findings(&self, results: &Results) -> Findings {
+        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
+        let table = Table::of_conditions("box", "Collision with a free box of 2 kg.", results, &names);
+        let size_m = match &results.conditions[0].scenario {
+            Scenario::Box(free_box) => free_box.size_m,
+            _ => 0.0,
+        };
+        let views = [self.view(results, 0), self.view(results, 1)];
+        let paths = Figure::new(
+            "box",
+            "Walking into a free box, seen from above; the robot starts at (0, 0) and walks to the right. In full: one \
+             trial with the robot's path, the box before (dashed) and after (filled). Faint: the other trials of the same \
+             policy with the box after. A cross is a fall.",
+            top_view::draw("Paths of the robot and the box, seen from above", views, size_m),
+        );
+        let panel = |name: &str| Dots {
+            quantity: results.quantity(name),
+            rows: vec![[0, 1].map(|set| results.per_seed(set, 0, name))],
+        };
+        let panels = ["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"].map(panel);
+        let forces = Figure::new(
+            "box-forces",
+            "What the box suffers: mean ± standard deviation over seeds, single seeds as hollow marks.",
+            dots::draw("Displacement and forces of the box", &panels, &[String::new()], &results.names),
+        );
+        let claim = |text: &str, paper: &str, name: &str, expected| {
+            Claim::direction(text, paper, results.quantity(name), expected, results.compare(0, name))
+        };
+        let claims = vec![
+            claim("Compliant policies move a box in their way less", "less", "box_displacement_m", Expected::Lower),
+            claim(
+                "Compliant policies push a box with a milder force",
+                "milder",
+                "mean_contact_force_n",
+                Expected::Lower,
+            ),
+            claim("Compliant policies are deflected past the box", "past", "passed", Expected::Higher),
+            claim("… and resume their course", "resume", "resumed", Expected::Higher),
+        ];
+        Findings { claims, tables: vec![table], figures: vec![paths, forces], notes: Vec::new() }
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        parameters(self)
+    }
+}

@@ -1,0 +1,144 @@
+//! The experiments E0 to E8, one file each: what is varied, what is measured, what is shown.
+
+mod ball_pit;
+mod decay;
+mod directions;
+mod free_box;
+mod leash;
+mod push_grid;
+mod table4;
+mod terrain;
+mod walk;
+
+pub use ball_pit::BallPit;
+pub use decay::Decay;
+pub use directions::Directions;
+pub use free_box::FreeBox;
+pub use leash::Leash;
+pub use push_grid::PushGrid;
+pub use table4::Table4;
+pub use terrain::Terrain;
+pub use walk::Walk;
+
+use super::plot::polar::Polar;
+use super::results::Results;
+use super::statistics::Spread;
+use crate::scenario::metrics::Metric;
+
+/// A scenario's metric by name.
+fn value(metrics: &[Metric], name: &str) -> Option<f64> {
+    metrics.iter().find(|metric| metric.name == name)?.value
+}
+
+/// Directions that divide the circle evenly, counter-clockwise from forward \[deg\].
+fn directions(count: u32) -> impl Iterator<Item = f64> {
+    (0..count).map(move |k| 360.0 * f64::from(k) / f64::from(count))
+}
+
+/// A panel with a quantity in a run of conditions that are directions.
+fn polar(title: String, results: &Results, conditions: std::ops::Range<usize>, quantity: &str) -> Polar {
+    let spreads = |set| conditions.clone().map(|c| Spread::of(&results.per_seed(set, c, quantity))).collect();
+    Polar { title, sets: [spreads(0), spreads(1)] }
+}
+
+/// A number as it stands in the protocol's JSON.
+fn parameters(of: &impl serde::Serialize) -> serde_json::Value {
+    // Plain structs of numbers and lists.
+    serde_json::to_value(of).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::evaluate::plot::png::Renderer;
+    use crate::evaluate::protocol::Protocol;
+    use crate::evaluate::trial::{End, Sample};
+    use crate::evaluate::{Experiment, Measured};
+    use crate::scenario::metrics::tests::synthetic;
+    use crate::trace::{Event, EventKind, Trace};
+
+    /// Results of two seeds in which every trial gave the same.
+    fn results(experiment: &dyn Experiment, sample: &Sample) -> Results {
+        let conditions = experiment.conditions().unwrap();
+        let policy = vec![vec![sample.clone(); experiment.trials() as usize]; conditions.len()];
+        let set = || BTreeMap::from([(0, policy.clone()), (1, policy.clone())]);
+        let names = ["a".to_owned(), "b".to_owned()];
+        Results { names, conditions, quantities: experiment.quantities(), sets: [set(), set()] }
+    }
+
+    #[test]
+    fn every_experiment_shows_claims_and_figures_also_without_a_single_value() {
+        let protocol = Protocol::quick().unwrap();
+        let renderer = Renderer::default();
+        for experiment in protocol.experiments() {
+            for value in [None, Some(0.5)] {
+                let values = vec![value; experiment.quantities().len()];
+                let sample = Sample { end: End::Upright, values, series: Vec::new() };
+                let findings = experiment.findings(&results(experiment, &sample));
+                assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{}", experiment.info().name);
+                for figure in &findings.figures {
+                    assert!(!figure.svg.contains("NaN") && !figure.svg.contains("inf"), "{}", figure.name);
+                    renderer.png(&figure.svg).unwrap();
+                }
+            }
+        }
+    }
+
+    fn measured(experiment: &dyn Experiment, trace: &Trace) -> Measured {
+        let condition = &experiment.conditions().unwrap()[0];
+        let config = crate::config::Config::load("compliant").unwrap();
+        let script = condition.scenario.script(0, &config).unwrap();
+        experiment.measure(&condition.scenario, &script, trace, End::of(trace))
+    }
+
+    #[test]
+    fn every_experiment_measures_each_of_its_quantities_in_a_bare_trace() {
+        let mut trace = synthetic(12.0, |_| [0.4, 0.0, 0.0]);
+        for fell in [false, true] {
+            if fell {
+                trace.events.push(Event { time_s: 1.0, kind: EventKind::Fall, text: String::new() });
+            }
+            for experiment in Protocol::quick().unwrap().experiments() {
+                let measured = measured(experiment, &trace);
+                assert_eq!(measured.values.len(), experiment.quantities().len(), "{}", experiment.info().name);
+                assert!(measured.values.iter().flatten().all(|value| value.is_finite()));
+            }
+        }
+    }
+
+    #[test]
+    fn power_before_and_after_are_means_over_their_second() {
+        let protocol = Protocol::full().unwrap();
+        let push_s = {
+            let condition = &protocol.table4.conditions().unwrap()[0];
+            let config = crate::config::Config::load("compliant").unwrap();
+            condition.scenario.script(0, &config).unwrap().pushes[0].time_s
+        };
+        let mut trace = synthetic(8.0, |_| [0.5, 0.0, 0.0]);
+        for frame in &mut trace.frames {
+            let since_s = frame.time_s - push_s;
+            // 80 W until the push, then 140 W falling by 10 W in a second: 135 W on average.
+            frame.power_w = if since_s < 0.0 { 80.0 } else { 140.0 - 10.0 * since_s };
+            frame.torque_n_m = if since_s < 0.0 { 25.0 } else { 26.0 };
+        }
+        let values: Vec<f64> = measured(&protocol.table4, &trace).values.into_iter().flatten().collect();
+        assert!((values[0] - 80.0).abs() < 1.0 && (values[1] - 135.0).abs() < 1.0, "{values:?}");
+        assert!((values[2] - 25.0).abs() < 0.1 && (values[3] - 26.0).abs() < 0.1, "{values:?}");
+        assert_eq!(values[4], 0.0);
+    }
+
+    #[test]
+    fn a_fall_after_the_watch_is_a_success_of_the_push_grid() {
+        let protocol = Protocol::full().unwrap();
+        let success = |fall_s: f64| {
+            let mut trace = synthetic(5.4, |_| [0.5, 0.0, 0.0]);
+            trace.events.push(Event { time_s: fall_s, kind: EventKind::Fall, text: String::new() });
+            measured(&protocol.push_grid, &trace).values[0]
+        };
+        // The push comes between 2.0 and 2.4 s and is watched for 3 s.
+        assert_eq!(success(4.9), Some(0.0));
+        assert_eq!(success(5.41), Some(1.0));
+    }
+}

@@ -1,0 +1,135 @@
+//! E8: walking over Perlin terrain of several heights and frequencies (Fig. 7b).
+
+use serde::{Deserialize, Serialize};
+
+use super::{parameters, value};
+use crate::config::ConfigError;
+use crate::evaluate::findings::{Claim, Figure, Findings, Table};
+use crate::evaluate::plot::dots::{self, Dots};
+use crate::evaluate::protocol::defaults;
+use crate::evaluate::results::Results;
+use crate::evaluate::statistics::Expected;
+use crate::evaluate::trial::End;
+use crate::evaluate::{Condition, Experiment, Info, Measured, Quantity};
+use crate::scenario::catalog::{Scenario, Terrain as Parameters, TerrainKind};
+use crate::scenario::{Script, metrics};
+use crate::trace::Trace;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("success", "no fall in 10 s", "%", 0),
+    Quantity::new("velocity_error_m_s", "velocity error", "m/s", 3),
+    Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
+    Quantity::new("power_w", "power", "W", 1),
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Terrain {
+    /// Heights, peak to peak \[m\].
+    pub heights_m: Vec<f64>,
+    /// Lattice cells per metre \[1/m\].
+    pub frequencies_per_m: Vec<f64>,
+    /// Runs of each policy on each terrain.
+    pub trials: u32,
+    /// Start of the averages \[s\].
+    pub settle_s: f64,
+}
+
+impl Experiment for Terrain {
+    fn info(&self) -> Info {
+        Info {
+            id: "E8",
+            number: 8,
+            name: "terrain",
+            title: "Uneven terrain",
+            paper: "Fig. 7b",
+            method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
+                     peak to peak and its frequency (cells per metre). A success is a trial without a fall. The velocity \
+                     error is the length of mean velocity minus command in the horizontal plane.",
+        }
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        QUANTITIES
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Parameters = defaults("terrain")?;
+        let condition = |height_m: f64, frequency_per_m: f64| Condition {
+            label: format!("{:.0} cm, {frequency_per_m} /m", 100.0 * height_m),
+            scenario: Scenario::Terrain(Parameters {
+                kind: TerrainKind::Perlin,
+                height_m,
+                frequency_per_m,
+                ..base.clone()
+            }),
+        };
+        let frequencies = &self.frequencies_per_m;
+        let heights = self.heights_m.iter();
+        Ok(heights.flat_map(|height| frequencies.iter().map(|frequency| condition(*height, *frequency))).collect())
+    }
+
+    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
+        let upright = end == End::Upright;
+        let found = scenario.metrics(script, trace);
+        let errors = metrics::velocity_errors(trace, self.settle_s, script.duration_s).filter(|_| upright);
+        let of_upright = |name: &str| value(&found, name).filter(|_| upright);
+        let values = vec![
+            Some(f64::from(u8::from(upright))),
+            errors.map(|[forward, left, _]| forward.hypot(left)),
+            of_upright("peak_foot_force_n"),
+            of_upright("power_w"),
+        ];
+        Measured { values, series: Vec::new() }
+    }
+
+    fn findings(&self, results: &Results) -> Findings {
+        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
+        let caption = "Walking over Perlin terrain, by height (peak to peak) and frequency.";
+        let table = Table::of_conditions("terrain", caption, results, &names);
+        let conditions = results.conditions.len();
+        let panel = |name: &str| Dots {
+            quantity: results.quantity(name),
+            rows: (0..conditions).map(|c| [0, 1].map(|set| results.per_seed(set, c, name))).collect(),
+        };
+        let labels: Vec<String> = results.conditions.iter().map(|condition| condition.label.clone()).collect();
+        let panels = ["success", "velocity_error_m_s", "peak_foot_force_n"].map(panel);
+        let figure = Figure::new(
+            "terrain",
+            "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds as \
+             hollow marks. Numbers but success are of trials without a fall.",
+            dots::draw("Success, velocity error and peak foot force by terrain", &panels, &labels, &results.names),
+        );
+        let all: Vec<usize> = (0..conditions).collect();
+        let claim = |text: &str, paper: &str, name: &str, expected, over: &[usize]| {
+            Claim::direction(text, paper, results.quantity(name), expected, results.compare_over(over, name))
+        };
+        let claims = vec![
+            claim(
+                "On 5 cm Perlin terrain of frequency 0.5, compliant policies fall less often",
+                "less often",
+                "success",
+                Expected::Higher,
+                &[0],
+            ),
+            claim(
+                "Over all terrains, compliant policies fall less often",
+                "less often",
+                "success",
+                Expected::Higher,
+                &all,
+            ),
+            claim("Their feet hit the ground less hard", "lower", "peak_foot_force_n", Expected::Lower, &all),
+        ];
+        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        parameters(self)
+    }
+}

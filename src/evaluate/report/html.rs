@@ -1,0 +1,201 @@
+//! The page: self-contained, without scripts, for screen and print.
+
+use std::fmt::Write as _;
+
+use super::markdown::{cells, claim_cells, claim_columns, columns};
+use super::{Report, Section, duration};
+use crate::evaluate::findings::{Claim, Table};
+use crate::evaluate::plot::svg::escaped;
+use crate::evaluate::statistics::Verdict;
+
+const STYLE: &str = include_str!("style.css");
+
+/// The whole page.
+pub fn page(report: &Report) -> String {
+    let title = format!("{} against {} under disturbance", report.names[0], report.names[1]);
+    let mut body = String::new();
+    // Writing into a String cannot fail.
+    let _ = write!(body, "<h1>{}</h1>\n{}", escaped(&title), introduction(report));
+    body.push_str(&claims(report));
+    body.push_str(&policies(report));
+    for section in &report.sections {
+        body.push_str(&experiment(section, report));
+    }
+    if !report.missing.is_empty() {
+        let lines = report.missing.iter().map(|info| {
+            format!("<li>{} {} ({}): <code>evaluate {}</code></li>", info.id, info.title, info.paper, info.name)
+        });
+        let _ = write!(body, "<h2>Not run</h2>\n<ul>{}</ul>\n", lines.collect::<String>());
+    }
+    format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<link rel=\"icon\" href=\"data:,\">\n\
+         <title>{}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n{body}</main>\n</body>\n</html>\n",
+        escaped(&title)
+    )
+}
+
+fn introduction(report: &Report) -> String {
+    let wall_s: f64 = report.sections.iter().map(|section| section.wall_s).sum();
+    let trials: usize = report.sections.iter().flat_map(|section| section.ends).map(|ends| ends.trials).sum();
+    let mut revisions: Vec<&str> =
+        report.sections.iter().flat_map(|section| &section.revisions).map(String::as_str).collect();
+    revisions.sort_unstable();
+    revisions.dedup();
+    let navigation: String = report
+        .sections
+        .iter()
+        .map(|section| {
+            format!("<a href=\"#{}\">{} {}</a> ", section.info.name, section.info.id, escaped(section.info.title))
+        })
+        .collect();
+    let notes: String = report.notes.iter().map(|note| format!("<p class=\"note\">{}</p>\n", escaped(note))).collect();
+    format!(
+        "<nav>{navigation}</nav>\n\
+         <p>Every figure and table of section IV of “Deep Compliant Control for Legged Robots”, measured with {trials} \
+         trials in simulation. Trials are paired: trial <i>k</i> of seed <i>s</i> is the same for both methods. A number \
+         is the mean over the trials of a policy, then mean ± standard deviation over policies of different seeds; \
+         intervals are 95 % bootstrap intervals over pairs of seeds. A verdict is given by the interval alone.</p>\n\
+         {notes}<dl><dt>Command</dt><dd><code>{}</code></dd><dt>Protocol</dt><dd>{}</dd>\
+         <dt>Time for all trials</dt><dd>{}</dd><dt>Measured by revision</dt><dd>{}</dd></dl>\n",
+        escaped(&report.command),
+        escaped(&report.protocol),
+        duration(wall_s),
+        escaped(&revisions.join(", ")),
+    )
+}
+
+fn claims(report: &Report) -> String {
+    let mut rows = String::new();
+    for section in &report.sections {
+        for (index, claim) in section.findings.claims.iter().enumerate() {
+            let id = if index == 0 { section.info.id } else { "" };
+            let _ = writeln!(
+                rows,
+                "<tr><td><a href=\"#{}\">{id}</a></td>{}</tr>",
+                section.info.name,
+                claim_row(claim, report)
+            );
+        }
+    }
+    let head: String =
+        claim_columns(&report.names).iter().map(|column| format!("<th>{}</th>", escaped(column))).collect();
+    format!("<h2 id=\"claims\">What the paper claims</h2>\n<table><tr><th></th>{head}</tr>\n{rows}</table>\n")
+}
+
+fn claim_row(claim: &Claim, report: &Report) -> String {
+    // Intervals on lines of their own.
+    let cells = claim_cells(claim, report.members).map(|cell| escaped(&cell).replace(" [", "<br>["));
+    let [text, paper, a, b, difference, relative, verdict] = cells;
+    let class = match claim.verdict {
+        Verdict::AsThePaper | Verdict::Holds => "yes",
+        Verdict::Opposite | Verdict::Fails => "no",
+        _ => "open",
+    };
+    format!(
+        "<td>{text}</td><td>{paper}</td><td class=\"number\">{a}</td><td class=\"number\">{b}</td>\
+         <td class=\"number\">{difference}</td><td class=\"number\">{relative}</td><td class=\"{class}\">{verdict}</td>"
+    )
+}
+
+fn policies(report: &Report) -> String {
+    let rows: String = report
+        .policies
+        .iter()
+        .map(|policy| {
+            format!(
+                "<tr><td>{}</td><td class=\"number\">{}</td><td>{}</td><td class=\"number\">{:.2} M</td><td>{}</td>\
+                 <td><code>{}</code></td></tr>\n",
+                escaped(&policy.set),
+                policy.seed,
+                escaped(&policy.config),
+                policy.samples as f64 / 1e6,
+                escaped(&policy.revision),
+                escaped(&policy.sha256)
+            )
+        })
+        .collect();
+    format!(
+        "<h2 id=\"policies\">Policies</h2>\n<table><tr><th>set</th><th>seed</th><th>configuration</th><th>samples</th>\
+         <th>trained by</th><th>SHA-256</th></tr>\n{rows}</table>\n"
+    )
+}
+
+fn experiment(section: &Section, report: &Report) -> String {
+    let info = section.info;
+    let mut text = format!(
+        "<section id=\"{}\">\n<h2>{} {} <small>{}</small></h2>\n<p>{}</p>\n",
+        info.name,
+        info.id,
+        escaped(info.title),
+        escaped(info.paper),
+        escaped(info.method)
+    );
+    for note in &section.findings.notes {
+        let _ = writeln!(text, "<p class=\"note\">{}</p>", escaped(note));
+    }
+    for figure in &section.findings.figures {
+        let _ = write!(
+            text,
+            "<figure id=\"figure-{}\">\n{}<figcaption>{}</figcaption>\n</figure>\n",
+            figure.name,
+            figure.svg,
+            escaped(&figure.caption)
+        );
+    }
+    for table in section.findings.tables.iter().filter(|table| table.in_page) {
+        text.push_str(&numbers(table, report));
+    }
+    text.push_str(&provenance(section, report));
+    text.push_str("</section>\n");
+    text
+}
+
+/// A table without the columns that are empty throughout.
+fn numbers(table: &Table, report: &Report) -> String {
+    let rows: Vec<[String; 7]> = table.rows.iter().map(|row| cells(row, report.members)).collect();
+    let used: Vec<usize> = (0..7).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
+    let titles = columns(&report.names);
+    let head: String = used.iter().map(|column| format!("<th>{}</th>", escaped(&titles[*column]))).collect();
+    let mut body = String::new();
+    let mut last_condition = "";
+    for row in &rows {
+        let fresh = row[0] != last_condition;
+        last_condition = &row[0];
+        let cell = |column: &usize| match column {
+            0 => format!("<td>{}</td>", if fresh { escaped(&row[0]) } else { String::new() }),
+            1 => format!("<td>{}</td>", escaped(&row[1])),
+            other => format!("<td class=\"number\">{}</td>", escaped(&row[*other])),
+        };
+        let class = if fresh { " class=\"first\"" } else { "" };
+        let _ = writeln!(body, "<tr{class}>{}</tr>", used.iter().map(cell).collect::<String>());
+    }
+    format!("<table><caption>{}</caption><tr>{head}</tr>\n{body}</table>\n", escaped(&table.caption))
+}
+
+fn provenance(section: &Section, report: &Report) -> String {
+    let falls: Vec<String> = report
+        .names
+        .iter()
+        .zip(section.ends)
+        .map(|(name, ends)| format!("{}: {} of {} trials", escaped(name), ends.falls, ends.trials))
+        .collect();
+    let parameters: String = section
+        .parameters
+        .as_object()
+        .into_iter()
+        .flatten()
+        .map(|(key, value)| format!("<dt>{}</dt><dd>{}</dd>", escaped(key), escaped(&value.to_string())))
+        .collect();
+    format!(
+        "<details><summary>How it was run</summary><dl>\
+         <dt>conditions × trials × policies</dt><dd>{} × {} × {}</dd><dt>falls</dt><dd>{}</dd>{parameters}\
+         <dt>time for all trials</dt><dd>{}</dd><dt>command</dt><dd><code>evaluate {}</code></dd></dl></details>\n",
+        section.conditions,
+        section.trials,
+        report.policies.len(),
+        falls.join("; "),
+        duration(section.wall_s),
+        section.info.name,
+    )
+}

@@ -1,0 +1,153 @@
+//! Tables as Markdown, and the document of all claims.
+
+use super::Report;
+use crate::evaluate::findings::{Claim, Row, Table, estimate, percent, spread};
+
+/// Cells of a row: condition, quantity, the paper's numbers, ours.
+pub fn cells(row: &Row, members: [usize; 2]) -> [String; 7] {
+    let c = &row.comparison;
+    [
+        row.condition.clone(),
+        row.quantity.axis(),
+        row.paper.clone(),
+        spread(c.a_spread, row.quantity, members[0]),
+        spread(c.b_spread, row.quantity, members[1]),
+        estimate(c.difference, row.quantity),
+        if row.quantity.unit == "%" { String::new() } else { percent(c.relative) },
+    ]
+}
+
+/// Titles of these columns.
+pub fn columns(names: &[String; 2]) -> [String; 7] {
+    let paper = "paper (compliant / baseline)".to_owned();
+    let fixed = ["condition", "quantity"].map(ToOwned::to_owned);
+    let [condition, quantity] = fixed;
+    let (a, b) = (names[0].clone(), names[1].clone());
+    [condition, quantity, paper, a, b, "difference [95 % interval]".into(), "relative [%]".into()]
+}
+
+/// Cells of a claim: what the paper says, its numbers, ours, the verdict.
+pub fn claim_cells(claim: &Claim, members: [usize; 2]) -> [String; 7] {
+    let c = &claim.comparison;
+    let unit = claim.quantity.unit;
+    let with_unit = |cell: String| if unit.is_empty() || cell == "–" { cell } else { format!("{cell} {unit}") };
+    let relative = if claim.quantity.unit == "%" { String::new() } else { percent_cell(claim) };
+    [
+        claim.text.clone(),
+        claim.paper.clone(),
+        with_unit(spread(c.a_spread, claim.quantity, members[0])),
+        with_unit(spread(c.b_spread, claim.quantity, members[1])),
+        // The difference of two shares is not a share.
+        with_unit(estimate(c.difference, claim.quantity)).replace(" %", " points"),
+        relative,
+        claim.verdict.text().to_owned(),
+    ]
+}
+
+fn percent_cell(claim: &Claim) -> String {
+    claim.comparison.relative.map_or("–".into(), |relative| format!("{} %", percent(Some(relative))))
+}
+
+/// Titles of these columns.
+pub fn claim_columns(names: &[String; 2]) -> [String; 7] {
+    [
+        "the paper's claim".into(),
+        "its numbers (compliant / baseline)".into(),
+        names[0].clone(),
+        names[1].clone(),
+        "difference [95 % interval]".into(),
+        "relative [95 % interval]".into(),
+        "verdict".into(),
+    ]
+}
+
+/// A table with its caption.
+pub fn table(table: &Table, names: &[String; 2], members: [usize; 2]) -> String {
+    let rows = table.rows.iter().map(|row| cells(row, members).to_vec());
+    format!("{}\n\n{}", table.caption, grid(&columns(names), rows))
+}
+
+/// The claims of all experiments.
+pub fn claims(report: &Report) -> String {
+    let rows = report.sections.iter().flat_map(|section| {
+        section.findings.claims.iter().map(|claim| {
+            let mut cells = claim_cells(claim, report.members).to_vec();
+            cells.insert(0, format!("{} {}", section.info.id, section.info.paper));
+            cells
+        })
+    });
+    let mut columns = claim_columns(&report.names).to_vec();
+    columns.insert(0, "experiment".into());
+    grid(&columns, rows)
+}
+
+/// `docs/results.md`.
+pub fn document(report: &Report) -> String {
+    let [a, b] = &report.names;
+    let mut text = format!(
+        "# The paper's claims and our numbers\n\n\
+         Made by `{}`; not edited by hand. [experiments.md](experiments.md) defines every number. A cell is the mean ± \
+         standard deviation over the seeds of {a} and {b}; intervals are 95 % bootstrap intervals over pairs of seeds. \
+         Protocol: {}.\n\n{}\n",
+        report.command,
+        report.protocol,
+        claims(report)
+    );
+    for section in &report.sections {
+        for note in &section.findings.notes {
+            text.push_str(&format!("- {}: {note}\n", section.info.id));
+        }
+    }
+    for note in &report.notes {
+        text.push_str(&format!("- {note}\n"));
+    }
+    if !report.missing.is_empty() {
+        let names: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
+        text.push_str(&format!("- not run: {}\n", names.join(", ")));
+    }
+    text.push_str("\n## Policies\n\n");
+    let rows = report.policies.iter().map(|policy| {
+        vec![
+            policy.set.clone(),
+            policy.seed.to_string(),
+            policy.config.clone(),
+            format!("{:.1} M", policy.samples as f64 / 1e6),
+            format!("`{}`", &policy.sha256[..16.min(policy.sha256.len())]),
+        ]
+    });
+    let columns = ["set", "seed", "configuration", "samples", "sha256"].map(ToOwned::to_owned);
+    text.push_str(&grid(&columns, rows));
+    text.push_str("\n## Trials\n\n");
+    let rows = report.sections.iter().map(|section| {
+        let [a, b] = section.ends;
+        vec![
+            format!("{} {}", section.info.id, section.info.title),
+            section.conditions.to_string(),
+            section.trials.to_string(),
+            format!("{} of {}", a.falls, a.trials),
+            format!("{} of {}", b.falls, b.trials),
+        ]
+    });
+    let columns = [
+        "experiment".to_owned(),
+        "conditions".to_owned(),
+        "trials of each with each policy".to_owned(),
+        format!("falls, {a}"),
+        format!("falls, {b}"),
+    ];
+    text.push_str(&grid(&columns, rows));
+    text
+}
+
+/// A Markdown table. Columns that are empty throughout are left out.
+fn grid(columns: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
+    let rows: Vec<Vec<String>> = rows.collect();
+    let used: Vec<usize> =
+        (0..columns.len()).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
+    let line = |cells: &[String]| {
+        let cells: Vec<String> = used.iter().map(|column| cells[*column].replace('|', "\\|")).collect();
+        format!("| {} |\n", cells.join(" | "))
+    };
+    let ruler = format!("|{}\n", "---|".repeat(used.len()));
+    format!("{}{ruler}{}", line(columns), rows.iter().map(|row| line(row)).collect::<String>())
+}

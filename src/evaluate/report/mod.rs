@@ -1,0 +1,215 @@
+/*! The report: one page that opens offline, every figure and table as files, and every number as JSON.
+
+`summary.json` holds nothing that differs between two runs of the same evaluation: no times, no paths, maps in order,
+numbers to six digits. Durations and the command stand in the page only.
+*/
+
+mod html;
+mod markdown;
+mod summary;
+mod tables;
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::contestants::Contest;
+use super::findings::Findings;
+use super::plot::png::{PngError, Renderer};
+use super::results::Ends;
+use super::runner::Measurement;
+use super::{Experiment, Info};
+use crate::files;
+
+/// Why the report was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// Writing failed.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// A figure could not be rendered.
+    #[error("figure {name}: {source}")]
+    Figure {
+        /// Its name.
+        name: String,
+        /// Why.
+        source: PngError,
+    },
+}
+
+/// A policy as the report names it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PolicyLine {
+    /// Name of its set.
+    pub set: String,
+    /// Seed of its training.
+    pub seed: u64,
+    /// Identity.
+    pub sha256: String,
+    /// Name of its configuration.
+    pub config: String,
+    /// Samples it has seen.
+    pub samples: u64,
+    /// Revision of the program that trained it.
+    pub revision: String,
+}
+
+/// One experiment in the report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Section {
+    /// What it is.
+    pub info: Info,
+    /// Its numbers in the protocol.
+    pub parameters: serde_json::Value,
+    /// Number of conditions.
+    pub conditions: usize,
+    /// Trials of each condition with each policy.
+    pub trials: u32,
+    /// How the trials of both sets ended.
+    pub ends: [Ends; 2],
+    /// What it shows.
+    pub findings: Findings,
+    /// Time that its trials took \[s\].
+    pub wall_s: f64,
+    /// Revisions of the programs that measured.
+    pub revisions: Vec<String>,
+    /// All conditions and quantities, for `summary.json`.
+    numbers: serde_json::Value,
+}
+
+impl Section {
+    /// From an experiment's measurement.
+    pub fn new(experiment: &dyn Experiment, measurement: &Measurement) -> Self {
+        let results = &measurement.results;
+        let mut findings = experiment.findings(results);
+        let ends = [results.ends(0), results.ends(1)];
+        for (name, ends) in results.names.iter().zip(ends) {
+            if ends.trials > 0 && ends.falls == ends.trials {
+                findings
+                    .notes
+                    .push(format!("{name} fell in every trial: quantities that a fall leaves undefined are –."));
+            }
+            if ends.faults > 0 {
+                findings.notes.push(format!(
+                    "The physics failed in {} of {} trials of {name}; they count as no success and have no other numbers.",
+                    ends.faults, ends.trials
+                ));
+            }
+        }
+        Section {
+            info: experiment.info(),
+            parameters: experiment.parameters(),
+            conditions: results.conditions.len(),
+            trials: experiment.trials(),
+            ends,
+            findings,
+            wall_s: measurement.wall_s,
+            revisions: measurement.revisions.clone(),
+            numbers: summary::numbers(results),
+        }
+    }
+}
+
+/// The whole report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Report {
+    /// Names of both sets.
+    pub names: [String; 2],
+    /// Policies of each set.
+    pub members: [usize; 2],
+    /// All policies.
+    pub policies: Vec<PolicyLine>,
+    /// `full`, `quick` or a file.
+    pub protocol: String,
+    /// What makes this report.
+    pub command: String,
+    /// What a reader has to know about the policies.
+    pub notes: Vec<String>,
+    /// Finished experiments, in order.
+    pub sections: Vec<Section>,
+    /// Experiments that are not finished.
+    pub missing: Vec<Info>,
+}
+
+impl Report {
+    /// A report of two sets without experiments yet.
+    pub fn new(contest: &Contest, protocol: String, command: String) -> Self {
+        let line = |set: &str, member: &super::contestants::Contestant| PolicyLine {
+            set: set.to_owned(),
+            seed: member.seed,
+            sha256: member.sha256.clone(),
+            config: member.policy.provenance.config_name.clone(),
+            samples: member.policy.provenance.samples,
+            revision: member.policy.provenance.git_revision.clone(),
+        };
+        let of_side = |side: &super::contestants::Side| {
+            side.members.iter().map(|member| line(&side.name, member)).collect::<Vec<_>>()
+        };
+        Report {
+            names: contest.names(),
+            members: [0, 1].map(|side| contest.sides[side].members.len()),
+            policies: contest.sides.iter().flat_map(of_side).collect(),
+            protocol,
+            command,
+            notes: contest.notes.clone(),
+            sections: Vec::new(),
+            missing: Vec::new(),
+        }
+    }
+
+    /// Writes everything into a folder.
+    ///
+    /// # Errors
+    /// [`ReportError`]
+    pub fn write(&self, out: &Path) -> Result<(), ReportError> {
+        let (figures, tables) = (out.join("figures"), out.join("tables"));
+        for folder in [&figures, &tables] {
+            fs::create_dir_all(folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+        }
+        let renderer = Renderer::default();
+        for section in &self.sections {
+            for figure in &section.findings.figures {
+                write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
+                let png = renderer
+                    .png(&figure.svg)
+                    .map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
+                write(&figures.join(format!("{}.png", figure.name)), &png)?;
+            }
+            for table in &section.findings.tables {
+                write(&tables.join(format!("{}.csv", table.name)), tables::csv(table, &self.names).as_bytes())?;
+                let text = markdown::table(table, &self.names, self.members);
+                write(&tables.join(format!("{}.md", table.name)), text.as_bytes())?;
+            }
+        }
+        write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
+        write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
+        write(&out.join("summary.json"), summary::json(self).as_bytes())?;
+        write(&out.join("report.html"), html::page(self).as_bytes())
+    }
+
+    /// Writes the table of claims as a document of its own.
+    ///
+    /// # Errors
+    /// [`ReportError`]
+    pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
+        write(path, markdown::document(self).as_bytes())
+    }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+    files::write_atomically(path, bytes).map_err(|source| ReportError::Write { path: path.to_owned(), source })
+}
+
+/// A duration for people.
+fn duration(seconds: f64) -> String {
+    match seconds.round() as u64 {
+        seconds @ 0..60 => format!("{seconds} s"),
+        seconds @ 60..3600 => format!("{} min {} s", seconds / 60, seconds % 60),
+        seconds => format!("{} h {} min", seconds / 3600, seconds / 60 % 60),
+    }
+}

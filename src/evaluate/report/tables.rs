@@ -1,0 +1,65 @@
+//! Tables as CSV: bare numbers, one line for each condition and quantity.
+
+use super::Report;
+use crate::evaluate::findings::Table;
+use crate::evaluate::statistics::{Comparison, Estimate};
+
+/// A table.
+pub fn csv(table: &Table, names: &[String; 2]) -> String {
+    let mut text = format!("condition,quantity,unit,paper,{}\n", header(names));
+    for row in &table.rows {
+        let cells = [&row.condition, row.quantity.name, row.quantity.unit, &row.paper].map(quoted);
+        text.push_str(&format!("{},{}\n", cells.join(","), numbers(&row.comparison)));
+    }
+    text
+}
+
+/// The claims of all experiments.
+pub fn claims_csv(report: &Report) -> String {
+    let mut text = format!("experiment,claim,paper,quantity,unit,{},verdict\n", header(&report.names));
+    for section in &report.sections {
+        for claim in &section.findings.claims {
+            let quantity = claim.quantity;
+            let cells = [section.info.id, &claim.text, &claim.paper, quantity.name, quantity.unit].map(quoted);
+            let numbers = numbers(&claim.comparison);
+            text.push_str(&format!("{},{numbers},{}\n", cells.join(","), quoted(claim.verdict.text())));
+        }
+    }
+    text
+}
+
+fn header(names: &[String; 2]) -> String {
+    let of = |name: &String| {
+        let name = name.replace([',', '"'], "_");
+        format!("{name}_mean,{name}_sd,{name}_seeds")
+    };
+    format!(
+        "{},{},difference,difference_low,difference_high,relative,relative_low,relative_high",
+        of(&names[0]),
+        of(&names[1])
+    )
+}
+
+/// Shares are 0 to 1 here, whatever their unit in the report.
+fn numbers(comparison: &Comparison) -> String {
+    let mut cells = Vec::new();
+    for spread in [comparison.a_spread, comparison.b_spread] {
+        cells.push(cell(spread.map(|spread| spread.mean)));
+        cells.push(cell(spread.and_then(|spread| spread.sd)));
+        cells.push(spread.map_or(0, |spread| spread.seeds).to_string());
+    }
+    for estimate in [comparison.difference, comparison.relative] {
+        let end =
+            |index: usize| estimate.and_then(|Estimate { interval, .. }| interval).map(|interval| interval[index]);
+        cells.extend([cell(estimate.map(|estimate| estimate.value)), cell(end(0)), cell(end(1))]);
+    }
+    cells.join(",")
+}
+
+fn cell(value: Option<f64>) -> String {
+    value.map_or(String::new(), |value| format!("{value:.6}"))
+}
+
+fn quoted(text: &str) -> String {
+    if text.contains([',', '"', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
+}

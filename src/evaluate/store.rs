@@ -1,0 +1,118 @@
+/*! Finished measurements on disk, so that none is made twice.
+
+A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
+policy, its seed, the experiment's parameters and scenarios, the versions of MuJoCo and of this format. A new policy or a
+changed experiment therefore measures only what is new.
+*/
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::contestants::Contestant;
+use super::results::PolicyResult;
+use super::{Condition, Experiment};
+use crate::files;
+use crate::provenance::{GIT_REVISION, MUJOCO_VERSION};
+
+/// To be counted up whenever the same experiment would give other numbers.
+const FORMAT: u32 = 1;
+
+/// Larger files are not ours.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// A finished measurement.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stored {
+    /// Full hash of what decides the content.
+    pub key: String,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Policy.
+    pub sha256: String,
+    /// Its seed.
+    pub seed: u64,
+    /// Revision of the program that measured.
+    pub revision: String,
+    /// How long it took \[s\].
+    pub wall_s: f64,
+    /// Hash of the samples.
+    pub checksum: String,
+    /// Shape (conditions, trials).
+    pub samples: PolicyResult,
+}
+
+/// The folder of finished measurements.
+#[derive(Debug, Clone)]
+pub struct Store {
+    folder: PathBuf,
+}
+
+impl Store {
+    /// Results below `out`.
+    pub fn new(out: &Path) -> Self {
+        Store { folder: out.join("results") }
+    }
+
+    /// Where a measurement is or will be.
+    fn path(&self, experiment: &dyn Experiment, key: &str) -> PathBuf {
+        self.folder.join(experiment.info().name).join(format!("{}.json", &key[..16]))
+    }
+
+    /// A finished measurement, if it is there and whole.
+    pub fn read(&self, experiment: &dyn Experiment, key: &str) -> Option<Stored> {
+        let bytes = files::read_bounded(&self.path(experiment, key), MAX_BYTES).ok()?;
+        let stored: Stored = serde_json::from_slice(&bytes).ok()?;
+        (stored.key == key && stored.checksum == checksum(&stored.samples)).then_some(stored)
+    }
+
+    /// Keeps a finished measurement.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn write(
+        &self,
+        experiment: &dyn Experiment,
+        key: &str,
+        contestant: &Contestant,
+        wall_s: f64,
+        samples: PolicyResult,
+    ) -> std::io::Result<Stored> {
+        let stored = Stored {
+            key: key.to_owned(),
+            experiment: experiment.info().name.to_owned(),
+            sha256: contestant.sha256.clone(),
+            seed: contestant.seed,
+            revision: GIT_REVISION.to_owned(),
+            wall_s,
+            checksum: checksum(&samples),
+            samples,
+        };
+        let path = self.path(experiment, key);
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        files::write_atomically(&path, &serde_json::to_vec(&stored)?)?;
+        Ok(stored)
+    }
+}
+
+fn checksum(samples: &PolicyResult) -> String {
+    // Plain structs of numbers: serialising them cannot fail.
+    files::sha256(&[&serde_json::to_vec(samples).unwrap_or_default()])
+}
+
+/// Hash of everything that decides what an experiment measures with a policy.
+pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant) -> String {
+    let parts = serde_json::json!({
+        "format": FORMAT,
+        "mujoco": MUJOCO_VERSION,
+        "experiment": experiment.info().name,
+        "parameters": experiment.parameters(),
+        "trials": experiment.trials(),
+        "conditions": conditions,
+        "policy": contestant.sha256,
+        "seed": contestant.seed,
+    });
+    files::sha256(&[parts.to_string().as_bytes()])
+}

@@ -1,0 +1,258 @@
+//! The `evaluate` program as a user runs it, on policies that stand still or fall.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use supple::go1::same_in_every_leg;
+use supple::policy::Policy;
+
+use crate::support::{complaint, run, standing_policy};
+
+/// As little of everything as there can be.
+const TINY: &str = "
+walk: {commands: [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]}
+push_grid: {points_per_side: 3, trials: 2}
+decay: {trials: 2}
+table4: {trials: 2}
+directions: {directions: 3, trials: 1}
+leash: {directions: 3, trials: 1}
+box: {trials: 2}
+ball_pit: {trials: 1}
+terrain: {heights_m: [0.05], frequencies_per_m: [0.5], trials: 1}
+";
+
+/// Everything but the ball pit, which takes seconds even when nothing moves.
+const CHEAP: [&str; 8] = ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "terrain"];
+
+/// Figures of all experiments.
+const FIGURES: [&str; 10] =
+    ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "box-forces", "ball-pit", "terrain"];
+
+/// A policy that folds its legs and lies down at once.
+fn falling_policy() -> Policy {
+    let mut policy = standing_policy();
+    policy.nominal_pose = same_in_every_leg([0.0, 1.5, -2.7]);
+    policy
+}
+
+/// A folder with the tiny protocol and policies by file name.
+fn folder_with(policies: &[(&str, Policy)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tiny.yaml"), TINY).unwrap();
+    std::fs::create_dir(folder.path().join("policies")).unwrap();
+    for (name, policy) in policies {
+        policy.save(&folder.path().join("policies").join(name)).unwrap();
+    }
+    folder
+}
+
+fn evaluate(folder: &Path, arguments: &[&str]) -> Output {
+    run("evaluate", folder, &[&["--protocol", "tiny.yaml"], arguments].concat())
+}
+
+fn summary(folder: &Path, out: &str) -> Value {
+    serde_json::from_slice(&std::fs::read(folder.join(out).join("summary.json")).unwrap()).unwrap()
+}
+
+fn experiment<'a>(summary: &'a Value, name: &str) -> &'a Value {
+    summary["experiments"].as_array().unwrap().iter().find(|experiment| experiment["name"] == name).unwrap()
+}
+
+/// Every kept measurement with the time it was written.
+fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
+    let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<(PathBuf, std::time::SystemTime)> = entries(&out.join("results"))
+        .flat_map(|folder| entries(&folder).collect::<Vec<_>>())
+        .map(|file| (file.clone(), std::fs::metadata(&file).unwrap().modified().unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn two_evaluations_give_the_same_summary_and_a_third_runs_nothing_again() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("compliant-seed1.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", standing_policy()),
+        ("baseline-seed1.safetensors", falling_policy()),
+    ]);
+    let folder = folder.path();
+    for (out, threads) in [("one", "1"), ("two", "2")] {
+        let output = evaluate(folder, &[&CHEAP[..], &["--out", out, "--threads", threads]].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+    }
+    let bytes = |out: &str| std::fs::read(folder.join(out).join("summary.json")).unwrap();
+    assert!(bytes("one") == bytes("two"), "the summaries differ");
+
+    let summary = summary(folder, "one");
+    assert_eq!(summary["not_run"], serde_json::json!(["ball-pit"]));
+    // Seed 0 is the same policy twice: paired trials differ in nothing.
+    let decay = &experiment(&summary, "decay")["numbers"][0]["quantities"]["decay_10_s"];
+    assert!(decay["compliant"]["by_seed"]["0"].is_number());
+    assert_eq!(decay["compliant"]["by_seed"]["0"], decay["baseline"]["by_seed"]["0"]);
+    assert_eq!(decay["baseline"]["by_seed"]["1"], Value::Null, "a fall has no decay time");
+    assert_eq!(experiment(&summary, "decay")["trials"]["baseline"]["falls"], 2);
+
+    // Finished measurements stay, also when others are added; `--again` makes them anew.
+    let out = folder.join("one");
+    let before = kept(&out);
+    // Seed 0 of both sets is one and the same policy: it is measured once.
+    assert_eq!(before.len(), CHEAP.len() * 3);
+    let first = bytes("one");
+    let output = evaluate(folder, &[&CHEAP[..], &["--out", "one"]].concat());
+    assert!(output.status.success() && kept(&out) == before && bytes("one") == first);
+    let output = evaluate(folder, &["walk", "--out", "one", "--again"]);
+    assert!(output.status.success() && bytes("one") == first);
+    assert_eq!(kept(&out).iter().zip(&before).filter(|(a, b)| a != b).count(), 3);
+
+    // A measurement that was cut off is made again.
+    let (damaged, _) = &before[0];
+    let whole = std::fs::read(damaged).unwrap();
+    std::fs::write(damaged, &whole[..whole.len() / 2]).unwrap();
+    let output = evaluate(folder, &[&CHEAP[..], &["--out", "one"]].concat());
+    assert!(output.status.success() && bytes("one") == first);
+}
+
+#[test]
+fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browsers_open() {
+    let folder = folder_with(&[("standing.safetensors", standing_policy()), ("falling.safetensors", falling_policy())]);
+    let folder = folder.path();
+    let sets = ["--a", "policies/standing.safetensors", "--b", "policies/falling.safetensors"];
+    let rest = ["--names", "standing,falling", "--out", "report", "--results", "results.md"];
+    let output = evaluate(folder, &[&sets[..], &rest].concat());
+    assert!(output.status.success(), "{}", complaint(&output));
+
+    let summary = summary(folder, "report");
+    let notes = |name: &str| experiment(&summary, name)["notes"].to_string();
+    assert!(notes("walk").contains("standing, seed 0, does not walk at its command: its velocity error is 0.50 m/s"));
+    assert!(notes("walk").contains("falling, seed 0, falls without any disturbance"), "{}", notes("walk"));
+    assert!(notes("box").contains("falling fell in every trial"));
+    let quantity = |name: &str, quantity: &str, set: &str| {
+        experiment(&summary, name)["numbers"][0]["quantities"][quantity][set]["mean"].clone()
+    };
+    assert_eq!(quantity("ball-pit", "stuck", "standing"), 1.0);
+    assert_eq!(quantity("ball-pit", "fell", "falling"), 1.0);
+    assert_eq!(quantity("box", "box_displacement_m", "falling"), Value::Null);
+    let claims = experiment(&summary, "decay")["claims"].to_string();
+    assert!(claims.contains("\"verdict\":\"undefined\""), "{claims}");
+
+    let report = folder.join("report");
+    for figure in FIGURES {
+        let svg = std::fs::read_to_string(report.join(format!("figures/{figure}.svg"))).unwrap();
+        assert!(svg.starts_with("<svg") && !svg.contains("NaN"), "{figure}");
+        let png = std::fs::read(report.join(format!("figures/{figure}.png"))).unwrap();
+        assert!(png.starts_with(b"\x89PNG") && png.len() > 5000, "{figure}");
+    }
+    for table in ["claims", "walk", "push-grid-points", "table4", "leash-all", "terrain"] {
+        assert!(
+            report.join(format!("tables/{table}.csv")).exists() && report.join(format!("tables/{table}.md")).exists()
+        );
+    }
+    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    assert!(document.contains("--results results.md") && document.contains("| E1 Fig. 2 |"), "{document}");
+    check_page(&report.join("report.html"));
+}
+
+/// Opens the page in headless Chromium: every figure is there, nothing is fetched, the console is silent.
+fn check_page(page: &Path) {
+    let text = std::fs::read_to_string(page).unwrap();
+    assert!(
+        !text.replace("http://www.w3.org/2000/svg", "").contains("http"),
+        "the page refers to something outside it"
+    );
+    let Some((dom, _)) = browse(page) else {
+        eprintln!("SKIPPED: the page was not opened, for there is no /usr/bin/chromium (Debian package chromium)");
+        return;
+    };
+    for figure in FIGURES {
+        assert!(dom.contains(&format!("<figure id=\"figure-{figure}\">\n<svg")), "{figure} is not in the page");
+    }
+    // The same with something that complains: the check would see it.
+    let broken = page.with_file_name("broken.html");
+    std::fs::write(&broken, text.replace("</body>", "<script>nowhere();</script></body>")).unwrap();
+    let (_, console) = browse(&broken).unwrap();
+    assert!(console.contains("nowhere is not defined"), "{console}");
+    let (_, console) = browse(page).unwrap();
+    assert!(!console.contains("CONSOLE"), "{console}");
+}
+
+/// The document as Chromium understands it, and its log; none if there is no Chromium.
+fn browse(page: &Path) -> Option<(String, String)> {
+    let chromium = Path::new("/usr/bin/chromium");
+    if !chromium.exists() {
+        return None;
+    }
+    let profile = tempfile::tempdir().unwrap();
+    let output = Command::new(chromium)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
+        .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
+        .args(["--enable-logging=stderr", "--dump-dom"])
+        .arg(format!("--user-data-dir={}", profile.path().display()))
+        .arg(format!("file://{}", page.display()))
+        .output()
+        .unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    Some((text(&output.stdout), text(&output.stderr)))
+}
+
+#[test]
+fn a_missing_seed_is_told_and_left_out_of_differences_only() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("compliant-seed3.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", standing_policy()),
+        ("other.safetensors", standing_policy()),
+    ]);
+    let output = evaluate(folder.path(), &["walk", "--out", "report"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    assert!(complaint(&output).contains("baseline has no policy of seed 3"), "{}", complaint(&output));
+    let summary = summary(folder.path(), "report");
+    let notes = summary["notes"].to_string();
+    assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
+    let power = &experiment(&summary, "walk")["numbers"][0]["quantities"]["power_w"];
+    assert_eq!(power["compliant"]["by_seed"].as_object().unwrap().len(), 2);
+    assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null}));
+    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    assert!(page.contains("no policy of seed 3"));
+}
+
+#[test]
+fn evaluate_refuses_what_it_cannot_compare_with_exit_code_2() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", standing_policy()),
+    ]);
+    let folder = folder.path();
+    for name in ["empty", "lone", "nan", "twice"] {
+        std::fs::create_dir(folder.join(name)).unwrap();
+    }
+    standing_policy().save(&folder.join("lone/compliant-seed0.safetensors")).unwrap();
+    let mut poisoned = standing_policy();
+    poisoned.actor.layers[0].weight[0] = f32::NAN;
+    std::fs::write(folder.join("nan/compliant-seed0.safetensors"), poisoned.to_bytes().unwrap()).unwrap();
+    standing_policy().save(&folder.join("nan/baseline-seed0.safetensors")).unwrap();
+    standing_policy().save(&folder.join("twice/a-seed1.safetensors")).unwrap();
+    standing_policy().save(&folder.join("twice/b-seed1.safetensors")).unwrap();
+    std::fs::write(folder.join("odd.yaml"), "box: {trials: 0}\n").unwrap();
+    let cases: [(&[&str], &str); 9] = [
+        (&["--policies", "nowhere"], "cannot read the policies in nowhere"),
+        (&["--policies", "empty"], "empty has no policy compliant-seedN.safetensors"),
+        (&["--policies", "lone"], "lone has no policy baseline-seedN.safetensors"),
+        (&["--policies", "nan"], "nan/compliant-seed0.safetensors"),
+        (&["--a", "twice", "--b", "lone"], "are both seed 1 of compliant"),
+        (&["--a", "empty", "--b", "lone"], "empty has no policy *.safetensors"),
+        (&["--names", "one"], "--names gives 1 names, expected two: A,B"),
+        (&["--protocol", "odd.yaml"], "protocol key box.trials is 0, expected 1 to 10000"),
+        (&["--protocol", "nowhere.yaml"], "cannot read protocol nowhere.yaml"),
+    ];
+    for (arguments, expected) in cases {
+        let output = run("evaluate", folder, &[arguments, &["--out", "x"]].concat());
+        let complaint = complaint(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
+        assert_eq!(complaint.lines().count(), 1, "{complaint}");
+        assert!(!folder.join("x").exists(), "{arguments:?} left a folder");
+    }
+}
