@@ -1,5 +1,5 @@
 /* Prints the golden numbers of the kinematics and accelerometer tests: MuJoCo 2.2.2 on models/go1.xml, in the air.
-   cc golden.c -o golden -lmujoco -lm && ./golden ../../models/go1.xml */
+   cd src/estimate && cc golden.c -o /tmp/golden -lmujoco -lm && /tmp/golden ../../models/go1.xml */
 #include <mujoco/mujoco.h>
 #include <stdio.h>
 #include <stdlib.h>

@@ -48,8 +48,11 @@ pub struct FilterNoise {
     pub swing_walk_m_sqrt_s: f64,
     /// A foot's position from the joints, per axis.
     pub foot_position_m: f64,
-    /// The site's velocity from a foot in contact, per axis.
+    /// The site's horizontal velocity from a foot in contact, per axis.
     pub foot_velocity_m_s: f64,
+    /// The site's vertical velocity from a foot in contact: larger, since rubber and ground give way at touchdown and
+    /// come back through all of the stance.
+    pub foot_sinking_m_s: f64,
     /// Height of the ground under a foot in contact.
     pub foot_height_m: f64,
     /// Misfit of a foot's velocity from which on its trust falls, in standard deviations.
@@ -66,9 +69,17 @@ impl Default for FilterNoise {
             swing_walk_m_sqrt_s: 10.0,
             foot_position_m: 0.02,
             foot_velocity_m_s: 0.1,
+            foot_sinking_m_s: 0.3,
             foot_height_m: 0.02,
-            misfit_limit: 3.0,
+            misfit_limit: 2.0,
         }
+    }
+}
+
+impl FilterNoise {
+    /// Standard deviation of a foot's velocity along x, y or z [m/s].
+    fn velocity_sd(&self, axis: usize) -> f64 {
+        if axis == 2 { self.foot_sinking_m_s } else { self.foot_velocity_m_s }
     }
 }
 
@@ -215,7 +226,7 @@ impl KalmanFilter {
                 row(0, Some(FEET + leg), -foot.offset[axis], noise.foot_position_m);
                 let trust = fit.trust[leg];
                 if trust > 0.0 {
-                    row(1, None, foot.site_velocity()[axis], noise.foot_velocity_m_s / trust);
+                    row(1, None, foot.site_velocity()[axis], noise.velocity_sd(axis) / trust);
                     if axis == 2 {
                         row(FEET + leg, None, ground[leg] + FOOT_RADIUS_M, noise.foot_height_m / trust);
                     }
@@ -226,24 +237,23 @@ impl KalmanFilter {
 
     /// Trust in each foot's contact: one if its velocity fits the prediction, or another foot's.
     fn trust(&self, feet: &[FootMeasurement; 4], contacts: [bool; 4]) -> [f64; 4] {
-        let variance = self.noise.foot_velocity_m_s.powi(2);
+        let variances = [0, 1, 2].map(|axis| self.noise.velocity_sd(axis).powi(2));
         let velocities = feet.map(|foot| foot.site_velocity());
         let predicted = self.velocity();
         std::array::from_fn(|leg| {
             if !contacts[leg] {
                 return 0.0;
             }
-            let to_prediction: f64 = (0..3)
-                .map(|axis| {
-                    let innovation = velocities[leg][axis] - predicted[axis];
-                    innovation * innovation / (self.axes[axis].covariance[(1, 1)] + variance)
-                })
-                .sum();
+            let misfit = |velocity: &Vector3<f64>, uncertainty: &dyn Fn(usize) -> f64| -> f64 {
+                let difference = velocities[leg] - velocity;
+                (0..3).map(|axis| difference[axis] * difference[axis] / (variances[axis] + uncertainty(axis))).sum()
+            };
+            let to_prediction = misfit(&predicted, &|axis| self.axes[axis].covariance[(1, 1)]);
             let to_another = (0..4)
                 .filter(|other| *other != leg && contacts[*other])
-                .map(|other| (velocities[leg] - velocities[other]).norm_squared() / (2.0 * variance));
-            let misfit = to_another.fold(to_prediction, f64::min).sqrt();
-            (self.noise.misfit_limit / misfit).min(1.0)
+                .map(|other| misfit(&velocities[other], &|axis| variances[axis]));
+            let least = to_another.fold(to_prediction, f64::min).sqrt();
+            (self.noise.misfit_limit / least).min(1.0)
         })
     }
 }

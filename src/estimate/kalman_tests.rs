@@ -87,7 +87,7 @@ impl Textbook {
                 variances[position] = noise.foot_position_m.powi(2);
                 rows[(velocity, 3 + axis)] = 1.0;
                 values[velocity] = feet[leg].site_velocity()[axis];
-                variances[velocity] = noise.foot_velocity_m_s.powi(2) + blind;
+                variances[velocity] = noise.velocity_sd(axis).powi(2) + blind;
             }
             rows[(24 + leg, 6 + 3 * leg + 2)] = 1.0;
             values[24 + leg] = FOOT_RADIUS_M;
@@ -147,7 +147,8 @@ fn innovations_are_as_large_as_the_filter_expects() {
                 feet[leg] += DT_S * roll + noise.stance_walk_m_sqrt_s * root * normal(&mut rng);
                 FootMeasurement {
                     offset: feet[leg] - position + noise.foot_position_m * normal(&mut rng),
-                    velocity: roll - velocity + noise.foot_velocity_m_s * normal(&mut rng),
+                    velocity: roll - velocity
+                        + Vector3::from_fn(|axis, _| noise.velocity_sd(axis) * rng.sample::<f64, _>(StandardNormal)),
                     spin,
                 }
             });

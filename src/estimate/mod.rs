@@ -73,8 +73,8 @@ pub struct EstimatorConfig {
 
 impl Default for EstimatorConfig {
     fn default() -> Self {
-        // 0.15 °/s / 0.2 /s = 0.75°; 0.2 /s · 1 m/s / 9.81 m/s² = 1.2°.
-        EstimatorConfig { orientation_gain_per_s: 0.2, max_silence_s: 0.1, noise: FilterNoise::default() }
+        // 0.15 °/s / 0.5 /s = 0.3°; 0.5 /s · 0.5 m/s / 9.81 m/s² = 1.5°, which fades in 2 s.
+        EstimatorConfig { orientation_gain_per_s: 0.5, max_silence_s: 0.1, noise: FilterNoise::default() }
     }
 }
 

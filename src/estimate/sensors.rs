@@ -14,7 +14,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::kinematics::IMU_IN_BASE;
-use crate::go1::{JOINT_COUNT, Joints};
+use crate::go1::Joints;
 
 /// A reading of the IMU.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -141,14 +141,14 @@ impl Sensors {
         let before = self.filtered_rates.unwrap_or(exact.rates);
         let keep = (-TAU * noise.rate_cutoff_hz * dt_s).exp();
         let rates: Joints = std::array::from_fn(|k| keep * before[k] + (1.0 - keep) * exact.rates[k]);
-        let mut reading = EncoderReading { angles: [0.0; JOINT_COUNT], rates: [0.0; JOINT_COUNT] };
-        for (joint, (exact_angle, filtered_rate)) in exact.angles.iter().zip(rates).enumerate() {
-            let turn = TAU / noise.gear[joint % 3];
-            let angle = exact_angle + noise.angle_rad * rng.sample::<f64, _>(StandardNormal);
-            let rate = filtered_rate + noise.rate_rad_s * rng.sample::<f64, _>(StandardNormal);
-            reading.angles[joint] = quantised(angle, turn / noise.angle_steps_per_turn);
-            reading.rates[joint] = quantised(rate, turn / noise.rate_steps_per_turn_s);
-        }
+        let turn: Joints = std::array::from_fn(|joint| TAU / noise.gear[joint % 3]);
+        let mut read = |exact: &Joints, sd: f64, steps: f64| -> Joints {
+            std::array::from_fn(|k| quantised(exact[k] + sd * rng.sample::<f64, _>(StandardNormal), turn[k] / steps))
+        };
+        let reading = EncoderReading {
+            angles: read(&exact.angles, noise.angle_rad, noise.angle_steps_per_turn),
+            rates: read(&rates, noise.rate_rad_s, noise.rate_steps_per_turn_s),
+        };
         self.filtered_rates = Some(rates);
         reading
     }
@@ -169,6 +169,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
+    use crate::go1::JOINT_COUNT;
 
     const DT_S: f64 = 1.0 / 240.0;
 
