@@ -87,14 +87,15 @@ impl Replay {
         let mut driver = Driver { config, policy, index, scratch: Scratch::default() };
         let mut tape = Tape::default();
         let (mut env_start, mut starts, mut actions) = (env.save(), Vec::new(), Vec::new());
-        let (mut age, mut twin_follows) = (0, false);
+        // Policy steps since the episode began.
+        let mut age = 0;
         for step in 0..warm_up + steps {
             let now = step.checked_sub(warm_up);
             if now == Some(0) {
                 env_start = env.save();
                 tape.torques.clear();
             }
-            if !twin_follows {
+            if age == 0 {
                 twin.restore(&env.sim_mut().save())?;
             }
             if age == recovery_start {
@@ -104,7 +105,7 @@ impl Replay {
                 twin.push(&push)?;
             }
             if let Some(now) = now
-                && (now == 0 || !twin_follows || age == recovery_start)
+                && (now == 0 || age == 0 || age == recovery_start)
             {
                 starts.push((now, Start::of(&twin)?));
             }
@@ -119,10 +120,10 @@ impl Replay {
             if now.is_some() {
                 actions.push(action);
             }
-            (age, twin_follows) = (age + 1, true);
+            age += 1;
             if outcome.end.is_some() {
                 env.reset(COMMAND_SHARE)?;
-                (age, twin_follows) = (0, false);
+                age = 0;
             }
         }
         let end = twin.data().positions().to_vec();
