@@ -6,13 +6,13 @@ use super::{directions, parameters, polar};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::plot;
-use crate::evaluate::protocol::defaults;
+use crate::evaluate::plot::polar::Scales;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::{Expected, Spread};
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
 use crate::scenario::Script;
-use crate::scenario::catalog::{PushAway, Scenario, Task};
+use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
 use crate::scenario::metrics::{STANDING_AVERAGE_S, STRIDE_S, decay_time};
 use crate::trace::Trace;
 
@@ -87,7 +87,7 @@ impl Experiment for Directions {
 
     fn findings(&self, results: &Results) -> Findings {
         let decay = results.quantity("decay_10_s");
-        let (mut claims, mut rows, mut panels) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut claims, mut rows, mut panels, mut notes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for index in 0..self.commands_m_s.len() {
             let (conditions, name) = self.command(index);
             let all: Vec<usize> = conditions.clone().collect();
@@ -103,6 +103,7 @@ impl Experiment for Directions {
                 all.len()
             );
             let comparison = results.compare_over(&all, "decay_10_s");
+            notes.extend(results.left_out(&all, "decay_10_s").map(|note| format!("{name}: {note}")));
             claims.push(Claim::direction(&text, "longer", decay, Expected::Higher, comparison));
             for quantity in QUANTITIES {
                 rows.push(Row {
@@ -119,15 +120,20 @@ impl Experiment for Directions {
         every.in_page = false;
         let caption = "Decay time of a push of 0.5 m/s, mean over all directions.".to_owned();
         let table = Table { name: "directions".into(), caption, rows, in_page: true };
-        let svg =
-            plot::polar::draw("Decay time of a push by direction", &panels, &results.names, "decay time to 10 % [s]");
+        let svg = plot::polar::draw(
+            "Decay time of a push by direction",
+            &panels,
+            &results.names,
+            "decay time to 10 % [s]",
+            Scales::Own,
+        );
         let figure = Figure::new(
             "directions",
             "Decay time of a push of 0.5 m/s by the direction it pushes to: mean and ± standard deviation over seeds. \
-             Trials with a fall have no decay time.",
+             Trials with a fall have no decay time. The two plots differ in scale.",
             svg,
         );
-        Findings { claims, tables: vec![table, every], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table, every], figures: vec![figure], notes }
     }
 
     fn parameters(&self) -> serde_json::Value {

@@ -6,12 +6,12 @@ use super::{directions, parameters, polar};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::plot;
-use crate::evaluate::protocol::defaults;
+use crate::evaluate::plot::polar::Scales;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::{Expected, Spread};
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
-use crate::scenario::catalog::{Leash as Parameters, Scenario, Task};
+use crate::scenario::catalog::{Leash as Parameters, Scenario, Task, defaults};
 use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 
@@ -90,7 +90,7 @@ impl Experiment for Leash {
     fn findings(&self, results: &Results) -> Findings {
         let offset = results.quantity("offset_m_s");
         let count = self.directions as usize;
-        let (mut claims, mut rows, mut panels) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut claims, mut rows, mut panels, mut notes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for (index, force) in self.forces_n.iter().enumerate() {
             let conditions = index * count..(index + 1) * count;
             let all: Vec<usize> = conditions.clone().collect();
@@ -105,6 +105,7 @@ impl Experiment for Leash {
                 all.iter().filter(larger).count(),
             );
             let comparison = results.compare_over(&all, "offset_m_s");
+            notes.extend(results.left_out(&all, "offset_m_s").map(|note| format!("{force} N: {note}")));
             claims.push(Claim::direction(&text, "yields more", offset, Expected::Higher, comparison));
             for quantity in QUANTITIES {
                 rows.push(Row {
@@ -127,6 +128,7 @@ impl Experiment for Leash {
             &panels,
             &results.names,
             "velocity offset along the pull [m/s]",
+            Scales::Shared,
         );
         let figure = Figure::new(
             "leash",
@@ -134,7 +136,7 @@ impl Experiment for Leash {
              ± standard deviation over seeds. Inside the darker circle the robot moves against the pull.",
             svg,
         );
-        Findings { claims, tables: vec![table, every], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table, every], figures: vec![figure], notes }
     }
 
     fn parameters(&self) -> serde_json::Value {

@@ -19,15 +19,23 @@ pub struct Polar {
     pub sets: [Vec<Option<Spread>>; 2],
 }
 
-/// Draws up to two panels on one scale.
-pub fn draw(title: &str, panels: &[Polar], names: &[String; 2], axis: &str) -> String {
+/// Which panels have the same scale. Both sets always have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scales {
+    /// All of them.
+    Shared,
+    /// Each has its own.
+    Own,
+}
+
+/// Draws panels side by side.
+pub fn draw(title: &str, panels: &[Polar], names: &[String; 2], axis: &str, scales: Scales) -> String {
     let mut svg = Svg::new(WIDTH, 410.0);
-    let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
-    // A band may reach below zero only where a mean does.
-    let ends = spreads.flat_map(|spread| [spread.mean, spread.mean + spread.sd.unwrap_or(0.0)]);
-    let (low, high) = ends.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
-    let scale = Scale { low: 1.02 * low, high: if high > low { 1.02 * high } else { 1.0 } };
     for (index, panel) in panels.iter().enumerate() {
+        let scale = match scales {
+            Scales::Shared => Scale::of(panels),
+            Scales::Own => Scale::of(std::slice::from_ref(panel)),
+        };
         let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64 - 6.0, 188.0];
         draw_rings(&mut svg, centre, scale, axis);
         for set in [1, 0] {
@@ -48,6 +56,14 @@ struct Scale {
 }
 
 impl Scale {
+    fn of(panels: &[Polar]) -> Self {
+        let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
+        // A band may reach below zero only where a mean does.
+        let ends = spreads.flat_map(|spread| [spread.mean, spread.mean + spread.sd.unwrap_or(0.0)]);
+        let (low, high) = ends.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+        Scale { low: 1.02 * low, high: if high > low { 1.02 * high } else { 1.0 } }
+    }
+
     fn at(&self, centre: [f64; 2], angle: f64, value: f64) -> [f64; 2] {
         let radius = RADIUS * ((value - self.low) / (self.high - self.low)).clamp(0.0, 1.0);
         [centre[0] + radius * angle.cos(), centre[1] - radius * angle.sin()]
@@ -78,7 +94,7 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
 }
 
 fn ring_values(scale: Scale) -> Vec<f64> {
-    ticks([scale.low, scale.high], 4)
+    ticks([scale.low, scale.high], 5)
 }
 
 /// Values of the rings, over everything else.

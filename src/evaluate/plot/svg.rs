@@ -43,8 +43,13 @@ impl Stroke {
 
     fn attributes(&self) -> String {
         let dash = if self.dash.is_empty() { String::new() } else { format!(r#" stroke-dasharray="{}""#, self.dash) };
+        // Round ends would fill the gaps of a dashed line.
+        let cap = if self.dash.is_empty() { "round" } else { "butt" };
         let opacity = if self.opacity < 1.0 { format!(r#" stroke-opacity="{}""#, self.opacity) } else { String::new() };
-        format!(r#"stroke="{}" stroke-width="{}"{dash}{opacity} stroke-linejoin="round""#, self.colour, self.width)
+        format!(
+            r#"stroke="{}" stroke-width="{}"{dash}{opacity} stroke-linejoin="round" stroke-linecap="{cap}""#,
+            self.colour, self.width
+        )
     }
 }
 

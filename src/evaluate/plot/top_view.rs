@@ -35,13 +35,12 @@ pub fn draw(title: &str, views: [View; 2], box_size_m: f64) -> String {
     let range = |axis: usize| {
         points().map(|point| point[axis]).fold([-0.4_f64, 0.4], |[low, high], v| [low.min(v - 0.1), high.max(v + 0.1)])
     };
-    let (x, mut y) = (range(0), range(1));
-    // Not flatter than can be read, not higher than a page.
-    let (left, width) = (62.0, WIDTH - 62.0 - 14.0);
-    let scale = width / (x[1] - x[0]);
-    let height = (scale * (y[1] - y[0])).clamp(110.0, 330.0);
-    let half = 0.5 * (height / scale - (y[1] - y[0]));
-    y = [y[0] - half, y[1] + half];
+    let (x, y) = (range(0), range(1));
+    // Not higher than a page.
+    let (left, most) = (62.0, [WIDTH - 62.0 - 14.0, 330.0]);
+    let scale = (most[0] / (x[1] - x[0])).min(most[1] / (y[1] - y[0]));
+    let [width, height] = [scale * (x[1] - x[0]), scale * (y[1] - y[0])];
+    let left = left + 0.5 * (most[0] - width);
 
     let mut svg = Svg::new(WIDTH, 2.0 * (height + 34.0) + 52.0);
     for (set, view) in views.iter().enumerate() {

@@ -10,12 +10,36 @@ use crate::evaluate::statistics::Verdict;
 
 const STYLE: &str = include_str!("style.css");
 
+/// Words that all experiments use; `docs/experiments.md` has more of them.
+const WORDS: &[(&str, &str)] = &[
+    (
+        "trial",
+        "one rollout. Its phase, offsets and terrain are drawn from the policy's seed, the experiment, the condition \
+      and the trial's number, never from the policy.",
+    ),
+    ("phase", "a disturbance comes at a time drawn uniformly over one stride (0.4 s)."),
+    ("push", "a velocity offset added to the trunk's velocity in one instant, in the heading frame (forward, left)."),
+    (
+        "fall",
+        "the base is less than 0.2 m above the ground under it, or any part but the feet touches the ground. The trial \
+      ends, and what it leaves undefined is not averaged; falls are counted apart.",
+    ),
+    ("power, torque", "Σ|τ·q̇| and ‖τ‖₂ over the twelve joints, averaged at 240 Hz, τ as applied."),
+    (
+        "verdict",
+        "effect in the paper's direction: the 95 % interval of the difference lies on the paper's side of zero; \
+      opposite: on the other side; no effect: it holds zero.",
+    ),
+];
+
 /// The whole page.
 pub fn page(report: &Report) -> String {
     let title = format!("{} against {} under disturbance", report.names[0], report.names[1]);
     let mut body = String::new();
     // Writing into a String cannot fail.
     let _ = write!(body, "<h1>{}</h1>\n{}", escaped(&title), introduction(report));
+    let words = WORDS.iter().map(|(word, meaning)| format!("<dt>{word}</dt><dd>{}</dd>", escaped(meaning)));
+    let _ = writeln!(body, "<details><summary>Definitions</summary><dl>{}</dl></details>", words.collect::<String>());
     body.push_str(&claims(report));
     body.push_str(&policies(report));
     for section in &report.sections {
@@ -55,7 +79,7 @@ fn introduction(report: &Report) -> String {
          <p>Every figure and table of section IV of “Deep Compliant Control for Legged Robots”, measured with {trials} \
          trials in simulation. Trials are paired: trial <i>k</i> of seed <i>s</i> is the same for both methods. A number \
          is the mean over the trials of a policy, then mean ± standard deviation over policies of different seeds; \
-         intervals are 95 % bootstrap intervals over pairs of seeds. A verdict is given by the interval alone.</p>\n\
+         intervals are 95 % bootstrap intervals over pairs of seeds.</p>\n\
          {notes}<dl><dt>Command</dt><dd><code>{}</code></dd><dt>Protocol</dt><dd>{}</dd>\
          <dt>Time for all trials</dt><dd>{}</dd><dt>Measured by revision</dt><dd>{}</dd></dl>\n",
         escaped(&report.command),

@@ -88,22 +88,22 @@ pub fn document(report: &Report) -> String {
         "# The paper's claims and our numbers\n\n\
          Made by `{}`; not edited by hand. [experiments.md](experiments.md) defines every number. A cell is the mean ± \
          standard deviation over the seeds of {a} and {b}; intervals are 95 % bootstrap intervals over pairs of seeds. \
-         Protocol: {}.\n\n{}\n",
+         Protocol: {}.\n\n{}",
         report.command,
         report.protocol,
         claims(report)
     );
-    for section in &report.sections {
-        for note in &section.findings.notes {
-            text.push_str(&format!("- {}: {note}\n", section.info.id));
-        }
-    }
-    for note in &report.notes {
-        text.push_str(&format!("- {note}\n"));
-    }
+    let of_section = |section: &super::Section| {
+        section.findings.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
+    };
+    let mut notes: String = report.sections.iter().map(of_section).collect();
+    notes.extend(report.notes.iter().map(|note| format!("- {note}\n")));
     if !report.missing.is_empty() {
         let names: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
-        text.push_str(&format!("- not run: {}\n", names.join(", ")));
+        notes.push_str(&format!("- not run: {}\n", names.join(", ")));
+    }
+    if !notes.is_empty() {
+        text.push_str(&format!("\n{notes}"));
     }
     text.push_str("\n## Policies\n\n");
     let rows = report.policies.iter().map(|policy| {
