@@ -272,8 +272,10 @@ impl Metadata {
         if !finite {
             return Err("its nominal pose or scale is not finite".into());
         }
-        let mut config = self.provenance.config.clone();
-        config.simulation = self.simulation.clone();
+        let config = &self.provenance.config;
+        if self.simulation != config.simulation {
+            return Err("its simulation differs from that of the configuration it was trained with".into());
+        }
         let checked: Result<Config, ConfigError> = Config::from_yaml("in the policy file", &config.to_yaml());
         checked.map(drop).map_err(|error| error.to_string())
     }

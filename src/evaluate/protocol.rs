@@ -2,13 +2,11 @@
 
 use std::path::Path;
 
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::Experiment;
 use super::experiments::{BallPit, Decay, Directions, FreeBox, Leash, PushGrid, Table4, Terrain, Walk};
 use crate::config::{ConfigError, layered};
-use crate::scenario::catalog::DEFAULTS;
 
 /// The protocol of the whole report.
 pub const FULL: &str = include_str!("../../configs/evaluation/full.yaml");
@@ -135,15 +133,6 @@ fn require(
 ) -> Result<(), ProtocolError> {
     let key = if key.is_empty() { section.to_owned() } else { format!("{section}.{key}") };
     if valid { Ok(()) } else { Err(ProtocolError::Value { key, found: found.to_string(), expected }) }
-}
-
-/// A scenario's parameters from `configs/scenarios/`.
-///
-/// # Errors
-/// [`ConfigError`]; none with the files inside the program.
-pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
-    let text = DEFAULTS.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
-    layered(name, &[text])
 }
 
 #[cfg(test)]

@@ -105,7 +105,9 @@ pub fn play(
     let mut script = scenario.script(seed, &policy.provenance.config)?;
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
-    let trace = Rollout::new(&script, policy, experiment.needs_bodies())?.trace();
+    let trace =
+        Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), experiment.needs_bodies())?
+            .trace();
     let end = End::of(&trace);
     let Measured { values, series } = experiment.measure(&scenario, &script, &trace, end);
     Ok(Sample { end, values, series })
@@ -114,8 +116,7 @@ pub fn play(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::protocol::defaults;
-    use crate::scenario::catalog::Leash;
+    use crate::scenario::catalog::{Leash, defaults};
 
     #[test]
     fn trial_seeds_differ_in_every_coordinate() {

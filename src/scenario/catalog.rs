@@ -8,11 +8,12 @@ use std::fmt::Write as _;
 
 use clap::{Args, Subcommand, ValueEnum};
 use rand::RngExt;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::metrics::{self, Metric, STRIDE_S};
 use super::{Pull, Script, TimedPush, terrain};
-use crate::config::Config;
+use crate::config::{Config, ConfigError, layered};
 use crate::go1::JOINT_COUNT;
 use crate::random::{Purpose, stream};
 use crate::scene::{Buffers, Ground, RobotFile, Scene};
@@ -30,6 +31,15 @@ pub const DEFAULTS: &[(&str, &str)] = &[
     ("ball-pit", include_str!("../../configs/scenarios/ball-pit.yaml")),
     ("terrain", include_str!("../../configs/scenarios/terrain.yaml")),
 ];
+
+/// The default parameters of a scenario.
+///
+/// # Errors
+/// [`ConfigError`] if there is no scenario of this name, or its parameters are of another type.
+pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
+    let text = DEFAULTS.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
+    layered(name, &[text])
+}
 
 /// Half-length of height fields along x and y \[m\].
 const FIELD_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];

@@ -1,10 +1,11 @@
 /*! Disturbing a policy and watching what it does.
 
 A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Rollout`] plays any script with
-any policy and yields a [`Trace`](crate::trace::Trace), frame by frame; [`metrics`] reads traces. Nothing here is ever seen in training.
+any [`Controller`] and yields a [`Trace`](crate::trace::Trace), frame by frame; [`metrics`] reads traces. Nothing here is ever seen in training.
 */
 
 pub mod catalog;
+mod controller;
 pub mod metrics;
 mod play;
 pub mod terrain;
@@ -15,6 +16,7 @@ use crate::scene::Scene;
 use crate::sim::{Conditions, Push};
 use crate::task::Command;
 
+pub use controller::{Controller, PolicyController};
 pub use play::{Played, Rollout};
 
 /// A push at an instant.

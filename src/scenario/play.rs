@@ -1,14 +1,12 @@
-//! Plays a script with a policy, one policy step at a time.
+//! Plays a script with a controller, one policy step at a time.
 
 use nalgebra::Vector3;
 
-use super::Script;
-use crate::go1::{Foothold, Go1, Joints};
+use super::{Controller, Script};
+use crate::config::Config;
+use crate::go1::{Foothold, Go1, Joints, RobotState};
 use crate::mujoco::{self, Data, Kind};
-use crate::policy::Policy;
-use crate::ppo::Scratch;
 use crate::sim::{Sim, StepObserver};
-use crate::task::observation::{self, Reduced};
 use crate::task::{Stages, SwingTracker, Terms};
 use crate::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
 
@@ -25,11 +23,12 @@ pub struct Played {
 }
 
 /// A script being played.
-#[derive(Debug)]
 pub struct Rollout<'a> {
     script: &'a Script,
-    policy: &'a Policy,
+    config: &'a Config,
+    controller: Box<dyn Controller + 'a>,
     sim: Sim,
+    state: RobotState,
     with_bodies: bool,
     step: usize,
     steps: usize,
@@ -37,28 +36,30 @@ pub struct Rollout<'a> {
     shown_push: Option<(f64, Vector3<f64>)>,
     pulling: bool,
     fallen_since: Option<usize>,
-    previous: Reduced,
-    current: Reduced,
-    last_target: Joints,
     swings: SwingTracker,
-    scratch: Scratch,
 }
 
 impl<'a> Rollout<'a> {
-    /// Sets the scene. `with_bodies` keeps every body's pose in the frames, which recordings need and metrics do not.
+    /// Sets the scene. `config` has the rates, gains and latency that the robot runs with, and the reward that frames
+    /// are rated by; `with_bodies` keeps every body's pose in the frames, which recordings need and metrics do not.
     ///
     /// # Errors
     /// A fault of MuJoCo, such as a scene that does not compile.
-    pub fn new(script: &'a Script, policy: &'a Policy, with_bodies: bool) -> mujoco::Result<Self> {
-        let config = &policy.provenance.config;
-        let mut sim = Sim::new(&script.scene, &policy.simulation, config.episode.min_height_m)?;
-        sim.reset(script.conditions, &policy.nominal_pose)?;
+    pub fn new(
+        script: &'a Script,
+        config: &'a Config,
+        mut controller: Box<dyn Controller + 'a>,
+        with_bodies: bool,
+    ) -> mujoco::Result<Self> {
+        let mut sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m)?;
+        sim.reset(script.conditions, &controller.rest())?;
         let state = sim.state();
-        let current = observation::reduced(&state);
+        controller.begin(&state);
         Ok(Rollout {
-            steps: policy.simulation.policy_steps(script.duration_s),
+            steps: config.simulation.policy_steps(script.duration_s),
             script,
-            policy,
+            config,
+            controller,
             sim,
             with_bodies,
             step: 0,
@@ -66,11 +67,8 @@ impl<'a> Rollout<'a> {
             shown_push: None,
             pulling: false,
             fallen_since: None,
-            previous: current,
-            current,
-            last_target: policy.nominal_pose,
             swings: SwingTracker::new(&state.feet, config.reward.foot_height_m),
-            scratch: Scratch::default(),
+            state,
         })
     }
 
@@ -94,18 +92,14 @@ impl<'a> Rollout<'a> {
         let time_s = self.step as f64 * period_s;
         self.disturb(time_s, events)?;
 
-        let seen = observation::pack(&self.previous, &self.last_target, &self.current, &self.script.command);
-        let target = self.policy.joint_targets(&seen, &mut self.scratch);
+        let target = self.controller.joint_targets(&self.state, &self.script.command);
         let mut meter = Meter { swings: self.swings, ..Meter::default() };
         let summary = self.sim.step(&target, &mut meter)?;
         self.step += 1;
         let time_s = self.step as f64 * period_s;
 
         let state = self.sim.state();
-        self.previous = self.current;
-        self.current = observation::reduced(&state);
-        self.last_target = target;
-        let config = &self.policy.provenance.config;
+        let config = self.config;
         let foot_height = meter.swings.take().foot_height;
         self.swings = meter.swings;
         let terms = Terms::new(&state, &self.script.command, &summary, foot_height, &config.reward);
@@ -120,7 +114,7 @@ impl<'a> Rollout<'a> {
         let data = self.sim.data();
         let stages = Stages::new(&config.episode, &config.simulation);
         let is_training_episode = self.script.pushes.len() == 1;
-        Ok(Frame {
+        let frame = Frame {
             time_s,
             bodies: if self.with_bodies { poses(data) } else { Vec::new() },
             command: self.script.command,
@@ -149,7 +143,9 @@ impl<'a> Rollout<'a> {
                 let step = (since_push / period_s).round() as i64 + stages.recovery_start as i64 - 1;
                 stages.at(step.max(0) as usize)
             }),
-        })
+        };
+        self.state = state;
+        Ok(frame)
     }
 
     /// Applies what is due before the step that starts at `time_s`.
@@ -202,7 +198,7 @@ impl Iterator for Rollout<'_> {
 
     /// One policy step, until the script is over, the robot has lain for a while, or the physics failed.
     fn next(&mut self) -> Option<Played> {
-        let after_fall = self.policy.simulation.policy_steps(self.script.after_fall_s);
+        let after_fall = self.config.simulation.policy_steps(self.script.after_fall_s);
         let over = self.fallen_since.is_some_and(|since| self.step >= since + after_fall);
         if over || self.step >= self.steps {
             return None;

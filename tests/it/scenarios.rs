@@ -27,7 +27,7 @@ fn scenario(name: &str, changes: &[&str]) -> Scenario {
 fn trace(scenario: &Scenario, seed: u64) -> Trace {
     let policy = standing_policy();
     let script = scenario.script(seed, &policy.provenance.config).unwrap();
-    Rollout::new(&script, &policy, true).unwrap().trace()
+    Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), true).unwrap().trace()
 }
 
 /// Every scenario, cut short.

@@ -17,7 +17,6 @@ use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
 use supple::policies;
 use supple::policy::Policy;
-use supple::scenario::catalog::Scenario;
 use supple::scenario::{Rollout, Script};
 use supple::trace::Trace;
 
@@ -47,15 +46,14 @@ fn run(args: &Args) -> anyhow::Result<()> {
         .iter()
         .map(|(_, policy)| Ok(scenario.script(args.seed, &policy.provenance.config)?))
         .collect::<anyhow::Result<_>>()?;
-    let traces = play(args, scenario, &robots, &scripts)?;
-    let outcomes: Vec<Outcome> = robots
-        .into_iter()
-        .zip(&scripts)
-        .zip(traces)
+    let mut recording = recording::Recording::start(args, scenario, &robots, &scripts)?;
+    let traces = play(&robots, &scripts, &mut recording)?;
+    let played = robots.iter().zip(&scripts).zip(&traces);
+    let outcomes: Vec<Outcome<'_>> = played
         .map(|(((name, policy), script), trace)| Outcome {
             policy: name,
             sha256: policy.sha256(),
-            metrics: scenario.metrics(script, &trace),
+            metrics: scenario.metrics(script, trace),
             trace,
         })
         .collect();
@@ -68,7 +66,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         print!("{}", output::summary(scenario, &outcomes));
     }
-    Ok(())
+    recording.finish(args, scenario, &robots, &scripts, &traces)
 }
 
 /// The policies to play, by name.
@@ -94,15 +92,13 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Policy)>> {
 
 /// Plays all robots step by step beside one another, recording as they go.
 fn play(
-    args: &Args,
-    scenario: &Scenario,
     robots: &[(String, Policy)],
     scripts: &[Script],
+    recording: &mut recording::Recording,
 ) -> anyhow::Result<Vec<Trace>> {
-    let mut recording = recording::Recording::start(args, scenario, robots, scripts)?;
     let mut rollouts = Vec::new();
     for ((_, policy), script) in robots.iter().zip(scripts) {
-        rollouts.push(Rollout::new(script, policy, true)?);
+        rollouts.push(Rollout::new(script, &policy.provenance.config, Box::new(policy.controller()), true)?);
     }
     let mut traces: Vec<Trace> = robots
         .iter()
@@ -122,7 +118,6 @@ fn play(
         bar.inc(1);
     }
     bar.finish_and_clear();
-    recording.finish(args, scenario, robots, scripts, &traces)?;
     Ok(traces)
 }
 

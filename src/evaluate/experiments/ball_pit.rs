@@ -6,13 +6,12 @@ use super::{parameters, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots::{self, Dots};
-use crate::evaluate::protocol::defaults;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
 use crate::scenario::Script;
-use crate::scenario::catalog::{BallPit as Parameters, Scenario};
+use crate::scenario::catalog::{BallPit as Parameters, Scenario, defaults};
 use crate::trace::Trace;
 
 const QUANTITIES: &[Quantity] = &[

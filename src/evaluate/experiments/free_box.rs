@@ -7,13 +7,12 @@ use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots::{self, Dots};
 use crate::evaluate::plot::top_view::{self, Run, View};
-use crate::evaluate::protocol::defaults;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::{End, Sample};
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
 use crate::scenario::Script;
-use crate::scenario::catalog::{FreeBox as Parameters, Scenario};
+use crate::scenario::catalog::{FreeBox as Parameters, Scenario, defaults};
 use crate::scenario::metrics::velocity_errors;
 use crate::trace::{Pose, Trace};
 

@@ -7,13 +7,12 @@ use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::grid::{self, Grid};
 use crate::evaluate::plot::heatmap::{self, Map};
-use crate::evaluate::protocol::defaults;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::{Comparison, Estimate, Expected, PerSeed, Spread, estimate, mean};
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, Info, Measured, Quantity};
 use crate::scenario::Script;
-use crate::scenario::catalog::{PushAway, Scenario, Task};
+use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
 use crate::scenario::metrics::STRIDE_S;
 use crate::trace::Trace;
 

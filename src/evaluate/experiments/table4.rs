@@ -6,12 +6,11 @@ use super::parameters;
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots::{self, Dots};
-use crate::evaluate::protocol::defaults;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
-use crate::scenario::catalog::{PushAway, Scenario};
+use crate::scenario::catalog::{PushAway, Scenario, defaults};
 use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 

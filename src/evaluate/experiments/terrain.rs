@@ -6,12 +6,11 @@ use super::{parameters, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots::{self, Dots};
-use crate::evaluate::protocol::defaults;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, Info, Measured, Quantity};
-use crate::scenario::catalog::{Scenario, Terrain as Parameters, TerrainKind};
+use crate::scenario::catalog::{Scenario, Terrain as Parameters, TerrainKind, defaults};
 use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 

@@ -6,11 +6,10 @@ use super::{parameters, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots::{self, Dots};
-use crate::evaluate::protocol::defaults;
 use crate::evaluate::results::Results;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
-use crate::scenario::catalog::{Scenario, Task, Walk as Parameters};
+use crate::scenario::catalog::{Scenario, Task, Walk as Parameters, defaults};
 use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 
