@@ -16,7 +16,7 @@ mod style;
 #[cfg(test)]
 mod tests;
 
-pub use stream::Sink;
+pub use stream::{Sink, page_url};
 pub use style::{BLUE, ORANGE, Rgb};
 
 use std::path::PathBuf;
@@ -44,6 +44,14 @@ pub enum RecordError {
         /// Its URL.
         url: String,
         /// rerun's reason.
+        reason: String,
+    },
+    /// A port is taken, or not ours to take.
+    #[error("cannot serve the viewer on port {port}: {reason}; choose another one, and have the next one free too")]
+    Serve {
+        /// The port.
+        port: u16,
+        /// The system's reason.
         reason: String,
     },
     /// The disk is full, or the viewer went away.

@@ -8,19 +8,24 @@ footer that is written last.
 
 use std::fs::{self, File};
 use std::io::{Read as _, Seek as _, SeekFrom};
+use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
 use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
 use rerun::log::ChunkBatcherConfig;
-use rerun::{AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder};
+use rerun::web_viewer::WebViewerConfig;
+use rerun::{AsComponents, EntityPath, MemoryLimit, RecordingStream, RecordingStreamBuilder, ServerOptions};
 
 use super::RecordError;
 use super::style::PATIENCE;
 
 /// Name under which viewers file our recordings and layouts.
 pub(super) const APPLICATION: &str = "supple";
+/// Small batches, for somebody who is watching.
+const LIVE: ChunkBatcherConfig =
+    ChunkBatcherConfig { flush_tick: Duration::from_millis(30), ..ChunkBatcherConfig::LOW_LATENCY };
 /// The only timeline \[s\].
 pub(super) const TIMELINE: &str = "sim_time";
 
@@ -31,7 +36,21 @@ pub enum Sink {
     File(PathBuf),
     /// A running viewer: its URL such as `rerun+http://127.0.0.1:9876/proxy`, or the one on this machine.
     Connect(Option<String>),
+    /// Web browsers on this machine: the viewer's page on this port, see [`page_url`], and its data on the next one.
+    /// Served until the recording is finished; a page that is opened late still gets everything.
+    Serve(u16),
 }
+
+/// Where a browser finds the viewer that [`Sink::Serve`] serves on a port, with the recording open in it.
+pub fn page_url(port: u16) -> String {
+    format!("http://{LOCAL}:{port}?url=rerun%2Bhttp://{LOCAL}:{}/proxy", port.saturating_add(1))
+}
+
+/// Pages are for this machine alone.
+const LOCAL: &str = "127.0.0.1";
+
+/// The server of the viewer's page, whose type rerun does not name.
+type Page = Box<dyn std::any::Any + Send>;
 
 /// An open recording.
 #[derive(Debug)]
@@ -39,6 +58,8 @@ pub(super) struct Stream {
     /// Nothing after a failure.
     recording: Option<RecordingStream>,
     file: Option<PathBuf>,
+    /// Serves the viewer's page as long as it lives.
+    _page: Option<Page>,
     /// File or URL, for messages.
     target: String,
     /// Frames between two flushes, and since the last one.
@@ -62,17 +83,29 @@ impl Stream {
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
                 let recording = builder.batcher_config(batches).save(&path)?;
-                Stream { recording: Some(recording), file: Some(path), target, frames_per_flush: 1200, frames: 0 }
+                Stream {
+                    recording: Some(recording),
+                    file: Some(path),
+                    _page: None,
+                    target,
+                    frames_per_flush: 1200,
+                    frames: 0,
+                }
             }
             Sink::Connect(url) => {
                 let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
-                let batches =
-                    ChunkBatcherConfig { flush_tick: Duration::from_millis(30), ..ChunkBatcherConfig::LOW_LATENCY };
                 let recording = builder
-                    .batcher_config(batches)
+                    .batcher_config(LIVE)
                     .connect_grpc_opts(target.clone())
                     .map_err(|error| RecordError::Viewer { url: target.clone(), reason: error.to_string() })?;
-                Stream { recording: Some(recording), file: None, target, frames_per_flush: 120, frames: 0 }
+                let recording = Some(recording);
+                Stream { recording, file: None, _page: None, target, frames_per_flush: 120, frames: 0 }
+            }
+            Sink::Serve(port) => {
+                let target = page_url(port);
+                let (recording, page) = serve(builder, port)?;
+                let recording = Some(recording);
+                Stream { recording, file: None, _page: Some(page), target, frames_per_flush: 120, frames: 0 }
             }
         };
         let mut stream = stream;
@@ -144,6 +177,26 @@ impl Stream {
             _ => Ok(()),
         }
     }
+}
+
+/// Serves a recording and a viewer for it on a port and the next.
+fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream, Page), RecordError> {
+    let failed = |port, reason: String| RecordError::Serve { port, reason };
+    let data_port = port.checked_add(1).ok_or_else(|| failed(port, "there is no port after it for the data".into()))?;
+    // rerun's own servers report a port that is taken to their log, not to us.
+    for port in [port, data_port] {
+        drop(TcpListener::bind((LOCAL, port)).map_err(|error| failed(port, error.to_string()))?);
+    }
+    let options = ServerOptions { memory_limit: MemoryLimit::from_fraction_of_total(0.25), ..ServerOptions::default() };
+    let recording = builder.batcher_config(LIVE).serve_grpc_opts(LOCAL, data_port, options)?;
+    let page = WebViewerConfig {
+        bind_ip: LOCAL.to_owned(),
+        web_port: port.into(),
+        open_browser: false,
+        ..WebViewerConfig::default()
+    };
+    let server = page.host_web_viewer().map_err(|error| failed(port, error.to_string()))?;
+    Ok((recording, Box::new(server)))
 }
 
 /// A recorder that is given up on must not hang either.

@@ -8,6 +8,10 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use supple::config::flat_parameters;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 
+/// Headings in the help, apart from the scenario's own parameters.
+const INPUT: &str = "Policies and seed";
+const OUTPUT: &str = "Output";
+
 /// Disturb a walking robot and watch what it does.
 ///
 /// Plays a scenario with one policy or two, prints what happened, and leaves a recording for the rerun viewer.
@@ -15,35 +19,39 @@ use supple::scenario::catalog::{DEFAULTS, Scenario};
 #[command(version)]
 pub struct Args {
     /// Policy file, run folder, or name of a shipped policy [default: compliant]
-    #[arg(long, global = true, value_name = "FILE|NAME")]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
     pub policy: Option<String>,
     /// Second policy in the same recording, `none` for none [default: baseline, if --policy is not given and both ship]
-    #[arg(long, global = true, value_name = "FILE|NAME")]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
     pub compare: Option<String>,
     /// Seed of everything random in the scenario
-    #[arg(long, global = true, value_name = "N", default_value_t = 0)]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "N", default_value_t = 0)]
     pub seed: u64,
     /// YAML file with parameters of the scenario, by the names of its flags; flags win
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
     pub params: Option<PathBuf>,
     /// Recording to write [default: SCENARIO.rrd]
-    #[arg(long, global = true, value_name = "FILE", conflicts_with = "no_record")]
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE", conflicts_with = "no_record")]
     pub record: Option<PathBuf>,
     /// Write no recording
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = OUTPUT)]
     pub no_record: bool,
     /// Stream to a running rerun viewer instead of a file
-    #[arg(long, global = true, value_name = "URL", num_args = 0..=1, require_equals = true,
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "URL", num_args = 0..=1, require_equals = true,
           conflicts_with_all = ["record", "no_record"])]
     pub connect: Option<Option<String>>,
+    /// Serve the viewer for a web browser on this port of this machine, until Ctrl-C; the next port carries the data
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "PORT", num_args = 0..=1, require_equals = true,
+          default_missing_value = "9090", conflicts_with_all = ["record", "no_record", "connect"])]
+    pub serve: Option<u16>,
     /// Keep the last 2 s before a fall as a recording of their own in this folder
-    #[arg(long, global = true, value_name = "DIR")]
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "DIR")]
     pub on_fall: Option<PathBuf>,
     /// Print one JSON object on stdout and nothing else there
-    #[arg(long, global = true)]
+    #[arg(long, global = true, help_heading = OUTPUT)]
     pub json: bool,
     /// Write the trace, one row for each policy step
-    #[arg(long, global = true, value_name = "FILE")]
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
     pub csv: Option<PathBuf>,
     /// What to play.
     #[command(subcommand)]

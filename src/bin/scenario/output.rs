@@ -9,19 +9,19 @@ use supple::scenario::metrics::Metric;
 use supple::trace::Trace;
 
 /// A finished rollout.
-pub struct Outcome {
+pub struct Outcome<'a> {
     /// Name of the policy.
-    pub policy: String,
+    pub policy: &'a str,
     /// Its identity.
     pub sha256: String,
     /// What happened.
-    pub trace: Trace,
+    pub trace: &'a Trace,
     /// The scenario's numbers.
     pub metrics: Vec<Metric>,
 }
 
 /// A table with a column for each policy, and the events.
-pub fn summary(scenario: &Scenario, outcomes: &[Outcome]) -> String {
+pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
     let mut text = format!("{}\n", scenario.name());
     let header: String = outcomes.iter().map(|outcome| format!("{:>16}", outcome.policy)).collect();
     text.push_str(&format!("{:28}{header}\n", ""));
@@ -48,8 +48,8 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome]) -> String {
 }
 
 /// Everything as one JSON object.
-pub fn to_json(scenario: &Scenario, seed: u64, outcomes: &[Outcome]) -> Value {
-    let run = |outcome: &Outcome| {
+pub fn to_json(scenario: &Scenario, seed: u64, outcomes: &[Outcome<'_>]) -> Value {
+    let run = |outcome: &Outcome<'_>| {
         let metrics: serde_json::Map<String, Value> =
             outcome.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.value))).collect();
         json!({
@@ -68,7 +68,7 @@ pub fn to_json(scenario: &Scenario, seed: u64, outcomes: &[Outcome]) -> Value {
 }
 
 /// Writes the traces as CSV, one row for each policy step.
-pub fn write_csv(path: &Path, outcomes: &[Outcome]) -> io::Result<()> {
+pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
     let mut file = io::BufWriter::new(std::fs::File::create(path)?);
     writeln!(
         file,

@@ -1,10 +1,11 @@
 //! The recording of a scenario, and clips of falls.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use anyhow::Context;
 use supple::mujoco::Model;
 use supple::policy::Policy;
-use supple::record::{BLUE, ORANGE, Recorder, RobotView, Sink};
+use supple::record::{BLUE, ORANGE, Recorder, RobotView, Sink, page_url};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::{Played, Script};
 use supple::trace::Trace;
@@ -17,7 +18,7 @@ const CLIP_S: f64 = 2.0;
 /// A recording under way, or none.
 pub struct Recording {
     recorder: Option<Recorder>,
-    path: Option<PathBuf>,
+    sink: Option<Sink>,
 }
 
 impl Recording {
@@ -28,19 +29,18 @@ impl Recording {
         robots: &[(String, Policy)],
         scripts: &[Script],
     ) -> anyhow::Result<Self> {
-        let path = match (&args.record, args.no_record, &args.connect) {
-            (Some(path), _, _) => Some(path.clone()),
-            (None, false, None) => Some(format!("{}.rrd", scenario.name()).into()),
-            _ => None,
+        let sink = match (&args.record, &args.connect, args.serve) {
+            (Some(path), _, _) => Sink::File(path.clone()),
+            (None, Some(url), _) => Sink::Connect(url.clone()),
+            (None, None, Some(port)) => Sink::Serve(port),
+            (None, None, None) if args.no_record => return Ok(Recording { recorder: None, sink: None }),
+            (None, None, None) => Sink::File(format!("{}.rrd", scenario.name()).into()),
         };
-        let sink = match (&path, &args.connect) {
-            (Some(path), _) => Sink::File(path.clone()),
-            (None, Some(url)) => Sink::Connect(url.clone()),
-            (None, None) => {
-                return Ok(Recording { recorder: None, path: None });
-            }
-        };
-        Ok(Recording { recorder: Some(open(sink, scenario.name(), robots, scripts)?), path })
+        let recorder = open(sink.clone(), scenario.name(), robots, scripts)?;
+        if let Sink::Serve(port) = sink {
+            eprintln!("watch it at {}", page_url(port));
+        }
+        Ok(Recording { recorder: Some(recorder), sink: Some(sink) })
     }
 
     /// Adds a step of a robot.
@@ -57,7 +57,7 @@ impl Recording {
         Ok(())
     }
 
-    /// Closes the recording and writes the clips of falls.
+    /// Writes the clips of falls and closes the recording; one that is served, when Ctrl-C says so.
     pub fn finish(
         self,
         args: &Args,
@@ -66,22 +66,35 @@ impl Recording {
         scripts: &[Script],
         traces: &[Trace],
     ) -> anyhow::Result<()> {
-        if let Some(recorder) = self.recorder {
-            recorder.finish()?;
-        }
-        if let Some(path) = self.path {
-            eprintln!("recorded {path}; open it with: rerun {path}", path = path.display());
-        }
-        let Some(folder) = &args.on_fall else { return Ok(()) };
         for ((robot, script), trace) in robots.iter().zip(scripts).zip(traces) {
-            if let Some(fall) = trace.fall() {
+            if let (Some(folder), Some(fall)) = (&args.on_fall, trace.fall()) {
                 let path = folder.join(format!("{}-{}-seed{}-fall.rrd", scenario.name(), robot.0, args.seed));
                 clip(&path, scenario.name(), robot, script, trace, fall.time_s)?;
                 eprintln!("the fall is in {}", path.display());
             }
         }
+        if let Some(Sink::Serve(_)) = self.sink {
+            wait_for_interrupt()?;
+        }
+        if let Some(recorder) = self.recorder {
+            recorder.finish()?;
+        }
+        if let Some(Sink::File(path)) = self.sink {
+            eprintln!("recorded {path}; open it with: rerun {path}", path = path.display());
+        }
         Ok(())
     }
+}
+
+fn wait_for_interrupt() -> anyhow::Result<()> {
+    let (interrupted, wait) = std::sync::mpsc::channel();
+    ctrlc::set_handler(move || {
+        // Nobody is left to tell when the program is ending anyway.
+        let _ = interrupted.send(());
+    })
+    .context("cannot catch Ctrl-C")?;
+    eprintln!("serving until Ctrl-C");
+    Ok(wait.recv()?)
 }
 
 fn open(sink: Sink, title: &str, robots: &[(String, Policy)], scripts: &[Script]) -> anyhow::Result<Recorder> {
