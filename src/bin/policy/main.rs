@@ -1,5 +1,7 @@
 //! `policy`: look at a policy file, check it, and hand it to other runtimes.
 
+mod card;
+
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -31,6 +33,14 @@ enum Command {
     Verify {
         /// Policy file, run folder, or name of a shipped policy
         policy: String,
+    },
+    /// Print the card that ships with a policy: where it came from, how it learned, how it walks (Markdown)
+    Card {
+        /// Folder of the run
+        run: PathBuf,
+        /// Name that it ships under
+        #[arg(long)]
+        name: String,
     },
     /// Write the policy in another format
     Export {
@@ -70,6 +80,7 @@ fn run(command: Command) -> anyhow::Result<()> {
             let policy = policies::find(&policy)?;
             println!("sound: its golden joint targets are reproduced; sha256 {}", policy.sha256());
         }
+        Command::Card { run, name } => print!("{}", card::card(&run, &name)?),
         Command::Export { policy, format: Format::Onnx, out } => {
             let bytes = onnx::export(&policies::find(&policy)?);
             files::write_atomically(&out, &bytes).with_context(|| format!("cannot write {}", out.display()))?;

@@ -1,0 +1,133 @@
+//! A policy's card: where it came from, how it learned, how it walks. Markdown.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+
+use anyhow::Context;
+use supple::metrics::IterationMetrics;
+use supple::policy::Policy;
+use supple::scenario::Rollout;
+use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
+
+/// Rows of the learning curve.
+const ROWS: usize = 10;
+
+/// Forward \[m/s\], left \[m/s\], yaw rate \[rad/s\]: the evaluation's command and the ends of the range.
+const COMMANDS: [[f64; 3]; 8] = [
+    [0.0, 0.0, 0.0],
+    [0.5, 0.0, 0.0],
+    [1.0, 0.0, 0.0],
+    [-1.0, 0.0, 0.0],
+    [0.0, 0.5, 0.0],
+    [0.0, 0.0, 0.5],
+    [1.0, 0.5, 0.5],
+    [-1.0, -0.5, -0.5],
+];
+
+/// The card of the policy in a run's folder, under the name that it ships with.
+pub fn card(run: &Path, name: &str) -> anyhow::Result<String> {
+    let policy = Policy::load(&run.join("policy.safetensors"))?;
+    let curve = read_metrics(&run.join("metrics.jsonl"), policy.provenance.samples)?;
+    let provenance = &policy.provenance;
+    let config = &provenance.config;
+    let hours = curve.last().map_or(0.0, |last| last.time.elapsed_s) / 3600.0;
+    Ok(format!(
+        "# {name}\n\n\
+         | | |\n|---|---|\n\
+         | configuration | `{}` ({} epochs, recovery stage {}) |\n\
+         | seed | {} |\n\
+         | samples | {} |\n\
+         | training time | {hours:.1} h |\n\
+         | trained by | Supple {}, MuJoCo {} |\n\
+         | SHA-256 | `{}` |\n\n\
+         ## Learning curve\n\n{}\n\
+         ## Walking undisturbed\n\n\
+         Deterministic, flat ground, 10 s from rest; mean velocity minus command after the first 2 s.\n\n{}",
+        provenance.config_name,
+        config.ppo.epochs,
+        if config.episode.recovery_stage { "on" } else { "off" },
+        provenance.seed,
+        provenance.samples,
+        provenance.git_revision,
+        provenance.mujoco_version,
+        policy.sha256(),
+        curve_table(&curve),
+        walking_table(&policy)?,
+    ))
+}
+
+/// Iterations up to the policy's.
+fn read_metrics(path: &Path, samples: u64) -> anyhow::Result<Vec<IterationMetrics>> {
+    let file = File::open(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let lines = BufReader::new(file).lines().enumerate().map(|(index, line)| {
+        let at = || format!("{}, line {}", path.display(), index + 1);
+        serde_json::from_str::<IterationMetrics>(&line.with_context(at)?).with_context(at)
+    });
+    let mut all = lines.collect::<anyhow::Result<Vec<_>>>()?;
+    all.retain(|iteration| iteration.samples <= samples);
+    anyhow::ensure!(!all.is_empty(), "{} has no iteration", path.display());
+    Ok(all)
+}
+
+/// Means over stretches of the run.
+fn curve_table(curve: &[IterationMetrics]) -> String {
+    let mut text = String::from(
+        "| samples | r_lin | falls | falls after a push | pushed | commands open | swing | std | reward |\n\
+         |---|---|---|---|---|---|---|---|---|\n",
+    );
+    for row in 1..=ROWS {
+        let stretch = &curve[(row - 1) * curve.len() / ROWS..row * curve.len() / ROWS];
+        let Some(last) = stretch.last() else { continue };
+        let mean = |of: fn(&IterationMetrics) -> Option<f64>| {
+            let values: Vec<f64> = stretch.iter().filter_map(of).collect();
+            values.iter().sum::<f64>() / values.len() as f64
+        };
+        text.push_str(&format!(
+            "| {:.1} M | {:.3} | {:.1} % | {:.1} % | {:.0} % | {:.0} % | {:.0} mm | {:.2} | {:.2} |\n",
+            last.samples as f64 / 1e6,
+            mean(|iteration| iteration.walking_linear),
+            100.0 * mean(|iteration| iteration.fall_share),
+            100.0 * mean(|iteration| iteration.pushed_fall_share),
+            100.0 * mean(|iteration| iteration.push_share),
+            100.0 * last.command_share,
+            1e3 * mean(|iteration| iteration.swing_height_m),
+            mean(|iteration| Some(iteration.action_std)),
+            mean(|iteration| Some(iteration.step_reward)),
+        ));
+    }
+    text
+}
+
+fn walking_table(policy: &Policy) -> anyhow::Result<String> {
+    let base: Walk = defaults("walk")?;
+    let mut table = String::from(
+        "| command: forward, left, turn | forward error | sideways error | yaw rate error | power | cost of transport | \
+         strides | foot height | fell |\n|---|---|---|---|---|---|---|---|---|\n",
+    );
+    for [forward_m_s, left_m_s, yaw_rad_s] in COMMANDS {
+        let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
+        let scenario = Scenario::Walk(Walk { task });
+        let config = &policy.provenance.config;
+        let script = scenario.script(0, config)?;
+        let trace = Rollout::new(&script, config, Box::new(policy.controller()), false)?.trace();
+        let found = scenario.metrics(&script, &trace);
+        let number = |name: &str| found.iter().find(|metric| metric.name == name).and_then(|metric| metric.value);
+        let cell = |name: &str, factor: f64, decimals: usize, unit: &str| match number(name) {
+            Some(value) => format!("{:.decimals$}{unit}", factor * value),
+            None => "–".to_owned(),
+        };
+        let fell = trace.fall().map_or("no".to_owned(), |fall| format!("after {:.1} s", fall.time_s));
+        table.push_str(&format!(
+            "| {forward_m_s} m/s, {left_m_s} m/s, {yaw_rad_s} rad/s | {} | {} | {} | {} | {} | {} | {} | {fell} |\n",
+            cell("forward_error_m_s", 1.0, 3, " m/s"),
+            cell("left_error_m_s", 1.0, 3, " m/s"),
+            cell("yaw_error_rad_s", 1.0, 3, " rad/s"),
+            cell("power_w", 1.0, 0, " W"),
+            cell("cost_of_transport", 1.0, 2, ""),
+            cell("stride_frequency_hz", 1.0, 2, " Hz"),
+            cell("swing_height_m", 1e3, 0, " mm"),
+        ));
+    }
+    Ok(table)
+}
