@@ -108,14 +108,7 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
 /// moving average of `average_s`. The decay time is the last time after the push at which `|e|` exceeds `threshold`
 /// times the push's size. None after a fall, or if the trace does not reach around the push.
 pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average_s: f64) -> Option<f64> {
-    let size = push[0].hypot(push[1]);
-    if trace.fall().is_some() || size <= 0.0 {
-        return None;
-    }
-    let along =
-        |frame: &Frame| (frame.velocity_in_heading[0] * push[0] + frame.velocity_in_heading[1] * push[1]) / size;
-    let before = mean(window(trace, push_s - 1.0, push_s), along)?;
-    let error: Vec<(f64, f64)> = trace.frames.iter().map(|f| (f.time_s - push_s, along(f) - before)).collect();
+    let (error, size) = push_error(trace, push_s, push)?;
     let half = (0.5 * average_s / trace.period_s).round() as usize;
     let smoothed = |index: usize| {
         let span = &error[index.saturating_sub(half)..(index + half + 1).min(error.len())];
@@ -126,6 +119,31 @@ pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, av
     let first = error.iter().position(|(time_s, _)| *time_s > 0.0)?;
     let exceeding = (first..=last).rev().find(|index| smoothed(*index).abs() > threshold * size);
     Some(exceeding.map_or(0.0, |index| error[index].0))
+}
+
+/// How far a push carries the robot along its direction, beside where it would have walked: the integral of `e(t)` over
+/// `for_s` after the push \[m\]. No threshold and no average: over the push's size it is the time constant of an
+/// exponential decay. None after a fall, or if the trace ends before.
+pub fn carried(trace: &Trace, push_s: f64, push: [f64; 2], for_s: f64) -> Option<f64> {
+    let (error, _) = push_error(trace, push_s, push)?;
+    let half_s = 0.5 * trace.period_s;
+    if error.last()?.0 < for_s - half_s {
+        return None;
+    }
+    let after = error.iter().filter(|(time_s, _)| *time_s > half_s && *time_s < for_s + half_s);
+    Some(after.map(|(_, value)| value * trace.period_s).sum())
+}
+
+/// Time since a push and velocity along it minus its mean over the last second before, and the push's size.
+fn push_error(trace: &Trace, push_s: f64, push: [f64; 2]) -> Option<(Vec<(f64, f64)>, f64)> {
+    let size = push[0].hypot(push[1]);
+    if trace.fall().is_some() || size <= 0.0 {
+        return None;
+    }
+    let along =
+        |frame: &Frame| (frame.velocity_in_heading[0] * push[0] + frame.velocity_in_heading[1] * push[1]) / size;
+    let before = mean(window(trace, push_s - 1.0, push_s), along)?;
+    Some((trace.frames.iter().map(|frame| (frame.time_s - push_s, along(frame) - before)).collect(), size))
 }
 
 /// Mean velocity offset from the command along a force that is constant in the world [m/s].
@@ -171,6 +189,15 @@ pub(crate) mod tests {
         let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.5 * (-(t - 2.0) / 0.2).exp() } else { 0.0 }, 0.0]);
         let found = decay_time(&trace, 2.0, [0.0, 0.5], 0.1, 0.0).unwrap();
         assert!((found - 0.4605).abs() <= 1.0 / 60.0, "{found}");
+    }
+
+    #[test]
+    fn a_decaying_exponential_carries_the_robot_by_its_time_constant() {
+        // ∫ 0.5 exp(−t / 0.2) dt = 0.1 m, half a period of 0.5 m/s less or more for the sum.
+        let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.5 * (-(t - 2.0) / 0.2).exp() } else { 0.0 }, 0.0]);
+        let found = carried(&trace, 2.0, [0.0, 0.5], 2.0).unwrap();
+        assert!((found - 0.1).abs() <= 0.5 * 0.5 / 60.0 + 1e-3, "{found}");
+        assert_eq!(carried(&trace, 2.0, [0.0, 0.5], 3.5), None);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use crate::evaluate::statistics::{Expected, Spread};
 use crate::evaluate::trial::{End, Sample};
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
 use crate::scenario::catalog::{PushAway, Scenario, defaults};
-use crate::scenario::metrics::{STRIDE_S, decay_time};
+use crate::scenario::metrics::{STRIDE_S, carried, decay_time};
 use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 
@@ -19,8 +19,12 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
     Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
     Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
+    Quantity::new("carried_m", "carried by the push within 2 s", "m", 3),
     Quantity::new("left_before_m_s", "sideways velocity before", "m/s", 3),
 ];
+
+/// Over which the robot is carried \[s\].
+pub(super) const CARRIED_S: f64 = 2.0;
 
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -81,7 +85,8 @@ impl Experiment for Decay {
             method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
                      push minus its mean over the last second before, smoothed by a centred moving average of one \
                      stride (0.4 s). Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
-                     the push; a fall has none. The figure shows the unsmoothed velocity of one policy's runs.",
+                     the push; a fall has none. Beside it, without threshold and average: how far the push carries \
+                     the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
         }
     }
 
@@ -105,8 +110,9 @@ impl Experiment for Decay {
         if end == End::Upright {
             values[1] = decay_time(trace, push.time_s, push.push.linear, 0.1, STRIDE_S);
             values[2] = decay_time(trace, push.time_s, push.push.linear, 0.2, STRIDE_S);
+            values[3] = carried(trace, push.time_s, push.push.linear, CARRIED_S);
             let before = metrics::window(trace, push.time_s - 1.0, push.time_s);
-            values[3] = metrics::mean(before, |frame| frame.velocity_in_heading[1]);
+            values[4] = metrics::mean(before, |frame| frame.velocity_in_heading[1]);
         }
         // Times in steps from the one that the push is applied before, so that runs can be averaged step by step.
         let half_s = 0.5 * trace.period_s;
@@ -129,7 +135,7 @@ impl Experiment for Decay {
             "decay",
             "Decay of a sideways push of 0.5 m/s.",
             results,
-            &["decay_10_s", "decay_20_s", "fell"],
+            &["decay_10_s", "decay_20_s", "carried_m", "fell"],
         )
         .with_paper("decay_10_s", "+85 %");
         let curves = [self.curve(results, 0), self.curve(results, 1)];

@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::decay::CARRIED_S;
 use super::{directions, parameters, polar};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
@@ -13,11 +14,15 @@ use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
 use crate::scenario::Script;
 use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
-use crate::scenario::metrics::{STANDING_AVERAGE_S, STRIDE_S, decay_time};
+use crate::scenario::metrics::{STANDING_AVERAGE_S, STRIDE_S, carried, decay_time};
 use crate::trace::Trace;
 
-const QUANTITIES: &[Quantity] =
-    &[Quantity::new("decay_10_s", "decay to 10 %", "s", 2), Quantity::new("decay_20_s", "decay to 20 %", "s", 2), FELL];
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
+    Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
+    Quantity::new("carried_m", "carried by the push within 2 s", "m", 3),
+    FELL,
+];
 
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -78,11 +83,10 @@ impl Experiment for Directions {
 
     fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let average_s = if script.command.forward == 0.0 { STANDING_AVERAGE_S } else { STRIDE_S };
-        let decay = |threshold| {
-            let push = script.pushes.first().filter(|_| end == End::Upright)?;
-            decay_time(trace, push.time_s, push.push.linear, threshold, average_s)
-        };
-        Measured { values: vec![decay(0.1), decay(0.2), Some(end.fell())], series: Vec::new() }
+        let push = script.pushes.first().filter(|_| end == End::Upright);
+        let decay = |threshold| decay_time(trace, push?.time_s, push?.push.linear, threshold, average_s);
+        let carried = push.and_then(|push| carried(trace, push.time_s, push.push.linear, CARRIED_S));
+        Measured { values: vec![decay(0.1), decay(0.2), carried, Some(end.fell())], series: Vec::new() }
     }
 
     fn findings(&self, results: &Results) -> Findings {
