@@ -6,8 +6,8 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric};
-use crate::scenario::Script;
 use crate::scenario::metrics::Metric;
+use crate::scenario::{Goal, Script};
 use crate::scene::Buffers;
 use crate::trace::Trace;
 
@@ -75,6 +75,7 @@ impl Parameters for BallPit {
                     [(row + 2 * column) as usize % 4],
             );
         }
+        script.goal = Some(Goal { from: None, ahead_m: self.far_edge_m(), text: "got across the balls" });
         script.scene.obstacles = balls;
         // Conjugate gradients: Newton's method would need a stack of half a gigabyte.
         script.scene.solver = r#"solver="CG" iterations="20""#;

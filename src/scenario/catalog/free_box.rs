@@ -6,8 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric};
 use crate::random::{Purpose, stream};
-use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
+use crate::scenario::{Goal, Script};
 use crate::scene::Buffers;
 use crate::trace::{Frame, Trace};
 
@@ -60,6 +60,7 @@ impl Parameters for FreeBox {
             mass = self.mass_kg,
             friction = self.friction,
         );
+        script.goal = Some(Goal { from: Some("box"), ahead_m: 0.5 * self.size_m, text: "got past the box" });
         script.scene.buffers = Buffers { contacts: 100, rows: 500, stack: 200_000 };
         Ok(())
     }

@@ -8,7 +8,11 @@ its parameters, what they make of the script, and the numbers it is about.
 mod ball_pit;
 mod free_box;
 mod leash;
+mod outdoor;
+mod pendulum;
+mod pulley;
 mod push;
+mod rubble;
 mod terrain;
 mod walk;
 
@@ -29,7 +33,11 @@ use crate::trace::Trace;
 pub use ball_pit::BallPit;
 pub use free_box::FreeBox;
 pub use leash::Leash;
+pub use outdoor::Outdoor;
+pub use pendulum::{Impact, Pendulum};
+pub use pulley::Pulley;
 pub use push::PushAway;
+pub use rubble::Rubble;
 pub use terrain::{Terrain, TerrainKind};
 pub use walk::Walk;
 
@@ -41,6 +49,10 @@ pub const DEFAULTS: &[(&str, &str)] = &[
     ("box", include_str!("../../../configs/scenarios/box.yaml")),
     ("ball-pit", include_str!("../../../configs/scenarios/ball-pit.yaml")),
     ("terrain", include_str!("../../../configs/scenarios/terrain.yaml")),
+    ("pulley", include_str!("../../../configs/scenarios/pulley.yaml")),
+    ("pendulum", include_str!("../../../configs/scenarios/pendulum.yaml")),
+    ("rubble", include_str!("../../../configs/scenarios/rubble.yaml")),
+    ("outdoor", include_str!("../../../configs/scenarios/outdoor.yaml")),
 ];
 
 /// The default parameters of a scenario.
@@ -84,6 +96,13 @@ pub struct Task {
     pub duration_s: f64,
 }
 
+impl Task {
+    /// Whether the robot is asked to stay where it is.
+    pub fn is_standing(&self) -> bool {
+        [self.forward_m_s, self.left_m_s, self.yaw_rad_s] == [0.0; 3]
+    }
+}
+
 /// What a scenario's parameters do.
 trait Parameters {
     /// What is asked of the policy.
@@ -114,6 +133,14 @@ pub enum Scenario {
     BallPit(BallPit),
     /// Walk over Perlin terrain, steps or a slope (E8)
     Terrain(Terrain),
+    /// Pull the trunk with a weight over a pulley (E9)
+    Pulley(Pulley),
+    /// Swing a ball on a string into the trunk (E10)
+    Pendulum(Pendulum),
+    /// Walk over wooden blocks and soft mats (E11)
+    Rubble(Rubble),
+    /// Walk over hills of varied friction (E11)
+    Outdoor(Outdoor),
 }
 
 impl Scenario {
@@ -126,6 +153,10 @@ impl Scenario {
             Scenario::Box(_) => "box",
             Scenario::BallPit(_) => "ball-pit",
             Scenario::Terrain(_) => "terrain",
+            Scenario::Pulley(_) => "pulley",
+            Scenario::Pendulum(_) => "pendulum",
+            Scenario::Rubble(_) => "rubble",
+            Scenario::Outdoor(_) => "outdoor",
         }
     }
 
@@ -137,6 +168,10 @@ impl Scenario {
             Scenario::Box(free_box) => free_box,
             Scenario::BallPit(pit) => pit,
             Scenario::Terrain(terrain) => terrain,
+            Scenario::Pulley(pulley) => pulley,
+            Scenario::Pendulum(pendulum) => pendulum,
+            Scenario::Rubble(rubble) => rubble,
+            Scenario::Outdoor(outdoor) => outdoor,
         }
     }
 
@@ -167,6 +202,8 @@ impl Scenario {
             after_fall_s: AFTER_FALL_S,
             pushes: Vec::new(),
             pull: None,
+            rig: None,
+            goal: None,
         };
         self.parameters().prepare(&mut script, seed)?;
         Ok(script)
