@@ -89,3 +89,48 @@ impl Parameters for Outdoor {
         found.push(metric("climb_m", "highest above lowest ground", climbed.map(|(high, low)| high + low), "m"));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::go1::same_in_every_leg;
+    use crate::scenario::catalog::{Scenario, defaults};
+    use crate::sim::{Push, Sim};
+
+    /// How far a standing robot slides after a push of 1 m/s to the left.
+    fn slide_m(friction: f64) -> f64 {
+        let config = Config::load("compliant").unwrap();
+        let outdoor: Outdoor = defaults("outdoor").unwrap();
+        let outdoor =
+            Outdoor { steepest: 0.0, least_friction: friction, largest_friction: friction, patch_m: 0.5, ..outdoor };
+        let script = Scenario::Outdoor(outdoor).script(0, &config).unwrap();
+        let mut sim = Sim::new(&script.scene, &config.simulation, 0.1).unwrap();
+        let target = same_in_every_leg([0.0, 0.72, -1.44]);
+        sim.reset(script.conditions, &target).unwrap();
+        sim.push(&Push { linear: [0.0, 1.0], angular: [0.0; 3] }).unwrap();
+        for _ in 0..30 {
+            sim.step(&target, &mut ()).unwrap();
+        }
+        sim.state().position.y
+    }
+
+    #[test]
+    fn feet_feel_the_friction_of_their_square_and_not_that_of_the_whole_ground() {
+        // Without friction the whole robot would go on at some 0.4 m/s or more; the ground's own friction is 0.8.
+        let (slippery, rough) = (slide_m(0.02), slide_m(1.0));
+        println!("{slippery} {rough}");
+        assert!(slippery > 2.0 * rough && rough < 0.1, "{slippery} {rough}");
+    }
+
+    #[test]
+    fn squares_cover_the_ground_with_frictions_in_range() {
+        let outdoor: Outdoor = defaults("outdoor").unwrap();
+        let patches = outdoor.patches(1);
+        assert!(patches.columns as f64 * patches.edge_m >= 2.0 * outdoor.half_size_m());
+        assert_eq!(patches.friction.len(), patches.columns * patches.columns);
+        let [low, high] = [0.4, 1.0];
+        assert!(patches.friction.iter().all(|friction| (low..=high).contains(friction)));
+        assert!(patches.friction.iter().any(|f| *f < low + 0.1) && patches.friction.iter().any(|f| *f > high - 0.1));
+    }
+}

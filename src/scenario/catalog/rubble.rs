@@ -204,4 +204,35 @@ mod tests {
         let error = rubble.pieces(0).unwrap_err().to_string();
         assert!(error.starts_with("--blocks is 200, expected fewer"), "{error}");
     }
+
+    #[test]
+    fn feet_sink_into_a_mat_by_about_a_centimetre_and_hardly_into_the_floor() {
+        use crate::config::Config;
+        use crate::go1::same_in_every_leg;
+        use crate::scene::{RobotFile, Scene};
+        use crate::sim::{Conditions, Sim};
+        let config = Config::load("compliant").unwrap();
+        let sunk_m = |obstacle: String, top_m: f64| {
+            let buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
+            let timestep_s = config.simulation.timestep_s();
+            let scene = Scene { obstacles: obstacle, buffers, ..Scene::flat(RobotFile::Embedded, timestep_s) };
+            let mut sim = Sim::new(&scene, &config.simulation, 0.1).unwrap();
+            let target = same_in_every_leg([0.0, 0.72, -1.44]);
+            let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, joint_offsets: [0.0; 12] };
+            sim.reset(conditions, &target).unwrap();
+            sim.data_mut().positions_mut()[2] += top_m;
+            sim.refresh().unwrap();
+            for _ in 0..120 {
+                sim.step(&target, &mut ()).unwrap();
+            }
+            sim.state().feet.map(|foot| top_m - foot.height)
+        };
+        let mat = format!(
+            r#"<geom name="mat" type="box" pos="0 0 0.02" size="0.6 0.6 0.02" priority="2" friction="0.8" {MAT_CONTACT}/>"#
+        );
+        let (floor, mat) = (sunk_m(String::new(), 0.0), sunk_m(mat, 0.04));
+        println!("{floor:?} {mat:?}");
+        assert!(floor.iter().all(|sunk| *sunk < 0.002), "{floor:?}");
+        assert!(mat.iter().all(|sunk| *sunk > 0.004 && *sunk < 0.02), "{mat:?}");
+    }
 }
