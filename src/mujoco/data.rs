@@ -92,6 +92,8 @@ fields! {
     mocap_positions / mocap_positions_mut = mocap_pos[|m| 3 * m.mocap_count()];
     /// Lengths of tendons as of the last first half-step, shape (ntendon). \[m\]
     tendon_lengths = ten_length[|m| m.count(Kind::Tendon)];
+    /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
+    tendon_velocities = ten_velocity[|m| m.count(Kind::Tendon)];
     /// Generalised accelerations of the last second half-step, shape (nv).
     accelerations = qacc[Model::nv];
 }

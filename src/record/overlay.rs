@@ -246,7 +246,7 @@ impl Overlay {
         self.is_tied = true;
         let colour = if rope.force_n > 0.0 { YELLOW } else { GREY };
         let strip = LineStrips3D::new([rope.points.clone()])
-            .with_radii([Radius::new_scene_units(0.005)])
+            .with_radii([Radius::new_scene_units(0.003)])
             .with_colors([opaque(colour)]);
         stream.log(&path, &strip)
     }

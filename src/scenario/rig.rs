@@ -32,12 +32,14 @@ pub const ROPE_LIMIT: &str = r#"limited="true" range="0 1000" solreflimit="0.01 
 /// A rope with a load, and when it acts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rig {
-    /// Bodies that hold the rope up, with their places relative to the aim: ahead, left, height above the plane \[m\].
+    /// Bodies that hold the rope up, with their places relative to the aim: ahead, left, height \[m\].
     pub holders: Vec<(&'static str, [f64; 3])>,
     /// Body at the rope's end; its joint, geometry and site have the same name.
     pub load: &'static str,
     /// Where the load is let go, relative to the aim as above \[m\].
     pub load_place: [f64; 3],
+    /// Whether heights count from the trunk's origin, else from the ground.
+    pub is_level_with_trunk: bool,
     /// Mass of the load \[kg\].
     pub mass_kg: f64,
     /// Sites that the rope goes through.
@@ -137,6 +139,9 @@ impl RigState {
             self.place(rig, &script.command, sim)?;
             if rig.release_s < time_s + half_a_step_s {
                 self.phase = Phase::Free;
+                // The load already moves as a robot that walks draws the rope: a stiff rope would jerk one at rest.
+                let rising_m_s = sim.data().tendon_velocities()[self.tendon];
+                sim.data_mut().velocities_mut()[self.load_velocity + 2] = rising_m_s;
                 let length_m = sim.data().tendon_lengths()[self.tendon] + rig.slack_m;
                 self.set_rope(sim, length_m, 0.0)?;
                 events.push(Event { time_s, kind: EventKind::Disturbance, text: rig.words.release.to_owned() });
@@ -173,7 +178,7 @@ impl RigState {
         let on_ground = |contact: mujoco::Contact| {
             contact.geoms.contains(&self.load_geom) && contact.geoms.contains(&sim.robot().ground())
         };
-        if !self.is_grounded && data.contacts().any(on_ground) {
+        if !self.is_grounded && self.phase == Phase::Free && data.contacts().any(on_ground) {
             self.is_grounded = true;
             events.push(Event { time_s, kind: EventKind::Disturbance, text: rig.words.grounded.to_owned() });
         }
@@ -190,11 +195,12 @@ impl RigState {
 
     /// Puts holders and load to their places about where the robot is going, at rest, the load's weight borne.
     fn place(&self, rig: &Rig, command: &Command, sim: &mut Sim) -> mujoco::Result<()> {
-        let (aim, heading) = aim(&sim.state(), command, rig.lead_s);
-        let ground = sim.ground().height(aim.x, aim.y);
+        let state = sim.state();
+        let (aim, heading) = aim(&state, command, rig.lead_s);
+        let level = if rig.is_level_with_trunk { state.position.z } else { sim.ground().height(aim.x, aim.y) };
         let at = |[ahead, left, height]: [f64; 3]| {
             let place = aim + heading * Vector2::new(ahead, left);
-            [place.x, place.y, ground + height]
+            [place.x, place.y, level + height]
         };
         let data = sim.data_mut();
         for (mocap, (_, place)) in self.holders.iter().zip(&rig.holders) {

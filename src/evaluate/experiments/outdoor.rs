@@ -18,7 +18,7 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall in 20 s", "%", 0),
     Quantity::new("velocity_error_m_s", "velocity error", "m/s", 3),
     Quantity::new("power_w", "power", "W", 1),
-    Quantity::new("climb_m", "highest above lowest ground", "m", 2),
+    Quantity::new("steepest_met", "steepest slope on the way", "%", 0),
 ];
 
 /// Its numbers in the protocol.
@@ -71,7 +71,12 @@ impl Experiment for Outdoor {
         let errors = metrics::velocity_errors(trace, self.settle_s, script.duration_s).filter(|_| upright);
         let of_upright = |name: &str| value(&found, name).filter(|_| upright);
         let error = errors.map(|[forward, left, _]| forward.hypot(left));
-        let values = vec![truth(upright), error, of_upright("power_w"), of_upright("climb_m")];
+        let values = vec![
+            truth(upright),
+            error,
+            of_upright("power_w"),
+            of_upright("steepest_met_percent").map(|percent| 0.01 * percent),
+        ];
         Measured { values, series: Vec::new() }
     }
 

@@ -86,8 +86,18 @@ impl Parameters for Outdoor {
         let ground = |frame: &Frame| script.scene.ground.height(frame.position[0], frame.position[1]);
         let frames = || trace.frames.iter();
         let climbed = metrics::largest(frames(), ground).zip(metrics::largest(frames(), |frame| -ground(frame)));
+        let steepest = metrics::largest(frames(), |frame| 100.0 * slope(&script.scene.ground, frame.position));
+        found.push(metric("steepest_met_percent", "steepest slope on the way", steepest, "%"));
         found.push(metric("climb_m", "highest above lowest ground", climbed.map(|(high, low)| high + low), "m"));
     }
+}
+
+/// Slope of the ground under a place, rise over run, over the length of the robot.
+fn slope(ground: &Ground, [x, y, _]: [f64; 3]) -> f64 {
+    let half_m = 0.2;
+    let along_x = ground.height(x + half_m, y) - ground.height(x - half_m, y);
+    let along_y = ground.height(x, y + half_m) - ground.height(x, y - half_m);
+    along_x.hypot(along_y) / (2.0 * half_m)
 }
 
 #[cfg(test)]

@@ -1,8 +1,9 @@
 /*! A ball on a string swings into the trunk (E10).
 
-The ball is let go at rest with the string taut and touches the trunk where its swing is lowest: the stand is aimed at
-where the robot, walking on as commanded, will be a quarter of a period later. How long a contact lasts and how hard it
-is are those of MuJoCo's default contact, whose time constant is 20 ms: a medicine ball rather than a steel one.
+The ball is let go at rest with the string taut. Where its swing is lowest, it is level with the trunk's middle and
+touches its side: the stand is aimed at where the robot, walking on as commanded, will be a quarter of a period later. How
+long a contact lasts and how hard it is are those of MuJoCo's default contact, whose time constant is 20 ms: a padded ball
+rather than bare steel.
 */
 
 use std::f64::consts::FRAC_PI_2;
@@ -50,9 +51,6 @@ pub struct Pendulum {
     /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// Height of the ball's centre at its lowest point (m)
-    #[arg(long)]
-    pub height_m: f64,
     /// When the ball is let go (s)
     #[arg(long)]
     pub at_s: f64,
@@ -115,9 +113,10 @@ impl Pendulum {
         let away_m = (self.string_m.powi(2) - (self.string_m - self.release_height_m).powi(2)).sqrt();
         let at = |along: f64, height: f64| [ahead * along, left * along, height];
         Rig {
-            holders: vec![("pivot", at(lowest_m, self.height_m + self.string_m))],
+            holders: vec![("pivot", at(lowest_m, self.string_m))],
             load: "ball",
-            load_place: at(lowest_m - away_m, self.height_m + self.release_height_m),
+            load_place: at(lowest_m - away_m, self.release_height_m),
+            is_level_with_trunk: true,
             mass_kg: self.mass_kg,
             path: vec!["pivot", "ball"],
             slack_m: 0.0,
@@ -147,10 +146,10 @@ impl Parameters for Pendulum {
         in_range("string-m", self.string_m, 0.1, 100.0, "0.1 to 100 m")?;
         in_range("release-height-m", self.release_height_m, 0.0, self.string_m, "0 to the string's length")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
-        in_range("height-m", self.height_m, self.radius_m, 10.0, "the ball's radius to 10 m")?;
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
         let rig = self.rig();
-        let at = |[x, y, z]: [f64; 3]| format!("{x} {y} {z}");
+        // Until the first step; high enough to touch nothing.
+        let at = |[x, y, z]: [f64; 3]| format!("{x} {y} {}", z + 1.0);
         script.scene.obstacles = format!(
             r#"    <body name="pivot" mocap="true" pos="{pivot}">
       <geom name="pivot" type="sphere" size="0.025" contype="0" conaffinity="0" rgba="0.55 0.58 0.62 1"/>

@@ -78,6 +78,7 @@ impl Pulley {
             ],
             load: "weight",
             load_place: low(upper, half_edge_m + self.drop_m),
+            is_level_with_trunk: false,
             mass_kg: self.mass_kg,
             path: vec![HARNESS, "pulley", "upper_pulley", "weight"],
             slack_m: self.slack_m,
