@@ -27,10 +27,11 @@ const WOOD_KG_M3: f64 = 650.0;
 /// Edge of a mat \[m\].
 const MAT_EDGE_M: f64 = 0.7;
 
-/// Softness of mats: a foot of a standing Go1, which carries some 32 N, sinks in by about a centimetre, one that bears
-/// half the weight by two, as a heel does into a gymnastics mat of foam. The impedance grows with depth as foam hardens;
-/// the time constant of 50 ms with a damping ratio of 1 keeps the mat from throwing the foot back.
-const MAT_CONTACT: &str = r#"solref="0.05 1" solimp="0.3 0.9 0.03""#;
+/// Softness of mats: under a Go1 that stands still, whose front feet carry some 21 N each and whose rear feet 42 N, they
+/// give by 10 and 13 mm (the floor by 1 mm), about as much as a gymnastics mat of foam under a small hard ball that is
+/// pressed with as much. The impedance grows over 2 cm as foam hardens; a damping ratio of 1 keeps the mat from throwing
+/// the foot back. Found by trying: MuJoCo's softness depends on the masses that meet.
+const MAT_CONTACT: &str = r#"solref="0.05 1" solimp="0.8 0.95 0.02""#;
 
 /// Space between neighbours, so that nothing is stuck at the start \[m\].
 const GAP_M: f64 = 0.01;
@@ -231,8 +232,7 @@ mod tests {
             r#"<geom name="mat" type="box" pos="0 0 0.02" size="0.6 0.6 0.02" priority="2" friction="0.8" {MAT_CONTACT}/>"#
         );
         let (floor, mat) = (sunk_m(String::new(), 0.0), sunk_m(mat, 0.04));
-        println!("{floor:?} {mat:?}");
         assert!(floor.iter().all(|sunk| *sunk < 0.002), "{floor:?}");
-        assert!(mat.iter().all(|sunk| *sunk > 0.004 && *sunk < 0.02), "{mat:?}");
+        assert!(mat.iter().all(|sunk| *sunk > 0.006 && *sunk < 0.018), "{mat:?}");
     }
 }
