@@ -29,7 +29,7 @@ fn main() {
         .header("src/shim.h")
         .clang_arg(format!("-I{}", include.display()))
         .allowlist_function("supple_.*|mj_(deleteModel|deleteData|deleteVFS|defaultVFS|makeEmptyFileVFS|findFileVFS|freeLastXML|name2id|id2name|version)")
-        .allowlist_type("mjModel|mjData|mjVFS|mjContact|mjtObj_|mjtWarning_|mjtGeom_|mjtJoint_")
+        .allowlist_type("mjModel|mjData|mjVFS|mjContact|mjtObj_|mjtWarning_|mjtGeom_|mjtJoint_|mjtConstraint_")
         .allowlist_var("mjVERSION_HEADER|SUPPLE_ERROR_SIZE")
         .default_enum_style(bindgen::EnumVariation::Consts)
         .prepend_enum_name(false)

@@ -55,6 +55,31 @@ pub struct HeightField {
     pub columns: usize,
     /// Heights \[m\], row-major, shape (rows, columns); row 0 at the least y, column 0 at the least x.
     pub heights: Vec<f64>,
+    /// Friction by place; without, it is the same everywhere.
+    pub friction: Option<Patches>,
+}
+
+/// Squares of ground that differ in friction.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Patches {
+    /// Edge of a square \[m\].
+    pub edge_m: f64,
+    /// Squares along x.
+    pub columns: usize,
+    /// Sliding friction, row-major, shape (rows, columns), centred at the origin; row 0 at the least y. Not empty.
+    pub friction: Vec<f64>,
+}
+
+impl Patches {
+    /// Sliding friction at a place; beyond the edge, that of the nearest square.
+    pub fn at(&self, x: f64, y: f64) -> f64 {
+        let index = |value: f64, count: usize| {
+            let square = (value / self.edge_m + 0.5 * count as f64).floor();
+            square.clamp(0.0, count as f64 - 1.0) as usize
+        };
+        let rows = self.friction.len() / self.columns;
+        self.friction[index(y, rows) * self.columns + index(x, self.columns)]
+    }
 }
 
 impl HeightField {
@@ -66,7 +91,21 @@ impl HeightField {
         let heights = (0..rows * columns)
             .map(|k| height(at(k % columns, columns, half_size[0]), at(k / columns, rows, half_size[1])))
             .collect();
-        HeightField { half_size, rows, columns, heights }
+        HeightField { half_size, rows, columns, heights, friction: None }
+    }
+
+    /// Steepest slope, rise over run, of the triangles that MuJoCo makes of the grid: each cell is split from its least
+    /// to its greatest corner, and a triangle's slope follows from its edge along x and its edge along y.
+    pub fn steepest(&self) -> f64 {
+        let [dx, dy] =
+            [2.0 * self.half_size[0] / (self.columns - 1) as f64, 2.0 * self.half_size[1] / (self.rows - 1) as f64];
+        let at = |row: usize, column: usize| self.heights[row * self.columns + column];
+        let cells = (0..self.rows - 1).flat_map(|row| (0..self.columns - 1).map(move |column| (row, column)));
+        let slope = |along_x: f64, along_y: f64| (along_x / dx).hypot(along_y / dy);
+        cells.fold(0.0, |steepest: f64, (r, c)| {
+            let (low, right, above, far) = (at(r, c), at(r, c + 1), at(r + 1, c), at(r + 1, c + 1));
+            steepest.max(slope(right - low, far - right)).max(slope(far - above, above - low))
+        })
     }
 
     /// Lowest and highest elevation \[m\].
@@ -100,6 +139,14 @@ impl Ground {
         match self {
             Ground::Flat => 0.0,
             Ground::Field(field) => field.height(x, y),
+        }
+    }
+
+    /// Squares that differ in friction, if there are any.
+    pub fn patches(&self) -> Option<&Patches> {
+        match self {
+            Ground::Flat => None,
+            Ground::Field(field) => field.friction.as_ref(),
         }
     }
 }
@@ -257,5 +304,24 @@ mod tests {
             assert!((field.height(x, y) - (0.3 * x - 0.2 * y)).abs() < 1e-12);
         }
         assert_eq!(field.height(9.0, 0.0), field.height(2.0, 0.0));
+    }
+
+    #[test]
+    fn the_steepest_slope_of_a_plane_is_its_own() {
+        // 0.3 along x and 0.4 along y is 0.5 uphill; a single raised point of 1 cm between neighbours at 10 cm is 0.1
+        // along x, 0.1 along y, √2/10 across a triangle that has both.
+        let plane = HeightField::sample([2.0, 1.0], 0.1, |x, y| 0.3 * x - 0.4 * y);
+        assert!((plane.steepest() - 0.5).abs() < 1e-9);
+        let bump = HeightField::sample([1.0, 1.0], 0.1, |x, y| if x.hypot(y) < 0.05 { 0.01 } else { 0.0 });
+        assert!((bump.steepest() - 0.1 * std::f64::consts::SQRT_2).abs() < 1e-9, "{}", bump.steepest());
+    }
+
+    #[test]
+    fn patches_are_looked_up_by_place() {
+        // Two rows of three squares of 1 m: x from -1.5 to 1.5, y from -1 to 1.
+        let patches = Patches { edge_m: 1.0, columns: 3, friction: vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6] };
+        for (x, y, expected) in [(-1.4, -0.9, 0.1), (0.4, -0.1, 0.2), (0.6, 0.1, 0.6), (-9.0, 9.0, 0.4)] {
+            assert_eq!(patches.at(x, y), expected, "{x} {y}");
+        }
     }
 }

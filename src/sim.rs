@@ -23,6 +23,9 @@ pub enum Fall {
     Touch(usize),
 }
 
+/// Priority of feet that carry the friction of their place: above that of grounds and obstacles.
+const FOOT_PRIORITY: i32 = 3;
+
 /// What happened in one policy step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepSummary {
@@ -103,8 +106,12 @@ impl Sim {
     /// # Errors
     /// A fault of MuJoCo, or a name that the model lacks.
     pub fn new(scene: &Scene, config: &Simulation, min_height_m: f64) -> Result<Self> {
-        let model = scene.compile()?;
+        let mut model = scene.compile()?;
         let robot = Go1::new(&model)?;
+        if scene.ground.patches().is_some() {
+            // Where friction differs by place, each foot carries that of its own place.
+            robot.feet().into_iter().for_each(|foot| model.set_priority(foot, FOOT_PRIORITY));
+        }
         let mut start = model.numeric("stand_qpos")?.to_vec();
         start[2] += scene.ground.height(start[0], start[1]);
         let conditions = Conditions { gravity: model.gravity(), friction: 0.8, joint_offsets: [0.0; JOINT_COUNT] };
@@ -134,8 +141,27 @@ impl Sim {
         self.look()
     }
 
+    /// Makes what was written into [`Sim::data_mut`] count: bodies that were moved, tendons that were cut.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn refresh(&mut self) -> Result<()> {
+        self.look()
+    }
+
+    /// Gives each foot the friction of the ground where it was at the last look.
+    fn feel_ground(&mut self) {
+        let Some(patches) = self.ground.patches() else { return };
+        for foot in self.robot.feet() {
+            let place = &self.data.geom_positions()[3 * foot..];
+            let friction = patches.at(place[0], place[1]);
+            self.data.model_mut().set_sliding_friction(foot, friction);
+        }
+    }
+
     /// The first half of a physics step.
     fn look(&mut self) -> Result<()> {
+        self.feel_ground();
         self.unnormalised.clear();
         self.unnormalised.extend_from_slice(self.data.positions());
         self.data.step1()

@@ -31,6 +31,19 @@ pub enum Disturbance {
     },
 }
 
+/// A rope with a load, at the end of a step.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Rope {
+    /// From one end to the other, over pulleys: world frame \[m\].
+    pub points: Vec<[f32; 3]>,
+    /// Pulling force, mean over the step's physics steps \[N\].
+    pub force_n: f64,
+    /// Largest pulling force in them \[N\].
+    pub peak_force_n: f64,
+    /// Least force in them; a rope cannot push, so that it is never below zero \[N\].
+    pub least_force_n: f64,
+}
+
 /// The state at the end of one policy step and what the step cost.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Frame {
@@ -78,6 +91,8 @@ pub struct Frame {
     pub peak_obstacle_force_n: f64,
     /// Impulse between the robot and obstacles over the step [N·s].
     pub obstacle_impulse_n_s: f64,
+    /// A rope, if the scene has one.
+    pub rope: Option<Rope>,
     /// What acted from outside in this step.
     pub disturbance: Option<Disturbance>,
     /// Stage of the training episode that this would be, if it is one.

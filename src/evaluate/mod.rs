@@ -32,7 +32,7 @@ use trial::End;
 /// What an experiment is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Info {
-    /// `E0` to `E8`.
+    /// `E0` to `E11b`.
     pub id: &'static str,
     /// Tells its trials' seeds apart from other experiments'.
     pub number: u32,

@@ -5,7 +5,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::Experiment;
-use super::experiments::{BallPit, Decay, Directions, FreeBox, Leash, PushGrid, Table4, Terrain, Walk};
+use super::experiments::{
+    BallPit, Decay, Directions, FreeBox, Leash, Outdoor, Pendulum, Pulley, PushGrid, Rubble, Table4, Terrain, Walk,
+};
 use crate::config::{ConfigError, layered};
 
 /// The protocol of the whole report.
@@ -28,6 +30,10 @@ pub struct Protocol {
     pub r#box: FreeBox,
     pub ball_pit: BallPit,
     pub terrain: Terrain,
+    pub pulley: Pulley,
+    pub pendulum: Pendulum,
+    pub rubble: Rubble,
+    pub outdoor: Outdoor,
 }
 
 /// Why a protocol was refused.
@@ -91,7 +97,7 @@ impl Protocol {
     }
 
     /// The experiments in the order of the report.
-    pub fn experiments(&self) -> [&dyn Experiment; 9] {
+    pub fn experiments(&self) -> [&dyn Experiment; 13] {
         [
             &self.walk,
             &self.push_grid,
@@ -102,6 +108,10 @@ impl Protocol {
             &self.r#box,
             &self.ball_pit,
             &self.terrain,
+            &self.pulley,
+            &self.pendulum,
+            &self.rubble,
+            &self.outdoor,
         ]
     }
 

@@ -65,7 +65,9 @@ pub fn cost(scenario: &Scenario) -> f64 {
     let factor = match scenario {
         Scenario::Walk(_) | Scenario::Push(_) | Scenario::Leash(_) => 1.0,
         Scenario::Box(_) => 3.5,
-        Scenario::Terrain(_) => 4.0,
+        Scenario::Pulley(_) | Scenario::Pendulum(_) => 1.5,
+        Scenario::Terrain(_) | Scenario::Outdoor(_) => 4.0,
+        Scenario::Rubble(_) => 20.0,
         Scenario::BallPit(_) => 100.0,
     };
     factor * scenario.task().duration_s

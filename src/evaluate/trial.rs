@@ -79,7 +79,15 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     let mut scenario = scenario.clone();
     match &mut scenario {
         // A pushed robot is pushed at a phase of its own; on uneven ground no time is special.
-        Scenario::Walk(_) | Scenario::Push(_) | Scenario::Terrain(_) => {}
+        Scenario::Walk(_) | Scenario::Push(_) | Scenario::Terrain(_) | Scenario::Outdoor(_) => {}
+        Scenario::Pulley(pulley) => {
+            pulley.at_s += phase_s;
+            pulley.task.duration_s += phase_s;
+        }
+        Scenario::Pendulum(pendulum) => {
+            pendulum.at_s += phase_s;
+            pendulum.task.duration_s += phase_s;
+        }
         Scenario::Leash(leash) => {
             leash.at_s += phase_s;
             leash.task.duration_s += phase_s;
@@ -87,6 +95,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
         // The obstacle is farther away by what the robot walks in that time.
         Scenario::Box(free_box) => free_box.distance_m += phase_s * free_box.task.forward_m_s,
         Scenario::BallPit(pit) => pit.distance_m += phase_s * pit.task.forward_m_s,
+        Scenario::Rubble(rubble) => rubble.distance_m += phase_s * rubble.task.forward_m_s,
     }
     scenario
 }

@@ -86,6 +86,14 @@ fields! {
     body_centres_of_mass = xipos[|m| 3 * m.count(Kind::Body)];
     /// Geometry centres, world frame, shape (ngeom, 3). \[m\]
     geom_positions = geom_xpos[|m| 3 * m.count(Kind::Geom)];
+    /// Sites, world frame, shape (nsite, 3). \[m\]
+    site_positions = site_xpos[|m| 3 * m.count(Kind::Site)];
+    /// Positions of the bodies that are moved from outside, shape (nmocap, 3). \[m\]
+    mocap_positions / mocap_positions_mut = mocap_pos[|m| 3 * m.mocap_count()];
+    /// Lengths of tendons as of the last first half-step, shape (ntendon). \[m\]
+    tendon_lengths = ten_length[|m| m.count(Kind::Tendon)];
+    /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
+    tendon_velocities = ten_velocity[|m| m.count(Kind::Tendon)];
     /// Generalised accelerations of the last second half-step, shape (nv).
     accelerations = qacc[Model::nv];
 }
@@ -241,6 +249,28 @@ impl Data {
         let frame = unsafe { (*self.raw().contact.add(index)).frame };
         // Rows of `frame` are the contact axes in the world, the first along the normal from geom 1 to geom 2.
         std::array::from_fn(|k| (0..3).map(|axis| frame[3 * axis + k] * in_contact[axis]).sum())
+    }
+
+    /// Force with which a tendon that has reached its longest pulls its ends together \[N\], zero while it is slack.
+    /// Valid after [`Data::step2`] and before the next [`Data::step1`].
+    pub fn tendon_limit_force(&self, tendon: usize) -> f64 {
+        let raw = self.raw();
+        let rows = raw.nefc as usize;
+        if rows == 0 {
+            return 0.0;
+        }
+        // SAFETY: the first `nefc` elements of the three arrays are the constraints of the last first half-step.
+        let (kinds, ids, forces) = unsafe {
+            (
+                std::slice::from_raw_parts(raw.efc_type, rows),
+                std::slice::from_raw_parts(raw.efc_id, rows),
+                std::slice::from_raw_parts(raw.efc_force, rows),
+            )
+        };
+        let is_its_limit = |row: &usize| {
+            kinds[*row] as u32 == sys::mjCNSTR_LIMIT_TENDON && usize::try_from(ids[*row]).is_ok_and(|id| id == tendon)
+        };
+        (0..rows).filter(is_its_limit).map(|row| forces[row]).sum()
     }
 
     /// Velocity of a geometry's centre, world axes [m/s].

@@ -26,6 +26,8 @@ pub enum Kind {
     Numeric,
     /// A height field.
     HeightField,
+    /// A tendon.
+    Tendon,
 }
 
 impl Kind {
@@ -38,6 +40,7 @@ impl Kind {
             Kind::Actuator => sys::mjOBJ_ACTUATOR,
             Kind::Numeric => sys::mjOBJ_NUMERIC,
             Kind::HeightField => sys::mjOBJ_HFIELD,
+            Kind::Tendon => sys::mjOBJ_TENDON,
         }) as i32
     }
 
@@ -50,6 +53,7 @@ impl Kind {
             Kind::Actuator => "actuator",
             Kind::Numeric => "numeric field",
             Kind::HeightField => "height field",
+            Kind::Tendon => "tendon",
         }
     }
 }
@@ -225,6 +229,7 @@ impl Model {
             Kind::Actuator => raw.nu,
             Kind::Numeric => raw.nnumeric,
             Kind::HeightField => raw.nhfield,
+            Kind::Tendon => raw.ntendon,
         }) as usize
     }
 
@@ -277,6 +282,36 @@ impl Model {
         assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
         // SAFETY: geom_friction holds 3 numbers for each geom; the id was checked.
         unsafe { *self.raw_mut().geom_friction.add(3 * geom) = friction };
+    }
+
+    /// Sets which of two geometries decides how they touch: the one of higher priority (friction, softness).
+    ///
+    /// # Panics
+    /// If there is no geometry of this id.
+    pub fn set_priority(&mut self, geom: usize, priority: i32) {
+        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        // SAFETY: geom_priority holds a number for each geom; the id was checked.
+        unsafe { *self.raw_mut().geom_priority.add(geom) = priority };
+    }
+
+    /// Sets the length that a limited tendon cannot exceed \[m\].
+    ///
+    /// # Panics
+    /// If there is no tendon of this id.
+    pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
+        assert!(tendon < self.count(Kind::Tendon), "tendon {tendon} out of range");
+        // SAFETY: tendon_range holds 2 numbers for each tendon; the id was checked.
+        unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
+    }
+
+    /// Number of bodies that are moved from outside.
+    pub fn mocap_count(&self) -> usize {
+        self.raw().nmocap as usize
+    }
+
+    /// Index among the bodies that are moved from outside, if a body is one.
+    pub fn mocap_index(&self, body: usize) -> Option<usize> {
+        usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[body]).ok()
     }
 
     /// Index of a joint's first position.

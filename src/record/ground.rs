@@ -2,7 +2,8 @@
 
 A plane is a chequered patch whose rim fades into the background and which moves with the robot in whole periods of its
 pattern: it looks endless, gives a sense of motion, and costs a few kilobytes. A height field is its own triangles,
-split along the same diagonal as MuJoCo's, with heights as shades.
+split along the same diagonal as MuJoCo's, with heights as shades; squares that differ in friction are blue where it
+is slippery and brown where it is not.
 */
 
 use rerun::{EntityPath, Mesh3D, Transform3D};
@@ -12,6 +13,7 @@ use super::geometry::{child, scene_path};
 use super::stream::Stream;
 use super::style::{BACKGROUND, Rgb};
 use crate::mujoco::{Geom, Kind, Model, Shape};
+use crate::scene::{Ground, Patches};
 
 /// Side of a square of the pattern \[m\].
 const SQUARE_M: f32 = 0.5;
@@ -26,6 +28,11 @@ const SQUARE_COLOURS: [Rgb; 2] = [[92, 99, 108], [104, 112, 122]];
 /// Lowest and highest point of a height field.
 const HEIGHT_COLOURS: [Rgb; 2] = [[66, 74, 84], [150, 156, 150]];
 
+/// Squares of the least and the largest friction of a ground, and how much of their colour they show.
+const SLIPPERY: Rgb = [96, 140, 170];
+const GRIPPY: Rgb = [122, 104, 70];
+const FRICTION_SHARE: f32 = 0.55;
+
 /// A patch that follows the robot.
 #[derive(Debug)]
 pub(super) struct Patch {
@@ -35,7 +42,12 @@ pub(super) struct Patch {
 }
 
 /// Logs every plane and height field of the world; returns the patches of the planes.
-pub(super) fn log_grounds(stream: &Stream, root: &EntityPath, model: &Model) -> Result<Vec<Patch>, RecordError> {
+pub(super) fn log_grounds(
+    stream: &Stream,
+    root: &EntityPath,
+    model: &Model,
+    ground: &Ground,
+) -> Result<Vec<Patch>, RecordError> {
     let mut patches = Vec::new();
     for geom in (0..model.count(Kind::Geom)).map(|id| model.geom(id)) {
         let name = if geom.name.is_empty() { "ground" } else { &geom.name };
@@ -45,7 +57,7 @@ pub(super) fn log_grounds(stream: &Stream, root: &EntityPath, model: &Model) -> 
                 stream.log_static(&path, &patch_mesh(geom.position[2] as f32))?;
                 patches.push(Patch { path, cell: None });
             }
-            Shape::HeightField(id) => stream.log_static(&path, &field_mesh(model, &geom, id))?,
+            Shape::HeightField(id) => stream.log_static(&path, &field_mesh(model, &geom, id, ground.patches()))?,
             _ => {}
         }
     }
@@ -84,7 +96,7 @@ fn patch_mesh(height: f32) -> Mesh3D {
     Mesh3D::new(positions).with_triangle_indices(triangles).with_vertex_colors(colours)
 }
 
-fn field_mesh(model: &Model, geom: &Geom, id: usize) -> Mesh3D {
+fn field_mesh(model: &Model, geom: &Geom, id: usize, patches: Option<&Patches>) -> Mesh3D {
     let (rows, columns, [half_x, half_y, relief, _]) = model.height_field_size(id);
     let elevations = model.height_field(id);
     let stride = rows.max(columns).div_ceil(MOST_POINTS);
@@ -93,6 +105,12 @@ fn field_mesh(model: &Model, geom: &Geom, id: usize) -> Mesh3D {
     let (dx, dy) = (2.0 * half_x / (columns - 1) as f64, 2.0 * half_y / (rows - 1) as f64);
     let at = |row: usize, column: usize| f64::from(elevations[row * columns + column]) * relief;
     let slope = |low: f64, high: f64, span: f64| if span > 0.0 { (high - low) / span } else { 0.0 };
+
+    let friction_range = patches.map(|patches| range(&patches.friction));
+    let friction = |x: f64, y: f64| {
+        let (patches, [low, high]) = patches.zip(friction_range)?;
+        Some(((patches.at(x, y) - low) / (high - low).max(1e-9)) as f32)
+    };
 
     let (mut positions, mut normals, mut colours) = (Vec::new(), Vec::new(), Vec::new());
     for (&row, &column) in kept_rows.iter().flat_map(|row| kept_columns.iter().map(move |column| (row, column))) {
@@ -106,6 +124,10 @@ fn field_mesh(model: &Model, geom: &Geom, id: usize) -> Mesh3D {
         normals.push([-slope_x, -slope_y, 1.0].map(|value| (value / length) as f32));
         let square = [local[0], local[1]].map(|value| (value / f64::from(SQUARE_M)).floor() as i64);
         let shade = mix(HEIGHT_COLOURS[0], HEIGHT_COLOURS[1], elevations[row * columns + column]);
+        let shade = match friction(geom.position[0] + local[0], geom.position[1] + local[1]) {
+            Some(grip) => mix(shade, mix(SLIPPERY, GRIPPY, grip), FRICTION_SHARE),
+            None => shade,
+        };
         colours.push(rgba(if (square[0] + square[1]).rem_euclid(2) == 0 { shade } else { mix(shade, [0; 3], 0.14) }));
     }
     let width = kept_columns.len() as u32;
@@ -117,6 +139,10 @@ fn field_mesh(model: &Model, geom: &Geom, id: usize) -> Mesh3D {
         }
     }
     Mesh3D::new(positions).with_triangle_indices(triangles).with_vertex_normals(normals).with_vertex_colors(colours)
+}
+
+fn range(values: &[f64]) -> [f64; 2] {
+    values.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(*v), high.max(*v)])
 }
 
 fn mix(from: Rgb, to: Rgb, share: f32) -> Rgb {

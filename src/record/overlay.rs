@@ -44,6 +44,8 @@ pub(super) struct Overlay {
     /// Until when, and the velocity.
     push: Option<(f64, [f64; 3])>,
     is_pulled: bool,
+    /// Whether a rope with a load is drawn.
+    is_tied: bool,
     label_until_s: Option<f64>,
 }
 
@@ -66,6 +68,7 @@ impl Overlay {
             next_foot_trail_s: f64::NEG_INFINITY,
             push: None,
             is_pulled: false,
+            is_tied: false,
             label_until_s: None,
         };
         overlay.log_shadow_looks(stream)?;
@@ -79,6 +82,7 @@ impl Overlay {
         self.log_shadows(stream, frame, trunk)?;
         self.log_foot_forces(stream, frame)?;
         self.log_disturbance(stream, frame, trunk)?;
+        self.log_rope(stream, frame)?;
         self.log_label(stream, frame.time_s)
     }
 
@@ -227,6 +231,24 @@ impl Overlay {
             self.is_pulled = false;
         }
         Ok(())
+    }
+
+    /// A rope with a load: bright while it pulls, grey while it is slack.
+    fn log_rope(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+        let path = self.entity("loaded rope");
+        let Some(rope) = frame.rope.as_ref().filter(|rope| rope.points.len() > 1) else {
+            if self.is_tied {
+                self.is_tied = false;
+                stream.log(&path, &Clear::flat())?;
+            }
+            return Ok(());
+        };
+        self.is_tied = true;
+        let colour = if rope.force_n > 0.0 { YELLOW } else { GREY };
+        let strip = LineStrips3D::new([rope.points.clone()])
+            .with_radii([Radius::new_scene_units(0.003)])
+            .with_colors([opaque(colour)]);
+        stream.log(&path, &strip)
     }
 }
 

@@ -57,7 +57,7 @@ impl Robot {
         let model = view.model;
         stream.log_static(&root, &rerun::ViewCoordinates::RIGHT_HAND_Z_UP())?;
         let parts = log_model(stream, &root, model, view.tint)?;
-        let patches = log_grounds(stream, &root, model)?;
+        let patches = log_grounds(stream, &root, model, view.ground)?;
         let robot = Robot {
             name: view.name.to_owned(),
             is_first,

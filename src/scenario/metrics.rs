@@ -161,6 +161,33 @@ pub fn offset_along_force(trace: &Trace, force: [f64; 2], from_s: f64, until_s: 
     if trace.fall().is_some() || size <= 0.0 { None } else { mean(window(trace, from_s, until_s), along) }
 }
 
+/// Yaw at a time \[rad\]: that of the last frame up to then.
+pub fn yaw_at(trace: &Trace, time_s: f64) -> Option<f64> {
+    let half_s = 0.5 * trace.period_s;
+    trace.frames.iter().rfind(|frame| frame.time_s < time_s + half_s).map(|frame| frame.roll_pitch_yaw[2])
+}
+
+/// A direction that is given in the heading frame of a yaw, in the world.
+pub fn in_world([forward, left]: [f64; 2], yaw: f64) -> [f64; 2] {
+    let (sin, cos) = yaw.sin_cos();
+    [forward * cos - left * sin, forward * sin + left * cos]
+}
+
+/// How far the robot went along a direction beyond what it was commanded to \[m\]. The direction and the commanded course
+/// are those of the heading at the start. None after a fall, or if the trace does not reach that far.
+pub fn displacement_off_course(trace: &Trace, direction: [f64; 2], from_s: f64, until_s: f64) -> Option<f64> {
+    let yaw = yaw_at(trace, from_s)?;
+    let frames = || window(trace, from_s, until_s);
+    let (first, last) = (frames().next()?, frames().last()?);
+    if trace.fall().is_some() || last.time_s + trace.period_s < until_s {
+        return None;
+    }
+    let along = in_world(direction, yaw);
+    let moved = [0, 1].map(|axis| last.position[axis] - first.position[axis]);
+    let commanded = first.command.forward * direction[0] + first.command.left * direction[1];
+    Some(moved[0] * along[0] + moved[1] * along[1] - commanded * (last.time_s - first.time_s))
+}
+
 /// Largest value of a quantity.
 pub fn largest<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
     frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| old.max(value))))
@@ -220,6 +247,22 @@ pub(crate) mod tests {
         trace.frames.iter_mut().for_each(|frame| frame.roll_pitch_yaw[2] = std::f64::consts::FRAC_PI_2);
         let found = offset_along_force(&trace, [0.0, 10.0], 1.0, 4.0).unwrap();
         assert!((found - 0.2).abs() < 1e-12);
+    }
+
+    #[test]
+    fn displacement_counts_from_the_commanded_course_at_the_heading_of_the_start() {
+        // Commanded 0.5 m/s ahead, heading along the world's y. The robot goes 0.5 m/s along y and 0.1 m/s along −x,
+        // which is to its left: 0.2 m to the left of its course in 2 s, nothing along it.
+        let mut trace = synthetic(4.0, |_| [0.5, 0.1, 0.0]);
+        for frame in &mut trace.frames {
+            frame.command.forward = 0.5;
+            frame.roll_pitch_yaw[2] = std::f64::consts::FRAC_PI_2;
+            frame.position = [-0.1 * frame.time_s, 0.5 * frame.time_s, 0.3];
+        }
+        let off = |direction| displacement_off_course(&trace, direction, 1.0, 3.0).unwrap();
+        // From the first frame of the window to its last there is a frame less than 2 s.
+        assert!((off([0.0, 1.0]) - 0.1 * (2.0 - 1.0 / 60.0)).abs() < 1e-9 && off([1.0, 0.0]).abs() < 1e-9);
+        assert_eq!(displacement_off_course(&trace, [0.0, 1.0], 3.0, 5.0), None);
     }
 
     #[test]

@@ -8,6 +8,7 @@ pub mod catalog;
 mod controller;
 pub mod metrics;
 mod play;
+pub mod rig;
 pub mod terrain;
 
 use serde::{Deserialize, Serialize};
@@ -18,6 +19,7 @@ use crate::task::Command;
 
 pub use controller::{Controller, PolicyController};
 pub use play::{Played, Rollout};
+pub use rig::Rig;
 
 /// A push at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -56,4 +58,19 @@ pub struct Script {
     pub pushes: Vec<TimedPush>,
     /// A leash.
     pub pull: Option<Pull>,
+    /// A load on a rope.
+    pub rig: Option<Rig>,
+    /// What there is to be reached.
+    pub goal: Option<Goal>,
+}
+
+/// A line across the way.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Goal {
+    /// The body from which the way is measured; without, the robot's start.
+    pub from: Option<&'static str>,
+    /// The trunk is there when it is this far ahead (world frame, x) \[m\].
+    pub ahead_m: f64,
+    /// What to say then.
+    pub text: &'static str,
 }

@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::{Controller, Script};
+use super::rig::{RigState, RopeForces};
+use super::{Controller, Goal, Script};
 use crate::config::Config;
 use crate::go1::{Foothold, Go1, Joints, RobotState};
 use crate::mujoco::{self, Data, Kind};
@@ -36,6 +37,9 @@ pub struct Rollout<'a> {
     shown_push: Option<(f64, Vector3<f64>)>,
     pulling: bool,
     fallen_since: Option<usize>,
+    rig: Option<RigState>,
+    /// The body from which the way to the goal is measured; none once it is reached.
+    goal_from: Option<usize>,
     swings: SwingTracker,
 }
 
@@ -60,15 +64,17 @@ impl<'a> Rollout<'a> {
             script,
             config,
             controller,
-            sim,
             with_bodies,
             step: 0,
             pushes_done: 0,
             shown_push: None,
             pulling: false,
             fallen_since: None,
+            rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
+            goal_from: goal_body(script, &sim)?,
             swings: SwingTracker::new(&state.feet, config.reward.foot_height_m),
             state,
+            sim,
         })
     }
 
@@ -93,7 +99,8 @@ impl<'a> Rollout<'a> {
         self.disturb(time_s, events)?;
 
         let target = self.controller.joint_targets(&self.state, &self.script.command);
-        let mut meter = Meter { swings: self.swings, ..Meter::default() };
+        let rope = self.rig.as_ref().map(RigState::tendon);
+        let mut meter = Meter { swings: self.swings, rope, ..Meter::default() };
         let summary = self.sim.step(&target, &mut meter)?;
         self.step += 1;
         let time_s = self.step as f64 * period_s;
@@ -108,6 +115,12 @@ impl<'a> Rollout<'a> {
             let text = format!("fell: {}", self.sim.describe(fall));
             events.push(Event { time_s, kind: EventKind::Fall, text });
         }
+        let rope = self
+            .rig
+            .as_mut()
+            .zip(self.script.rig.as_ref())
+            .map(|(state, rig)| state.after_step(rig, &self.sim, time_s, meter.rope_forces, meter.touched, events));
+        self.look_for_goal(&state, time_s, events);
 
         let substeps = f64::from(meter.substeps.max(1));
         let (roll, pitch, yaw) = state.roll_pitch_yaw();
@@ -137,6 +150,7 @@ impl<'a> Rollout<'a> {
             peak_foot_force_n: meter.peak_foot_force_n,
             peak_obstacle_force_n: meter.peak_obstacle_force_n,
             obstacle_impulse_n_s: meter.obstacle_force_sum_n * period_s / substeps,
+            rope,
             disturbance: self.disturbance(time_s),
             stage: is_training_episode.then(|| {
                 let since_push = time_s - self.script.pushes[0].time_s;
@@ -176,7 +190,19 @@ impl<'a> Rollout<'a> {
                 events.push(Event { time_s, kind: EventKind::Disturbance, text });
             }
         }
+        if let (Some(state), Some(rig)) = (&mut self.rig, &self.script.rig) {
+            state.before_step(rig, self.script, &mut self.sim, time_s, events)?;
+        }
         Ok(())
+    }
+
+    /// Tells once that the robot is where it was to get, on its feet.
+    fn look_for_goal(&mut self, state: &RobotState, time_s: f64, events: &mut Vec<Event>) {
+        let (Some(goal), Some(from), None) = (&self.script.goal, self.goal_from, self.fallen_since) else { return };
+        if state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m {
+            self.goal_from = None;
+            events.push(Event { time_s, kind: EventKind::Success, text: goal.text.to_owned() });
+        }
     }
 
     fn disturbance(&self, time_s: f64) -> Option<Disturbance> {
@@ -226,6 +252,11 @@ struct Meter {
     peak_foot_force_n: f64,
     peak_obstacle_force_n: f64,
     obstacle_force_sum_n: f64,
+    /// A part of the robot that touched an obstacle.
+    touched: Option<usize>,
+    /// The tendon that is a rope.
+    rope: Option<usize>,
+    rope_forces: RopeForces,
 }
 
 impl StepObserver for Meter {
@@ -236,6 +267,9 @@ impl StepObserver for Meter {
     fn forces(&mut self, data: &Data, robot: &Go1, torques: &Joints) {
         self.substeps += 1;
         self.torques = *torques;
+        if let Some(tendon) = self.rope {
+            self.rope_forces.add(data.tendon_limit_force(tendon));
+        }
         let (mut feet, mut obstacles) = ([[0.0; 3]; 4], [0.0; 3]);
         for contact in data.contacts() {
             let [first, second] = contact.geoms;
@@ -251,6 +285,7 @@ impl StepObserver for Meter {
             }
             if other != robot.ground() {
                 (0..3).for_each(|k| obstacles[k] += sign * on_second[k]);
+                self.touched = self.touched.or(Some(geom));
             }
         }
         for (sum, force) in self.foot_forces.iter_mut().zip(feet) {
@@ -261,6 +296,12 @@ impl StepObserver for Meter {
         self.peak_obstacle_force_n = self.peak_obstacle_force_n.max(obstacle_force_n);
         self.obstacle_force_sum_n += obstacle_force_n;
     }
+}
+
+/// The body from which the way to a script's goal is measured.
+fn goal_body(script: &Script, sim: &Sim) -> mujoco::Result<Option<usize>> {
+    let body = |goal: &Goal| goal.from.map_or(Ok(0), |name| sim.data().model().id(Kind::Body, name));
+    script.goal.as_ref().map(body).transpose()
 }
 
 fn norm(force: [f64; 3]) -> f64 {

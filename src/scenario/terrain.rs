@@ -76,6 +76,22 @@ pub fn perlin(half_size: [f64; 2], magnitude_m: f64, frequency: f64, seed: u64) 
     })
 }
 
+/// Wide, smooth hills whose steepest slope (rise over run) is `steepest`.
+pub fn hills(half_size: [f64; 2], steepest: f64, frequency: f64, seed: u64) -> HeightField {
+    let noise = Perlin::new(seed);
+    let start = noise.at(0.37, 0.59);
+    // A cell of the noise is metres wide: ten points for each are smooth, and few.
+    let spacing_m = (0.04 / frequency).clamp(0.05, 0.2);
+    let mut field = HeightField::sample(half_size, spacing_m, |x, y| {
+        onset(x, y) * (noise.at(frequency * x + 0.37, frequency * y + 0.59) - start)
+    });
+    // Heights and slopes grow alike.
+    let found = field.steepest();
+    let scale = if found > 0.0 { steepest / found } else { 0.0 };
+    field.heights.iter_mut().for_each(|height| *height *= scale);
+    field
+}
+
 /// Steps of `height_m` every `length_m` along x, going up and then down again.
 pub fn steps(half_size: [f64; 2], height_m: f64, length_m: f64, count: u32) -> HeightField {
     let count = f64::from(count);
@@ -110,6 +126,19 @@ mod tests {
         assert!(high - low <= 0.05 + 1e-12 && high - low > 0.04, "{low} {high}");
         let centre = (field.rows / 2) * field.columns + field.columns / 2;
         assert_eq!(field.heights[centre], 0.0);
+    }
+
+    #[test]
+    fn hills_are_as_steep_as_they_should_be_and_flat_at_the_start() {
+        for (steepest, seed) in [(0.2, 1), (0.1, 2), (0.2, 3)] {
+            let field = hills([8.0, 8.0], steepest, 0.2, seed);
+            assert!((field.steepest() - steepest).abs() < 1e-9);
+            let ground = crate::scene::Ground::Field(field.clone());
+            assert_eq!(ground.height(0.2, -0.2), 0.0);
+            // Hills, not a dent: the highest point is well above the lowest.
+            let [low, high] = field.range();
+            assert!(high - low > 1.5 * steepest, "seed {seed}: {low} {high}");
+        }
     }
 
     #[test]

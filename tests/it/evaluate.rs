@@ -20,14 +20,33 @@ leash: {directions: 3, trials: 1}
 box: {trials: 2}
 ball_pit: {trials: 1}
 terrain: {heights_m: [0.05], frequencies_per_m: [0.5], trials: 1}
+pulley: {commands_m_s: [0.0], directions_deg: [90.0], trials: 1}
+pendulum: {commands_m_s: [0.0], heights_m: [0.2], trials: 1}
+rubble: {heights_m: [0.03], trials: 1}
+outdoor: {steepest: [0.1], trials: 1}
 ";
 
-/// Everything but the ball pit, which takes seconds even when nothing moves.
-const CHEAP: [&str; 8] = ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "terrain"];
+/// Everything but what takes seconds even when nothing moves: many loose bodies.
+const CHEAP: [&str; 11] =
+    ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "terrain", "pulley", "pendulum", "outdoor"];
 
 /// Figures of all experiments.
-const FIGURES: [&str; 10] =
-    ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "box-forces", "ball-pit", "terrain"];
+const FIGURES: [&str; 14] = [
+    "walk",
+    "push-grid",
+    "decay",
+    "table4",
+    "directions",
+    "leash",
+    "box",
+    "box-forces",
+    "ball-pit",
+    "terrain",
+    "pulley",
+    "pendulum",
+    "rubble",
+    "outdoor",
+];
 
 /// A policy that folds its legs and lies down at once.
 fn falling_policy() -> Policy {
@@ -87,7 +106,7 @@ fn two_evaluations_give_the_same_summary_and_a_third_runs_nothing_again() {
     assert!(bytes("one") == bytes("two"), "the summaries differ");
 
     let summary = summary(folder, "one");
-    assert_eq!(summary["not_run"], serde_json::json!(["ball-pit"]));
+    assert_eq!(summary["not_run"], serde_json::json!(["ball-pit", "rubble"]));
     // Seed 0 is the same policy twice: paired trials differ in nothing.
     let decay = &experiment(&summary, "decay")["numbers"][0]["quantities"]["decay_10_s"];
     assert!(decay["compliant"]["by_seed"]["0"].is_number());

@@ -5,7 +5,7 @@ use supple::config::flat_parameters;
 use supple::mujoco::Kind;
 use supple::scenario::Rollout;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
-use supple::trace::Trace;
+use supple::trace::{EventKind, Trace};
 
 use crate::support::standing_policy;
 
@@ -35,7 +35,7 @@ fn all() -> Vec<Scenario> {
     DEFAULTS
         .iter()
         .map(|(name, _)| match *name {
-            "push" | "leash" => scenario(name, &["--duration-s=2", "--at-s=0.5"]),
+            "push" | "leash" | "pulley" | "pendulum" => scenario(name, &["--duration-s=2", "--at-s=0.5"]),
             _ => scenario(name, &["--duration-s=1"]),
         })
         .collect()
@@ -71,7 +71,7 @@ fn every_element_of_every_scene_has_a_name() {
     let config = standing_policy().provenance.config;
     for scenario in all() {
         let model = scenario.script(0, &config).unwrap().scene.compile_visual().unwrap();
-        for kind in [Kind::Body, Kind::Joint, Kind::Geom, Kind::HeightField] {
+        for kind in [Kind::Body, Kind::Joint, Kind::Geom, Kind::Site, Kind::HeightField, Kind::Tendon] {
             for id in 0..model.count(kind) {
                 assert!(!model.name(kind, id).is_empty(), "{}: {kind:?} {id} has no name", scenario.name());
             }
@@ -122,4 +122,90 @@ fn odd_numbers_of_balls_and_strong_leashes_do_not_crash() {
         let trace = trace(&scenario("leash", &["--duration-s=4", "--at-s=0.5", force]), 0);
         assert!(!trace.frames.is_empty() && trace.events.iter().all(|event| !event.text.contains("unstable")));
     }
+}
+
+#[test]
+fn a_rope_carries_its_weight_and_never_pushes() {
+    let scenario = scenario("pulley", &["--duration-s=5", "--at-s=0.5", "--for-s=4"]);
+    let trace = trace(&scenario, 0);
+    let ropes = || trace.frames.iter().map(|frame| (frame.time_s, frame.rope.as_ref().unwrap()));
+    assert!(ropes().all(|(_, rope)| rope.least_force_n >= 0.0));
+    assert!(ropes().filter(|(time_s, _)| *time_s < 0.5).all(|(_, rope)| rope.peak_force_n == 0.0));
+    // Held by a robot that stands, the weight is at rest after a while: m g.
+    let settled: Vec<f64> = ropes().filter(|(t, _)| (3.5..4.5).contains(t)).map(|(_, rope)| rope.force_n).collect();
+    let mean = settled.iter().sum::<f64>() / settled.len() as f64;
+    assert!((mean / 9.81 - 1.0).abs() < 0.02, "{mean}");
+    let (_, last) = ropes().last().unwrap();
+    assert!(last.peak_force_n == 0.0 && last.points.is_empty(), "{last:?}");
+    let texts: Vec<&str> = trace.events.iter().map(|event| event.text.as_str()).collect();
+    assert_eq!(texts[..2], ["the weight is let go", "the rope is taken off"]);
+}
+
+#[test]
+fn a_slack_rope_jerks_harder_than_a_taut_one() {
+    let peak = |slack: &str| {
+        let trace = trace(&scenario("pulley", &["--duration-s=2", "--at-s=0.5", slack]), 0);
+        trace.frames.iter().map(|frame| frame.rope.as_ref().unwrap().peak_force_n).fold(0.0, f64::max)
+    };
+    let (taut, slack) = (peak("--slack-m=0"), peak("--slack-m=0.3"));
+    assert!(slack > 2.0 * taut, "{taut} {slack}");
+}
+
+#[test]
+fn a_swinging_ball_hits_the_trunk_with_the_speed_of_its_fall() {
+    for height_m in [0.1_f64, 0.4] {
+        let height = format!("--release-height-m={height_m}");
+        let scenario = scenario("pendulum", &["--duration-s=2", "--at-s=0.5", &height]);
+        let trace = trace(&scenario, 0);
+        let hit = trace.events.iter().find(|event| event.text.starts_with("the ball hits")).unwrap();
+        let speed: f64 =
+            hit.text.strip_prefix("the ball hits trunk at ").unwrap().trim_end_matches(" m/s").parse().unwrap();
+        let expected = (2.0 * 9.81 * height_m).sqrt();
+        assert!((speed / expected - 1.0).abs() < 0.04, "{}, expected {expected:.2} m/s", hit.text);
+        // 3 kg that come with 2.8 m/s and bounce off give between one and two times their momentum in the first blow.
+        let Scenario::Pendulum(pendulum) = &scenario else { panic!() };
+        let push = pendulum.impact(&trace).unwrap().push;
+        assert!(push[1] > 0.1 && push[1] < expected && push[0].abs() < 1e-9, "{push:?}");
+    }
+}
+
+#[test]
+fn rubble_is_clear_of_the_robot_at_its_start_and_lies_still() {
+    for seed in 0..3 {
+        let trace = trace(&scenario("rubble", &["--duration-s=0.5"]), seed);
+        assert!(trace.frames.iter().all(|frame| frame.peak_obstacle_force_n == 0.0));
+        let (first, last) = (&trace.frames[0].bodies, &trace.frames[29].bodies);
+        // The blocks are the last bodies.
+        let still = first
+            .iter()
+            .zip(last)
+            .rev()
+            .take(40)
+            .all(|(a, b)| (0..3).all(|k| (a.position[k] - b.position[k]).abs() < 2e-3));
+        assert!(still, "seed {seed}");
+    }
+}
+
+#[test]
+fn a_seed_is_a_scene_and_another_seed_another_one() {
+    let config = standing_policy().provenance.config;
+    for name in ["rubble", "outdoor", "terrain"] {
+        let scenario = scenario(name, &["--duration-s=1"]);
+        let script = |seed| scenario.script(seed, &config).unwrap().scene;
+        assert!(script(3) == script(3) && script(3) != script(4), "{name}");
+    }
+}
+
+#[test]
+fn getting_past_an_obstacle_is_an_event_and_happens_once() {
+    // Nothing to cross: the end of an empty field lies behind the robot at once when it is put there.
+    let mut script = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"])
+        .script(0, &standing_policy().provenance.config)
+        .unwrap();
+    script.goal.as_mut().unwrap().ahead_m = -1.0;
+    let policy = standing_policy();
+    let trace = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), false).unwrap().trace();
+    let reached: Vec<_> = trace.events.iter().filter(|event| event.kind == EventKind::Success).collect();
+    assert_eq!(reached.len(), 1);
+    assert_eq!(reached[0].text, "got across the rubble");
 }

@@ -6,7 +6,7 @@ use clap::Parser;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 
 /// The experiments by name, with what they are.
-const EXPERIMENTS: [(&str, &str); 9] = [
+const EXPERIMENTS: [(&str, &str); 13] = [
     ("walk", "E0: walking undisturbed"),
     ("push-grid", "E1, Fig. 2: success over a grid of pushes"),
     ("decay", "E2, Fig. 3: decay of a sideways push"),
@@ -16,6 +16,10 @@ const EXPERIMENTS: [(&str, &str); 9] = [
     ("box", "E6, Fig. 6: collision with a box"),
     ("ball-pit", "E7, Fig. 7a: crossing a ball pit"),
     ("terrain", "E8, Fig. 7b: uneven terrain"),
+    ("pulley", "E9, Fig. 8a: a weight over a pulley"),
+    ("pendulum", "E10, Fig. 8b: a swinging ball"),
+    ("rubble", "E11a, Fig. 8c: wooden blocks and soft mats"),
+    ("outdoor", "E11b, Fig. 8d: hills of varied friction"),
 ];
 
 /// Compare two sets of policies under disturbance, and write a report.

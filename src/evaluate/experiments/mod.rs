@@ -1,11 +1,15 @@
-//! The experiments E0 to E8, one file each: what is varied, what is measured, what is shown.
+//! The experiments E0 to E11, one file each: what is varied, what is measured, what is shown.
 
 mod ball_pit;
 mod decay;
 mod directions;
 mod free_box;
 mod leash;
+mod outdoor;
+mod pendulum;
+mod pulley;
 mod push_grid;
+mod rubble;
 mod table4;
 mod terrain;
 mod walk;
@@ -15,11 +19,16 @@ pub use decay::Decay;
 pub use directions::Directions;
 pub use free_box::FreeBox;
 pub use leash::Leash;
+pub use outdoor::Outdoor;
+pub use pendulum::Pendulum;
+pub use pulley::Pulley;
 pub use push_grid::PushGrid;
+pub use rubble::Rubble;
 pub use table4::Table4;
 pub use terrain::Terrain;
 pub use walk::Walk;
 
+use super::plot::dots::Dots;
 use super::plot::polar::Polar;
 use super::results::Results;
 use super::statistics::Spread;
@@ -39,6 +48,27 @@ fn directions(count: u32) -> impl Iterator<Item = f64> {
 fn polar(title: String, results: &Results, conditions: std::ops::Range<usize>, quantity: &str) -> Polar {
     let spreads = |set| conditions.clone().map(|c| Spread::of(&results.per_seed(set, c, quantity))).collect();
     Polar { title, sets: [spreads(0), spreads(1)] }
+}
+
+/// A panel with a quantity in all conditions.
+fn by_condition(results: &Results, quantity: &str) -> Dots {
+    let of_condition = |condition| [0, 1].map(|set| results.per_seed(set, condition, quantity));
+    Dots { quantity: results.quantity(quantity), rows: (0..results.conditions.len()).map(of_condition).collect() }
+}
+
+/// What was varied, by condition.
+fn labels(results: &Results) -> Vec<String> {
+    results.conditions.iter().map(|condition| condition.label.clone()).collect()
+}
+
+/// What a robot does at a forward command.
+fn gait(command_m_s: f64) -> &'static str {
+    if command_m_s == 0.0 { "standing" } else { "walking" }
+}
+
+/// 1 for yes, 0 for no.
+fn truth(is: bool) -> Option<f64> {
+    Some(f64::from(u8::from(is)))
 }
 
 /// A number as it stands in the protocol's JSON.

@@ -1,0 +1,123 @@
+//! E10: a ball on a string swings into the robot (Fig. 8b).
+
+use serde::{Deserialize, Serialize};
+
+use super::{by_condition, gait, labels, parameters, value};
+use crate::config::ConfigError;
+use crate::evaluate::findings::{Claim, Figure, Findings, Table};
+use crate::evaluate::plot::dots;
+use crate::evaluate::results::Results;
+use crate::evaluate::statistics::Expected;
+use crate::evaluate::trial::End;
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::scenario::Script;
+use crate::scenario::catalog::{Pendulum as Parameters, Scenario, Task, defaults};
+use crate::trace::Trace;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
+    Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
+    Quantity::new("push_m_s", "velocity change by the hit", "m/s", 2),
+    Quantity::new("peak_contact_force_n", "peak contact force", "N", 0),
+    Quantity::new("contact_impulse_n_s", "impulse in the first second", "N·s", 1),
+    Quantity::new("hit", "hit by the ball", "%", 0),
+    FELL,
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pendulum {
+    /// Forward commands \[m/s\]; 0 is standing.
+    pub commands_m_s: Vec<f64>,
+    /// Heights of the release above the lowest point \[m\].
+    pub heights_m: Vec<f64>,
+    /// Runs of each policy from each height at each command.
+    pub trials: u32,
+}
+
+impl Experiment for Pendulum {
+    fn info(&self) -> Info {
+        Info {
+            id: "E10",
+            number: 10,
+            name: "pendulum",
+            title: "A swinging ball",
+            paper: "Fig. 8b",
+            method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
+                     right side of the trunk. The push is the change of the trunk's velocity along the blow from before the \
+                     contact to its end; it decays as in E2, the average being 0.1 s when standing. Peak force and impulse \
+                     are those of all contacts with the ball, which bounces back and may come again.",
+        }
+    }
+
+    fn quantities(&self) -> &'static [Quantity] {
+        QUANTITIES
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Parameters = defaults("pendulum")?;
+        let condition = |command: f64, release_height_m: f64| Condition {
+            label: format!("{}, {:.0} cm", gait(command), 100.0 * release_height_m),
+            scenario: Scenario::Pendulum(Parameters {
+                release_height_m,
+                task: Task { forward_m_s: command, ..base.task.clone() },
+                ..base.clone()
+            }),
+        };
+        let commands = self.commands_m_s.iter();
+        Ok(commands.flat_map(|command| self.heights_m.iter().map(|height| condition(*command, *height))).collect())
+    }
+
+    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
+        let found = scenario.metrics(script, trace);
+        // Fallen or not, the ball has hit as hard as it has; decay times know of falls themselves.
+        let mut values: Vec<Option<f64>> = QUANTITIES.iter().map(|quantity| value(&found, quantity.name)).collect();
+        let was_hit = value(&found, "impact_time_s").is_some();
+        if end == End::Fault {
+            values.fill(None);
+        }
+        values[QUANTITIES.len() - 2] = Some(f64::from(u8::from(was_hit)));
+        values[QUANTITIES.len() - 1] = Some(end.fell());
+        Measured { values, series: Vec::new() }
+    }
+
+    fn findings(&self, results: &Results) -> Findings {
+        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
+        let caption = "Hit by a ball of 3 kg on a string of 1 m, by command and release height.";
+        let table = Table::of_conditions("pendulum", caption, results, &names);
+        let panels = ["decay_10_s", "push_m_s", "peak_contact_force_n", "fell"].map(|name| by_condition(results, name));
+        let figure = Figure::new(
+            "pendulum",
+            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, velocity change, peak \
+             force and falls. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
+             no decay time.",
+            dots::draw("What a swinging ball does, by release height", &panels, &labels(results), &results.names),
+        );
+        let (mut claims, mut notes) = (Vec::new(), Vec::new());
+        let count = self.heights_m.len();
+        for (index, command) in self.commands_m_s.iter().enumerate() {
+            let of_command: Vec<usize> = (index * count..(index + 1) * count).collect();
+            notes.extend(results.left_out(&of_command, "decay_10_s").map(|note| format!("{}: {note}", gait(*command))));
+            claims.push(Claim::direction(
+                &format!(
+                    "Hit by a swinging ball while {}, compliant policies recover more gradually (mean over heights)",
+                    gait(*command)
+                ),
+                "more gradual",
+                results.quantity("decay_10_s"),
+                Expected::Higher,
+                results.compare_over(&of_command, "decay_10_s"),
+            ));
+        }
+        Findings { claims, tables: vec![table], figures: vec![figure], notes }
+    }
+
+    fn parameters(&self) -> serde_json::Value {
+        parameters(self)
+    }
+}

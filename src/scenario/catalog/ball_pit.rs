@@ -1,0 +1,92 @@
+//! A field of loose balls (E7).
+
+use std::fmt::Write as _;
+
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::scenario::metrics::Metric;
+use crate::scenario::{Goal, Script};
+use crate::scene::Buffers;
+use crate::trace::Trace;
+
+/// Ball pit: cross a field of loose balls.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BallPit {
+    #[command(flatten)]
+    #[serde(flatten)]
+    #[allow(missing_docs)]
+    pub task: Task,
+    /// Number of balls, laid out in a square
+    #[arg(long)]
+    pub balls: u32,
+    /// Mass of a ball (kg)
+    #[arg(long)]
+    pub mass_kg: f64,
+    /// Radius of a ball (m)
+    #[arg(long)]
+    pub radius_m: f64,
+    /// Gap between neighbours (m)
+    #[arg(long)]
+    pub gap_m: f64,
+    /// From the robot's centre to the first row (m)
+    #[arg(long)]
+    pub distance_m: f64,
+}
+
+impl BallPit {
+    fn side(&self) -> u32 {
+        f64::from(self.balls).sqrt().ceil() as u32
+    }
+
+    /// Where the last row ends \[m\].
+    pub fn far_edge_m(&self) -> f64 {
+        let pitch = 2.0 * self.radius_m + self.gap_m;
+        self.distance_m + f64::from(self.side()) * pitch
+    }
+}
+
+impl Parameters for BallPit {
+    fn task(&self) -> &Task {
+        &self.task
+    }
+
+    fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        in_range("balls", f64::from(self.balls), 0.0, 2000.0, "0 to 2000")?;
+        in_range("mass-kg", self.mass_kg, 1e-3, 1e3, "0.001 to 1000 kg")?;
+        in_range("radius-m", self.radius_m, 0.01, 0.5, "0.01 to 0.5 m")?;
+        in_range("gap-m", self.gap_m, 0.0, 10.0, "0 to 10 m")?;
+        in_range("distance-m", self.distance_m, 0.4, 100.0, "0.4 to 100 m, clear of the robot")?;
+        let (side, pitch) = (self.side(), 2.0 * self.radius_m + self.gap_m);
+        let mut balls = String::new();
+        for ball in 0..self.balls {
+            let (row, column) = (ball / side, ball % side);
+            let x = self.distance_m + (f64::from(row) + 0.5) * pitch;
+            let y = (f64::from(column) - 0.5 * (f64::from(side) - 1.0)) * pitch;
+            // A little damping stands for what keeps a real ball from rolling for ever: it halves a ball's speed in
+            // about a second, and is far too small to be felt by a foot.
+            let _ = writeln!(
+                balls,
+                r#"    <body name="ball_{ball}" pos="{x:.4} {y:.4} {radius}"><joint name="ball_{ball}" type="free" damping="0.001"/><geom name="ball_{ball}" type="sphere" size="{radius}" mass="{mass}" priority="1" friction="0.6 0.005 0.0001" rgba="{rgba}"/></body>"#,
+                radius = self.radius_m,
+                mass = self.mass_kg,
+                rgba = ["0.90 0.62 0.00 1", "0.34 0.71 0.91 1", "0.00 0.62 0.45 1", "0.80 0.47 0.65 1"]
+                    [(row + 2 * column) as usize % 4],
+            );
+        }
+        script.goal = Some(Goal { from: None, ahead_m: self.far_edge_m(), text: "got across the balls" });
+        script.scene.obstacles = balls;
+        // Conjugate gradients: Newton's method would need a stack of half a gigabyte.
+        script.scene.solver = r#"solver="CG" iterations="20""#;
+        let contacts = 100 + 3 * self.balls as usize;
+        script.scene.buffers = Buffers { contacts, rows: 4 * contacts, stack: 2_000_000 + 40_000 * side as usize };
+        Ok(())
+    }
+
+    fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let is_beyond = trace.frames.last().is_some_and(|frame| frame.position[0] > self.far_edge_m());
+        let crossed = is_beyond && trace.fall().is_none();
+        found.push(metric("crossed", "got across", Some(f64::from(u8::from(crossed))), ""));
+    }
+}

@@ -1,0 +1,94 @@
+//! A free box in the way (E6).
+
+use clap::Args;
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::random::{Purpose, stream};
+use crate::scenario::metrics::{self, Metric};
+use crate::scenario::{Goal, Script};
+use crate::scene::Buffers;
+use crate::trace::{Frame, Trace};
+
+/// Box: walk into a free box.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FreeBox {
+    #[command(flatten)]
+    #[serde(flatten)]
+    #[allow(missing_docs)]
+    pub task: Task,
+    /// Mass of the box (kg)
+    #[arg(long)]
+    pub mass_kg: f64,
+    /// Edge length of the box (m)
+    #[arg(long)]
+    pub size_m: f64,
+    /// From the robot's centre to the box's near face (m)
+    #[arg(long)]
+    pub distance_m: f64,
+    /// Sliding friction of the box on the ground
+    #[arg(long)]
+    pub friction: f64,
+    /// Largest sideways offset of the box, drawn from the seed (m)
+    #[arg(long)]
+    pub max_offset_m: f64,
+}
+
+impl Parameters for FreeBox {
+    fn task(&self) -> &Task {
+        &self.task
+    }
+
+    fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
+        in_range("mass-kg", self.mass_kg, 1e-3, 1e4, "0.001 to 10000 kg")?;
+        in_range("size-m", self.size_m, 0.01, 10.0, "0.01 to 10 m")?;
+        in_range("distance-m", self.distance_m, 0.4, 100.0, "0.4 to 100 m, clear of the robot")?;
+        in_range("friction", self.friction, 1e-3, 10.0, "0.001 to 10")?;
+        in_range("max-offset-m", self.max_offset_m, 0.0, 10.0, "0 to 10 m")?;
+        let offset = self.max_offset_m * stream(seed, Purpose::Scenario, 0, 1).random_range(-1.0..=1.0);
+        let half = 0.5 * self.size_m;
+        // Priority 2: the box's friction holds on the ground too.
+        script.scene.obstacles = format!(
+            r#"    <body name="box" pos="{x} {offset} {half}">
+      <freejoint name="box_joint"/>
+      <geom name="box" type="box" size="{half} {half} {half}" mass="{mass}" friction="{friction} 0.005 0.0001"
+            priority="2" rgba="0.72 0.53 0.33 1"/>
+    </body>
+"#,
+            x = self.distance_m + half,
+            mass = self.mass_kg,
+            friction = self.friction,
+        );
+        script.goal = Some(Goal { from: Some("box"), ahead_m: 0.5 * self.size_m, text: "got past the box" });
+        script.scene.buffers = Buffers { contacts: 100, rows: 500, stack: 200_000 };
+        Ok(())
+    }
+
+    fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let frames = || trace.frames.iter();
+        let touching = |frame: &&Frame| frame.peak_obstacle_force_n > 0.0;
+        let contact_s = frames().filter(touching).count() as f64 * trace.period_s;
+        let impulse: f64 = frames().map(|frame| frame.obstacle_impulse_n_s).sum();
+        let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n);
+        // The box is the last body.
+        let place = |frame: &Frame| frame.bodies.last().map(|pose| pose.position);
+        let moved = trace
+            .frames
+            .first()
+            .and_then(place)
+            .zip(trace.frames.last().and_then(place))
+            .map(|(a, b)| f64::from(b[0] - a[0]).hypot(f64::from(b[1] - a[1])));
+        found.push(metric("box_displacement_m", "box moved by", moved, "m"));
+        found.push(metric("contact_time_s", "in contact", Some(contact_s), "s"));
+        found.push(metric("contact_impulse_n_s", "impulse on the box", Some(impulse), "N s"));
+        let mean_force = (contact_s > 0.0).then(|| impulse / contact_s);
+        found.push(metric("mean_contact_force_n", "mean contact force", mean_force, "N"));
+        found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
+        let passed = trace.frames.last().and_then(|last| {
+            let box_x = f64::from(place(last)?[0]);
+            Some(f64::from(u8::from(last.position[0] > box_x + 0.5 * self.size_m)))
+        });
+        found.push(metric("passed", "got past", passed, ""));
+    }
+}

@@ -1,0 +1,150 @@
+/*! Hills of varied friction (E11).
+
+The hills are one octave of Perlin noise, wide and smooth, scaled so that the steepest triangle of the height field has
+exactly the wanted slope. The ground is divided into squares, each with a friction of its own; each foot carries the
+friction of the square that it is on, looked up at every physics step.
+*/
+
+use clap::Args;
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::random::{Purpose, stream};
+use crate::scenario::metrics::{self, Metric};
+use crate::scenario::{Script, terrain};
+use crate::scene::{Buffers, Ground, Patches};
+use crate::trace::{Frame, Trace};
+
+/// Least and largest half-length of the ground \[m\].
+const HALF_SIZE_M: [f64; 2] = [6.0, 60.0];
+
+/// Ground beyond where the command leads to \[m\].
+const MARGIN_M: f64 = 3.0;
+
+/// Outdoor: hills of varied friction.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outdoor {
+    #[command(flatten)]
+    #[serde(flatten)]
+    #[allow(missing_docs)]
+    pub task: Task,
+    /// Steepest slope of the hills, rise over run
+    #[arg(long)]
+    pub steepest: f64,
+    /// Lattice cells of the hills per metre; a hill and a dale take about two cells (1/m)
+    #[arg(long)]
+    pub frequency_per_m: f64,
+    /// Least sliding friction of a square of ground
+    #[arg(long)]
+    pub least_friction: f64,
+    /// Largest sliding friction of a square of ground
+    #[arg(long)]
+    pub largest_friction: f64,
+    /// Edge of the squares that differ in friction (m)
+    #[arg(long)]
+    pub patch_m: f64,
+}
+
+impl Outdoor {
+    /// As far as the command leads, and a margin.
+    fn half_size_m(&self) -> f64 {
+        let way_m = self.task.forward_m_s.hypot(self.task.left_m_s) * self.task.duration_s;
+        (way_m + MARGIN_M).clamp(HALF_SIZE_M[0], HALF_SIZE_M[1])
+    }
+
+    fn patches(&self, seed: u64) -> Patches {
+        let columns = (2.0 * self.half_size_m() / self.patch_m).ceil() as usize;
+        let mut rng = stream(seed, Purpose::Terrain, 1, 1);
+        let friction = || rng.random_range(self.least_friction..=self.largest_friction);
+        let friction = std::iter::repeat_with(friction).take(columns * columns).collect();
+        Patches { edge_m: self.patch_m, columns, friction }
+    }
+}
+
+impl Parameters for Outdoor {
+    fn task(&self) -> &Task {
+        &self.task
+    }
+
+    fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
+        in_range("steepest", self.steepest, 0.0, 2.0, "0 to 2")?;
+        in_range("frequency-per-m", self.frequency_per_m, 0.01, 1.0, "0.01 to 1 per metre")?;
+        in_range("least-friction", self.least_friction, 0.01, 10.0, "0.01 to 10")?;
+        let most = "the least friction to 10";
+        in_range("largest-friction", self.largest_friction, self.least_friction, 10.0, most)?;
+        in_range("patch-m", self.patch_m, 0.1, 100.0, "0.1 to 100 m")?;
+        let half_size = [self.half_size_m(); 2];
+        let mut hills = terrain::hills(half_size, self.steepest, self.frequency_per_m, seed);
+        hills.friction = Some(self.patches(seed));
+        script.scene.ground = Ground::Field(hills);
+        script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
+        Ok(())
+    }
+
+    fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let ground = |frame: &Frame| script.scene.ground.height(frame.position[0], frame.position[1]);
+        let frames = || trace.frames.iter();
+        let climbed = metrics::largest(frames(), ground).zip(metrics::largest(frames(), |frame| -ground(frame)));
+        let steepest = metrics::largest(frames(), |frame| 100.0 * slope(&script.scene.ground, frame.position));
+        found.push(metric("steepest_met_percent", "steepest slope on the way", steepest, "%"));
+        found.push(metric("climb_m", "highest above lowest ground", climbed.map(|(high, low)| high + low), "m"));
+    }
+}
+
+/// Slope of the ground under a place, rise over run, over the length of the robot.
+fn slope(ground: &Ground, [x, y, _]: [f64; 3]) -> f64 {
+    let half_m = 0.2;
+    let along_x = ground.height(x + half_m, y) - ground.height(x - half_m, y);
+    let along_y = ground.height(x, y + half_m) - ground.height(x, y - half_m);
+    along_x.hypot(along_y) / (2.0 * half_m)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::go1::same_in_every_leg;
+    use crate::scenario::catalog::{Scenario, defaults};
+    use crate::sim::{Push, Sim};
+
+    /// How far the feet of a standing robot slide in half a second after a push of 0.5 m/s to the left, on average.
+    fn slide_m(friction: f64) -> f64 {
+        let config = Config::load("compliant").unwrap();
+        let outdoor: Outdoor = defaults("outdoor").unwrap();
+        let outdoor =
+            Outdoor { steepest: 0.0, least_friction: friction, largest_friction: friction, patch_m: 0.5, ..outdoor };
+        let script = Scenario::Outdoor(outdoor).script(0, &config).unwrap();
+        let mut sim = Sim::new(&script.scene, &config.simulation, 0.1).unwrap();
+        let target = same_in_every_leg([0.0, 0.72, -1.44]);
+        sim.reset(script.conditions, &target).unwrap();
+        sim.push(&Push { linear: [0.0, 0.5], angular: [0.0; 3] }).unwrap();
+        let middle = |sim: &Sim| {
+            let feet = sim.robot().feet();
+            feet.iter().map(|foot| sim.data().geom_positions()[3 * foot + 1]).sum::<f64>() / feet.len() as f64
+        };
+        let start = middle(&sim);
+        for _ in 0..30 {
+            sim.step(&target, &mut ()).unwrap();
+        }
+        middle(&sim) - start
+    }
+
+    #[test]
+    fn feet_feel_the_friction_of_their_square_and_not_that_of_the_whole_ground() {
+        // The ground's own friction is 0.8 in both.
+        let (slippery, rough) = (slide_m(0.02), slide_m(1.0));
+        assert!(slippery > 3.0 * rough.abs(), "{slippery} {rough}");
+    }
+
+    #[test]
+    fn squares_cover_the_ground_with_frictions_in_range() {
+        let outdoor: Outdoor = defaults("outdoor").unwrap();
+        let patches = outdoor.patches(1);
+        assert!(patches.columns as f64 * patches.edge_m >= 2.0 * outdoor.half_size_m());
+        assert_eq!(patches.friction.len(), patches.columns * patches.columns);
+        let [low, high] = [0.4, 1.0];
+        assert!(patches.friction.iter().all(|friction| (low..=high).contains(friction)));
+        assert!(patches.friction.iter().any(|f| *f < low + 0.1) && patches.friction.iter().any(|f| *f > high - 0.1));
+    }
+}

@@ -1,0 +1,211 @@
+/*! A ball on a string swings into the trunk (E10).
+
+The ball is let go at rest with the string taut. Where its swing is lowest, it is level with the trunk's middle and
+touches its side: the stand is aimed at where the robot, walking on as commanded, will be a quarter of a period later. How
+long a contact lasts and how hard it is are those of MuJoCo's default contact, whose time constant is 20 ms: a padded ball
+rather than bare steel.
+*/
+
+use std::f64::consts::FRAC_PI_2;
+
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::pulley::rope;
+use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::scenario::metrics::{self, Metric, STANDING_AVERAGE_S, STRIDE_S};
+use crate::scenario::rig::Words;
+use crate::scenario::{Rig, Script};
+use crate::scene::Buffers;
+use crate::task::episode::GRAVITY;
+use crate::trace::{Frame, Trace};
+
+/// From the trunk's origin to where it ends: ahead, behind, at the sides \[m\]. Those of the collision geometries.
+const TRUNK_ENDS_M: [f64; 3] = [0.286, 0.21, 0.075];
+
+/// The first contact counts as over after this at the latest \[s\].
+const LONGEST_CONTACT_S: f64 = 0.2;
+
+/// Length of the sum of impulses from the first contact on \[s\].
+const IMPULSE_S: f64 = 1.0;
+
+/// Pendulum: a ball on a string swings into the trunk.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Pendulum {
+    #[command(flatten)]
+    #[serde(flatten)]
+    #[allow(missing_docs)]
+    pub task: Task,
+    /// Mass of the ball (kg)
+    #[arg(long)]
+    pub mass_kg: f64,
+    /// Radius of the ball (m)
+    #[arg(long)]
+    pub radius_m: f64,
+    /// From the pivot to the ball's centre (m)
+    #[arg(long)]
+    pub string_m: f64,
+    /// Height of the release above the ball's lowest point; at most the string's length (m)
+    #[arg(long)]
+    pub release_height_m: f64,
+    /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
+    #[arg(long)]
+    pub direction_deg: f64,
+    /// When the ball is let go (s)
+    #[arg(long)]
+    pub at_s: f64,
+}
+
+/// The ball's first contact with the robot.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Impact {
+    /// When it began \[s\].
+    pub time_s: f64,
+    /// Change of the trunk's velocity along the blow from the frame before it to the last frame of the contact, as a
+    /// push in the heading frame (forward, left) [m/s].
+    pub push: [f64; 2],
+}
+
+impl Pendulum {
+    /// Where the ball moves at its lowest point, forward and left of the robot; a unit vector.
+    pub fn direction(&self) -> [f64; 2] {
+        let angle = self.direction_deg.to_radians();
+        [angle.cos(), angle.sin()]
+    }
+
+    /// From the release to the lowest point \[s\]: `(π / 2) √(L / g) / agm(1, cos(θ / 2))`, exact for a point on a
+    /// string that is let go at the angle θ.
+    pub fn fall_s(&self) -> f64 {
+        let half_angle = 0.5 * (1.0 - self.release_height_m / self.string_m).acos();
+        FRAC_PI_2 * (self.string_m / GRAVITY).sqrt() / arithmetic_geometric_mean(1.0, half_angle.cos())
+    }
+
+    /// The first contact of the ball with the robot, if there was one.
+    pub fn impact(&self, trace: &Trace) -> Option<Impact> {
+        let [ahead, left] = self.direction();
+        let touches = |frame: &&Frame| frame.peak_obstacle_force_n > 0.0;
+        let first = trace.frames.iter().position(|frame| touches(&frame))?;
+        let most = (LONGEST_CONTACT_S / trace.period_s).round() as usize;
+        let lasting = trace.frames[first..].iter().take(most).take_while(touches).count();
+        let along = |index: usize| {
+            let velocity = trace.frames.get(index)?.velocity_in_heading;
+            Some(velocity[0] * ahead + velocity[1] * left)
+        };
+        let change = along(first + lasting - 1)? - along(first.checked_sub(1)?)?;
+        let time_s = trace.frames[first].time_s - trace.period_s;
+        Some(Impact { time_s, push: [change * ahead, change * left] })
+    }
+
+    /// How long the velocity change of an impact lasts \[s\], as that of a push.
+    pub fn decay_time(&self, trace: &Trace, impact: &Impact, threshold: f64) -> Option<f64> {
+        let average_s = if self.task.is_standing() { STANDING_AVERAGE_S } else { STRIDE_S };
+        metrics::decay_time(trace, impact.time_s, impact.push, threshold, average_s)
+    }
+
+    fn rig(&self) -> Rig {
+        let [ahead, left] = self.direction();
+        // The ball comes from behind its direction and touches that end of the trunk.
+        let [front, back, side] = TRUNK_ENDS_M;
+        let reach =
+            |component: f64, end: f64| if component.abs() < 1e-9 { f64::INFINITY } else { end / component.abs() };
+        let trunk_m = reach(ahead, if ahead > 0.0 { back } else { front }).min(reach(left, side));
+        let lowest_m = -(trunk_m + self.radius_m);
+        let away_m = (self.string_m.powi(2) - (self.string_m - self.release_height_m).powi(2)).sqrt();
+        let at = |along: f64, height: f64| [ahead * along, left * along, height];
+        Rig {
+            holders: vec![("pivot", at(lowest_m, self.string_m))],
+            load: "ball",
+            load_place: at(lowest_m - away_m, self.release_height_m),
+            is_level_with_trunk: true,
+            mass_kg: self.mass_kg,
+            path: vec!["pivot", "ball"],
+            slack_m: 0.0,
+            lead_s: self.fall_s(),
+            release_s: self.at_s,
+            until_s: f64::INFINITY,
+            words: Words { release: "the ball is let go", hit: "the ball hits", grounded: "the ball is on the ground" },
+        }
+    }
+}
+
+fn arithmetic_geometric_mean(mut a: f64, mut b: f64) -> f64 {
+    while (a - b).abs() > 1e-12 * a {
+        (a, b) = (0.5 * (a + b), (a * b).sqrt());
+    }
+    a
+}
+
+impl Parameters for Pendulum {
+    fn task(&self) -> &Task {
+        &self.task
+    }
+
+    fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
+        in_range("radius-m", self.radius_m, 0.01, 0.2, "0.01 to 0.2 m")?;
+        in_range("string-m", self.string_m, 0.1, 100.0, "0.1 to 100 m")?;
+        in_range("release-height-m", self.release_height_m, 0.0, self.string_m, "0 to the string's length")?;
+        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
+        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
+        let rig = self.rig();
+        // Until the first step; high enough to touch nothing.
+        let at = |[x, y, z]: [f64; 3]| format!("{x} {y} {}", z + 1.0);
+        script.scene.obstacles = format!(
+            r#"    <body name="pivot" mocap="true" pos="{pivot}">
+      <geom name="pivot" type="sphere" size="0.025" contype="0" conaffinity="0" rgba="0.55 0.58 0.62 1"/>
+      <site name="pivot"/>
+    </body>
+    <body name="ball" pos="{ball}">
+      <freejoint name="ball"/>
+      <geom name="ball" type="sphere" size="{radius}" mass="{mass}" priority="1" friction="0.6 0.005 0.0001"
+            rgba="0.80 0.47 0.65 1"/>
+      <site name="ball"/>
+    </body>
+"#,
+            pivot = at(rig.holders[0].1),
+            ball = at(rig.load_place),
+            radius = self.radius_m,
+            mass = self.mass_kg,
+        );
+        script.scene.extras = rope(&rig);
+        script.scene.buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
+        script.rig = Some(rig);
+        Ok(())
+    }
+
+    fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let impact = self.impact(trace);
+        let frames = || trace.frames.iter();
+        let after = || {
+            let time_s = impact.map(|impact| impact.time_s);
+            time_s.map(|time_s| metrics::window(trace, time_s, time_s + IMPULSE_S))
+        };
+        let decay = |threshold| impact.and_then(|impact| self.decay_time(trace, &impact, threshold));
+        let [ahead, left] = self.direction();
+        let push = impact.map(|impact| impact.push[0] * ahead + impact.push[1] * left);
+        let impulse = after().map(|frames| frames.map(|frame| frame.obstacle_impulse_n_s).sum());
+        found.push(metric("impact_time_s", "hit at", impact.map(|impact| impact.time_s), "s"));
+        found.push(metric("push_m_s", "velocity change by the hit", push, "m/s"));
+        found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
+        found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
+        let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n);
+        found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
+        found.push(metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::catalog::defaults;
+
+    #[test]
+    fn a_small_swing_takes_a_quarter_of_two_pi_root_l_over_g_and_a_right_angle_takes_18_percent_longer() {
+        let mut pendulum: Pendulum = defaults("pendulum").unwrap();
+        // 1 m: 2π √(1 / 9.81) / 4 = 0.50152 s; from 90° the period is 1.18034 times as long.
+        pendulum.release_height_m = 1e-6;
+        assert!((pendulum.fall_s() - 0.501_52).abs() < 1e-4, "{}", pendulum.fall_s());
+        pendulum.release_height_m = 1.0;
+        assert!((pendulum.fall_s() / 0.501_52 - 1.180_34).abs() < 1e-3, "{}", pendulum.fall_s());
+    }
+}

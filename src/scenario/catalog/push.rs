@@ -1,0 +1,76 @@
+//! Sudden changes of the trunk's velocity (E1 to E4).
+
+use clap::Args;
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::random::{Purpose, stream};
+use crate::scenario::metrics::{self, Metric, STRIDE_S};
+use crate::scenario::{Script, TimedPush};
+use crate::sim::Push;
+use crate::trace::Trace;
+
+/// Push: a sudden change of the trunk's velocity.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PushAway {
+    #[command(flatten)]
+    #[serde(flatten)]
+    #[allow(missing_docs)]
+    pub task: Task,
+    /// Size of the velocity change (m/s)
+    #[arg(long)]
+    pub push_m_s: f64,
+    /// Direction of the push: 0 forward, 90 left (deg)
+    #[arg(long)]
+    pub direction_deg: f64,
+    /// Time of the push; up to one stride (0.4 s) later, as the seed has it (s)
+    #[arg(long)]
+    pub at_s: f64,
+    /// Push again at this interval; 0 pushes once (s)
+    #[arg(long)]
+    pub every_s: f64,
+}
+
+impl Parameters for PushAway {
+    fn task(&self) -> &Task {
+        &self.task
+    }
+
+    fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
+        in_range("push-m-s", self.push_m_s, 0.0, 20.0, "0 to 20 m/s")?;
+        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
+        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
+        in_range("every-s", self.every_s, 0.0, 3600.0, "0 to 3600 s, 0 for a single push")?;
+        let angle = self.direction_deg.to_radians();
+        let push = Push { linear: [self.push_m_s * angle.cos(), self.push_m_s * angle.sin()], angular: [0.0; 3] };
+        // A push may come at any phase of the gait.
+        let phase_s = STRIDE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
+        let mut time_s = self.at_s + phase_s;
+        while time_s < script.duration_s {
+            script.pushes.push(TimedPush { time_s, push });
+            if self.every_s <= 0.0 {
+                break;
+            }
+            time_s += self.every_s.max(0.1);
+        }
+        Ok(())
+    }
+
+    fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let Some(first) = script.pushes.first() else { return };
+        let at_s = first.time_s;
+        let before = metrics::window(trace, at_s - 1.0, at_s);
+        let after = metrics::window(trace, at_s, at_s + 1.0);
+        let decay = |threshold| metrics::decay_time(trace, at_s, first.push.linear, threshold, STRIDE_S);
+        found.push(metric("push_time_s", "pushed at", Some(at_s), "s"));
+        found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
+        found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
+        let power = |frames| metrics::mean(frames, |frame| frame.power_w);
+        found.push(metric("power_before_w", "power, 1 s before", power(before.clone()), "W"));
+        let torque_before = metrics::mean(before, |frame| frame.torque_n_m);
+        found.push(metric("power_after_w", "power, 1 s after", metrics::mean(after.clone(), |f| f.power_w), "W"));
+        found.push(metric("torque_before_n_m", "torque, 1 s before", torque_before, "N m"));
+        found.push(metric("torque_after_n_m", "torque, 1 s after", metrics::mean(after, |f| f.torque_n_m), "N m"));
+    }
+}

@@ -1,0 +1,238 @@
+/*! Wooden blocks and soft mats on the way (E11).
+
+Blocks are free bodies: a foot can stand on one, tip it or push it away. Mats are fixed to the floor and give under a foot
+by a soft contact.
+
+The floor alone is the ground. Height counts from the floor, so that a robot on a block is higher and one that lies on a
+mat or on blocks is below 0.2 m and has fallen; a leg that brushes a block or the edge of a mat has not, as with the box
+and the balls.
+*/
+
+use std::fmt::Write as _;
+
+use clap::Args;
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::random::{Purpose, stream};
+use crate::scenario::metrics::{self, Metric};
+use crate::scenario::{Goal, Script};
+use crate::scene::Buffers;
+use crate::trace::Trace;
+
+/// Density of the blocks: dry beech, spruce is lighter and oak heavier [kg/m³].
+const WOOD_KG_M3: f64 = 650.0;
+
+/// Edge of a mat \[m\].
+const MAT_EDGE_M: f64 = 0.7;
+
+/// Softness of mats: under a Go1 that stands still, whose front feet carry some 21 N each and whose rear feet 42 N, they
+/// give by 10 and 13 mm (the floor by 1 mm), about as much as a gymnastics mat of foam under a small hard ball that is
+/// pressed with as much. The impedance grows over 2 cm as foam hardens; a damping ratio of 1 keeps the mat from throwing
+/// the foot back. Found by trying: MuJoCo's softness depends on the masses that meet.
+const MAT_CONTACT: &str = r#"solref="0.05 1" solimp="0.8 0.95 0.02""#;
+
+/// Space between neighbours, so that nothing is stuck at the start \[m\].
+const GAP_M: f64 = 0.01;
+
+/// Draws of a place before there is none.
+const MOST_DRAWS: u32 = 2000;
+
+/// Rubble: wooden blocks and soft mats on the way.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rubble {
+    #[command(flatten)]
+    #[serde(flatten)]
+    #[allow(missing_docs)]
+    pub task: Task,
+    /// Number of wooden blocks
+    #[arg(long)]
+    pub blocks: u32,
+    /// Least and largest edge of a block seen from above are a half and all of this (m)
+    #[arg(long)]
+    pub block_edge_m: f64,
+    /// Least and largest height of a block are a half and all of this (m)
+    #[arg(long)]
+    pub block_height_m: f64,
+    /// Number of soft mats, squares of 0.7 m
+    #[arg(long)]
+    pub mats: u32,
+    /// Thickness of a mat (m)
+    #[arg(long)]
+    pub mat_height_m: f64,
+    /// From the robot's centre to where the rubble begins (m)
+    #[arg(long)]
+    pub distance_m: f64,
+    /// How far it reaches along the way (m)
+    #[arg(long)]
+    pub length_m: f64,
+    /// How far it reaches across the way (m)
+    #[arg(long)]
+    pub width_m: f64,
+}
+
+/// A block or a mat.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Piece {
+    /// Centre seen from above \[m\].
+    centre: [f64; 2],
+    /// Half-lengths \[m\].
+    half: [f64; 3],
+    /// About the vertical \[rad\].
+    yaw: f64,
+}
+
+impl Piece {
+    /// Radius of the circle around it, seen from above \[m\].
+    fn radius(&self) -> f64 {
+        self.half[0].hypot(self.half[1])
+    }
+
+    fn is_clear_of(&self, other: &Piece) -> bool {
+        let apart = (self.centre[0] - other.centre[0]).hypot(self.centre[1] - other.centre[1]);
+        apart > self.radius() + other.radius() + GAP_M
+    }
+}
+
+impl Rubble {
+    /// Where the rubble ends \[m\].
+    pub fn far_edge_m(&self) -> f64 {
+        self.distance_m + self.length_m
+    }
+
+    /// Mats, then blocks, none of which touches another.
+    fn pieces(&self, seed: u64) -> Result<(Vec<Piece>, Vec<Piece>), ParameterError> {
+        let mut rng = stream(seed, Purpose::Terrain, 1, 0);
+        let mut all: Vec<Piece> = Vec::new();
+        for index in 0..self.mats + self.blocks {
+            let is_mat = index < self.mats;
+            let mut draw = || {
+                let mut between = |low: f64, high: f64| if low < high { rng.random_range(low..high) } else { low };
+                let half = if is_mat {
+                    [0.5 * MAT_EDGE_M, 0.5 * MAT_EDGE_M, 0.5 * self.mat_height_m]
+                } else {
+                    let mut edge = |largest: f64| 0.5 * between(0.5 * largest, largest);
+                    [edge(self.block_edge_m), edge(self.block_edge_m), edge(self.block_height_m)]
+                };
+                let margin = f64::hypot(half[0], half[1]);
+                let (near, far) = (self.distance_m + margin, self.far_edge_m() - margin);
+                let side = 0.5 * self.width_m - margin;
+                let centre = [between(near, far), between(-side, side)];
+                Piece { centre, half, yaw: between(0.0, std::f64::consts::PI) }
+            };
+            let place = (0..MOST_DRAWS).map(|_| draw()).find(|piece| all.iter().all(|other| piece.is_clear_of(other)));
+            let (name, found) = if is_mat { ("mats", self.mats) } else { ("blocks", self.blocks) };
+            let expected = "fewer, or a larger --length-m or --width-m: they do not fit side by side";
+            all.push(place.ok_or(ParameterError { name, found: found.to_string(), expected })?);
+        }
+        let blocks = all.split_off(self.mats as usize);
+        Ok((all, blocks))
+    }
+}
+
+impl Parameters for Rubble {
+    fn task(&self) -> &Task {
+        &self.task
+    }
+
+    fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
+        in_range("blocks", f64::from(self.blocks), 0.0, 200.0, "0 to 200")?;
+        in_range("block-edge-m", self.block_edge_m, 0.02, 0.5, "0.02 to 0.5 m")?;
+        in_range("block-height-m", self.block_height_m, 0.01, 0.5, "0.01 to 0.5 m")?;
+        in_range("mats", f64::from(self.mats), 0.0, 50.0, "0 to 50")?;
+        in_range("mat-height-m", self.mat_height_m, 0.01, 0.5, "0.01 to 0.5 m")?;
+        in_range("distance-m", self.distance_m, 0.4, 100.0, "0.4 to 100 m, clear of the robot")?;
+        in_range("length-m", self.length_m, 1.0, 100.0, "1 to 100 m")?;
+        in_range("width-m", self.width_m, 1.0, 100.0, "1 to 100 m")?;
+        let (mats, blocks) = self.pieces(seed)?;
+        let mut obstacles = String::new();
+        for (index, Piece { centre: [x, y], half: [a, b, c], yaw }) in mats.iter().enumerate() {
+            // Writing into a String cannot fail.
+            let _ = writeln!(
+                obstacles,
+                r#"    <geom name="mat_{index}" type="box" pos="{x:.4} {y:.4} {c}" size="{a} {b} {c}" euler="0 0 {yaw:.4}" priority="2" friction="0.8 0.005 0.0001" {MAT_CONTACT} rgba="0.16 0.42 0.60 1"/>"#
+            );
+        }
+        for (index, Piece { centre: [x, y], half: [a, b, c], yaw }) in blocks.iter().enumerate() {
+            let _ = writeln!(
+                obstacles,
+                r#"    <body name="block_{index}" pos="{x:.4} {y:.4} {c:.5}" euler="0 0 {yaw:.4}"><freejoint name="block_{index}"/><geom name="block_{index}" type="box" size="{a:.5} {b:.5} {c:.5}" density="{WOOD_KG_M3}" priority="1" friction="0.5 0.005 0.0001" rgba="{rgba}"/></body>"#,
+                rgba = ["0.76 0.57 0.36 1", "0.66 0.47 0.28 1", "0.82 0.66 0.46 1"][index % 3],
+            );
+        }
+        script.scene.obstacles = obstacles;
+        // Up to eight points of a block on the floor and its neighbours.
+        let contacts = 100 + 12 * self.blocks as usize;
+        script.scene.solver = r#"solver="CG" iterations="30""#;
+        script.scene.buffers =
+            Buffers { contacts, rows: 4 * contacts, stack: 2_000_000 + 100_000 * self.blocks as usize };
+        script.goal = Some(Goal { from: None, ahead_m: self.far_edge_m(), text: "got across the rubble" });
+        Ok(())
+    }
+
+    fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let crossed = trace.fall().is_none() && trace.frames.iter().any(|frame| frame.position[0] > self.far_edge_m());
+        found.push(metric("crossed", "got across", Some(f64::from(u8::from(crossed))), ""));
+        let peak = metrics::largest(trace.frames.iter(), |frame| frame.peak_obstacle_force_n);
+        found.push(metric("peak_contact_force_n", "peak force on blocks and mats", peak, "N"));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scenario::catalog::defaults;
+
+    #[test]
+    fn no_piece_touches_another_or_lies_under_the_robot_and_the_seed_decides() {
+        let rubble: Rubble = defaults("rubble").unwrap();
+        let (mats, blocks) = rubble.pieces(5).unwrap();
+        assert_eq!((mats.len(), blocks.len()), (rubble.mats as usize, rubble.blocks as usize));
+        let all: Vec<Piece> = mats.iter().chain(&blocks).copied().collect();
+        for (index, piece) in all.iter().enumerate() {
+            assert!(all[..index].iter().all(|other| piece.is_clear_of(other)), "{index}");
+            // The head of a standing robot reaches 0.29 m ahead, its feet about 0.25 m.
+            assert!(piece.centre[0] - piece.radius() >= rubble.distance_m && rubble.distance_m > 0.35);
+        }
+        assert_eq!(rubble.pieces(5).unwrap(), (mats, blocks));
+        assert_ne!(rubble.pieces(5).unwrap(), rubble.pieces(6).unwrap());
+    }
+
+    #[test]
+    fn more_than_fits_is_refused() {
+        let rubble = Rubble { blocks: 200, width_m: 1.0, length_m: 1.0, mats: 0, ..defaults("rubble").unwrap() };
+        let error = rubble.pieces(0).unwrap_err().to_string();
+        assert!(error.starts_with("--blocks is 200, expected fewer"), "{error}");
+    }
+
+    #[test]
+    fn feet_sink_into_a_mat_by_about_a_centimetre_and_hardly_into_the_floor() {
+        use crate::config::Config;
+        use crate::go1::same_in_every_leg;
+        use crate::scene::{RobotFile, Scene};
+        use crate::sim::{Conditions, Sim};
+        let config = Config::load("compliant").unwrap();
+        let sunk_m = |obstacle: String, top_m: f64| {
+            let buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
+            let timestep_s = config.simulation.timestep_s();
+            let scene = Scene { obstacles: obstacle, buffers, ..Scene::flat(RobotFile::Embedded, timestep_s) };
+            let mut sim = Sim::new(&scene, &config.simulation, 0.1).unwrap();
+            let target = same_in_every_leg([0.0, 0.72, -1.44]);
+            let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, joint_offsets: [0.0; 12] };
+            sim.reset(conditions, &target).unwrap();
+            sim.data_mut().positions_mut()[2] += top_m;
+            sim.refresh().unwrap();
+            for _ in 0..120 {
+                sim.step(&target, &mut ()).unwrap();
+            }
+            sim.state().feet.map(|foot| top_m - foot.height)
+        };
+        let mat = format!(
+            r#"<geom name="mat" type="box" pos="0 0 0.02" size="0.6 0.6 0.02" priority="2" friction="0.8" {MAT_CONTACT}/>"#
+        );
+        let (floor, mat) = (sunk_m(String::new(), 0.0), sunk_m(mat, 0.04));
+        assert!(floor.iter().all(|sunk| *sunk < 0.002), "{floor:?}");
+        assert!(mat.iter().all(|sunk| *sunk > 0.006 && *sunk < 0.018), "{mat:?}");
+    }
+}

@@ -1,0 +1,72 @@
+//! Uneven ground (E8).
+
+use clap::{Args, ValueEnum};
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range};
+use crate::scenario::{Script, terrain};
+use crate::scene::{Buffers, Ground};
+
+/// Half-length of height fields along x and y \[m\].
+const FIELD_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];
+
+/// Kind of terrain.
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TerrainKind {
+    /// Gradient noise.
+    Perlin,
+    /// Up and down again.
+    Steps,
+    /// An incline that begins 1 m ahead.
+    Slope,
+}
+
+/// Terrain: uneven ground.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Terrain {
+    #[command(flatten)]
+    #[serde(flatten)]
+    #[allow(missing_docs)]
+    pub task: Task,
+    /// Shape of the ground
+    #[arg(long, value_enum)]
+    pub kind: TerrainKind,
+    /// Perlin: peak to peak; steps: rise of each (m)
+    #[arg(long)]
+    pub height_m: f64,
+    /// Perlin: lattice cells per metre (1/m)
+    #[arg(long)]
+    pub frequency_per_m: f64,
+    /// Steps: length of each (m)
+    #[arg(long)]
+    pub step_length_m: f64,
+    /// Steps: number up, and as many down
+    #[arg(long)]
+    pub steps: u32,
+    /// Slope: rise over run
+    #[arg(long)]
+    pub incline: f64,
+}
+
+impl Parameters for Terrain {
+    fn task(&self) -> &Task {
+        &self.task
+    }
+
+    fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
+        in_range("height-m", self.height_m, 0.0, 2.0, "0 to 2 m")?;
+        in_range("frequency-per-m", self.frequency_per_m, 0.01, 10.0, "0.01 to 10 per metre")?;
+        in_range("step-length-m", self.step_length_m, 0.1, 10.0, "0.1 to 10 m")?;
+        in_range("steps", f64::from(self.steps), 1.0, 100.0, "1 to 100")?;
+        in_range("incline", self.incline, -1.0, 1.0, "-1 to 1")?;
+        let field = match self.kind {
+            TerrainKind::Perlin => terrain::perlin(FIELD_HALF_SIZE_M, self.height_m, self.frequency_per_m, seed),
+            TerrainKind::Steps => terrain::steps(FIELD_HALF_SIZE_M, self.height_m, self.step_length_m, self.steps),
+            TerrainKind::Slope => terrain::slope(FIELD_HALF_SIZE_M, self.incline),
+        };
+        script.scene.ground = Ground::Field(field);
+        script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
+        Ok(())
+    }
+}

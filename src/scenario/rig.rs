@@ -1,0 +1,355 @@
+/*! Loads on ropes: a weight over a pulley, a ball on a string.
+
+A rope is a MuJoCo tendon whose length is limited: it pulls when it is taut and does nothing when it is slack, and the
+load at its end is a free body with its own inertia. Until the load is let go, somebody carries the whole rig along with
+the robot and bears the load's weight; at that moment it is set down, aimed at where the robot will be. An aim at the
+start of the rollout would miss a robot that walks: in two or three seconds the best policy is off its course by more
+than a trunk is wide.
+*/
+
+use nalgebra::{Rotation2, Vector2};
+
+use super::Script;
+use crate::go1::RobotState;
+use crate::mujoco::{self, Data, Kind};
+use crate::sim::Sim;
+use crate::task::Command;
+use crate::trace::{Event, EventKind, Rope};
+
+/// Name of the site on the trunk at which ropes are tied.
+pub const HARNESS: &str = "harness";
+
+/// Name of the tendon that is the rope.
+pub const ROPE: &str = "rope";
+
+/// Longer than any rope \[m\].
+pub const ENDLESS_M: f64 = 1000.0;
+
+/// How ropes give: MuJoCo's shortest stable time constant at 240 Hz is 8.3 ms. Under the weight of its load a rope of
+/// these stretches by a tenth of a millimetre.
+pub const ROPE_LIMIT: &str = r#"limited="true" range="0 1000" solreflimit="0.01 1" solimplimit="0.95 0.99 0.001""#;
+
+/// A rope with a load, and when it acts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rig {
+    /// Bodies that hold the rope up, with their places relative to the aim: ahead, left, height \[m\].
+    pub holders: Vec<(&'static str, [f64; 3])>,
+    /// Body at the rope's end; its joint, geometry and site have the same name.
+    pub load: &'static str,
+    /// Where the load is let go, relative to the aim as above \[m\].
+    pub load_place: [f64; 3],
+    /// Whether heights count from the trunk's origin, else from the ground.
+    pub is_level_with_trunk: bool,
+    /// Mass of the load \[kg\].
+    pub mass_kg: f64,
+    /// Sites that the rope goes through.
+    pub path: Vec<&'static str>,
+    /// Length of the rope beyond what it needs when the load is let go \[m\].
+    pub slack_m: f64,
+    /// The aim is where the robot is this long after the load is let go, if it then walks as commanded \[s\].
+    pub lead_s: f64,
+    /// When the load is let go \[s\].
+    pub release_s: f64,
+    /// When the rope is taken off \[s\].
+    pub until_s: f64,
+    /// What to say when the load is let go, touches the robot and reaches the ground.
+    pub words: Words,
+}
+
+/// What a rig's events say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Words {
+    /// The load is let go.
+    pub release: &'static str,
+    /// The load touches a part of the robot, whose name follows.
+    pub hit: &'static str,
+    /// The load lies on the ground.
+    pub grounded: &'static str,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    Carried,
+    Free,
+    Off,
+}
+
+/// A rig being played.
+#[derive(Debug)]
+pub(super) struct RigState {
+    tendon: usize,
+    load: usize,
+    load_geom: usize,
+    load_position: usize,
+    load_velocity: usize,
+    /// Index among the bodies that are moved from outside.
+    holders: Vec<usize>,
+    sites: Vec<usize>,
+    phase: Phase,
+    has_hit: bool,
+    is_grounded: bool,
+    /// Before the step [m/s].
+    speed_m_s: f64,
+}
+
+impl RigState {
+    /// Looks up the rig's parts.
+    pub(super) fn new(rig: &Rig, sim: &Sim) -> mujoco::Result<Self> {
+        let model = sim.data().model();
+        let joint = model.id(Kind::Joint, rig.load)?;
+        let holder = |name: &str| {
+            let body = model.id(Kind::Body, name)?;
+            model.mocap_index(body).ok_or_else(|| mujoco::Error::Name {
+                kind: "body moved from outside",
+                name: name.to_owned(),
+                known: "bodies with mocap=\"true\"".to_owned(),
+            })
+        };
+        Ok(RigState {
+            tendon: model.id(Kind::Tendon, ROPE)?,
+            load: model.id(Kind::Body, rig.load)?,
+            load_geom: model.id(Kind::Geom, rig.load)?,
+            load_position: model.joint_position_index(joint),
+            load_velocity: model.joint_velocity_index(joint),
+            holders: rig.holders.iter().map(|(name, _)| holder(name)).collect::<mujoco::Result<_>>()?,
+            sites: rig.path.iter().map(|name| model.id(Kind::Site, name)).collect::<mujoco::Result<_>>()?,
+            phase: Phase::Carried,
+            has_hit: false,
+            is_grounded: false,
+            speed_m_s: 0.0,
+        })
+    }
+
+    /// The tendon, for those who look at forces.
+    pub(super) fn tendon(&self) -> usize {
+        self.tendon
+    }
+
+    /// Carries the rig, lets the load go or takes the rope off, as is due before the step at `time_s`.
+    pub(super) fn before_step(
+        &mut self,
+        rig: &Rig,
+        script: &Script,
+        sim: &mut Sim,
+        time_s: f64,
+        events: &mut Vec<Event>,
+    ) -> mujoco::Result<()> {
+        let half_a_step_s = 0.5 * sim.policy_period_s();
+        if self.phase == Phase::Carried {
+            self.place(rig, &script.command, sim)?;
+            if rig.release_s < time_s + half_a_step_s {
+                self.phase = Phase::Free;
+                // The load already moves as a robot that walks draws the rope: a stiff rope would jerk one at rest.
+                let rising_m_s = sim.data().tendon_velocities()[self.tendon];
+                sim.data_mut().velocities_mut()[self.load_velocity + 2] = rising_m_s;
+                let length_m = sim.data().tendon_lengths()[self.tendon] + rig.slack_m;
+                self.set_rope(sim, length_m, 0.0)?;
+                events.push(Event { time_s, kind: EventKind::Disturbance, text: rig.words.release.to_owned() });
+            }
+        } else if self.phase == Phase::Free && rig.until_s < time_s + half_a_step_s {
+            self.phase = Phase::Off;
+            self.set_rope(sim, ENDLESS_M, 0.0)?;
+            events.push(Event { time_s, kind: EventKind::Disturbance, text: "the rope is taken off".to_owned() });
+        }
+        let velocity = &sim.data().velocities()[self.load_velocity..];
+        self.speed_m_s = velocity[..3].iter().map(|v| v * v).sum::<f64>().sqrt();
+        Ok(())
+    }
+
+    /// What the rope is like after a step, and what the load has met. `forces` are those of the rope in the physics steps;
+    /// `touched` is a part of the robot that met an obstacle.
+    pub(super) fn after_step(
+        &mut self,
+        rig: &Rig,
+        sim: &Sim,
+        time_s: f64,
+        forces: RopeForces,
+        touched: Option<usize>,
+        events: &mut Vec<Event>,
+    ) -> Rope {
+        let data = sim.data();
+        if let (false, Some(part)) = (self.has_hit, touched) {
+            self.has_hit = true;
+            let model = data.model();
+            let part = model.name(Kind::Body, model.geom_body(part));
+            let text = format!("{} {part} at {:.2} m/s", rig.words.hit, self.speed_m_s);
+            events.push(Event { time_s, kind: EventKind::Disturbance, text });
+        }
+        let on_ground = |contact: mujoco::Contact| {
+            contact.geoms.contains(&self.load_geom) && contact.geoms.contains(&sim.robot().ground())
+        };
+        if !self.is_grounded && self.phase == Phase::Free && data.contacts().any(on_ground) {
+            self.is_grounded = true;
+            events.push(Event { time_s, kind: EventKind::Disturbance, text: rig.words.grounded.to_owned() });
+        }
+        // A rope that was taken off lies somewhere; only its load is still there.
+        let sites = if self.phase == Phase::Off { &[] } else { self.sites.as_slice() };
+        let point = |site: &usize| std::array::from_fn(|k| data.site_positions()[3 * site + k] as f32);
+        Rope {
+            points: sites.iter().map(point).collect(),
+            force_n: forces.mean_n(),
+            peak_force_n: forces.peak_n,
+            least_force_n: forces.least_n,
+        }
+    }
+
+    /// Puts holders and load to their places about where the robot is going, at rest, the load's weight borne.
+    fn place(&self, rig: &Rig, command: &Command, sim: &mut Sim) -> mujoco::Result<()> {
+        let state = sim.state();
+        let (aim, heading) = aim(&state, command, rig.lead_s);
+        let level = if rig.is_level_with_trunk { state.position.z } else { sim.ground().height(aim.x, aim.y) };
+        let at = |[ahead, left, height]: [f64; 3]| {
+            let place = aim + heading * Vector2::new(ahead, left);
+            [place.x, place.y, level + height]
+        };
+        let data = sim.data_mut();
+        for (mocap, (_, place)) in self.holders.iter().zip(&rig.holders) {
+            data.mocap_positions_mut()[3 * mocap..3 * mocap + 3].copy_from_slice(&at(*place));
+        }
+        let start = self.load_position;
+        data.positions_mut()[start..start + 3].copy_from_slice(&at(rig.load_place));
+        data.velocities_mut()[self.load_velocity..self.load_velocity + 6].fill(0.0);
+        let weight_n = -rig.mass_kg * sim.data().model().gravity()[2];
+        self.set_rope(sim, ENDLESS_M, weight_n)
+    }
+
+    /// Sets the rope's length and the force that bears the load.
+    fn set_rope(&self, sim: &mut Sim, longest_m: f64, bearing_n: f64) -> mujoco::Result<()> {
+        let data: &mut Data = sim.data_mut();
+        data.model_mut().set_longest_tendon(self.tendon, longest_m);
+        data.applied_forces_mut()[6 * self.load + 2] = bearing_n;
+        sim.refresh()
+    }
+}
+
+/// Where the robot will be after `lead_s` if it walks as commanded, and its heading.
+fn aim(state: &RobotState, command: &Command, lead_s: f64) -> (Vector2<f64>, Rotation2<f64>) {
+    let (_, _, yaw) = state.roll_pitch_yaw();
+    let heading = Rotation2::new(yaw);
+    let walked = heading * Vector2::new(command.forward, command.left) * lead_s;
+    (state.position.xy() + walked, heading)
+}
+
+/// Forces of a rope over the physics steps of a policy step.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct RopeForces {
+    sum_n: f64,
+    count: u32,
+    peak_n: f64,
+    least_n: f64,
+}
+
+impl RopeForces {
+    /// Adds the force of a physics step.
+    pub(super) fn add(&mut self, force_n: f64) {
+        self.sum_n += force_n;
+        self.peak_n = self.peak_n.max(force_n);
+        self.least_n = if self.count == 0 { force_n } else { self.least_n.min(force_n) };
+        self.count += 1;
+    }
+
+    fn mean_n(&self) -> f64 {
+        self.sum_n / f64::from(self.count.max(1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mujoco::Model;
+
+    /// A block of 12 kg that slides along x without friction, 4 m from a pulley over which a weight of 1 kg hangs.
+    fn block_and_weight() -> Data {
+        let xml = format!(
+            r#"<mujoco>
+  <option timestep="0.004166666666666667" integrator="Euler"/>
+  <tendon><spatial name="rope" {ROPE_LIMIT}><site site="hook"/><site site="pulley"/><site site="weight"/></spatial></tendon>
+  <worldbody>
+    <site name="pulley" pos="4 0 3"/>
+    <body name="block" pos="0 0 3"><joint name="block" type="slide" axis="1 0 0"/>
+      <geom name="block" type="box" size="0.1 0.1 0.1" mass="12"/><site name="hook"/></body>
+    <body name="weight" pos="4 0 2"><freejoint name="weight"/>
+      <geom name="weight" type="box" size="0.03 0.03 0.03" mass="1"/><site name="weight"/></body>
+  </worldbody>
+</mujoco>"#
+        );
+        let mut data = Data::new(Model::from_xml(&[("rope.xml", &xml)]).unwrap()).unwrap();
+        data.model_mut().set_longest_tendon(0, 5.0);
+        data
+    }
+
+    #[test]
+    fn a_weight_pulls_a_free_block_with_its_own_inertia_in_the_way() {
+        let mut data = block_and_weight();
+        let mut at_one_second = 0.0;
+        for step in 0..240 {
+            data.step1().unwrap();
+            data.step2().unwrap();
+            if step == 119 {
+                at_one_second = data.velocities()[0];
+            }
+        }
+        // m g / (M + m) = 9.81 / 13 = 0.7546 m/s²; over the second half-second, when the rope has been taut for long.
+        let acceleration = (data.velocities()[0] - at_one_second) / 0.5;
+        assert!((acceleration / (9.81 / 13.0) - 1.0).abs() < 0.005, "{acceleration}");
+        // The rope's force is that which accelerates the block: 12 · 0.7546 = 9.055 N, less than the weight's 9.81 N.
+        assert!((data.tendon_limit_force(0) / (12.0 * 9.81 / 13.0) - 1.0).abs() < 0.01);
+    }
+
+    #[test]
+    fn at_rest_the_rope_carries_the_weight_and_hardly_stretches() {
+        let mut data = block_and_weight();
+        for _ in 0..480 {
+            // Somebody holds the block.
+            data.velocities_mut()[0] = 0.0;
+            data.positions_mut()[0] = 0.0;
+            data.step1().unwrap();
+            data.step2().unwrap();
+        }
+        let stretch_m = data.tendon_lengths()[0] - 5.0;
+        assert!((data.tendon_limit_force(0) - 9.81).abs() < 0.05, "{}", data.tendon_limit_force(0));
+        assert!(stretch_m > 0.0 && stretch_m < 0.001, "{stretch_m}");
+    }
+
+    #[test]
+    fn a_slack_rope_does_nothing() {
+        let mut data = block_and_weight();
+        data.model_mut().set_longest_tendon(0, 6.0);
+        for _ in 0..60 {
+            data.step1().unwrap();
+            data.step2().unwrap();
+            assert_eq!(data.tendon_limit_force(0), 0.0);
+        }
+        // A quarter of a second of free fall: 0.5 · 9.81 · 0.25² = 0.307 m.
+        assert!((data.positions()[3] - (2.0 - 0.307)).abs() < 0.01, "{}", data.positions()[3]);
+        assert_eq!(data.positions()[0], 0.0);
+    }
+
+    #[test]
+    fn a_ball_on_a_string_reaches_the_speed_of_its_fall() {
+        for height_m in [0.1_f64, 0.5, 1.0] {
+            let away_m = (1.0 - (1.0 - height_m).powi(2)).sqrt();
+            let xml = format!(
+                r#"<mujoco>
+  <option timestep="0.004166666666666667" integrator="Euler"/>
+  <tendon><spatial name="rope" {ROPE_LIMIT}><site site="pivot"/><site site="ball"/></spatial></tendon>
+  <worldbody>
+    <site name="pivot" pos="0 0 2"/>
+    <body name="ball" pos="{away_m} 0 {z}"><freejoint name="ball"/>
+      <geom name="ball" size="0.1" mass="3"/><site name="ball"/></body>
+  </worldbody>
+</mujoco>"#,
+                z = 1.0 + height_m,
+            );
+            let mut data = Data::new(Model::from_xml(&[("ball.xml", &xml)]).unwrap()).unwrap();
+            data.model_mut().set_longest_tendon(0, 1.0);
+            while data.positions()[0] > 0.0 {
+                data.step1().unwrap();
+                data.step2().unwrap();
+            }
+            let speed = data.velocities()[0].hypot(data.velocities()[2]);
+            let expected = (2.0 * 9.81 * height_m).sqrt();
+            assert!((speed / expected - 1.0).abs() < 0.02, "from {height_m} m: {speed}, expected {expected}");
+        }
+    }
+}
