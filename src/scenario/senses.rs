@@ -1,0 +1,222 @@
+/*! What the controller gets to see: the true state, or what the robot makes of its sensors (section IV-D).
+
+With [`Sensing::Estimated`], noisy IMU and encoders are read after every physics step; the contact network says which
+feet touch, and the filters of [`crate::estimate`] make a state of it. Nothing of the true state reaches the controller.
+The motors' own loop keeps acting on the joints as they are, with the calibration offsets that the simulation has.
+
+Pushes change the trunk's velocity in no time. The IMU feels them all the same: it reads the change of velocity since its
+last reading, which without a push is the simulator's acceleration to the last bit or so. Its range (±24 g) is not
+modelled, since only such a push exceeds it.
+*/
+
+use nalgebra::Vector3;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::estimate::contact::{ContactError, ContactEstimator, ContactNetwork, RATE_HZ};
+use crate::estimate::sensors::TrunkMotion;
+use crate::estimate::{
+    EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors, kinematics,
+};
+use crate::go1::{FootState, Go1, Joints, RobotState};
+use crate::mujoco::Data;
+use crate::random::{Purpose, stream};
+use crate::sim::{Conditions, Sim};
+use crate::trace::Sensed;
+
+/// What a controller acts on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sensing {
+    /// The simulator's state.
+    #[default]
+    True,
+    /// State estimated from a noisy IMU, noisy encoders and the contact network.
+    Estimated,
+}
+
+/// Why a robot cannot act on its sensors.
+#[derive(Debug, thiserror::Error)]
+pub enum SensingError {
+    /// No network.
+    #[error(transparent)]
+    Contact(#[from] ContactError),
+    /// The network was trained for another rate.
+    #[error("the physics run at {found_hz} Hz, the contact network at {RATE_HZ} Hz: sense the true state instead")]
+    Rate {
+        /// Rate of the physics \[Hz\].
+        found_hz: f64,
+    },
+    /// The first reading is no good.
+    #[error("the sensors do not start: {0}")]
+    Start(#[from] SensorFault),
+}
+
+/// A robot's sensors and what it makes of them.
+#[derive(Debug)]
+pub struct Senses {
+    sensors: Sensors,
+    rng: ChaCha8Rng,
+    contacts: ContactEstimator,
+    estimator: Estimator,
+    limit_s: f64,
+    /// What the encoders read too much \[rad\].
+    offsets: Joints,
+    /// Where the robot started, world frame \[m\].
+    origin: Vector3<f64>,
+    /// Trunk's velocity at the last reading: linear, world frame [m/s], and angular, base frame [rad/s].
+    last_velocity: (Vector3<f64>, Vector3<f64>),
+    /// Joint targets given last \[rad\].
+    target: Joints,
+    /// Last good ones.
+    reading: EncoderReading,
+    touching: [bool; 4],
+    /// Since the last good reading \[s\].
+    silent_s: f64,
+    fault: Option<SensorFault>,
+    /// Whether the fault under way has been told.
+    told: bool,
+}
+
+impl Senses {
+    /// Switches on the sensors of a robot that stands at rest and holds `target` \[rad\]. Noise is drawn from the seed's
+    /// stream for sensors.
+    ///
+    /// # Errors
+    /// [`SensingError`]
+    pub fn new(
+        network: ContactNetwork,
+        noise: SensorNoise,
+        seed: u64,
+        sim: &Sim,
+        conditions: &Conditions,
+        target: &Joints,
+    ) -> Result<Self, SensingError> {
+        let timestep_s = sim.data().model().timestep_s();
+        if (timestep_s * RATE_HZ - 1.0).abs() > 1e-6 {
+            return Err(SensingError::Rate { found_hz: 1.0 / timestep_s });
+        }
+        let mut rng = stream(seed, Purpose::Sensor, 0, 0);
+        let config = EstimatorConfig::default();
+        let state = sim.state();
+        let mut senses = Senses {
+            sensors: Sensors::new(noise, &mut rng),
+            rng,
+            contacts: ContactEstimator::new(network),
+            estimator: Estimator::new(config),
+            limit_s: config.max_silence_s,
+            offsets: conditions.joint_offsets,
+            origin: Vector3::new(state.position.x, state.position.y, 0.0),
+            last_velocity: sim.robot().trunk_velocity(sim.data()),
+            target: *target,
+            reading: EncoderReading { angles: state.joint_angles, rates: state.joint_rates },
+            touching: [false; 4],
+            silent_s: 0.0,
+            fault: None,
+            told: false,
+        };
+        senses.read(sim.data(), sim.robot());
+        match (senses.estimator.estimate(), senses.fault.take()) {
+            (None, Some(fault)) => Err(fault.into()),
+            _ => Ok(senses),
+        }
+    }
+
+    /// Joint targets \[rad\] that are acted on from now on.
+    pub fn act(&mut self, target: &Joints) {
+        self.target = *target;
+    }
+
+    /// Reads all sensors after a physics step.
+    pub fn read(&mut self, data: &Data, robot: &Go1) {
+        let dt_s = data.model().timestep_s();
+        let velocity = robot.trunk_velocity(data);
+        let motion = TrunkMotion {
+            world_from_base: robot.world_from_base(data),
+            acceleration: (velocity.0 - self.last_velocity.0) / dt_s,
+            angular_velocity: velocity.1,
+            angular_acceleration: (velocity.1 - self.last_velocity.1) / dt_s,
+        };
+        self.last_velocity = velocity;
+        let angles = robot.joint_angles(data);
+        let exact = EncoderReading {
+            angles: std::array::from_fn(|joint| angles[joint] + self.offsets[joint]),
+            rates: robot.joint_rates(data),
+        };
+        let imu = ImuReading::exact(&motion, Vector3::from(data.model().gravity()));
+        let imu = self.sensors.imu(&imu, dt_s, &mut self.rng);
+        let encoders = self.sensors.encoders(&exact, dt_s, &mut self.rng);
+
+        let touching = self.contacts.update(&encoders, &self.target);
+        self.silent_s += dt_s;
+        match self.estimator.update(Some(&imu), Some(&encoders), touching, self.silent_s) {
+            Ok(_) => {
+                (self.reading, self.touching) = (encoders, touching);
+                (self.silent_s, self.told) = (0.0, false);
+            }
+            Err(fault) => {
+                self.fault.get_or_insert(fault);
+            }
+        }
+    }
+
+    /// What went wrong since the last call, told once until readings are good again.
+    ///
+    /// # Errors
+    /// If there has been no good reading for longer than can be bridged.
+    pub fn fault(&mut self) -> Result<Option<SensorFault>, SensorFault> {
+        let Some(fault) = self.fault.take() else { return Ok(None) };
+        if self.silent_s > self.limit_s {
+            return Err(fault);
+        }
+        let fresh = !std::mem::replace(&mut self.told, self.silent_s > 0.0);
+        Ok(fresh.then_some(fault))
+    }
+
+    /// The state as the robot knows it.
+    ///
+    /// # Panics
+    /// Never: there is an estimate from the start.
+    pub fn state(&self) -> RobotState {
+        let estimate = self.estimate();
+        let feet = kinematics::feet(&self.reading.angles, &self.reading.rates);
+        let spin = estimate.angular_velocity_in_base;
+        let feet = std::array::from_fn(|leg| {
+            let foot = &feet[leg];
+            let in_base = estimate.velocity_in_base + spin.cross(&foot.position) + foot.velocity;
+            FootState {
+                height: estimate.feet[leg].z - kinematics::FOOT_RADIUS_M,
+                velocity: (estimate.world_from_base * in_base).into(),
+                contact: self.touching[leg],
+            }
+        });
+        RobotState {
+            position: estimate.position + self.origin,
+            world_from_base: estimate.world_from_base,
+            height: estimate.height_m,
+            velocity_in_base: estimate.velocity_in_base,
+            angular_velocity_in_base: estimate.angular_velocity_in_base,
+            gravity_in_base: estimate.gravity_in_base,
+            joint_angles: self.reading.angles,
+            joint_rates: self.reading.rates,
+            feet,
+        }
+    }
+
+    /// What a frame keeps, beside the feet that really touch.
+    pub fn sensed(&self, truth: &RobotState) -> Sensed {
+        let estimate = self.estimate();
+        Sensed {
+            velocity: estimate.velocity_in_base.into(),
+            height_m: estimate.height_m,
+            position: (estimate.position + self.origin).into(),
+            contacts: self.touching,
+            true_contacts: truth.feet.map(|foot| foot.contact),
+        }
+    }
+
+    fn estimate(&self) -> &Estimate {
+        // `new` fails without a first estimate, and the estimator keeps the last one for good.
+        self.estimator.estimate().unwrap_or_else(|| unreachable!("senses start with an estimate"))
+    }
+}
