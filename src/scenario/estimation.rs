@@ -1,11 +1,13 @@
 //! How good a robot's estimates were, from a trace: pure functions, as in [`super::metrics`].
 
+use serde::{Deserialize, Serialize};
+
 use super::metrics::Metric;
 use crate::estimate::contact::score::Confusion;
 use crate::trace::{Frame, Sensed, Trace};
 
 /// Errors of the estimates, over all frames before the first fall: what a fallen robot believes is no matter of walking.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Estimation {
     /// Root mean square of the length of the velocity's error, base frame [m/s].
     pub velocity_rmse_m_s: f64,

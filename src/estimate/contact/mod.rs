@@ -10,6 +10,7 @@ mod file;
 pub mod learn;
 pub mod score;
 
+use crate::files;
 use crate::go1::{JOINT_COUNT, Joints};
 use crate::ppo::{Mlp, PackedMlp, Scratch};
 
@@ -32,6 +33,11 @@ const _: () = assert!(INPUTS == 144);
 
 /// The network that ships.
 const SHIPPED: &[u8] = include_bytes!("../../../models/contact.safetensors");
+
+/// Identity of the file that ships.
+pub fn shipped_sha256() -> String {
+    files::sha256(&[SHIPPED])
+}
 
 /// What the network sees, in physical units.
 #[derive(Debug, Clone, PartialEq)]
