@@ -12,7 +12,7 @@ use super::*;
 use crate::mujoco::Data;
 use crate::scene::{Buffers, Ground, HeightField, RobotFile, Scene};
 use crate::task::{Command, Stage, Terms};
-use crate::trace::{Disturbance, EventKind, Pose};
+use crate::trace::{Disturbance, EventKind, Pose, Sensed};
 
 fn obstacles() -> String {
     let ball = |k: usize| {
@@ -105,7 +105,7 @@ fn a_recording_has_every_entity_that_its_layout_names() {
     let (flat, uneven) = (scene(Ground::Flat), scene(hills));
     let models = [flat.compile_visual().unwrap(), uneven.compile_visual().unwrap()];
     let views = [
-        RobotView { name: "compliant", model: &models[0], ground: &flat.ground, tint: Some(BLUE), estimates: false },
+        RobotView { name: "compliant", model: &models[0], ground: &flat.ground, tint: Some(BLUE), estimates: true },
         RobotView {
             name: "the other one",
             model: &models[1],
@@ -118,6 +118,7 @@ fn a_recording_has_every_entity_that_its_layout_names() {
     for (robot, model) in models.iter().enumerate() {
         for step in 0..40 {
             let mut frame = frame(model, f64::from(step) / 60.0);
+            frame.sensed = Some(Sensed::default());
             frame.disturbance = match step {
                 3 => Some(Disturbance::Push { velocity: [0.0, 1.0, 0.0] }),
                 20..30 => Some(Disturbance::Pull { force: [0.0, 50.0, 0.0] }),
@@ -131,8 +132,9 @@ fn a_recording_has_every_entity_that_its_layout_names() {
     recorder.finish().unwrap();
 
     let Content { recorded, shown, followed } = read(&path);
-    // Two views of worlds, one of the events, ten plots of which the one with parts exists twice.
-    assert_eq!((shown.len(), followed.len()), (2 + 2 + 9 * 2 + 2, 2), "{shown:?} {followed:?}");
+    // Two views of worlds, one of the events, nine plots of both robots, and for each robot five of its own: one of the
+    // reward's parts and four of its estimates.
+    assert_eq!((shown.len(), followed.len()), (2 + 2 + 9 * 2 + 5 * 2, 2), "{shown:?} {followed:?}");
     for query in &shown {
         let path = query.strip_prefix("+ ").unwrap();
         let found = match path.strip_suffix("/**") {

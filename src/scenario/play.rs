@@ -33,7 +33,7 @@ pub struct Rollout<'a> {
     sim: Sim,
     state: RobotState,
     /// None if the controller sees the true state.
-    senses: Option<Senses>,
+    pub(super) senses: Option<Senses>,
     with_bodies: bool,
     step: usize,
     steps: usize,

@@ -166,7 +166,8 @@ impl Senses {
     /// If there has been no good reading for longer than can be bridged.
     pub fn fault(&mut self) -> Result<Option<SensorFault>, SensorFault> {
         let Some(fault) = self.fault.take() else { return Ok(None) };
-        if self.silent_s > self.limit_s {
+        // Sums of ticks are off by rounding.
+        if self.silent_s > self.limit_s + 1e-9 {
             return Err(fault);
         }
         let fresh = !std::mem::replace(&mut self.told, self.silent_s > 0.0);
@@ -218,5 +219,185 @@ impl Senses {
     fn estimate(&self) -> &Estimate {
         // `new` fails without a first estimate, and the estimator keeps the last one for good.
         self.estimator.estimate().unwrap_or_else(|| unreachable!("senses start with an estimate"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::policies;
+    use crate::scenario::catalog::{Scenario, Walk, defaults};
+    use crate::scenario::estimation::Estimation;
+    use crate::scenario::{Controller, Rollout, Script};
+    use crate::task::Command;
+    use crate::trace::{EventKind, Trace};
+
+    fn walk(duration_s: f64) -> (Script, Config) {
+        let config = Config::load("compliant").unwrap();
+        let mut walk: Walk = defaults("walk").unwrap();
+        walk.task.duration_s = duration_s;
+        (Scenario::Walk(walk).script(0, &config).unwrap(), config)
+    }
+
+    /// Holds the nominal pose and keeps what it is shown.
+    #[derive(Default)]
+    struct Witness {
+        seen: Vec<RobotState>,
+    }
+
+    impl Controller for &mut Witness {
+        fn rest(&self) -> Joints {
+            crate::go1::same_in_every_leg([0.0, 0.72, -1.44])
+        }
+
+        fn begin(&mut self, state: &RobotState) {
+            self.seen = vec![state.clone()];
+        }
+
+        fn joint_targets(&mut self, state: &RobotState, _: &Command) -> Joints {
+            self.seen.push(state.clone());
+            self.rest()
+        }
+    }
+
+    fn play(script: &Script, config: &Config, seed: u64) -> (Vec<RobotState>, Trace) {
+        let mut witness = Witness::default();
+        let rollout = Rollout::new(script, config, Box::new(&mut witness), false).unwrap();
+        let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
+        (witness.seen, trace)
+    }
+
+    #[test]
+    fn the_controller_sees_the_estimates_that_the_frames_keep_and_never_the_truth() {
+        let (script, config) = walk(0.5);
+        let (seen, trace) = play(&script, &config, 1);
+        assert_eq!(seen.len(), trace.frames.len() + 1);
+        // The first state is shown twice: to begin with, and for the first action. The last is not acted on.
+        for (state, frame) in seen[2..].iter().zip(&trace.frames) {
+            let sensed = frame.sensed.unwrap();
+            assert_eq!((<[f64; 3]>::from(state.velocity_in_base), state.height), (sensed.velocity, sensed.height_m));
+            assert_eq!(state.feet.map(|foot| foot.contact), sensed.contacts);
+            let truths = [
+                (state.height, frame.height_m),
+                (state.velocity_in_base.x, frame.velocity[0]),
+                (state.position.x, frame.position[0]),
+                (state.joint_angles[4], frame.joint_angles[4]),
+                (state.angular_velocity_in_base.z, frame.yaw_rate),
+            ];
+            for (known, truth) in truths {
+                assert!(known != truth && (known - truth).abs() < 0.2, "{known} {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_is_that_of_the_seed() {
+        let (script, config) = walk(0.3);
+        assert_eq!(play(&script, &config, 1), play(&script, &config, 1));
+        assert_ne!(play(&script, &config, 1).0[0], play(&script, &config, 2).0[0]);
+    }
+
+    #[test]
+    fn the_shipped_policy_walks_on_its_sensors_and_knows_how_fast() {
+        let policy = policies::find("compliant").unwrap();
+        let (script, _) = walk(3.0);
+        for seed in 0..3 {
+            let rollout =
+                Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), false).unwrap();
+            let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
+            assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
+            let found = Estimation::of(&trace).unwrap();
+            assert!(found.velocity_rmse_m_s < 0.08, "{found:?}");
+            assert!(found.height_rmse_m < 0.01, "{found:?}");
+            assert!(found.contact_f1.unwrap() > 0.9, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_push_is_felt_by_the_imu() {
+        let (mut script, config) = walk(1.0);
+        let push = crate::sim::Push { linear: [0.0, 0.6], angular: [0.0; 3] };
+        script.pushes = vec![crate::scenario::TimedPush { time_s: 0.5, push }];
+        let (_, trace) = play(&script, &config, 3);
+        // At the end of the step that begins with the push.
+        let frame = &trace.frames[30];
+        assert!(frame.velocity[1] > 0.2, "{:?}", frame.velocity);
+        let error = frame.sensed.unwrap().velocity[1] - frame.velocity[1];
+        assert!(error.abs() < 0.15, "{error} of {}", frame.velocity[1]);
+    }
+
+    fn broken() -> SensorNoise {
+        SensorNoise { accelerometer_density_m_s2_sqrt_hz: f64::NAN, ..SensorNoise::default() }
+    }
+
+    fn senses(sim: &Sim, script: &Script, noise: SensorNoise) -> Result<Senses, SensingError> {
+        let network = ContactNetwork::shipped().unwrap();
+        Senses::new(network, noise, 0, sim, &script.conditions, &[0.0; 12])
+    }
+
+    fn standing() -> (Sim, Script) {
+        let (script, config) = walk(1.0);
+        let mut sim = Sim::new(&script.scene, &config.simulation, 0.2).unwrap();
+        sim.reset(script.conditions, &[0.0; 12]).unwrap();
+        (sim, script)
+    }
+
+    #[test]
+    fn sensors_that_never_read_a_number_are_refused_at_the_start() {
+        let (sim, script) = standing();
+        let refusal = senses(&sim, &script, broken()).unwrap_err().to_string();
+        assert!(refusal.contains("do not start: accelerometer x reads NaN"), "{refusal}");
+    }
+
+    #[test]
+    fn a_reading_that_is_no_number_is_told_once_and_the_last_good_estimate_is_kept() {
+        let (sim, script) = standing();
+        let mut senses = senses(&sim, &script, SensorNoise::default()).unwrap();
+        (0..10).for_each(|_| senses.read(sim.data(), sim.robot()));
+        assert_eq!(senses.fault(), Ok(None));
+        let (before, good) = (senses.state(), senses.sensors.clone());
+        senses.sensors = Sensors::new(broken(), &mut stream(0, Purpose::Sensor, 0, 0));
+        // 24 ticks are bridged: 0.1 s.
+        for tick in 0..24 {
+            senses.read(sim.data(), sim.robot());
+            assert_eq!(senses.fault().unwrap().is_some(), tick == 0, "tick {tick}");
+            assert_eq!(senses.state(), before);
+        }
+        senses.sensors = good;
+        senses.read(sim.data(), sim.robot());
+        assert_eq!(senses.fault(), Ok(None));
+        assert!(senses.state() != before && (senses.state().height - before.height).abs() < 0.01);
+        senses.sensors = Sensors::new(broken(), &mut stream(0, Purpose::Sensor, 0, 0));
+        (0..25).for_each(|_| senses.read(sim.data(), sim.robot()));
+        assert!(matches!(senses.fault(), Err(SensorFault::NotFinite { .. })));
+    }
+
+    #[test]
+    fn broken_sensors_end_a_rollout_with_an_event_that_names_them() {
+        let (script, config) = walk(2.0);
+        let mut witness = Witness::default();
+        let rollout = Rollout::new(&script, &config, Box::new(&mut witness), false).unwrap();
+        let mut rollout = rollout.with_sensing(Sensing::Estimated, 0).unwrap();
+        let broken = Sensors::new(broken(), &mut stream(0, Purpose::Sensor, 0, 0));
+        rollout.senses.as_mut().unwrap().sensors = broken;
+        let trace = rollout.trace();
+        let [told, end] = &trace.events[..] else { panic!("{:?}", trace.events) };
+        assert_eq!((told.kind, end.kind), (EventKind::Disturbance, EventKind::Fault));
+        assert!(end.text.contains("the sensors failed: accelerometer x reads NaN"), "{}", end.text);
+        // Six steps of 1/60 s are bridged, the seventh is not.
+        assert_eq!(trace.frames.len(), 6);
+    }
+
+    #[test]
+    fn physics_of_another_rate_than_the_networks_are_refused() {
+        let (mut script, _) = walk(1.0);
+        script.scene.timestep_s = 1.0 / 480.0;
+        let mut config = Config::load("compliant").unwrap();
+        config.simulation.physics_rate_hz = 480;
+        let mut witness = Witness::default();
+        let rollout = Rollout::new(&script, &config, Box::new(&mut witness), false).unwrap();
+        let refusal = rollout.with_sensing(Sensing::Estimated, 0).err().unwrap().to_string();
+        assert!(refusal.contains("the physics run at 480 Hz"), "{refusal}");
     }
 }

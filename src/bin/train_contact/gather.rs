@@ -11,6 +11,7 @@ use supple::random::{Purpose, stream};
 use supple::scenario::Controller;
 use supple::scene::{RobotFile, Scene};
 use supple::sim::{Sim, StepObserver};
+use supple::task::Command;
 use supple::task::episode::EpisodePlan;
 
 /// Length of an episode without a fall \[s\].
@@ -19,7 +20,10 @@ const EPISODE_S: f64 = 6.0;
 /// The push comes at a time from this range \[s\].
 const PUSH_S: std::ops::Range<f64> = 2.0..3.5;
 
-/// Plays an episode: command, slope, friction, joint offsets and push as in training with dynamics randomisation. It
+/// One of so many episodes asks the robot to stand, which random commands never do.
+const STANDING: u64 = 6;
+
+/// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, joint offsets and push as in training with dynamics randomisation. It
 /// ends with a fall, as what a fallen robot's feet do is no matter of walking.
 ///
 /// # Errors
@@ -28,7 +32,10 @@ pub fn episode(policy: &Policy, noise: SensorNoise, seed: u64, which: [u64; 2]) 
     let mut config = policy.provenance.config.clone();
     config.randomisation.enabled = true;
     let mut rng = stream(seed, Purpose::Episode, which[0], which[1]);
-    let plan = EpisodePlan::draw(&config, 1.0, &mut rng);
+    let mut plan = EpisodePlan::draw(&config, 1.0, &mut rng);
+    if which[0] % STANDING == STANDING - 1 {
+        plan.command = Command::default();
+    }
     let push_step = config.simulation.policy_steps(rng.random_range(PUSH_S));
 
     let simulation = &config.simulation;

