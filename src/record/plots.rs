@@ -8,7 +8,7 @@ use rerun::{EntityPath, Scalars, SeriesLines};
 use super::RecordError;
 use super::geometry::child;
 use super::stream::Stream;
-use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, opaque};
+use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, lighter, opaque};
 use crate::trace::{Frame, Sensed};
 
 /// A plot.
@@ -48,9 +48,9 @@ pub(super) struct Shown {
     pub(super) estimates: bool,
 }
 
-/// Tabs in their order.
+/// Tabs in their order; the first is open.
 const TABS: [(Tab, &str); 4] =
-    [(Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward"), (Tab::Estimate, "Estimate")];
+    [(Tab::Estimate, "Estimate"), (Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward")];
 
 /// The tabs of a recording.
 pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
@@ -64,6 +64,8 @@ pub(super) enum Series {
     Single,
     /// What was commanded, drawn first, and what happened.
     Tracking,
+    /// What is so, in the robot's colour, and what the robot believes, in a lighter one.
+    Belief,
     /// Parts of a whole, each robot in a plot of its own.
     Parts(&'static [(&'static str, Rgb)]),
 }
@@ -164,7 +166,7 @@ const PLOTS: &[Plot] = &[
         entity: "estimate_forward",
         title: "Forward velocity [m/s]",
         tab: Tab::Estimate,
-        series: BELIEF,
+        series: Series::Belief,
         range: None,
         values: |frame| believed(frame, frame.velocity[0], |sensed| sensed.velocity[0]),
     },
@@ -172,7 +174,7 @@ const PLOTS: &[Plot] = &[
         entity: "estimate_left",
         title: "Left velocity [m/s]",
         tab: Tab::Estimate,
-        series: BELIEF,
+        series: Series::Belief,
         range: None,
         values: |frame| believed(frame, frame.velocity[1], |sensed| sensed.velocity[1]),
     },
@@ -180,7 +182,7 @@ const PLOTS: &[Plot] = &[
         entity: "estimate_height",
         title: "Base height [m]",
         tab: Tab::Estimate,
-        series: BELIEF,
+        series: Series::Belief,
         range: None,
         values: |frame| believed(frame, frame.height_m, |sensed| sensed.height_m),
     },
@@ -188,7 +190,7 @@ const PLOTS: &[Plot] = &[
         entity: "estimate_contacts",
         title: "Feet that touch",
         tab: Tab::Estimate,
-        series: BELIEF,
+        series: Series::Belief,
         range: Some([0.0, 4.2]),
         values: |frame| {
             let truth = frame.sensed.map_or(f64::NAN, |sensed| count(sensed.true_contacts));
@@ -196,9 +198,6 @@ const PLOTS: &[Plot] = &[
         },
     },
 ];
-
-/// Truth and estimate.
-const BELIEF: Series = Series::Parts(&[("true", BLUE), ("estimated", ORANGE)]);
 
 fn count(feet: [bool; 4]) -> f64 {
     feet.iter().filter(|touches| **touches).count() as f64
@@ -231,8 +230,10 @@ impl Plot {
 /// Logs names and colours of a robot's series, once.
 pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<(), RecordError> {
     for plot in PLOTS {
+        let estimated = format!("{robot}, estimated");
         let (names, colours): (Vec<&str>, Vec<Rgb>) = match plot.series {
             Series::Parts(parts) => parts.iter().copied().unzip(),
+            Series::Belief => [(robot, colour), (estimated.as_str(), lighter(colour))].into_iter().unzip(),
             Series::Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
             Series::Tracking | Series::Single => [(robot, colour)].into_iter().unzip(),
         };
