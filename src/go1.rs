@@ -180,6 +180,18 @@ impl Go1 {
         self.joint_velocity.map(|index| data.velocities()[index])
     }
 
+    /// Velocity of the trunk: linear in the world frame [m/s], angular in the base frame [rad/s].
+    pub fn trunk_velocity(&self, data: &Data) -> (Vector3<f64>, Vector3<f64>) {
+        let v = &data.velocities()[self.root_velocity..];
+        (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
+    }
+
+    /// Rotation from the base frame to the world frame.
+    pub fn world_from_base(&self, data: &Data) -> UnitQuaternion<f64> {
+        let q = &data.positions()[self.root_position + 3..];
+        UnitQuaternion::new_normalize(Quaternion::new(q[0], q[1], q[2], q[3]))
+    }
+
     /// Sets the motors' torques [N·m].
     pub fn set_torques(&self, data: &mut Data, torques: &Joints) {
         let controls = data.controls_mut();
@@ -206,8 +218,9 @@ impl Go1 {
 
     /// The state as of the last first half-step.
     pub fn state(&self, data: &Data, ground: &Ground) -> RobotState {
-        let (q, v) = (&data.positions()[self.root_position..], &data.velocities()[self.root_velocity..]);
-        let world_from_base = UnitQuaternion::new_normalize(Quaternion::new(q[3], q[4], q[5], q[6]));
+        let q = &data.positions()[self.root_position..];
+        let (velocity, angular_velocity_in_base) = self.trunk_velocity(data);
+        let world_from_base = self.world_from_base(data);
         let position = Vector3::new(q[0], q[1], q[2]);
         let base_from_world = world_from_base.inverse();
         let gravity = data.model().gravity();
@@ -218,8 +231,8 @@ impl Go1 {
         });
         RobotState {
             height: position.z - ground.height(position.x, position.y),
-            velocity_in_base: base_from_world * Vector3::new(v[0], v[1], v[2]),
-            angular_velocity_in_base: Vector3::new(v[3], v[4], v[5]),
+            velocity_in_base: base_from_world * velocity,
+            angular_velocity_in_base,
             gravity_in_base: base_from_world * Vector3::from(gravity),
             joint_angles: self.joint_angles(data),
             joint_rates: self.joint_rates(data),

@@ -44,6 +44,21 @@ pub struct Rope {
     pub least_force_n: f64,
 }
 
+/// What the robot knows of its state at the end of a policy step, if it acts on its sensors.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sensed {
+    /// Trunk velocity (forward, left, up), base frame [m/s].
+    pub velocity: [f64; 3],
+    /// Base height above the ground under the feet \[m\].
+    pub height_m: f64,
+    /// Origin of the trunk, world frame; its horizontal part drifts \[m\].
+    pub position: [f64; 3],
+    /// Feet that the contact network says touch.
+    pub contacts: [bool; 4],
+    /// Feet that touch.
+    pub true_contacts: [bool; 4],
+}
+
 /// The state at the end of one policy step and what the step cost.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Frame {
@@ -93,6 +108,8 @@ pub struct Frame {
     pub obstacle_impulse_n_s: f64,
     /// A rope, if the scene has one.
     pub rope: Option<Rope>,
+    /// What the robot knew of it; none if it acts on the true state.
+    pub sensed: Option<Sensed>,
     /// What acted from outside in this step.
     pub disturbance: Option<Disturbance>,
     /// Stage of the training episode that this would be, if it is one.
@@ -120,7 +137,7 @@ pub enum EventKind {
     Fall,
     /// The robot did what the scenario is about (crossed, passed, recovered).
     Success,
-    /// The physics failed.
+    /// The physics or the sensors failed.
     Fault,
 }
 

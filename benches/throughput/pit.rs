@@ -132,7 +132,8 @@ impl Recording {
     fn new(script: &supple::scenario::Script, path: &std::path::Path) -> anyhow::Result<Self> {
         use supple::record::{Recorder, RobotView, Sink};
         let model = script.scene.compile_visual()?;
-        let view = RobotView { name: "robot", model: &model, ground: &script.scene.ground, tint: None };
+        let view =
+            RobotView { name: "robot", model: &model, ground: &script.scene.ground, tint: None, estimates: false };
         Ok(Recording(Recorder::new(Sink::File(path.to_owned()), NAME, &[view])?))
     }
 

@@ -7,6 +7,7 @@ The world of an [`Estimate`] is aligned with gravity, has the ground at height z
 of the start. Horizontal position and heading drift, because nothing on the robot measures them.
 */
 
+pub mod contact;
 pub mod kalman;
 pub mod kinematics;
 pub mod orientation;

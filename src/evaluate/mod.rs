@@ -15,6 +15,7 @@ pub mod protocol;
 pub mod report;
 pub mod results;
 pub mod runner;
+pub mod sensing;
 pub mod statistics;
 pub mod store;
 pub mod trial;

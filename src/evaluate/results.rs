@@ -142,7 +142,7 @@ mod tests {
         let condition = protocol.decay.conditions().unwrap().remove(0);
         let sample = |value: &Option<f64>| {
             let (fell, end) = value.map_or((1.0, End::Fell), |_| (0.0, End::Upright));
-            Sample { end, values: vec![Some(fell), *value, None, None], series: Vec::new() }
+            Sample { end, values: vec![Some(fell), *value, None, None], series: Vec::new(), estimation: None }
         };
         let policy = |values: &[Option<f64>; 2]| values.iter().map(|value| vec![sample(value)]).collect();
         Results {

@@ -10,6 +10,7 @@ use super::store::{self, Store, Stored};
 use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
 use crate::config::ConfigError;
+use crate::scenario::Sensing;
 use crate::scenario::catalog::Scenario;
 
 /// Why an experiment could not be finished.
@@ -45,6 +46,8 @@ pub struct Settings {
     pub threads: usize,
     /// Whether to measure again what is already there.
     pub again: bool,
+    /// What policies act on.
+    pub sensing: Sensing,
     /// Finished measurements.
     pub store: Store,
 }
@@ -81,7 +84,8 @@ pub fn work(experiment: &dyn Experiment, contest: &Contest, settings: &Settings)
     let conditions = experiment.conditions()?;
     let of_policy = f64::from(experiment.trials()) * conditions.iter().map(|c| cost(&c.scenario)).sum::<f64>();
     let missing = |contestant: &&Contestant| {
-        settings.again || settings.store.read(experiment, &store::key(experiment, &conditions, contestant)).is_none()
+        let key = store::key(experiment, &conditions, contestant, settings.sensing);
+        settings.again || settings.store.read(experiment, &key).is_none()
     };
     let policies = contest.sides.iter().flat_map(|side| &side.members).filter(missing).count();
     Ok(of_policy * policies as f64)
@@ -95,9 +99,11 @@ pub fn finished(
     experiment: &dyn Experiment,
     contest: &Contest,
     store: &Store,
+    sensing: Sensing,
 ) -> Result<Option<Measurement>, RunError> {
     let conditions = experiment.conditions()?;
-    let read = |contestant: &Contestant| store.read(experiment, &store::key(experiment, &conditions, contestant));
+    let key = |contestant: &Contestant| store::key(experiment, &conditions, contestant, sensing);
+    let read = |contestant: &Contestant| store.read(experiment, &key(contestant));
     let of_side = |side: &Side| side.members.iter().map(read).collect::<Option<Vec<Stored>>>();
     let [a, b] = &contest.sides;
     let Some((a, b)) = of_side(a).zip(of_side(b)) else { return Ok(None) };
@@ -116,7 +122,7 @@ pub fn measure(
 ) -> Result<Measurement, RunError> {
     let conditions = experiment.conditions()?;
     let get = |contestant: &Contestant| {
-        let key = store::key(experiment, &conditions, contestant);
+        let key = store::key(experiment, &conditions, contestant, settings.sensing);
         match settings.store.read(experiment, &key).filter(|_| !settings.again) {
             Some(stored) => Ok(stored),
             None => measure_policy(experiment, &conditions, contestant, &key, settings, progress),
@@ -137,7 +143,7 @@ fn measure_policy(
 ) -> Result<Stored, RunError> {
     let name = experiment.info().name;
     let start = Instant::now();
-    let samples = play_all(experiment, conditions, contestant, settings.threads, progress).map_err(|source| {
+    let samples = play_all(experiment, conditions, contestant, settings, progress).map_err(|source| {
         RunError::Trial { experiment: name, policy: contestant.file.display().to_string(), source }
     })?;
     let stored = settings.store.write(experiment, key, contestant, start.elapsed().as_secs_f64(), samples);
@@ -166,7 +172,7 @@ fn play_all(
     experiment: &dyn Experiment,
     conditions: &[Condition],
     contestant: &Contestant,
-    threads: usize,
+    settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<PolicyResult, TrialError> {
     let trials = experiment.trials() as usize;
@@ -183,7 +189,7 @@ fn play_all(
             let (condition, trial) = (index / trials, index % trials);
             let number = experiment.info().number;
             let seed = trial::trial_seed(contestant.seed, number, condition, trial as u32);
-            match trial::play(experiment, &conditions[condition], seed, &contestant.policy) {
+            match trial::play(experiment, &conditions[condition], seed, &contestant.policy, settings.sensing) {
                 Ok(sample) => played.push((index, sample)),
                 Err(error) => {
                     // The others stop at their next trial; of several failures the first trial's is told.
@@ -199,7 +205,7 @@ fn play_all(
         }
     };
     let mut played: Vec<(usize, Sample)> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(work)).collect();
+        let workers: Vec<_> = (0..settings.threads.clamp(1, count.max(1))).map(|_| scope.spawn(work)).collect();
         workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
     });
     if let Some((_, error)) = failure.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {

@@ -1,7 +1,8 @@
 /*! Finished measurements on disk, so that none is made twice.
 
 A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
-policy, its seed, the experiment's parameters and scenarios, the versions of MuJoCo and of this format. A new policy or a
+policy, its seed, the experiment's parameters and scenarios, the versions of MuJoCo and of this format, and what the
+policy acts on. A new policy or a
 changed experiment therefore measures only what is new.
 */
 
@@ -12,8 +13,10 @@ use serde::{Deserialize, Serialize};
 use super::contestants::Contestant;
 use super::results::PolicyResult;
 use super::{Condition, Experiment};
+use crate::estimate::{EstimatorConfig, SensorNoise, contact};
 use crate::files;
 use crate::provenance::{GIT_REVISION, MUJOCO_VERSION};
+use crate::scenario::Sensing;
 
 /// To be counted up whenever the same experiment would give other numbers.
 const FORMAT: u32 = 1;
@@ -103,8 +106,8 @@ fn checksum(samples: &PolicyResult) -> String {
 }
 
 /// Hash of everything that decides what an experiment measures with a policy.
-pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant) -> String {
-    let parts = serde_json::json!({
+pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant, sensing: Sensing) -> String {
+    let mut parts = serde_json::json!({
         "format": FORMAT,
         "mujoco": MUJOCO_VERSION,
         "experiment": experiment.info().name,
@@ -114,5 +117,12 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "policy": contestant.sha256,
         "seed": contestant.seed,
     });
+    if sensing == Sensing::Estimated {
+        parts["sensing"] = serde_json::json!({
+            "network": contact::shipped_sha256(),
+            "noise": SensorNoise::default(),
+            "estimator": EstimatorConfig::default(),
+        });
+    }
     files::sha256(&[parts.to_string().as_bytes()])
 }

@@ -7,9 +7,10 @@ use super::{Condition, Experiment, Measured};
 use crate::mujoco;
 use crate::policy::Policy;
 use crate::random::{Purpose, stream};
-use crate::scenario::Rollout;
 use crate::scenario::catalog::{ParameterError, Scenario};
+use crate::scenario::estimation::Estimation;
 use crate::scenario::metrics::STRIDE_S;
+use crate::scenario::{Rollout, Sensing, SensingError};
 use crate::trace::{EventKind, Trace};
 
 /// Why a trial could not be played.
@@ -21,6 +22,9 @@ pub enum TrialError {
     /// The scene does not compile.
     #[error(transparent)]
     Mujoco(#[from] mujoco::Error),
+    /// The robot cannot act on its sensors.
+    #[error(transparent)]
+    Sensing(#[from] SensingError),
 }
 
 /// How a trial ended.
@@ -31,7 +35,7 @@ pub enum End {
     Upright,
     /// The robot fell.
     Fell,
-    /// The physics failed; counted apart, and as no success.
+    /// The physics or the sensors failed; counted apart, and as no success.
     Fault,
 }
 
@@ -62,6 +66,9 @@ pub struct Sample {
     /// What the experiment's figures draw; its own order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub series: Vec<Vec<f32>>,
+    /// Errors of the estimates, if the policy acted on them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub estimation: Option<Estimation>,
 }
 
 /// The seed of a trial, the same for every policy of a seed: trials of two methods are paired.
@@ -109,17 +116,18 @@ pub fn play(
     condition: &Condition,
     seed: u64,
     policy: &Policy,
+    sensing: Sensing,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &policy.provenance.config)?;
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
-    let trace =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), experiment.needs_bodies())?
-            .trace();
+    let controller = Box::new(policy.controller());
+    let rollout = Rollout::new(&script, &policy.provenance.config, controller, experiment.needs_bodies())?;
+    let trace = rollout.with_sensing(sensing, seed)?.trace();
     let end = End::of(&trace);
     let Measured { values, series } = experiment.measure(&scenario, &script, &trace, end);
-    Ok(Sample { end, values, series })
+    Ok(Sample { end, values, series, estimation: Estimation::of(&trace) })
 }
 
 #[cfg(test)]

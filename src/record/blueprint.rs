@@ -18,16 +18,16 @@ use rerun::external::re_sdk_types::blueprint::archetypes::{
 use rerun::{AsComponents, EntityPath, RecordingStream, RecordingStreamBuilder};
 
 use super::RecordError;
-use super::plots::{Plot, Series, TABS, plots};
+use super::plots::{Plot, Series, Shown, plots, tabs};
 use super::robot::{camera_path, events_path, robot_path};
 use super::stream::{APPLICATION, TIMELINE};
 use super::style::{BACKGROUND, EYE_DIRECTION, EYE_DISTANCE_M, opaque};
 
 /// Sends the layout for these robots to a recording and makes it the active one.
-pub(super) fn send(recording: &RecordingStream, robots: &[&str], has_obstacles: bool) -> Result<(), RecordError> {
+pub(super) fn send(recording: &RecordingStream, robots: &[&str], shown: Shown) -> Result<(), RecordError> {
     let (store, messages) = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint().memory()?;
     store.set_time_sequence("blueprint", 0);
-    let mut layout = Layout { store: &store, has_obstacles, count: 0 };
+    let mut layout = Layout { store: &store, shown, count: 0 };
     let root = if robots.len() == 1 { layout.single(robots[0])? } else { layout.comparison(robots)? };
     store.log("viewport", &ViewportBlueprint::new().with_root_container(root).with_auto_views(false))?;
     for panel in ["blueprint_panel", "selection_panel"] {
@@ -57,7 +57,7 @@ type Item = (String, f32);
 
 struct Layout<'a> {
     store: &'a RecordingStream,
-    has_obstacles: bool,
+    shown: Shown,
     count: u8,
 }
 
@@ -105,10 +105,10 @@ impl Layout<'_> {
 
     /// Tabs with all plots; those of a tab are stacked or side by side.
     fn plots(&mut self, robots: &[&str], arrangement: ContainerKind) -> Result<String, RecordError> {
-        let mut tabs = Vec::new();
-        for (tab, title) in TABS {
+        let mut containers = Vec::new();
+        for (tab, title) in tabs(self.shown) {
             let mut items: Vec<Item> = Vec::new();
-            for plot in plots(self.has_obstacles).filter(|plot| plot.tab == tab) {
+            for plot in plots(self.shown).filter(|plot| plot.tab == tab) {
                 match plot.series {
                     Series::Parts(_) if robots.len() > 1 => {
                         for robot in robots {
@@ -118,9 +118,9 @@ impl Layout<'_> {
                     _ => items.push((self.plot(plot, robots, plot.title, items.is_empty())?, 1.0)),
                 }
             }
-            tabs.push((self.container(arrangement, title, &items)?.0, 1.0));
+            containers.push((self.container(arrangement, title, &items)?.0, 1.0));
         }
-        Ok(self.container(ContainerKind::Tabs, "Plots", &tabs)?.0)
+        Ok(self.container(ContainerKind::Tabs, "Plots", &containers)?.0)
     }
 
     /// A plot. Colours mean the same in all plots of a tab: its first one has the legend, and those that have parts.

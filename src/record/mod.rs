@@ -24,6 +24,7 @@ use std::path::PathBuf;
 use crate::mujoco::{self, Model};
 use crate::scene::Ground;
 use crate::trace::{Event, Frame, Trace};
+use plots::Shown;
 use robot::Robot;
 use stream::Stream;
 
@@ -105,6 +106,8 @@ pub struct RobotView<'a> {
     pub ground: &'a Ground,
     /// Colour of its light parts, its trail and its plots; without, it keeps its own colours and plots are blue.
     pub tint: Option<Rgb>,
+    /// Whether it acts on its sensors: its estimates are then plotted beside the truth.
+    pub estimates: bool,
 }
 
 /// Writes a recording.
@@ -124,10 +127,11 @@ impl Recorder {
         let names: Vec<&str> = robots.iter().map(|robot| robot.name).collect();
         let obstacles =
             robots.iter().map(|robot| geometry::has_obstacles(robot.model)).collect::<Result<Vec<_>, _>>()?;
-        let has_obstacles = obstacles.contains(&true);
-        blueprint::send(stream.recording()?, &names, has_obstacles)?;
+        let estimates = robots.iter().any(|robot| robot.estimates);
+        let shown = Shown { obstacles: obstacles.contains(&true), estimates };
+        blueprint::send(stream.recording()?, &names, shown)?;
         let robots = robots.iter().enumerate();
-        let robots = robots.map(|(index, view)| Robot::new(&stream, view, index == 0, has_obstacles));
+        let robots = robots.map(|(index, view)| Robot::new(&stream, view, index == 0, shown));
         let robots = robots.collect::<Result<_, _>>()?;
         Ok(Recorder { stream, robots })
     }

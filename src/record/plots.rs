@@ -8,8 +8,8 @@ use rerun::{EntityPath, Scalars, SeriesLines};
 use super::RecordError;
 use super::geometry::child;
 use super::stream::Stream;
-use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, opaque};
-use crate::trace::Frame;
+use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, lighter, opaque};
+use crate::trace::{Frame, Sensed};
 
 /// A plot.
 pub(super) struct Plot {
@@ -35,10 +35,27 @@ pub(super) enum Tab {
     Effort,
     /// What it is paid.
     Reward,
+    /// What it believes.
+    Estimate,
 }
 
-/// Tabs in their order.
-pub(super) const TABS: [(Tab, &str); 3] = [(Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward")];
+/// What there is to show beside what every recording has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Shown {
+    /// There are obstacles.
+    pub(super) obstacles: bool,
+    /// A robot acts on its sensors.
+    pub(super) estimates: bool,
+}
+
+/// Tabs in their order; the first is open.
+const TABS: [(Tab, &str); 4] =
+    [(Tab::Estimate, "Estimate"), (Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward")];
+
+/// The tabs of a recording.
+pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
+    TABS.into_iter().filter(move |(tab, _)| shown.estimates || *tab != Tab::Estimate)
+}
 
 /// Series of a plot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -47,6 +64,8 @@ pub(super) enum Series {
     Single,
     /// What was commanded, drawn first, and what happened.
     Tracking,
+    /// What is so, in the robot's colour, and what the robot believes, in a lighter one.
+    Belief,
     /// Parts of a whole, each robot in a plot of its own.
     Parts(&'static [(&'static str, Rgb)]),
 }
@@ -143,14 +162,62 @@ const PLOTS: &[Plot] = &[
             vec![terms.linear_velocity, terms.angular_velocity, terms.pose, terms.foot_clearance, terms.foot_height]
         },
     },
+    Plot {
+        entity: "estimate_forward",
+        title: "Forward velocity [m/s]",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: None,
+        values: |frame| believed(frame, frame.velocity[0], |sensed| sensed.velocity[0]),
+    },
+    Plot {
+        entity: "estimate_left",
+        title: "Left velocity [m/s]",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: None,
+        values: |frame| believed(frame, frame.velocity[1], |sensed| sensed.velocity[1]),
+    },
+    Plot {
+        entity: "estimate_height",
+        title: "Base height [m]",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: None,
+        values: |frame| believed(frame, frame.height_m, |sensed| sensed.height_m),
+    },
+    Plot {
+        entity: "estimate_contacts",
+        title: "Feet that touch",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: Some([0.0, 4.2]),
+        values: |frame| {
+            let truth = frame.sensed.map_or(f64::NAN, |sensed| count(sensed.true_contacts));
+            believed(frame, truth, |sensed| count(sensed.contacts))
+        },
+    },
 ];
+
+fn count(feet: [bool; 4]) -> f64 {
+    feet.iter().filter(|touches| **touches).count() as f64
+}
+
+/// What is so, and what the robot believes; without a belief there is no second line.
+fn believed(frame: &Frame, truth: f64, belief: fn(&Sensed) -> f64) -> Vec<f64> {
+    vec![truth, frame.sensed.as_ref().map_or(f64::NAN, belief)]
+}
 
 /// Name of the plot that says nothing without obstacles.
 const OBSTACLE_FORCE: &str = "obstacle_force";
 
 /// The plots of a recording.
-pub(super) fn plots(has_obstacles: bool) -> impl Iterator<Item = &'static Plot> {
-    PLOTS.iter().filter(move |plot| has_obstacles || plot.entity != OBSTACLE_FORCE)
+pub(super) fn plots(shown: Shown) -> impl Iterator<Item = &'static Plot> {
+    let is_shown = move |plot: &&Plot| match plot.tab {
+        Tab::Estimate => shown.estimates,
+        _ => shown.obstacles || plot.entity != OBSTACLE_FORCE,
+    };
+    PLOTS.iter().filter(is_shown)
 }
 
 impl Plot {
@@ -163,8 +230,10 @@ impl Plot {
 /// Logs names and colours of a robot's series, once.
 pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<(), RecordError> {
     for plot in PLOTS {
+        let estimated = format!("{robot}, estimated");
         let (names, colours): (Vec<&str>, Vec<Rgb>) = match plot.series {
             Series::Parts(parts) => parts.iter().copied().unzip(),
+            Series::Belief => [(robot, colour), (estimated.as_str(), lighter(colour))].into_iter().unzip(),
             Series::Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
             Series::Tracking | Series::Single => [(robot, colour)].into_iter().unzip(),
         };
@@ -180,10 +249,10 @@ pub(super) fn log_values(
     stream: &Stream,
     robot: &str,
     is_first: bool,
-    has_obstacles: bool,
+    shown: Shown,
     frame: &Frame,
 ) -> Result<(), RecordError> {
-    for plot in plots(has_obstacles) {
+    for plot in plots(shown) {
         let mut values = (plot.values)(frame);
         if plot.series == Series::Tracking && !is_first {
             values.remove(0);

@@ -9,7 +9,7 @@ use rerun::{Color, EntityPath, LineStrips3D, Points3D, Quaternion, Radius, TextL
 use super::geometry::{Parts, balls_path, child, log_model};
 use super::ground::{Patch, log_grounds};
 use super::overlay::{Overlay, overlay_path};
-use super::plots;
+use super::plots::{self, Shown};
 use super::stream::Stream;
 use super::style::{BLUE, EYE_DISTANCE_M};
 use super::{RecordError, RobotView};
@@ -34,7 +34,7 @@ pub(super) struct Robot {
     root: EntityPath,
     parts: Parts,
     body_count: usize,
-    has_obstacles: bool,
+    shown: Shown,
     patches: Vec<Patch>,
     overlay: Overlay,
     last_poses: Vec<Option<Pose>>,
@@ -50,7 +50,7 @@ impl Robot {
         stream: &Stream,
         view: &RobotView<'_>,
         is_first: bool,
-        has_obstacles: bool,
+        shown: Shown,
     ) -> Result<Self, RecordError> {
         let root = robot_path(view.name);
         let colour = view.tint.unwrap_or(BLUE);
@@ -61,7 +61,7 @@ impl Robot {
         let robot = Robot {
             name: view.name.to_owned(),
             is_first,
-            has_obstacles,
+            shown,
             body_count: model.count(Kind::Body),
             last_poses: vec![None; parts.bodies.len()],
             last_balls: vec![[f32::NAN; 3]; parts.balls.len()],
@@ -93,7 +93,7 @@ impl Robot {
             patch.follow(stream, trunk)?;
         }
         self.overlay.frame(stream, frame, trunk)?;
-        plots::log_values(stream, &self.name, self.is_first, self.has_obstacles, frame)?;
+        plots::log_values(stream, &self.name, self.is_first, self.shown, frame)?;
         if frame.stage != self.stage {
             self.stage = frame.stage;
             let words = match frame.stage {

@@ -49,6 +49,11 @@ pub(super) const EYE_DIRECTION: [f32; 3] = [-0.3, -1.0, 0.48];
 /// How long to wait for a disk or a viewer before giving up on it.
 pub(super) const PATIENCE: Duration = Duration::from_secs(5);
 
+/// Halfway to white.
+pub(super) fn lighter(colour: Rgb) -> Rgb {
+    colour.map(|part| part / 2 + 128)
+}
+
 /// A colour of rerun.
 pub(super) fn opaque([red, green, blue]: Rgb) -> Color {
     Color::from_rgb(red, green, blue)

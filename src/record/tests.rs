@@ -12,7 +12,7 @@ use super::*;
 use crate::mujoco::Data;
 use crate::scene::{Buffers, Ground, HeightField, RobotFile, Scene};
 use crate::task::{Command, Stage, Terms};
-use crate::trace::{Disturbance, EventKind, Pose};
+use crate::trace::{Disturbance, EventKind, Pose, Sensed};
 
 fn obstacles() -> String {
     let ball = |k: usize| {
@@ -105,13 +105,20 @@ fn a_recording_has_every_entity_that_its_layout_names() {
     let (flat, uneven) = (scene(Ground::Flat), scene(hills));
     let models = [flat.compile_visual().unwrap(), uneven.compile_visual().unwrap()];
     let views = [
-        RobotView { name: "compliant", model: &models[0], ground: &flat.ground, tint: Some(BLUE) },
-        RobotView { name: "the other one", model: &models[1], ground: &uneven.ground, tint: Some(ORANGE) },
+        RobotView { name: "compliant", model: &models[0], ground: &flat.ground, tint: Some(BLUE), estimates: true },
+        RobotView {
+            name: "the other one",
+            model: &models[1],
+            ground: &uneven.ground,
+            tint: Some(ORANGE),
+            estimates: false,
+        },
     ];
     let mut recorder = Recorder::new(Sink::File(path.clone()), "test", &views).unwrap();
     for (robot, model) in models.iter().enumerate() {
         for step in 0..40 {
             let mut frame = frame(model, f64::from(step) / 60.0);
+            frame.sensed = Some(Sensed::default());
             frame.disturbance = match step {
                 3 => Some(Disturbance::Push { velocity: [0.0, 1.0, 0.0] }),
                 20..30 => Some(Disturbance::Pull { force: [0.0, 50.0, 0.0] }),
@@ -125,8 +132,9 @@ fn a_recording_has_every_entity_that_its_layout_names() {
     recorder.finish().unwrap();
 
     let Content { recorded, shown, followed } = read(&path);
-    // Two views of worlds, one of the events, ten plots of which the one with parts exists twice.
-    assert_eq!((shown.len(), followed.len()), (2 + 2 + 9 * 2 + 2, 2), "{shown:?} {followed:?}");
+    // Two views of worlds, one of the events, nine plots of both robots and four of their estimates, and the one with
+    // parts twice.
+    assert_eq!((shown.len(), followed.len()), (2 + 2 + (9 + 4) * 2 + 2, 2), "{shown:?} {followed:?}");
     for query in &shown {
         let path = query.strip_prefix("+ ").unwrap();
         let found = match path.strip_suffix("/**") {
@@ -149,7 +157,7 @@ fn frames_of_another_scene_and_unknown_robots_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let flat = Scene::flat(RobotFile::Embedded, 1.0 / 240.0);
     let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None };
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
     let mut recorder = Recorder::new(Sink::File(folder.path().join("a.rrd")), "test", &[view]).unwrap();
     let other = frame(&scene(Ground::Flat).compile_visual().unwrap(), 0.0);
     assert!(matches!(recorder.frame(0, &other), Err(RecordError::Bodies { expected: 14, found: 20, .. })));
@@ -161,7 +169,7 @@ fn frames_of_another_scene_and_unknown_robots_are_refused() {
 fn places_where_nothing_can_be_written_are_errors() {
     let flat = Scene::flat(RobotFile::Embedded, 1.0 / 240.0);
     let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None };
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
     let open = |sink| Recorder::new(sink, "test", &[view]);
     assert!(matches!(open(Sink::File("/proc/none/a.rrd".into())), Err(RecordError::Create { .. })));
     assert!(matches!(open(Sink::Connect(Some("nonsense".into()))), Err(RecordError::Viewer { .. })));
@@ -172,7 +180,7 @@ fn places_where_nothing_can_be_written_are_errors() {
 fn a_full_disk_is_an_error_at_the_latest_at_the_end() {
     let flat = Scene::flat(RobotFile::Embedded, 1.0 / 240.0);
     let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None };
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
     let record = || {
         let mut recorder = Recorder::new(Sink::File("/dev/full".into()), "test", &[view])?;
         recorder.frame(0, &frame(&model, 0.0))?;
@@ -188,7 +196,7 @@ fn a_viewer_that_stopped_reading_is_an_error_and_not_a_wait_without_end() {
     let url = format!("rerun+http://{}/proxy", deaf.local_addr().unwrap());
     let flat = Scene::flat(RobotFile::Embedded, 1.0 / 240.0);
     let model = flat.compile_visual().unwrap();
-    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None };
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
     let start = Instant::now();
     let record = || {
         let mut recorder = Recorder::new(Sink::Connect(Some(url)), "test", &[view])?;

@@ -3,8 +3,11 @@
 use nalgebra::Vector3;
 
 use super::rig::{RigState, RopeForces};
-use super::{Controller, Goal, Script};
+use super::senses::Senses;
+use super::{Controller, Goal, Script, Sensing, SensingError};
 use crate::config::Config;
+use crate::estimate::contact::ContactNetwork;
+use crate::estimate::{SensorFault, SensorNoise};
 use crate::go1::{Foothold, Go1, Joints, RobotState};
 use crate::mujoco::{self, Data, Kind};
 use crate::sim::{Sim, StepObserver};
@@ -17,7 +20,7 @@ const PUSH_SHOWN_S: f64 = 0.3;
 /// What one step of a rollout brought.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Played {
-    /// The state after the step; none if the physics failed in it.
+    /// The state after the step; none if the physics or the sensors failed in it.
     pub frame: Option<Frame>,
     /// What happened in it.
     pub events: Vec<Event>,
@@ -30,6 +33,8 @@ pub struct Rollout<'a> {
     controller: Box<dyn Controller + 'a>,
     sim: Sim,
     state: RobotState,
+    /// None if the controller sees the true state.
+    pub(super) senses: Option<Senses>,
     with_bodies: bool,
     step: usize,
     steps: usize,
@@ -64,6 +69,7 @@ impl<'a> Rollout<'a> {
             script,
             config,
             controller,
+            senses: None,
             with_bodies,
             step: 0,
             pushes_done: 0,
@@ -76,6 +82,30 @@ impl<'a> Rollout<'a> {
             state,
             sim,
         })
+    }
+
+    /// Decides what the controller acts on, before the first step; the sensors' noise is drawn from `seed`. Without this
+    /// call it is the true state.
+    ///
+    /// # Errors
+    /// [`SensingError`], as for rates that the contact network was not trained for.
+    pub fn with_sensing(self, sensing: Sensing, seed: u64) -> Result<Self, SensingError> {
+        match sensing {
+            Sensing::True => Ok(self),
+            Sensing::Estimated => self.with_senses(ContactNetwork::shipped()?, SensorNoise::default(), seed),
+        }
+    }
+
+    /// [`Rollout::with_sensing`] with another contact network or other sensors.
+    ///
+    /// # Errors
+    /// [`SensingError`]
+    pub fn with_senses(mut self, network: ContactNetwork, noise: SensorNoise, seed: u64) -> Result<Self, SensingError> {
+        let rest = self.controller.rest();
+        let senses = Senses::new(network, noise, seed, &self.sim, &self.script.conditions, &rest)?;
+        self.controller.begin(&senses.state());
+        self.senses = Some(senses);
+        Ok(self)
     }
 
     /// Steps that a rollout without a fall has.
@@ -93,22 +123,31 @@ impl<'a> Rollout<'a> {
         trace
     }
 
-    fn try_step(&mut self, events: &mut Vec<Event>) -> mujoco::Result<Frame> {
+    fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, Fault> {
         let period_s = self.sim.policy_period_s();
         let time_s = self.step as f64 * period_s;
         self.disturb(time_s, events)?;
 
-        let target = self.controller.joint_targets(&self.state, &self.script.command);
+        let known = self.senses.as_ref().map(Senses::state);
+        let target = self.controller.joint_targets(known.as_ref().unwrap_or(&self.state), &self.script.command);
+        if let Some(senses) = &mut self.senses {
+            senses.act(&target);
+        }
         let rope = self.rig.as_ref().map(RigState::tendon);
-        let mut meter = Meter { swings: self.swings, rope, ..Meter::default() };
+        let mut meter = Meter { swings: self.swings, senses: self.senses.as_mut(), rope, ..Meter::default() };
         let summary = self.sim.step(&target, &mut meter)?;
+        let meter = Meter { senses: None, ..meter };
         self.step += 1;
         let time_s = self.step as f64 * period_s;
+        if let Some(fault) = self.senses.as_mut().map_or(Ok(None), Senses::fault)? {
+            events.push(Event { time_s, kind: EventKind::Disturbance, text: format!("sensors: {fault}") });
+        }
 
         let state = self.sim.state();
         let config = self.config;
-        let foot_height = meter.swings.take().foot_height;
-        self.swings = meter.swings;
+        let mut swings = meter.swings;
+        let foot_height = swings.take().foot_height;
+        self.swings = swings;
         let terms = Terms::new(&state, &self.script.command, &summary, foot_height, &config.reward);
         if let (Some(fall), None) = (summary.fall, self.fallen_since) {
             self.fallen_since = Some(self.step);
@@ -151,6 +190,7 @@ impl<'a> Rollout<'a> {
             peak_obstacle_force_n: meter.peak_obstacle_force_n,
             obstacle_impulse_n_s: meter.obstacle_force_sum_n * period_s / substeps,
             rope,
+            sensed: self.senses.as_ref().map(|senses| senses.sensed(&state)),
             disturbance: self.disturbance(time_s),
             stage: is_training_episode.then(|| {
                 let since_push = time_s - self.script.pushes[0].time_s;
@@ -222,7 +262,7 @@ impl<'a> Rollout<'a> {
 impl Iterator for Rollout<'_> {
     type Item = Played;
 
-    /// One policy step, until the script is over, the robot has lain for a while, or the physics failed.
+    /// One policy step, until the script is over, the robot has lain for a while, or physics or sensors failed.
     fn next(&mut self) -> Option<Played> {
         let after_fall = self.config.simulation.policy_steps(self.script.after_fall_s);
         let over = self.fallen_since.is_some_and(|since| self.step >= since + after_fall);
@@ -242,9 +282,19 @@ impl Iterator for Rollout<'_> {
     }
 }
 
-/// Forces over the physics steps of one policy step.
+/// Why a step has no frame.
+#[derive(Debug, thiserror::Error)]
+enum Fault {
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+    #[error("the sensors failed: {0}")]
+    Sensors(#[from] SensorFault),
+}
+
+/// Forces over the physics steps of one policy step, and readings after each.
 #[derive(Default)]
-struct Meter {
+struct Meter<'a> {
+    senses: Option<&'a mut Senses>,
     swings: SwingTracker,
     substeps: u32,
     torques: Joints,
@@ -259,12 +309,15 @@ struct Meter {
     rope_forces: RopeForces,
 }
 
-impl StepObserver for Meter {
+impl StepObserver for Meter<'_> {
     fn feet(&mut self, feet: &[Foothold; 4]) {
         self.swings.feet(feet);
     }
 
     fn forces(&mut self, data: &Data, robot: &Go1, torques: &Joints) {
+        if let Some(senses) = &mut self.senses {
+            senses.read(data, robot);
+        }
         self.substeps += 1;
         self.torques = *torques;
         if let Some(tendon) = self.rope {

@@ -217,6 +217,51 @@ fn browse(page: &Path) -> Option<(String, String)> {
 }
 
 #[test]
+fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", falling_policy()),
+    ]);
+    let folder = folder.path();
+    let output = evaluate(folder, &["walk", "leash", "--out", "report"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let plain = summary(folder, "report");
+    assert_eq!(plain.get("sensing"), None);
+    assert!(!folder.join("report/tables/sensing.csv").exists());
+
+    let output = evaluate(folder, &["walk", "--sensing", "estimated", "--out", "report", "--results", "results.md"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let both = summary(folder, "report");
+    assert_eq!(both["experiments"], plain["experiments"]);
+    let sensing = &both["sensing"];
+    assert_eq!(sensing["experiments"], serde_json::json!(["walk"]));
+    let row = |rows: &str, condition: &str, quantity: &str| {
+        let mut rows = sensing[rows].as_array().unwrap().iter();
+        rows.find(|row| row["condition"] == condition && row["quantity"] == quantity).unwrap()["ours"].clone()
+    };
+    let power = row("numbers", "E0 walk, standing, compliant", "power_w");
+    let [estimated, truth] = ["estimated", "true state"].map(|way| power[way]["mean"].as_f64().unwrap());
+    assert_eq!(estimated, truth, "what a policy sees that heeds nothing changes nothing");
+    assert_eq!(truth, experiment(&plain, "walk")["numbers"][1]["quantities"]["power_w"]["compliant"]["mean"]);
+    assert_eq!(row("numbers", "E0 walk, standing, baseline", "fell")["estimated"]["mean"], 1.0);
+    let velocity = row("errors", "E0 walk", "estimate_velocity_rmse_m_s");
+    assert!(velocity["compliant"]["mean"].as_f64().unwrap() < 0.05, "{velocity}");
+    for name in ["sensing", "sensing-all", "sensing-errors"] {
+        assert!(folder.join(format!("report/tables/{name}.csv")).exists(), "{name}");
+    }
+    let page = std::fs::read_to_string(folder.join("report/report.html")).unwrap();
+    assert!(page.contains("E12 Acting on sensors") && page.contains("<th>true state</th>"));
+    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    assert!(document.contains("## E12: acting on sensors"), "{document}");
+
+    // It stays in the report, and nothing of it is run again.
+    let before = kept(&folder.join("report"));
+    let output = evaluate(folder, &["leash", "--out", "report"]);
+    assert!(output.status.success() && kept(&folder.join("report")) == before);
+    assert_eq!(summary(folder, "report")["sensing"], *sensing);
+}
+
+#[test]
 fn a_missing_seed_is_told_and_left_out_of_differences_only() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),

@@ -163,6 +163,48 @@ fn scenario_prints_one_json_object_and_nothing_else() {
 }
 
 #[test]
+fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
+    let play = |sensing: &str| -> Value {
+        let walk = ["walk", "--policy", "standing.safetensors", "--duration-s", "1", "--json", "--no-record"];
+        let output = run("scenario", folder.path(), &[&walk[..], &["--sensing", sensing]].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let (truth, estimated) = (play("true"), play("estimated"));
+    assert_eq!((&truth["sensing"], &estimated["sensing"]), (&"true".into(), &"estimated".into()));
+    assert_eq!(truth["runs"][0]["metrics"]["contact_f1"], Value::Null);
+    for name in ["estimate_velocity_rmse_m_s", "estimate_height_rmse_m", "estimate_drift_m", "contact_f1"] {
+        assert!(estimated["runs"][0]["metrics"][name].is_number(), "{name}: {estimated}");
+    }
+    // A standing robot knows that it stands.
+    assert!(estimated["runs"][0]["metrics"]["estimate_velocity_rmse_m_s"].as_f64().unwrap() < 0.05);
+}
+
+#[test]
+fn train_contact_is_reproducible_and_refuses_bad_input() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
+    let train = |out: &str| {
+        let arguments = ["--policy", "standing.safetensors", "--episodes", "5", "--seed", "7", "--out", out];
+        let output = run("train_contact", folder.path(), &arguments);
+        assert!(output.status.success(), "{}", complaint(&output));
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        assert!(text.contains("held out: 1 episodes") && text.contains("\nFR "), "{text}");
+        std::fs::read(folder.path().join(out)).unwrap()
+    };
+    assert!(train("one.safetensors") == train("two.safetensors"), "the networks differ");
+    let cases: [(&[&str], &str); 2] =
+        [(&["--policy", "nobody"], "there is no policy 'nobody'"), (&["--episodes", "4"], "4 is not in 5..=100000")];
+    for (arguments, expected) in cases {
+        let output = run("train_contact", folder.path(), arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        assert!(complaint(&output).contains(expected), "{}", complaint(&output));
+    }
+}
+
+#[test]
 fn policy_program_shows_verifies_and_exports() {
     let folder = tempfile::tempdir().unwrap();
     standing_policy().save(&folder.path().join("p.safetensors")).unwrap();

@@ -3,8 +3,9 @@
 use clap::{FromArgMatches, Subcommand};
 use supple::config::flat_parameters;
 use supple::mujoco::Kind;
-use supple::scenario::Rollout;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
+use supple::scenario::estimation::Estimation;
+use supple::scenario::{Rollout, Sensing};
 use supple::trace::{EventKind, Trace};
 
 use crate::support::standing_policy;
@@ -25,9 +26,14 @@ fn scenario(name: &str, changes: &[&str]) -> Scenario {
 }
 
 fn trace(scenario: &Scenario, seed: u64) -> Trace {
+    trace_with(scenario, seed, Sensing::True)
+}
+
+fn trace_with(scenario: &Scenario, seed: u64, sensing: Sensing) -> Trace {
     let policy = standing_policy();
     let script = scenario.script(seed, &policy.provenance.config).unwrap();
-    Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), true).unwrap().trace()
+    let rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), true).unwrap();
+    rollout.with_sensing(sensing, seed).unwrap().trace()
 }
 
 /// Every scenario, cut short.
@@ -63,6 +69,33 @@ fn traces_are_whole_and_finite_and_metrics_in_range() {
         for metric in scenario.metrics(&scenario.script(1, &config).unwrap(), &trace) {
             assert!(metric.value.is_none_or(f64::is_finite), "{name}: {metric:?}");
         }
+    }
+}
+
+#[test]
+fn estimates_are_deterministic_and_finite_in_every_scenario() {
+    for scenario in all() {
+        let (name, trace) = (scenario.name(), trace_with(&scenario, 3, Sensing::Estimated));
+        assert_eq!(trace, trace_with(&scenario, 3, Sensing::Estimated), "{name}");
+        assert_eq!(trace.frames.len(), (scenario.task().duration_s * 60.0) as usize, "{name}: {:?}", trace.events);
+        for frame in &trace.frames {
+            let sensed = frame.sensed.unwrap();
+            let numbers = sensed.velocity.iter().chain(&sensed.position).chain([&sensed.height_m]);
+            assert!(numbers.copied().all(f64::is_finite), "{name}: {sensed:?}");
+        }
+        let metrics = Estimation::metrics(&trace);
+        assert!(metrics.iter().all(|metric| metric.value.is_some_and(f64::is_finite)), "{name}: {metrics:?}");
+    }
+}
+
+#[test]
+fn estimates_stay_finite_when_the_robot_is_thrown() {
+    let far = scenario("push", &["--duration-s=3", "--at-s=0.2", "--push-m-s=20", "--direction-deg=120"]);
+    let trace = trace_with(&far, 1, Sensing::Estimated);
+    assert!(trace.fall().is_some());
+    for frame in &trace.frames {
+        let sensed = frame.sensed.unwrap();
+        assert!(sensed.velocity.iter().chain(&sensed.position).all(|number| number.abs() < 1e4), "{sensed:?}");
     }
 }
 

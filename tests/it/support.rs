@@ -54,6 +54,7 @@ pub fn run(program: &str, folder: &Path, arguments: &[&str]) -> Output {
         "evaluate" => env!("CARGO_BIN_EXE_evaluate"),
         "train" => env!("CARGO_BIN_EXE_train"),
         "policy" => env!("CARGO_BIN_EXE_policy"),
+        "train_contact" => env!("CARGO_BIN_EXE_train_contact"),
         "scenario" => env!("CARGO_BIN_EXE_scenario"),
         other => panic!("no program {other}"),
     };

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use supple::scenario::Sensing;
 
 /// The experiments by name, with what they are.
 const EXPERIMENTS: [(&str, &str); 13] = [
@@ -53,6 +54,9 @@ pub struct Args {
     /// YAML file with what differs from configs/evaluation/full.yaml
     #[arg(long, value_name = "FILE")]
     pub protocol: Option<PathBuf>,
+    /// `estimated` runs the experiments a second time on noisy sensors, for E12
+    #[arg(long, value_enum, default_value_t)]
+    pub sensing: Sensing,
     /// Run finished experiments again
     #[arg(long)]
     pub again: bool,

@@ -12,8 +12,9 @@ use progress::Progress;
 use supple::evaluate::contestants::Contest;
 use supple::evaluate::protocol::Protocol;
 use supple::evaluate::report::{Report, Section};
-use supple::evaluate::runner::{self, Settings};
+use supple::evaluate::runner::{self, Measurement, Settings};
 use supple::evaluate::store::Store;
+use supple::scenario::Sensing;
 
 fn main() -> ExitCode {
     match run(&Args::parse()) {
@@ -31,26 +32,40 @@ fn run(args: &Args) -> anyhow::Result<()> {
     contest.notes.iter().for_each(|note| eprintln!("note: {note}"));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let settings =
-        Settings { threads: args.threads.map_or(cores, usize::from), again: args.again, store: Store::new(&args.out) };
+    let settings = Settings {
+        threads: args.threads.map_or(cores, usize::from),
+        again: args.again,
+        sensing: Sensing::True,
+        store: Store::new(&args.out),
+    };
+    let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
     let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
+    // E12 compares with the true state: estimated sensing is run besides.
+    let is_run = |settings: &Settings| settings.sensing == Sensing::True || args.sensing == Sensing::Estimated;
 
     let mut progress = Progress::default();
     for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
-        progress.expect(runner::work(experiment, &contest, &settings)?);
+        for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
+            progress.expect(runner::work(experiment, &contest, settings)?);
+        }
     }
     let mut report = Report::new(&contest, name, command());
     for experiment in protocol.experiments() {
         let info = experiment.info();
-        let measurement = if wanted(info.name) {
+        let mut measure = |settings: &Settings| -> anyhow::Result<Option<Measurement>> {
+            if !(wanted(info.name) && is_run(settings)) {
+                return Ok(runner::finished(experiment, &contest, &settings.store, settings.sensing)?);
+            }
             progress.begin(&info);
-            let measurement = runner::measure(experiment, &contest, &settings, &|work| progress.advance(work))?;
-            progress.end(&info);
-            Some(measurement)
-        } else {
-            runner::finished(experiment, &contest, &settings.store)?
+            let measurement = runner::measure(experiment, &contest, settings, &|work| progress.advance(work))?;
+            progress.end(&info, settings.sensing);
+            Ok(Some(measurement))
         };
-        match measurement {
+        let (truth, estimated) = (measure(&settings)?, measure(&on_sensors)?);
+        if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
+            report.sensing.add(experiment, truth, estimated);
+        }
+        match truth {
             Some(measurement) => report.sections.push(Section::new(experiment, &measurement)),
             None => report.missing.push(info),
         }

@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use supple::evaluate::Info;
+use supple::scenario::Sensing;
 
 /// Steps of the bar per second of simulated work.
 const STEPS: f64 = 10.0;
@@ -42,8 +43,9 @@ impl Progress {
     }
 
     /// A line that stays.
-    pub fn end(&mut self, info: &Info) {
-        let line = format!("{} {}: {:.1} s", info.id, info.name, self.begun.elapsed().as_secs_f64());
+    pub fn end(&mut self, info: &Info, sensing: Sensing) {
+        let on = if sensing == Sensing::Estimated { " on sensors" } else { "" };
+        let line = format!("{} {}{on}: {:.1} s", info.id, info.name, self.begun.elapsed().as_secs_f64());
         self.bar.suspend(|| eprintln!("{line}"));
     }
 

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use supple::config::flat_parameters;
+use supple::scenario::Sensing;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 
 /// Headings in the help, apart from the scenario's own parameters.
@@ -27,6 +28,9 @@ pub struct Args {
     /// Seed of everything random in the scenario
     #[arg(long, global = true, help_heading = INPUT, value_name = "N", default_value_t = 0)]
     pub seed: u64,
+    /// What the policy acts on: the true state, or estimates from noisy sensors
+    #[arg(long, global = true, help_heading = INPUT, value_enum, default_value_t)]
+    pub sensing: Sensing,
     /// YAML file with parameters of the scenario, by the names of its flags; flags win
     #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
     pub params: Option<PathBuf>,

@@ -17,7 +17,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
 use supple::policies;
 use supple::policy::Policy;
-use supple::scenario::{Rollout, Script};
+use supple::scenario::catalog::Scenario;
+use supple::scenario::estimation::Estimation;
+use supple::scenario::metrics::Metric;
+use supple::scenario::{Rollout, Script, Sensing};
 use supple::trace::Trace;
 
 fn main() -> ExitCode {
@@ -47,13 +50,13 @@ fn run(args: &Args) -> anyhow::Result<()> {
         .map(|(_, policy)| Ok(scenario.script(args.seed, &policy.provenance.config)?))
         .collect::<anyhow::Result<_>>()?;
     let mut recording = recording::Recording::start(args, scenario, &robots, &scripts)?;
-    let traces = play(&robots, &scripts, &mut recording)?;
+    let traces = play(args, &robots, &scripts, &mut recording)?;
     let played = robots.iter().zip(&scripts).zip(&traces);
     let outcomes: Vec<Outcome<'_>> = played
         .map(|(((name, policy), script), trace)| Outcome {
             policy: name,
             sha256: policy.sha256(),
-            metrics: scenario.metrics(script, trace),
+            metrics: metrics(args.sensing, scenario, script, trace),
             trace,
         })
         .collect();
@@ -62,11 +65,20 @@ fn run(args: &Args) -> anyhow::Result<()> {
         output::write_csv(path, &outcomes).with_context(|| format!("cannot write {}", path.display()))?;
     }
     if args.json {
-        println!("{}", output::to_json(scenario, args.seed, &outcomes));
+        println!("{}", output::to_json(scenario, args.seed, args.sensing, &outcomes));
     } else {
         print!("{}", output::summary(scenario, &outcomes));
     }
     recording.finish(args, scenario, &robots, &scripts, &traces)
+}
+
+/// The scenario's numbers, and those of the estimates if there are any.
+fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace) -> Vec<Metric> {
+    let mut found = scenario.metrics(script, trace);
+    if sensing == Sensing::Estimated {
+        found.extend(Estimation::metrics(trace));
+    }
+    found
 }
 
 /// The policies to play, by name.
@@ -92,13 +104,15 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Policy)>> {
 
 /// Plays all robots step by step beside one another, recording as they go.
 fn play(
+    args: &Args,
     robots: &[(String, Policy)],
     scripts: &[Script],
     recording: &mut recording::Recording,
 ) -> anyhow::Result<Vec<Trace>> {
     let mut rollouts = Vec::new();
     for ((_, policy), script) in robots.iter().zip(scripts) {
-        rollouts.push(Rollout::new(script, &policy.provenance.config, Box::new(policy.controller()), true)?);
+        let rollout = Rollout::new(script, &policy.provenance.config, Box::new(policy.controller()), true)?;
+        rollouts.push(rollout.with_sensing(args.sensing, args.seed)?);
     }
     let mut traces: Vec<Trace> = robots
         .iter()

@@ -4,6 +4,7 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use serde_json::{Value, json};
+use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::Metric;
 use supple::trace::Trace;
@@ -48,7 +49,7 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
 }
 
 /// Everything as one JSON object.
-pub fn to_json(scenario: &Scenario, seed: u64, outcomes: &[Outcome<'_>]) -> Value {
+pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
     let run = |outcome: &Outcome<'_>| {
         let metrics: serde_json::Map<String, Value> =
             outcome.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.value))).collect();
@@ -62,6 +63,7 @@ pub fn to_json(scenario: &Scenario, seed: u64, outcomes: &[Outcome<'_>]) -> Valu
     json!({
         "scenario": scenario.name(),
         "seed": seed,
+        "sensing": sensing,
         "parameters": scenario,
         "runs": outcomes.iter().map(run).collect::<Vec<_>>(),
     })

@@ -7,7 +7,7 @@ use supple::mujoco::Model;
 use supple::policy::Policy;
 use supple::record::{BLUE, ORANGE, Recorder, RobotView, Sink, page_url};
 use supple::scenario::catalog::Scenario;
-use supple::scenario::{Played, Script};
+use supple::scenario::{Played, Script, Sensing};
 use supple::trace::Trace;
 
 use crate::args::Args;
@@ -36,7 +36,7 @@ impl Recording {
             (None, None, None) if args.no_record => return Ok(Recording { recorder: None, sink: None }),
             (None, None, None) => Sink::File(format!("{}.rrd", scenario.name()).into()),
         };
-        let recorder = open(sink.clone(), scenario.name(), robots, scripts)?;
+        let recorder = open(sink.clone(), scenario.name(), args.sensing, robots, scripts)?;
         if let Sink::Serve(port) = sink {
             eprintln!("watch it at {}", page_url(port));
         }
@@ -97,7 +97,13 @@ fn wait_for_interrupt() -> anyhow::Result<()> {
     Ok(wait.recv()?)
 }
 
-fn open(sink: Sink, title: &str, robots: &[(String, Policy)], scripts: &[Script]) -> anyhow::Result<Recorder> {
+fn open(
+    sink: Sink,
+    title: &str,
+    sensing: Sensing,
+    robots: &[(String, Policy)],
+    scripts: &[Script],
+) -> anyhow::Result<Recorder> {
     let models: Vec<Model> =
         scripts.iter().map(|script| script.scene.compile_visual()).collect::<supple::mujoco::Result<_>>()?;
     let tints = if robots.len() > 1 { vec![Some(BLUE), Some(ORANGE)] } else { vec![None] };
@@ -106,7 +112,13 @@ fn open(sink: Sink, title: &str, robots: &[(String, Policy)], scripts: &[Script]
         .zip(scripts)
         .zip(&models)
         .zip(tints)
-        .map(|((((name, _), script), model), tint)| RobotView { name, model, ground: &script.scene.ground, tint })
+        .map(|((((name, _), script), model), tint)| RobotView {
+            name,
+            model,
+            ground: &script.scene.ground,
+            tint,
+            estimates: sensing == Sensing::Estimated,
+        })
         .collect();
     Ok(Recorder::new(sink, title, &views)?)
 }
@@ -120,7 +132,13 @@ fn clip(
     fall_s: f64,
 ) -> anyhow::Result<()> {
     let model = script.scene.compile_visual()?;
-    let view = RobotView { name: &robot.0, model: &model, ground: &script.scene.ground, tint: None };
+    let view = RobotView {
+        name: &robot.0,
+        model: &model,
+        ground: &script.scene.ground,
+        tint: None,
+        estimates: trace.frames.iter().any(|frame| frame.sensed.is_some()),
+    };
     let mut recorder = Recorder::new(Sink::File(path.to_owned()), title, &[view])?;
     for frame in trace.frames.iter().filter(|frame| frame.time_s > fall_s - CLIP_S) {
         recorder.frame(0, frame)?;

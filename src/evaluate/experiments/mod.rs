@@ -105,7 +105,7 @@ mod tests {
         for experiment in protocol.experiments() {
             for value in [None, Some(0.5)] {
                 let values = vec![value; experiment.quantities().len()];
-                let sample = Sample { end: End::Upright, values, series: Vec::new() };
+                let sample = Sample { end: End::Upright, values, series: Vec::new(), estimation: None };
                 let findings = experiment.findings(&results(experiment, &sample));
                 assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{}", experiment.info().name);
                 for figure in &findings.figures {

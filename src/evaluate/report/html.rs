@@ -45,6 +45,9 @@ pub fn page(report: &Report) -> String {
     for section in &report.sections {
         body.push_str(&experiment(section, report));
     }
+    if !report.sensing.experiments.is_empty() {
+        body.push_str(&sensing(report));
+    }
     if !report.missing.is_empty() {
         let lines = report.missing.iter().map(|info| {
             format!("<li>{} {} ({}): <code>evaluate {}</code></li>", info.id, info.title, info.paper, info.name)
@@ -168,18 +171,36 @@ fn experiment(section: &Section, report: &Report) -> String {
         );
     }
     for table in section.findings.tables.iter().filter(|table| table.in_page) {
-        text.push_str(&numbers(table, report));
+        text.push_str(&numbers(table, &report.names, report.members));
     }
     text.push_str(&provenance(section, report));
     text.push_str("</section>\n");
     text
 }
 
+/// E12: every number beside the one with the true state.
+fn sensing(report: &Report) -> String {
+    let found = &report.sensing;
+    let tables = found.tables();
+    let tables = tables.iter().filter(|(table, ..)| table.in_page);
+    let tables: String = tables.map(|(table, names, members)| numbers(table, names, *members)).collect();
+    format!(
+        "<section id=\"sensing\">\n<h2>E12 Acting on sensors <small>section IV-D</small></h2>\n<p>The same trials, with \
+         policies that see no true state: noisy IMU and encoders, a contact network and a Kalman filter at 240 Hz. \
+         Differences are estimated minus true state.</p>\n{tables}<details><summary>How it was run</summary><dl>\
+         <dt>experiments</dt><dd>{}</dd><dt>contact network</dt><dd><code>{}</code></dd><dt>time for all trials</dt>\
+         <dd>{}</dd><dt>command</dt><dd><code>evaluate --sensing estimated</code></dd></dl></details>\n</section>\n",
+        escaped(&found.experiments.join(", ")),
+        escaped(&found.network),
+        duration(found.wall_s),
+    )
+}
+
 /// A table without the columns that are empty throughout.
-fn numbers(table: &Table, report: &Report) -> String {
-    let rows: Vec<[String; 7]> = table.rows.iter().map(|row| cells(row, report.members)).collect();
+fn numbers(table: &Table, names: &[String; 2], members: [usize; 2]) -> String {
+    let rows: Vec<[String; 7]> = table.rows.iter().map(|row| cells(row, members)).collect();
     let used: Vec<usize> = (0..7).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
-    let titles = columns(&report.names);
+    let titles = columns(names);
     let head: String = used.iter().map(|column| format!("<th>{}</th>", escaped(&titles[*column]))).collect();
     let mut body = String::new();
     let mut last_condition = "";

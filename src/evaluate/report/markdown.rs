@@ -105,6 +105,12 @@ pub fn document(report: &Report) -> String {
     if !notes.is_empty() {
         text.push_str(&format!("\n{notes}"));
     }
+    if !report.sensing.experiments.is_empty() {
+        text.push_str("\n## E12: acting on sensors\n");
+        for (table, names, members) in report.sensing.tables().iter().filter(|(table, ..)| table.in_page) {
+            text.push_str(&format!("\n{}", self::table(table, names, *members)));
+        }
+    }
     text.push_str("\n## Policies\n\n");
     let rows = report.policies.iter().map(|policy| {
         vec![

@@ -14,10 +14,11 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::contestants::Contest;
-use super::findings::Findings;
+use super::findings::{Findings, Table};
 use super::plot::png::{PngError, Renderer};
 use super::results::Ends;
 use super::runner::Measurement;
+use super::sensing::SensingFindings;
 use super::{Experiment, Info};
 use crate::files;
 
@@ -134,6 +135,8 @@ pub struct Report {
     pub sections: Vec<Section>,
     /// Experiments that are not finished.
     pub missing: Vec<Info>,
+    /// E12: the experiments that were also run with estimated sensing.
+    pub sensing: SensingFindings,
 }
 
 impl Report {
@@ -159,6 +162,7 @@ impl Report {
             notes: contest.notes.clone(),
             sections: Vec::new(),
             missing: Vec::new(),
+            sensing: SensingFindings::new(contest),
         }
     }
 
@@ -181,9 +185,12 @@ impl Report {
                 write(&figures.join(format!("{}.png", figure.name)), &png)?;
             }
             for table in &section.findings.tables {
-                write(&tables.join(format!("{}.csv", table.name)), tables::csv(table, &self.names).as_bytes())?;
-                let text = markdown::table(table, &self.names, self.members);
-                write(&tables.join(format!("{}.md", table.name)), text.as_bytes())?;
+                write_table(&tables, table, &self.names, self.members)?;
+            }
+        }
+        if !self.sensing.experiments.is_empty() {
+            for (table, names, members) in self.sensing.tables() {
+                write_table(&tables, table, &names, members)?;
             }
         }
         write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
@@ -199,6 +206,11 @@ impl Report {
     pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
         write(path, markdown::document(self).as_bytes())
     }
+}
+
+fn write_table(folder: &Path, table: &Table, names: &[String; 2], members: [usize; 2]) -> Result<(), ReportError> {
+    write(&folder.join(format!("{}.csv", table.name)), tables::csv(table, names).as_bytes())?;
+    write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names, members).as_bytes())
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {

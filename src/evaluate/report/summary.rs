@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use serde_json::{Map, Value, json};
 
 use super::{Report, Section};
+use crate::evaluate::findings::{Row, Table};
 use crate::evaluate::results::Results;
+use crate::evaluate::sensing::NAMES;
 use crate::evaluate::statistics::Comparison;
 
 /// All conditions and quantities of an experiment.
@@ -35,7 +37,7 @@ pub fn json(report: &Report) -> String {
         .collect();
     let experiments: Vec<Value> = report.sections.iter().map(|section| experiment(section, &report.names)).collect();
     let missing: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
-    let whole = json!({
+    let mut whole = json!({
         "sets": report.names,
         "policies": policies,
         "protocol": report.protocol,
@@ -43,10 +45,34 @@ pub fn json(report: &Report) -> String {
         "experiments": experiments,
         "not_run": missing,
     });
+    if !report.sensing.experiments.is_empty() {
+        whole["sensing"] = sensing(report);
+    }
     // A tree of texts and numbers: serialising it cannot fail.
     let mut text = serde_json::to_string_pretty(&rounded(whole)).unwrap_or_default();
     text.push('\n');
     text
+}
+
+/// E12: all numbers both ways, and the errors of the estimates.
+fn sensing(report: &Report) -> Value {
+    let found = &report.sensing;
+    let rows = |table: &Table, names: &[String; 2]| -> Vec<Value> {
+        let row = |row: &Row| {
+            json!({
+                "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit,
+                "ours": comparison(names, &row.comparison),
+            })
+        };
+        table.rows.iter().map(row).collect()
+    };
+    let ways = NAMES.map(ToOwned::to_owned);
+    json!({
+        "experiments": found.experiments,
+        "contact_network": found.network,
+        "numbers": rows(&found.all, &ways),
+        "errors": rows(&found.errors, &report.names),
+    })
 }
 
 fn experiment(section: &Section, names: &[String; 2]) -> Value {

@@ -1,0 +1,93 @@
+//! Data for the contact network: what encoders read and which feet touch while a policy walks and is pushed.
+
+use rand::RngExt;
+use supple::estimate::contact::History;
+use supple::estimate::contact::learn::Samples;
+use supple::estimate::{EncoderReading, SensorNoise, Sensors};
+use supple::go1::{Foothold, Go1, Joints};
+use supple::mujoco::{self, Data};
+use supple::policy::Policy;
+use supple::random::{Purpose, stream};
+use supple::scenario::Controller;
+use supple::scene::{RobotFile, Scene};
+use supple::sim::{Sim, StepObserver};
+use supple::task::Command;
+use supple::task::episode::EpisodePlan;
+
+/// Length of an episode without a fall \[s\].
+const EPISODE_S: f64 = 6.0;
+
+/// The push comes at a time from this range \[s\].
+const PUSH_S: std::ops::Range<f64> = 2.0..3.5;
+
+/// One of so many episodes asks the robot to stand, which random commands never do.
+const STANDING: u64 = 6;
+
+/// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, joint offsets and push as in training with dynamics randomisation. It
+/// ends with a fall, as what a fallen robot's feet do is no matter of walking.
+///
+/// # Errors
+/// A fault of MuJoCo.
+pub fn episode(policy: &Policy, noise: SensorNoise, seed: u64, which: [u64; 2]) -> mujoco::Result<Samples> {
+    let mut config = policy.provenance.config.clone();
+    config.randomisation.enabled = true;
+    let mut rng = stream(seed, Purpose::Episode, which[0], which[1]);
+    let mut plan = EpisodePlan::draw(&config, 1.0, &mut rng);
+    if which[0] % STANDING == STANDING - 1 {
+        plan.command = Command::default();
+    }
+    let push_step = config.simulation.policy_steps(rng.random_range(PUSH_S));
+
+    let simulation = &config.simulation;
+    let scene = Scene::flat(RobotFile::from_name(&config.robot.model), simulation.timestep_s());
+    let mut sim = Sim::new(&scene, simulation, config.episode.min_height_m)?;
+    let mut controller = policy.controller();
+    sim.reset(plan.conditions, &controller.rest())?;
+    controller.begin(&sim.state());
+    let mut sensor_rng = stream(seed, Purpose::Sensor, which[0], which[1]);
+    let mut tap = Tap {
+        sensors: Sensors::new(noise, &mut sensor_rng),
+        rng: sensor_rng,
+        offsets: plan.conditions.joint_offsets,
+        target: controller.rest(),
+        history: History::default(),
+        samples: Samples::default(),
+    };
+    for step in 0..simulation.policy_steps(EPISODE_S) {
+        if step == push_step {
+            sim.push(&plan.push)?;
+        }
+        tap.target = controller.joint_targets(&sim.state(), &plan.command);
+        if sim.step(&tap.target.clone(), &mut tap)?.fall.is_some() {
+            break;
+        }
+    }
+    Ok(tap.samples)
+}
+
+/// Reads encoders and contacts in every tick.
+struct Tap<R> {
+    sensors: Sensors,
+    rng: R,
+    offsets: Joints,
+    target: Joints,
+    history: History,
+    samples: Samples,
+}
+
+impl<R: rand::Rng> StepObserver for Tap<R> {
+    fn forces(&mut self, data: &Data, robot: &Go1, _: &Joints) {
+        let angles = robot.joint_angles(data);
+        let exact = EncoderReading {
+            angles: std::array::from_fn(|joint| angles[joint] + self.offsets[joint]),
+            rates: robot.joint_rates(data),
+        };
+        let reading = self.sensors.encoders(&exact, data.model().timestep_s(), &mut self.rng);
+        self.history.push(&reading, &self.target);
+    }
+
+    fn feet(&mut self, feet: &[Foothold; 4]) {
+        self.samples.inputs.extend(self.history.inputs());
+        self.samples.labels.extend(feet.map(|foot| f32::from(u8::from(foot.contact))));
+    }
+}

@@ -1,0 +1,163 @@
+//! `train_contact`: gathers data from trained policies, trains the contact network, says how good it is.
+
+mod gather;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use anyhow::Context;
+use clap::Parser;
+use indicatif::{ProgressBar, ProgressStyle};
+use supple::estimate::SensorNoise;
+use supple::estimate::contact::learn::{Learning, Samples, learn};
+use supple::estimate::contact::score::Confusion;
+use supple::estimate::contact::{ContactNetwork, ContactProvenance, HeldOut, INPUTS, PolicySource, RATE_HZ};
+use supple::go1::LEGS;
+use supple::policies;
+use supple::policy::Policy;
+use supple::ppo::Scratch;
+use supple::provenance::{GIT_REVISION, MUJOCO_VERSION};
+
+/// One of so many episodes is held out.
+const HELD_OUT: u32 = 5;
+
+/// Train the network that says which feet touch the ground.
+///
+/// Policies walk or stand at random commands on random slopes and friction and are pushed; the network learns contacts
+/// from joint angles, rates and targets with sensor noise. Scores are of episodes that it was not trained on.
+#[derive(Parser)]
+#[command(version)]
+struct Args {
+    /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times
+    #[arg(long = "policy", value_name = "FILE|NAME", default_values = ["compliant", "baseline"])]
+    policies: Vec<String>,
+    /// Episodes of each policy, a fifth of them held out
+    #[arg(long, value_name = "N", default_value_t = 150, value_parser = clap::value_parser!(u32).range(5..=100_000))]
+    episodes: u32,
+    /// Seed of episodes, noise and learning
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// File to write
+    #[arg(long, value_name = "FILE", default_value = "models/contact.safetensors")]
+    out: PathBuf,
+}
+
+fn main() -> ExitCode {
+    match run(&Args::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::from(2)
+        }
+    }
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let found: Vec<Policy> = args
+        .policies
+        .iter()
+        .map(|name| {
+            let policy = policies::find(name)?;
+            let rate_hz = 1.0 / policy.simulation.timestep_s();
+            anyhow::ensure!((rate_hz - RATE_HZ).abs() < 1e-6, "{name} runs at {rate_hz} Hz, expected {RATE_HZ} Hz");
+            Ok(policy)
+        })
+        .collect::<anyhow::Result<_>>()?;
+    let noise = SensorNoise::default();
+    let (training, held_out) = gather(args, &found, noise)?;
+    let all = join(&training);
+    eprintln!("{} ticks of {} episodes to learn from", all.labels.len() / 4, training.len());
+
+    let learning = Learning { seed: args.seed, ..Learning::default() };
+    let bar = bar("learning", learning.epochs as u64);
+    let learnt = learn(&all, [INPUTS, 4], &learning, |_, loss| {
+        bar.set_message(format!("loss {loss:.4}"));
+        bar.inc(1);
+    })?;
+    bar.finish_and_clear();
+
+    let mut network = ContactNetwork::new(
+        learnt.mlp,
+        learnt.offset,
+        learnt.scale,
+        ContactProvenance {
+            policies: sources(args, &found),
+            seed: args.seed,
+            training_episodes: training.len(),
+            training_samples: all.labels.len() / 4,
+            held_out_episodes: held_out.len(),
+            held_out: Vec::new(),
+            noise,
+            git_revision: GIT_REVISION.to_owned(),
+            mujoco_version: MUJOCO_VERSION.to_owned(),
+        },
+    );
+    network.provenance.held_out = scores(&network, &held_out)?;
+    println!("held out: {} episodes, {} ticks", held_out.len(), join(&held_out).labels.len() / 4);
+    println!("foot  precision  recall      F1");
+    for (leg, score) in LEGS.iter().zip(&network.provenance.held_out) {
+        println!("{leg:4}  {:9.4}  {:6.4}  {:6.4}", score.precision, score.recall, score.f1);
+    }
+    network.save(&args.out)?;
+    println!("{}", args.out.display());
+    Ok(())
+}
+
+/// Episodes of all policies: to learn from, and held out.
+fn gather(args: &Args, policies: &[Policy], noise: SensorNoise) -> anyhow::Result<(Vec<Samples>, Vec<Samples>)> {
+    let bar = bar("walking", policies.len() as u64 * u64::from(args.episodes));
+    let (mut training, mut held_out) = (Vec::new(), Vec::new());
+    for (index, (policy, name)) in policies.iter().zip(&args.policies).enumerate() {
+        for episode in 0..args.episodes {
+            let samples = gather::episode(policy, noise, args.seed, [u64::from(episode), index as u64])
+                .with_context(|| format!("episode {episode} of {name}"))?;
+            let to = if episode % HELD_OUT == 0 { &mut held_out } else { &mut training };
+            to.push(samples);
+            bar.inc(1);
+        }
+    }
+    bar.finish_and_clear();
+    Ok((training, held_out))
+}
+
+fn join(episodes: &[Samples]) -> Samples {
+    let mut all = Samples::default();
+    for episode in episodes {
+        all.inputs.extend(&episode.inputs);
+        all.labels.extend(&episode.labels);
+    }
+    all
+}
+
+fn sources(args: &Args, policies: &[Policy]) -> Vec<PolicySource> {
+    let source = |(name, policy): (&String, &Policy)| PolicySource { name: name.clone(), sha256: policy.sha256() };
+    args.policies.iter().zip(policies).map(source).collect()
+}
+
+/// Scores of each foot, with the network as it is used.
+fn scores(network: &ContactNetwork, episodes: &[Samples]) -> anyhow::Result<Vec<HeldOut>> {
+    let mut confusions = [Confusion::default(); 4];
+    let (all, mut scratch) = (join(episodes), Scratch::default());
+    for (inputs, labels) in all.inputs.as_chunks::<INPUTS>().0.iter().zip(all.labels.as_chunks::<4>().0) {
+        let logits = network.logits(inputs, &mut scratch);
+        for leg in 0..4 {
+            confusions[leg].add(logits[leg] > 0.0, labels[leg] > 0.5);
+        }
+    }
+    let score = |(confusion, leg): (&Confusion, &str)| {
+        let scores = (confusion.precision(), confusion.recall(), confusion.f1());
+        let (Some(precision), Some(recall), Some(f1)) = scores else {
+            anyhow::bail!("the held-out episodes do not have a contact of {leg}; are the policies trained?");
+        };
+        Ok(HeldOut { precision, recall, f1 })
+    };
+    confusions.iter().zip(LEGS).map(score).collect()
+}
+
+fn bar(what: &str, length: u64) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    if let Ok(style) = ProgressStyle::with_template("{prefix} {bar:30} {percent} %, {eta} left {msg}") {
+        bar.set_style(style);
+    }
+    bar.with_prefix(what.to_owned())
+}

@@ -1,0 +1,295 @@
+/*! The contact network's file: tensors of weights and normaliser, and JSON that says what they mean and how good they are.
+
+Every tensor is under a checksum: a network that is damaged by one bit would be wrong without anybody noticing.
+*/
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{ContactNetwork, INPUTS, RATE_HZ, TICKS};
+use crate::estimate::SensorNoise;
+use crate::files;
+use crate::go1::{JOINT_COUNT, LEGS, joint_name};
+use crate::ppo::{Layer, Mlp};
+use crate::tensors::{self, Tensor};
+
+/// Version of the file format.
+const FORMAT: u32 = 1;
+
+/// Larger files are not contact networks.
+const MAX_BYTES: u64 = 16 << 20;
+
+/// Why a contact network was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ContactError {
+    /// Reading or writing failed.
+    #[error("contact network {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The content is not a contact network of this format.
+    #[error("contact network {}: {problem}; train one with `cargo run --release --bin train_contact`", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What was found and expected.
+        problem: String,
+    },
+}
+
+/// A policy that data were gathered from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PolicySource {
+    /// As it was called on the command line.
+    pub name: String,
+    /// Its identity.
+    pub sha256: String,
+}
+
+/// How right the network is about a foot in episodes that it was not trained on.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[allow(missing_docs)]
+pub struct HeldOut {
+    pub precision: f64,
+    pub recall: f64,
+    pub f1: f64,
+}
+
+/// Where a contact network came from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ContactProvenance {
+    /// What walked.
+    pub policies: Vec<PolicySource>,
+    /// Seed of episodes, noise and learning.
+    pub seed: u64,
+    /// Episodes trained on, of all policies.
+    pub training_episodes: usize,
+    /// Ticks trained on.
+    pub training_samples: usize,
+    /// Episodes held out.
+    pub held_out_episodes: usize,
+    /// Scores in these, in the order of [`LEGS`].
+    pub held_out: Vec<HeldOut>,
+    /// Errors of the encoders in the data.
+    pub noise: SensorNoise,
+    /// Git revision of the program that trained it.
+    pub git_revision: String,
+    /// MuJoCo version that the data are from.
+    pub mujoco_version: String,
+}
+
+/// A third of what a tick holds, in words for other programs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct InputInfo {
+    quantity: String,
+    unit: String,
+    length: usize,
+}
+
+/// The JSON under the metadata key `supple`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Metadata {
+    format: u32,
+    rate_hz: f64,
+    /// Ticks in the input, the oldest first, each with all of `inputs`.
+    ticks: usize,
+    inputs: Vec<InputInfo>,
+    joints: Vec<String>,
+    /// A foot touches if its logit is above zero.
+    outputs: Vec<String>,
+    /// SHA-256 of all tensors.
+    checksum: String,
+    provenance: ContactProvenance,
+}
+
+impl ContactNetwork {
+    /// Bytes of the file.
+    ///
+    /// # Errors
+    /// If a layer's shape does not fit its weights.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+        let mut all = Vec::new();
+        for (index, layer) in self.mlp.layers.iter().enumerate() {
+            let shape = vec![layer.outputs(), layer.inputs()];
+            all.push(Tensor::f32(format!("contact.{index}.weight"), shape, &layer.weight));
+            all.push(Tensor::f32(format!("contact.{index}.bias"), vec![layer.outputs()], &layer.bias));
+        }
+        all.push(Tensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
+        all.push(Tensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
+        let metadata = Metadata {
+            format: FORMAT,
+            rate_hz: RATE_HZ,
+            ticks: TICKS,
+            inputs: inputs(),
+            joints: (0..JOINT_COUNT).map(joint_name).collect(),
+            outputs: LEGS.map(ToOwned::to_owned).to_vec(),
+            checksum: self.checksum(),
+            provenance: self.provenance.clone(),
+        };
+        // Plain structs of finite numbers and strings: serialising them cannot fail.
+        tensors::serialize(&all, serde_json::to_string(&metadata).unwrap_or_default())
+    }
+
+    /// Writes the file atomically.
+    ///
+    /// # Errors
+    /// [`ContactError`] with the file's name.
+    pub fn save(&self, path: &Path) -> Result<(), ContactError> {
+        let bytes = self
+            .to_bytes()
+            .map_err(|error| ContactError::Invalid { path: path.to_owned(), problem: error.to_string() })?;
+        files::write_atomically(path, &bytes).map_err(|source| ContactError::Io { path: path.to_owned(), source })
+    }
+
+    /// Reads a file and checks everything in it.
+    ///
+    /// # Errors
+    /// [`ContactError`] that says what was found and what was expected.
+    pub fn load(path: &Path) -> Result<Self, ContactError> {
+        let bytes = files::read_bounded(path, MAX_BYTES)
+            .map_err(|source| ContactError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// As [`ContactNetwork::load`] from memory; `path` is for messages.
+    ///
+    /// # Errors
+    /// See [`ContactNetwork::load`].
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, ContactError> {
+        parse(bytes).map_err(|problem| ContactError::Invalid { path: path.to_owned(), problem })
+    }
+
+    /// Identity: the SHA-256 of weights and normaliser.
+    pub fn checksum(&self) -> String {
+        let of = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|value| value.to_le_bytes()).collect() };
+        let layers = self.mlp.layers.iter().flat_map(|layer| [of(&layer.weight), of(&layer.bias)]);
+        let parts: Vec<Vec<u8>> = layers.chain([of(&self.offset), of(&self.scale)]).collect();
+        files::sha256(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>())
+    }
+}
+
+fn inputs() -> Vec<InputInfo> {
+    [("joint_angles", "rad"), ("joint_rates", "rad/s"), ("joint_targets", "rad")]
+        .map(|(quantity, unit)| InputInfo { quantity: quantity.into(), unit: unit.into(), length: JOINT_COUNT })
+        .to_vec()
+}
+
+fn parse(bytes: &[u8]) -> Result<ContactNetwork, String> {
+    let (tensors, json) = tensors::deserialize(bytes)?;
+    let metadata: Metadata =
+        serde_json::from_str(&json).map_err(|error| format!("its metadata do not parse: {error}"))?;
+    metadata.check()?;
+    let (mut layers, mut width) = (Vec::new(), INPUTS);
+    while let Ok(view) = tensors.tensor(&format!("contact.{}.weight", layers.len())) {
+        let index = layers.len();
+        let outputs = view.shape().first().copied().unwrap_or(0);
+        if outputs == 0 {
+            return Err(format!("its tensor contact.{index}.weight has no rows"));
+        }
+        let weight = tensors::read_f32(&tensors, &format!("contact.{index}.weight"), &[outputs, width])?;
+        let bias = tensors::read_f32(&tensors, &format!("contact.{index}.bias"), &[outputs])?;
+        layers.push(Layer { weight, bias });
+        width = outputs;
+    }
+    if layers.is_empty() || width != LEGS.len() {
+        return Err(format!("its network has {} layers and {width} outputs, expected 4 outputs", layers.len()));
+    }
+    let offset = tensors::read_f32(&tensors, "normaliser.offset", &[INPUTS])?;
+    let scale = tensors::read_f32(&tensors, "normaliser.scale", &[INPUTS])?;
+    let network = ContactNetwork::new(Mlp { layers }, offset, scale, metadata.provenance);
+    let found = network.checksum();
+    if found != metadata.checksum {
+        return Err(format!("its tensors have checksum {found}, expected {}: it is damaged", metadata.checksum));
+    }
+    Ok(network)
+}
+
+impl Metadata {
+    fn check(&self) -> Result<(), String> {
+        let expect = |what: &str, found: String, expected: String| {
+            if found == expected { Ok(()) } else { Err(format!("its {what} is {found}, expected {expected}")) }
+        };
+        expect("format", self.format.to_string(), FORMAT.to_string())?;
+        expect("rate", format!("{} Hz", self.rate_hz), format!("{RATE_HZ} Hz"))?;
+        expect("number of ticks", self.ticks.to_string(), TICKS.to_string())?;
+        let joints: Vec<String> = (0..JOINT_COUNT).map(joint_name).collect();
+        expect("list of joints", format!("{:?}", self.joints), format!("{joints:?}"))?;
+        expect("list of outputs", format!("{:?}", self.outputs), format!("{LEGS:?}"))?;
+        let scores = self.provenance.held_out.len();
+        expect("number of scored feet", scores.to_string(), LEGS.len().to_string())?;
+        if self.inputs == inputs() { Ok(()) } else { Err(format!("its inputs are {:?}", self.inputs)) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, stream};
+
+    fn network() -> ContactNetwork {
+        let mut rng = stream(3, Purpose::Weights, 0, 0);
+        let layers = [(INPUTS, 8), (8, 4)].map(|(from, to)| Layer::orthogonal(from, to, 1.0, &mut rng)).to_vec();
+        let provenance = ContactProvenance {
+            policies: vec![PolicySource { name: "test".into(), sha256: "0".into() }],
+            seed: 3,
+            training_episodes: 1,
+            training_samples: 2,
+            held_out_episodes: 1,
+            held_out: vec![HeldOut { precision: 0.5, recall: 1.0, f1: 2.0 / 3.0 }; 4],
+            noise: SensorNoise::default(),
+            git_revision: "test".into(),
+            mujoco_version: "2.2.2".into(),
+        };
+        ContactNetwork::new(Mlp { layers }, vec![0.5; INPUTS], vec![2.0; INPUTS], provenance)
+    }
+
+    fn refusal(bytes: &[u8]) -> String {
+        ContactNetwork::from_bytes(bytes, Path::new("test")).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_network_survives_its_file_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("contact.safetensors");
+        let network = network();
+        network.save(&path).unwrap();
+        let read = ContactNetwork::load(&path).unwrap();
+        assert_eq!((&read.mlp, &read.offset, &read.scale), (&network.mlp, &network.offset, &network.scale));
+        assert_eq!(read.provenance, network.provenance);
+        assert_eq!(read.to_bytes().unwrap(), std::fs::read(&path).unwrap());
+    }
+
+    #[test]
+    fn every_truncation_and_every_flipped_weight_is_refused() {
+        let bytes = network().to_bytes().unwrap();
+        for length in (0..bytes.len()).step_by(61) {
+            assert!(ContactNetwork::from_bytes(&bytes[..length], Path::new("cut")).is_err());
+        }
+        let tensors = 4 * (INPUTS * 8 + 8 + 8 * 4 + 4 + 2 * INPUTS);
+        for position in (bytes.len() - tensors..bytes.len()).step_by(101) {
+            let mut damaged = bytes.clone();
+            damaged[position] ^= 1;
+            assert!(refusal(&damaged).contains("it is damaged"), "byte {position}");
+        }
+    }
+
+    #[test]
+    fn other_networks_and_rates_are_named() {
+        let bytes = network().to_bytes().unwrap();
+        let changed = |from: &str, to: &str| {
+            assert_eq!(from.len(), to.len());
+            let at = bytes.windows(from.len()).position(|window| window == from.as_bytes()).unwrap();
+            refusal(&[&bytes[..at], to.as_bytes(), &bytes[at + from.len()..]].concat())
+        };
+        assert!(changed(r#"rate_hz\":240"#, r#"rate_hz\":120"#).contains("its rate is 120 Hz, expected 240 Hz"));
+        assert!(changed(r#"format\":1"#, r#"format\":9"#).contains("its format is 9, expected 1"));
+        assert!(changed("FL_hip", "FL_hop").contains("its list of joints is"));
+        assert!(refusal(b"no such thing").contains("was it cut off"));
+        let missing = ContactNetwork::load(Path::new("nowhere/contact.safetensors")).unwrap_err().to_string();
+        assert!(missing.contains("nowhere/contact.safetensors"), "{missing}");
+    }
+}

@@ -1,0 +1,179 @@
+/*! Which feet touch the ground, from joint states and actions alone (section IV-D).
+
+A small network looks at what encoders and targets were in the last four ticks of 240 Hz, 144 numbers, and says for each
+foot whether it touches. It is trained once, by supervised learning on data of a trained policy ([`learn`],
+`train_contact`), and kept in one file ([`ContactNetwork::load`]). The paper gives neither size nor loss: two hidden
+layers, and cross-entropy on the logit of each foot.
+*/
+
+mod file;
+pub mod learn;
+pub mod score;
+
+use crate::files;
+use crate::go1::{JOINT_COUNT, Joints};
+use crate::ppo::{Mlp, PackedMlp, Scratch};
+
+use super::EncoderReading;
+pub use file::{ContactError, ContactProvenance, HeldOut, PolicySource};
+
+/// Ticks that the network looks back on, the present one included.
+pub const TICKS: usize = 4;
+
+/// Numbers of a tick: joint angles \[rad\], joint rates [rad/s], joint targets \[rad\].
+const PER_TICK: usize = 3 * JOINT_COUNT;
+
+/// Numbers that the network sees: the oldest tick first.
+pub const INPUTS: usize = TICKS * PER_TICK;
+
+/// Rate of the ticks \[Hz\].
+pub const RATE_HZ: f64 = 240.0;
+
+const _: () = assert!(INPUTS == 144);
+
+/// The network that ships.
+const SHIPPED: &[u8] = include_bytes!("../../../models/contact.safetensors");
+
+/// Identity of the file that ships.
+pub fn shipped_sha256() -> String {
+    files::sha256(&[SHIPPED])
+}
+
+/// What the network sees, in physical units.
+#[derive(Debug, Clone, PartialEq)]
+pub struct History {
+    inputs: [f32; INPUTS],
+    begun: bool,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        History { inputs: [0.0; INPUTS], begun: false }
+    }
+}
+
+impl History {
+    /// Takes a tick's encoder reading and the joint targets \[rad\] that were given last. The first tick stands for those
+    /// before it too. A reading that is not finite is left out.
+    pub fn push(&mut self, encoders: &EncoderReading, targets: &Joints) {
+        let all = || encoders.angles.iter().chain(&encoders.rates).chain(targets);
+        if !all().all(|value| value.is_finite()) {
+            return;
+        }
+        let ticks = if self.begun { 1 } else { TICKS };
+        for _ in 0..ticks {
+            self.inputs.copy_within(PER_TICK.., 0);
+            let newest = &mut self.inputs[INPUTS - PER_TICK..];
+            newest.iter_mut().zip(all()).for_each(|(input, value)| *input = *value as f32);
+        }
+        self.begun = true;
+    }
+
+    /// The ticks, the oldest first; in each, angles, rates and targets.
+    pub fn inputs(&self) -> &[f32; INPUTS] {
+        &self.inputs
+    }
+}
+
+/// A trained network with what it was trained on.
+#[derive(Debug)]
+pub struct ContactNetwork {
+    /// From normalised inputs to a logit for each foot.
+    pub mlp: Mlp,
+    /// Mean of each input in training, physical units.
+    pub offset: Vec<f32>,
+    /// What its distance from the mean is multiplied by.
+    pub scale: Vec<f32>,
+    /// Where it came from.
+    pub provenance: ContactProvenance,
+    packed: PackedMlp,
+}
+
+impl ContactNetwork {
+    /// From its parts.
+    ///
+    /// # Panics
+    /// If the network does not lead from 144 numbers to 4, or the normaliser has another length.
+    pub fn new(mlp: Mlp, offset: Vec<f32>, scale: Vec<f32>, provenance: ContactProvenance) -> Self {
+        assert_eq!((mlp.inputs(), mlp.outputs()), (INPUTS, 4), "a contact network leads from 144 numbers to 4");
+        assert_eq!((offset.len(), scale.len()), (INPUTS, INPUTS), "every input has an offset and a scale");
+        ContactNetwork { packed: PackedMlp::new(&mlp), mlp, offset, scale, provenance }
+    }
+
+    /// The network inside the program.
+    ///
+    /// # Errors
+    /// [`ContactError`] if the program was built with a broken file.
+    pub fn shipped() -> Result<Self, ContactError> {
+        Self::from_bytes(SHIPPED, std::path::Path::new("models/contact.safetensors"))
+    }
+
+    /// Logit of contact for each foot, in the order of [`crate::go1::LEGS`], from what a [`History`] holds.
+    pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
+        let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
+        let mut logits = [0.0; 4];
+        self.packed.forward(1, &seen, &mut logits, scratch);
+        logits
+    }
+}
+
+/// A network at work on one robot.
+#[derive(Debug)]
+pub struct ContactEstimator {
+    network: ContactNetwork,
+    history: History,
+    scratch: Scratch,
+}
+
+impl ContactEstimator {
+    /// Without a past.
+    pub fn new(network: ContactNetwork) -> Self {
+        ContactEstimator { network, history: History::default(), scratch: Scratch::default() }
+    }
+
+    /// Which feet touch, after a tick with this reading and the joint targets \[rad\] that were given last.
+    pub fn update(&mut self, encoders: &EncoderReading, targets: &Joints) -> [bool; 4] {
+        self.history.push(encoders, targets);
+        self.network.logits(self.history.inputs(), &mut self.scratch).map(|logit| logit > 0.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reading(value: f64) -> EncoderReading {
+        EncoderReading { angles: [value; JOINT_COUNT], rates: [10.0 * value; JOINT_COUNT] }
+    }
+
+    #[test]
+    fn the_history_holds_four_ticks_the_oldest_first() {
+        let mut history = History::default();
+        history.push(&reading(1.0), &[100.0; JOINT_COUNT]);
+        assert!(history.inputs().chunks(PER_TICK).all(|tick| (tick[0], tick[12], tick[24]) == (1.0, 10.0, 100.0)));
+        for tick in 2..=5 {
+            history.push(&reading(f64::from(tick)), &[100.0 * f64::from(tick); JOINT_COUNT]);
+        }
+        let firsts: Vec<f32> = history.inputs().chunks(PER_TICK).map(|tick| tick[0]).collect();
+        assert_eq!(firsts, [2.0, 3.0, 4.0, 5.0]);
+        assert_eq!(history.inputs()[INPUTS - 1], 500.0);
+    }
+
+    #[test]
+    fn a_reading_that_is_not_a_number_stays_out_of_the_history() {
+        let mut history = History::default();
+        history.push(&reading(1.0), &[0.0; JOINT_COUNT]);
+        let before = history.clone();
+        history.push(&reading(f64::NAN), &[0.0; JOINT_COUNT]);
+        assert_eq!(history, before);
+    }
+
+    #[test]
+    fn the_shipped_network_is_good_on_episodes_that_it_was_not_trained_on() {
+        let network = ContactNetwork::shipped().unwrap();
+        assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
+        // With any inputs the answer is a number.
+        let logits = network.logits(&[0.0; INPUTS], &mut Scratch::default());
+        assert!(logits.iter().all(|logit| logit.is_finite()));
+    }
+}

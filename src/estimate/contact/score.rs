@@ -1,0 +1,63 @@
+//! How often the contact network is right.
+
+/// Counts of what was said about a foot and what was so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Confusion {
+    /// Said and so.
+    pub hits: u64,
+    /// Said and not so.
+    pub false_alarms: u64,
+    /// Not said though so.
+    pub misses: u64,
+    /// Neither.
+    pub rejections: u64,
+}
+
+impl Confusion {
+    /// Adds one statement.
+    pub fn add(&mut self, said: bool, is: bool) {
+        *match (said, is) {
+            (true, true) => &mut self.hits,
+            (true, false) => &mut self.false_alarms,
+            (false, true) => &mut self.misses,
+            (false, false) => &mut self.rejections,
+        } += 1;
+    }
+
+    /// Share of the contacts said that are contacts; none if none was said.
+    pub fn precision(&self) -> Option<f64> {
+        ratio(self.hits, self.hits + self.false_alarms)
+    }
+
+    /// Share of the contacts that were said; none if there was none.
+    pub fn recall(&self) -> Option<f64> {
+        ratio(self.hits, self.hits + self.misses)
+    }
+
+    /// Harmonic mean of precision and recall, `2 h / (2 h + f + m)`; none if there was no contact, neither said nor so.
+    pub fn f1(&self) -> Option<f64> {
+        ratio(2 * self.hits, 2 * self.hits + self.false_alarms + self.misses)
+    }
+}
+
+fn ratio(part: u64, whole: u64) -> Option<f64> {
+    (whole > 0).then(|| part as f64 / whole as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scores_of_a_hand_counted_table() {
+        let mut confusion = Confusion::default();
+        assert_eq!((confusion.precision(), confusion.recall(), confusion.f1()), (None, None, None));
+        for (said, is, times) in [(true, true, 6), (true, false, 2), (false, true, 4), (false, false, 8)] {
+            (0..times).for_each(|_| confusion.add(said, is));
+        }
+        // 6 / 8, 6 / 10, 12 / 18
+        assert_eq!(confusion.precision(), Some(0.75));
+        assert_eq!(confusion.recall(), Some(0.6));
+        assert_eq!(confusion.f1(), Some(12.0 / 18.0));
+    }
+}

@@ -1,0 +1,403 @@
+/*! What the controller gets to see: the true state, or what the robot makes of its sensors (section IV-D).
+
+With [`Sensing::Estimated`], noisy IMU and encoders are read after every physics step; the contact network says which
+feet touch, and the filters of [`crate::estimate`] make a state of it. Nothing of the true state reaches the controller.
+The motors' own loop keeps acting on the joints as they are, with the calibration offsets that the simulation has.
+
+Pushes change the trunk's velocity in no time. The IMU feels them all the same: it reads the change of velocity since its
+last reading, which without a push is the simulator's acceleration to the last bit or so. Its range (±24 g) is not
+modelled, since only such a push exceeds it.
+*/
+
+use nalgebra::Vector3;
+use rand_chacha::ChaCha8Rng;
+use serde::{Deserialize, Serialize};
+
+use crate::estimate::contact::{ContactError, ContactEstimator, ContactNetwork, RATE_HZ};
+use crate::estimate::sensors::TrunkMotion;
+use crate::estimate::{
+    EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors, kinematics,
+};
+use crate::go1::{FootState, Go1, Joints, RobotState};
+use crate::mujoco::Data;
+use crate::random::{Purpose, stream};
+use crate::sim::{Conditions, Sim};
+use crate::trace::Sensed;
+
+/// What a controller acts on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Sensing {
+    /// The simulator's state.
+    #[default]
+    True,
+    /// State estimated from a noisy IMU, noisy encoders and the contact network.
+    Estimated,
+}
+
+/// Why a robot cannot act on its sensors.
+#[derive(Debug, thiserror::Error)]
+pub enum SensingError {
+    /// No network.
+    #[error(transparent)]
+    Contact(#[from] ContactError),
+    /// The network was trained for another rate.
+    #[error("the physics run at {found_hz} Hz, the contact network at {RATE_HZ} Hz: sense the true state instead")]
+    Rate {
+        /// Rate of the physics \[Hz\].
+        found_hz: f64,
+    },
+    /// The first reading is no good.
+    #[error("the sensors do not start: {0}")]
+    Start(#[from] SensorFault),
+}
+
+/// A robot's sensors and what it makes of them.
+#[derive(Debug)]
+pub struct Senses {
+    sensors: Sensors,
+    rng: ChaCha8Rng,
+    contacts: ContactEstimator,
+    estimator: Estimator,
+    limit_s: f64,
+    /// What the encoders read too much \[rad\].
+    offsets: Joints,
+    /// Where the robot started, world frame \[m\].
+    origin: Vector3<f64>,
+    /// Trunk's velocity at the last reading: linear, world frame [m/s], and angular, base frame [rad/s].
+    last_velocity: (Vector3<f64>, Vector3<f64>),
+    /// Joint targets given last \[rad\].
+    target: Joints,
+    /// Last good ones.
+    reading: EncoderReading,
+    touching: [bool; 4],
+    /// Since the last good reading \[s\].
+    silent_s: f64,
+    fault: Option<SensorFault>,
+    /// Whether the fault under way has been told.
+    told: bool,
+}
+
+impl Senses {
+    /// Switches on the sensors of a robot that stands at rest and holds `target` \[rad\]. Noise is drawn from the seed's
+    /// stream for sensors.
+    ///
+    /// # Errors
+    /// [`SensingError`]
+    pub fn new(
+        network: ContactNetwork,
+        noise: SensorNoise,
+        seed: u64,
+        sim: &Sim,
+        conditions: &Conditions,
+        target: &Joints,
+    ) -> Result<Self, SensingError> {
+        let timestep_s = sim.data().model().timestep_s();
+        if (timestep_s * RATE_HZ - 1.0).abs() > 1e-6 {
+            return Err(SensingError::Rate { found_hz: 1.0 / timestep_s });
+        }
+        let mut rng = stream(seed, Purpose::Sensor, 0, 0);
+        let config = EstimatorConfig::default();
+        let state = sim.state();
+        let mut senses = Senses {
+            sensors: Sensors::new(noise, &mut rng),
+            rng,
+            contacts: ContactEstimator::new(network),
+            estimator: Estimator::new(config),
+            limit_s: config.max_silence_s,
+            offsets: conditions.joint_offsets,
+            origin: Vector3::new(state.position.x, state.position.y, 0.0),
+            last_velocity: sim.robot().trunk_velocity(sim.data()),
+            target: *target,
+            reading: EncoderReading { angles: state.joint_angles, rates: state.joint_rates },
+            touching: [false; 4],
+            silent_s: 0.0,
+            fault: None,
+            told: false,
+        };
+        senses.read(sim.data(), sim.robot());
+        match (senses.estimator.estimate(), senses.fault.take()) {
+            (None, Some(fault)) => Err(fault.into()),
+            _ => Ok(senses),
+        }
+    }
+
+    /// Joint targets \[rad\] that are acted on from now on.
+    pub fn act(&mut self, target: &Joints) {
+        self.target = *target;
+    }
+
+    /// Reads all sensors after a physics step.
+    pub fn read(&mut self, data: &Data, robot: &Go1) {
+        let dt_s = data.model().timestep_s();
+        let velocity = robot.trunk_velocity(data);
+        let motion = TrunkMotion {
+            world_from_base: robot.world_from_base(data),
+            acceleration: (velocity.0 - self.last_velocity.0) / dt_s,
+            angular_velocity: velocity.1,
+            angular_acceleration: (velocity.1 - self.last_velocity.1) / dt_s,
+        };
+        self.last_velocity = velocity;
+        let angles = robot.joint_angles(data);
+        let exact = EncoderReading {
+            angles: std::array::from_fn(|joint| angles[joint] + self.offsets[joint]),
+            rates: robot.joint_rates(data),
+        };
+        let imu = ImuReading::exact(&motion, Vector3::from(data.model().gravity()));
+        let imu = self.sensors.imu(&imu, dt_s, &mut self.rng);
+        let encoders = self.sensors.encoders(&exact, dt_s, &mut self.rng);
+
+        let touching = self.contacts.update(&encoders, &self.target);
+        self.silent_s += dt_s;
+        match self.estimator.update(Some(&imu), Some(&encoders), touching, self.silent_s) {
+            Ok(_) => {
+                (self.reading, self.touching) = (encoders, touching);
+                (self.silent_s, self.told) = (0.0, false);
+            }
+            Err(fault) => {
+                self.fault.get_or_insert(fault);
+            }
+        }
+    }
+
+    /// What went wrong since the last call, told once until readings are good again.
+    ///
+    /// # Errors
+    /// If there has been no good reading for longer than can be bridged.
+    pub fn fault(&mut self) -> Result<Option<SensorFault>, SensorFault> {
+        let Some(fault) = self.fault.take() else { return Ok(None) };
+        // Sums of ticks are off by rounding.
+        if self.silent_s > self.limit_s + 1e-9 {
+            return Err(fault);
+        }
+        let fresh = !std::mem::replace(&mut self.told, self.silent_s > 0.0);
+        Ok(fresh.then_some(fault))
+    }
+
+    /// The state as the robot knows it.
+    ///
+    /// # Panics
+    /// Never: there is an estimate from the start.
+    pub fn state(&self) -> RobotState {
+        let estimate = self.estimate();
+        let feet = kinematics::feet(&self.reading.angles, &self.reading.rates);
+        let spin = estimate.angular_velocity_in_base;
+        let feet = std::array::from_fn(|leg| {
+            let foot = &feet[leg];
+            let in_base = estimate.velocity_in_base + spin.cross(&foot.position) + foot.velocity;
+            FootState {
+                height: estimate.feet[leg].z - kinematics::FOOT_RADIUS_M,
+                velocity: (estimate.world_from_base * in_base).into(),
+                contact: self.touching[leg],
+            }
+        });
+        RobotState {
+            position: estimate.position + self.origin,
+            world_from_base: estimate.world_from_base,
+            height: estimate.height_m,
+            velocity_in_base: estimate.velocity_in_base,
+            angular_velocity_in_base: estimate.angular_velocity_in_base,
+            gravity_in_base: estimate.gravity_in_base,
+            joint_angles: self.reading.angles,
+            joint_rates: self.reading.rates,
+            feet,
+        }
+    }
+
+    /// What a frame keeps, beside the feet that really touch.
+    pub fn sensed(&self, truth: &RobotState) -> Sensed {
+        let estimate = self.estimate();
+        Sensed {
+            velocity: estimate.velocity_in_base.into(),
+            height_m: estimate.height_m,
+            position: (estimate.position + self.origin).into(),
+            contacts: self.touching,
+            true_contacts: truth.feet.map(|foot| foot.contact),
+        }
+    }
+
+    fn estimate(&self) -> &Estimate {
+        // `new` fails without a first estimate, and the estimator keeps the last one for good.
+        self.estimator.estimate().unwrap_or_else(|| unreachable!("senses start with an estimate"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::policies;
+    use crate::scenario::catalog::{Scenario, Walk, defaults};
+    use crate::scenario::estimation::Estimation;
+    use crate::scenario::{Controller, Rollout, Script};
+    use crate::task::Command;
+    use crate::trace::{EventKind, Trace};
+
+    fn walk(duration_s: f64) -> (Script, Config) {
+        let config = Config::load("compliant").unwrap();
+        let mut walk: Walk = defaults("walk").unwrap();
+        walk.task.duration_s = duration_s;
+        (Scenario::Walk(walk).script(0, &config).unwrap(), config)
+    }
+
+    /// Holds the nominal pose and keeps what it is shown.
+    #[derive(Default)]
+    struct Witness {
+        seen: Vec<RobotState>,
+    }
+
+    impl Controller for &mut Witness {
+        fn rest(&self) -> Joints {
+            crate::go1::same_in_every_leg([0.0, 0.72, -1.44])
+        }
+
+        fn begin(&mut self, state: &RobotState) {
+            self.seen = vec![state.clone()];
+        }
+
+        fn joint_targets(&mut self, state: &RobotState, _: &Command) -> Joints {
+            self.seen.push(state.clone());
+            self.rest()
+        }
+    }
+
+    fn play(script: &Script, config: &Config, seed: u64) -> (Vec<RobotState>, Trace) {
+        let mut witness = Witness::default();
+        let rollout = Rollout::new(script, config, Box::new(&mut witness), false).unwrap();
+        let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
+        (witness.seen, trace)
+    }
+
+    #[test]
+    fn the_controller_sees_the_estimates_that_the_frames_keep_and_never_the_truth() {
+        let (script, config) = walk(0.5);
+        let (seen, trace) = play(&script, &config, 1);
+        assert_eq!(seen.len(), trace.frames.len() + 1);
+        // The first state is shown twice: to begin with, and for the first action. The last is not acted on.
+        for (state, frame) in seen[2..].iter().zip(&trace.frames) {
+            let sensed = frame.sensed.unwrap();
+            assert_eq!((<[f64; 3]>::from(state.velocity_in_base), state.height), (sensed.velocity, sensed.height_m));
+            assert_eq!(state.feet.map(|foot| foot.contact), sensed.contacts);
+            let truths = [
+                (state.height, frame.height_m),
+                (state.velocity_in_base.x, frame.velocity[0]),
+                (state.position.x, frame.position[0]),
+                (state.joint_angles[4], frame.joint_angles[4]),
+                (state.angular_velocity_in_base.z, frame.yaw_rate),
+            ];
+            for (known, truth) in truths {
+                assert!(known != truth && (known - truth).abs() < 0.2, "{known} {truth}");
+            }
+        }
+    }
+
+    #[test]
+    fn noise_is_that_of_the_seed() {
+        let (script, config) = walk(0.3);
+        assert_eq!(play(&script, &config, 1), play(&script, &config, 1));
+        assert_ne!(play(&script, &config, 1).0[0], play(&script, &config, 2).0[0]);
+    }
+
+    #[test]
+    fn the_shipped_policy_walks_on_its_sensors_and_knows_how_fast() {
+        let policy = policies::find("compliant").unwrap();
+        let (script, _) = walk(3.0);
+        for seed in 0..3 {
+            let rollout =
+                Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), false).unwrap();
+            let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
+            assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
+            let found = Estimation::of(&trace).unwrap();
+            assert!(found.velocity_rmse_m_s < 0.08, "{found:?}");
+            assert!(found.height_rmse_m < 0.01, "{found:?}");
+            assert!(found.contact_f1.unwrap() > 0.9, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_push_is_felt_by_the_imu() {
+        let (mut script, config) = walk(1.0);
+        let push = crate::sim::Push { linear: [0.0, 0.6], angular: [0.0; 3] };
+        script.pushes = vec![crate::scenario::TimedPush { time_s: 0.5, push }];
+        let (_, trace) = play(&script, &config, 3);
+        // At the end of the step that begins with the push.
+        let frame = &trace.frames[30];
+        assert!(frame.velocity[1] > 0.2, "{:?}", frame.velocity);
+        let error = frame.sensed.unwrap().velocity[1] - frame.velocity[1];
+        assert!(error.abs() < 0.15, "{error} of {}", frame.velocity[1]);
+    }
+
+    fn broken() -> SensorNoise {
+        SensorNoise { accelerometer_density_m_s2_sqrt_hz: f64::NAN, ..SensorNoise::default() }
+    }
+
+    fn senses(sim: &Sim, script: &Script, noise: SensorNoise) -> Result<Senses, SensingError> {
+        let network = ContactNetwork::shipped().unwrap();
+        Senses::new(network, noise, 0, sim, &script.conditions, &[0.0; 12])
+    }
+
+    fn standing() -> (Sim, Script) {
+        let (script, config) = walk(1.0);
+        let mut sim = Sim::new(&script.scene, &config.simulation, 0.2).unwrap();
+        sim.reset(script.conditions, &[0.0; 12]).unwrap();
+        (sim, script)
+    }
+
+    #[test]
+    fn sensors_that_never_read_a_number_are_refused_at_the_start() {
+        let (sim, script) = standing();
+        let refusal = senses(&sim, &script, broken()).unwrap_err().to_string();
+        assert!(refusal.contains("do not start: accelerometer x reads NaN"), "{refusal}");
+    }
+
+    #[test]
+    fn a_reading_that_is_no_number_is_told_once_and_the_last_good_estimate_is_kept() {
+        let (sim, script) = standing();
+        let mut senses = senses(&sim, &script, SensorNoise::default()).unwrap();
+        (0..10).for_each(|_| senses.read(sim.data(), sim.robot()));
+        assert_eq!(senses.fault(), Ok(None));
+        let (before, good) = (senses.state(), senses.sensors.clone());
+        senses.sensors = Sensors::new(broken(), &mut stream(0, Purpose::Sensor, 0, 0));
+        // 24 ticks are bridged: 0.1 s.
+        for tick in 0..24 {
+            senses.read(sim.data(), sim.robot());
+            assert_eq!(senses.fault().unwrap().is_some(), tick == 0, "tick {tick}");
+            assert_eq!(senses.state(), before);
+        }
+        senses.sensors = good;
+        senses.read(sim.data(), sim.robot());
+        assert_eq!(senses.fault(), Ok(None));
+        assert!(senses.state() != before && (senses.state().height - before.height).abs() < 0.01);
+        senses.sensors = Sensors::new(broken(), &mut stream(0, Purpose::Sensor, 0, 0));
+        (0..25).for_each(|_| senses.read(sim.data(), sim.robot()));
+        assert!(matches!(senses.fault(), Err(SensorFault::NotFinite { .. })));
+    }
+
+    #[test]
+    fn broken_sensors_end_a_rollout_with_an_event_that_names_them() {
+        let (script, config) = walk(2.0);
+        let mut witness = Witness::default();
+        let rollout = Rollout::new(&script, &config, Box::new(&mut witness), false).unwrap();
+        let mut rollout = rollout.with_sensing(Sensing::Estimated, 0).unwrap();
+        let broken = Sensors::new(broken(), &mut stream(0, Purpose::Sensor, 0, 0));
+        rollout.senses.as_mut().unwrap().sensors = broken;
+        let trace = rollout.trace();
+        let [told, end] = &trace.events[..] else { panic!("{:?}", trace.events) };
+        assert_eq!((told.kind, end.kind), (EventKind::Disturbance, EventKind::Fault));
+        assert!(end.text.contains("the sensors failed: accelerometer x reads NaN"), "{}", end.text);
+        // Six steps of 1/60 s are bridged, the seventh is not.
+        assert_eq!(trace.frames.len(), 6);
+    }
+
+    #[test]
+    fn physics_of_another_rate_than_the_networks_are_refused() {
+        let (mut script, _) = walk(1.0);
+        script.scene.timestep_s = 1.0 / 480.0;
+        let mut config = Config::load("compliant").unwrap();
+        config.simulation.physics_rate_hz = 480;
+        let mut witness = Witness::default();
+        let rollout = Rollout::new(&script, &config, Box::new(&mut witness), false).unwrap();
+        let refusal = rollout.with_sensing(Sensing::Estimated, 0).err().unwrap().to_string();
+        assert!(refusal.contains("the physics run at 480 Hz"), "{refusal}");
+    }
+}
