@@ -4,6 +4,7 @@ It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2
 modules: [`config`] → [`scene`] → [`mujoco`] → [`sim`] → [`env`](mod@env) → [`rollout`] → [`ppo`] → [`checkpoint`] → [`policy`].
 */
 
+pub mod agent;
 pub mod checkpoint;
 pub mod config;
 pub mod control;
@@ -11,6 +12,7 @@ pub mod env;
 pub mod estimate;
 pub mod evaluate;
 pub mod files;
+pub mod foreign;
 pub mod go1;
 pub mod metrics;
 pub mod mujoco;

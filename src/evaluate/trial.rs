@@ -4,8 +4,8 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{Condition, Experiment, Measured};
+use crate::agent::Agent;
 use crate::mujoco;
-use crate::policy::Policy;
 use crate::random::{Purpose, stream};
 use crate::scenario::Rollout;
 use crate::scenario::catalog::{ParameterError, Scenario};
@@ -99,15 +99,13 @@ pub fn play(
     experiment: &dyn Experiment,
     condition: &Condition,
     seed: u64,
-    policy: &Policy,
+    agent: &Agent,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
-    let mut script = scenario.script(seed, &policy.provenance.config)?;
+    let mut script = scenario.script(seed, &agent.config)?;
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
-    let trace =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), experiment.needs_bodies())?
-            .trace();
+    let trace = Rollout::new(&script, &agent.config, agent.controller(), experiment.needs_bodies())?.trace();
     let end = End::of(&trace);
     let Measured { values, series } = experiment.measure(&scenario, &script, &trace, end);
     Ok(Sample { end, values, series })

@@ -2,14 +2,14 @@
 
 mod card;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::policies;
 use supple::policy::Policy;
-use supple::{files, onnx};
+use supple::{files, foreign, onnx};
 
 /// Look at a policy, check it, export it.
 #[derive(Parser)]
@@ -57,7 +57,7 @@ enum Command {
 
 #[derive(ValueEnum, Clone, Copy)]
 enum Format {
-    /// One graph from raw observation to joint targets
+    /// One graph from raw observation to joint targets, and a YAML file beside it that says what both are
     Onnx,
 }
 
@@ -73,20 +73,26 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Show { policy, json: true } => println!("{}", policies::find(&policy)?.metadata_json()),
-        Command::Show { policy, json: false } => print!("{}", description(&policies::find(&policy)?)),
+        Command::Show { policy, json: true } => println!("{}", policies::find_ours(&policy)?.metadata_json()),
+        Command::Show { policy, json: false } => print!("{}", description(&policies::find_ours(&policy)?)),
         Command::Verify { policy } => {
             // Reading a policy checks everything in it, the golden pairs included.
-            let policy = policies::find(&policy)?;
+            let policy = policies::find_ours(&policy)?;
             println!("sound: its golden joint targets are reproduced; sha256 {}", policy.sha256());
         }
         Command::Card { run, name } => print!("{}", card::card(&run, &name)?),
         Command::Export { policy, format: Format::Onnx, out } => {
-            let bytes = onnx::export(&policies::find(&policy)?);
-            files::write_atomically(&out, &bytes).with_context(|| format!("cannot write {}", out.display()))?;
+            let (policy, name) = (policies::find_ours(&policy)?, out.file_name().unwrap_or_default());
+            write(&out, &onnx::export(&policy))?;
+            // What `scenario` needs to run the network again, and what tells others how to use it.
+            write(&out.with_extension("yaml"), foreign::describe(&policy, &name.to_string_lossy()).as_bytes())?;
         }
     }
     Ok(())
+}
+
+fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    files::write_atomically(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
 fn description(policy: &Policy) -> String {

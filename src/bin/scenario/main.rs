@@ -15,8 +15,8 @@ use args::{Args, What};
 use clap::CommandFactory;
 use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
+use supple::agent::Agent;
 use supple::policies;
-use supple::policy::Policy;
 use supple::scenario::{Rollout, Script};
 use supple::trace::Trace;
 
@@ -44,15 +44,15 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let robots = robots(args)?;
     let scripts: Vec<Script> = robots
         .iter()
-        .map(|(_, policy)| Ok(scenario.script(args.seed, &policy.provenance.config)?))
+        .map(|(_, agent)| Ok(scenario.script(args.seed, &agent.config)?))
         .collect::<anyhow::Result<_>>()?;
     let mut recording = recording::Recording::start(args, scenario, &robots, &scripts)?;
     let traces = play(&robots, &scripts, &mut recording)?;
     let played = robots.iter().zip(&scripts).zip(&traces);
     let outcomes: Vec<Outcome<'_>> = played
-        .map(|(((name, policy), script), trace)| Outcome {
+        .map(|(((name, agent), script), trace)| Outcome {
             policy: name,
-            sha256: policy.sha256(),
+            sha256: agent.sha256.clone(),
             metrics: scenario.metrics(script, trace),
             trace,
         })
@@ -70,7 +70,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// The policies to play, by name.
-fn robots(args: &Args) -> anyhow::Result<Vec<(String, Policy)>> {
+fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let label = |name: &str| {
         let path = std::path::Path::new(name);
         path.file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
@@ -92,17 +92,17 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Policy)>> {
 
 /// Plays all robots step by step beside one another, recording as they go.
 fn play(
-    robots: &[(String, Policy)],
+    robots: &[(String, Agent)],
     scripts: &[Script],
     recording: &mut recording::Recording,
 ) -> anyhow::Result<Vec<Trace>> {
     let mut rollouts = Vec::new();
-    for ((_, policy), script) in robots.iter().zip(scripts) {
-        rollouts.push(Rollout::new(script, &policy.provenance.config, Box::new(policy.controller()), true)?);
+    for ((_, agent), script) in robots.iter().zip(scripts) {
+        rollouts.push(Rollout::new(script, &agent.config, agent.controller(), true)?);
     }
     let mut traces: Vec<Trace> = robots
         .iter()
-        .map(|(_, policy)| Trace { period_s: policy.simulation.policy_period_s(), ..Trace::default() })
+        .map(|(_, agent)| Trace { period_s: agent.config.simulation.policy_period_s(), ..Trace::default() })
         .collect();
     let bar = progress_bar(rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64);
     let mut playing = true;
