@@ -5,6 +5,7 @@ use std::path::Path;
 use crate::config::Config;
 use crate::foreign::{ForeignError, ForeignPolicy};
 use crate::policy::{Policy, PolicyError};
+use crate::robot::Robot;
 use crate::scenario::Controller;
 
 /// Why there is no agent.
@@ -48,6 +49,14 @@ impl Agent {
         match &self.mind {
             Mind::Ours(policy) => Box::new(policy.controller()),
             Mind::Foreign(policy) => Box::new(policy.controller()),
+        }
+    }
+
+    /// Runs it on another robot, which was read from `path`.
+    pub fn run_on(&mut self, path: &str, robot: &Robot) {
+        self.config.robot.model = path.to_owned();
+        if let Some(height) = robot.min_height_m {
+            self.config.episode.min_height_m = height;
         }
     }
 

@@ -24,6 +24,7 @@ pub mod provenance;
 pub mod random;
 #[cfg(feature = "record")]
 pub mod record;
+pub mod robot;
 pub mod rollout;
 pub mod run;
 pub mod scenario;

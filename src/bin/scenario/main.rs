@@ -8,6 +8,7 @@ mod recording;
 #[path = "no_recording.rs"]
 mod recording;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -17,6 +18,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
 use supple::agent::Agent;
 use supple::policies;
+use supple::robot::Robot;
 use supple::scenario::{Rollout, Script};
 use supple::trace::Trace;
 
@@ -41,7 +43,13 @@ fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     };
-    let robots = robots(args)?;
+    let mut robots = robots(args)?;
+    if let Some(model) = &args.model {
+        eprintln!("{model}:");
+        let robot = Robot::load(Path::new(model))?;
+        robot.report.iter().for_each(|line| eprintln!("  {line}"));
+        robots.iter_mut().for_each(|(_, agent)| agent.run_on(model, &robot));
+    }
     let scripts: Vec<Script> = robots
         .iter()
         .map(|(_, agent)| Ok(scenario.script(args.seed, &agent.config)?))
@@ -72,7 +80,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 /// The policies to play, by name.
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let label = |name: &str| {
-        let path = std::path::Path::new(name);
+        let path = Path::new(name);
         path.file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
     };
     let first = args.policy.as_deref().unwrap_or("compliant");
