@@ -5,11 +5,8 @@ use std::path::Path;
 use super::Robot;
 use super::names::{Description, foot};
 use super::xml::Element;
-use crate::go1::{JOINT_COUNT, Joints, LEGS, joint_name};
+use crate::go1::{JOINT_COUNT, Joints, LEGS, TORQUE_LIMITS, joint_name};
 use crate::mujoco::{Data, GeomContact, Kind, Model};
-
-/// Torque limits of a Go1's hips, thighs and calves, for a file that has none [N·m].
-const GO1_TORQUE_LIMITS: [f64; 3] = [23.7, 23.7, 35.55];
 
 /// Class of what the file's top-level defaults were; those of a scene must not be changed by a robot.
 const MAIN_CLASS: &str = "robot_defaults";
@@ -191,7 +188,7 @@ impl Survey {
             let actuators = 0..self.model.count(Kind::Actuator);
             actuators.map(|id| self.model.actuator(id)).find(|a| a.joint == Some(joint))?.largest_torque()
         });
-        let limits = std::array::from_fn(|joint| own[joint].unwrap_or(GO1_TORQUE_LIMITS[joint % 3]));
+        let limits = std::array::from_fn(|joint| own[joint].unwrap_or(TORQUE_LIMITS[joint % 3]));
         (limits, own.iter().all(Option::is_some))
     }
 
