@@ -14,6 +14,7 @@ pub mod evaluate;
 pub mod files;
 pub mod foreign;
 pub mod go1;
+pub mod guide;
 pub mod metrics;
 pub mod mujoco;
 pub mod onnx;

@@ -370,3 +370,40 @@ fn ages(key: &str, ages: &[u32]) -> Result<(), String> {
         Err(format!("`{key}` must be one or more ages from 0 to {MAX_STEPS_AGO} policy steps"))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const EXAMPLE: &str = include_str!("../../examples/policies/rsl_rl.yaml");
+
+    #[test]
+    fn the_example_parses() {
+        let spec = Spec::parse(Path::new("rsl_rl.yaml"), EXAMPLE).unwrap();
+        assert_eq!(spec.policy.observation.iter().map(Block::length).sum::<usize>(), 48);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn descriptions_changed_at_random_never_panic(
+            changes in prop::collection::vec((any::<prop::sample::Index>(), "[ -~\n]{0,3}"), 1..6),
+        ) {
+            // Comments are most of the example.
+            let bare: Vec<&str> =
+                EXAMPLE.lines().filter_map(|line| line.split('#').next()).filter(|line| !line.trim().is_empty()).collect();
+            let mut text = bare.join("\n");
+            for (place, new) in changes {
+                let at = place.index(text.len());
+                text.replace_range(at..at + 1, &new);
+            }
+            // Whatever is accepted is bounded.
+            if let Ok(spec) = Spec::parse(Path::new("changed"), &text) {
+                let length: usize = spec.policy.observation.iter().map(Block::length).sum();
+                prop_assert!(length * spec.policy.history.len() <= MAX_LENGTH);
+            }
+        }
+    }
+}
