@@ -85,8 +85,9 @@ impl Contest {
             }
         }
         let [a, b] = sides;
-        let side =
-            |name: &String, files| Side::load(name, folder, files, || format!("{name}-seedN.safetensors (or .yaml), N a number"));
+        let side = |name: &String, files| {
+            Side::load(name, folder, files, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+        };
         Ok(Self::new([side(&names[0], a)?, side(&names[1], b)?], notes))
     }
 

@@ -161,8 +161,8 @@ impl Spec {
         config.simulation = raw.simulation.clone();
         let config = Config::from_yaml(&name, &config.to_yaml())?;
         let onnx = raw.onnx.clone();
-        let policy = Parts::check(raw, config)
-            .map_err(|problem| ForeignError::Invalid { path: path.to_owned(), problem })?;
+        let policy =
+            Parts::check(raw, config).map_err(|problem| ForeignError::Invalid { path: path.to_owned(), problem })?;
         Ok(Spec { onnx, policy })
     }
 
@@ -192,7 +192,10 @@ impl Spec {
         }
         if network.outputs() != JOINT_COUNT {
             let onnx = self.onnx.display();
-            return fail(format!("{onnx} has {} outputs, expected one for each of {JOINT_COUNT} joints", network.outputs()));
+            return fail(format!(
+                "{onnx} has {} outputs, expected one for each of {JOINT_COUNT} joints",
+                network.outputs()
+            ));
         }
         Ok(ForeignPolicy {
             network,
@@ -224,11 +227,10 @@ impl Parts {
         for (place, angle) in order.iter().zip(pose) {
             nominal_pose[*place] = angle;
         }
-        let observation =
-            raw.observation.into_iter().enumerate().map(|(index, block)| {
-                let quantity = block.quantity;
-                block.check().map_err(|problem| format!("observation, entry {} ({quantity:?}): {problem}", index + 1))
-            });
+        let observation = raw.observation.into_iter().enumerate().map(|(index, block)| {
+            let quantity = block.quantity;
+            block.check().map_err(|problem| format!("observation, entry {} ({quantity:?}): {problem}", index + 1))
+        });
         let observation = observation.collect::<Result<Vec<Block>, String>>()?;
         let history = raw.history.unwrap_or_else(|| vec![0]);
         ages("history", &history)?;
@@ -256,10 +258,9 @@ impl RawBlock {
         let clock = matches!(self.quantity, Quantity::ClockSin | Quantity::ClockCos);
         let (names, third): (&[&str], _) = match self.quantity {
             Quantity::Command => (&["forward", "left", "yaw"], "yaw"),
-            Quantity::Gravity
-            | Quantity::ProjectedGravity
-            | Quantity::BaseVelocity
-            | Quantity::AngularVelocity => (&["forward", "left", "up"], "up"),
+            Quantity::Gravity | Quantity::ProjectedGravity | Quantity::BaseVelocity | Quantity::AngularVelocity => {
+                (&["forward", "left", "up"], "up")
+            }
             _ => (&[], ""),
         };
         let axes = match self.elements {

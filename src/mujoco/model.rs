@@ -434,7 +434,9 @@ impl Model {
         let c_name = CString::new(name).ok()?;
         // SAFETY: model and name are valid.
         let id = unsafe { sys::mj_name2id(self.as_ptr(), sys::mjOBJ_KEY as i32, c_name.as_ptr()) };
-        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq).chunks(self.nq()).nth(usize::try_from(id).ok()?)
+        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq)
+            .chunks(self.nq())
+            .nth(usize::try_from(id).ok()?)
     }
 
     /// Positions of the first keyframe, shape (nq).

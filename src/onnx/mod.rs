@@ -4,6 +4,7 @@ The reader is an interpreter of the operators that policy networks of dense laye
 hundred crates, or a shared library to install, for networks that take a few microseconds; what it refuses, it names.
 */
 
+mod arithmetic;
 mod export;
 mod network;
 mod operators;

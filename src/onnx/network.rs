@@ -99,7 +99,8 @@ impl Network {
         let mut slots = HashMap::from([(input.name.clone(), INPUT)]);
         let mut constants: Vec<Option<Tensor>> = vec![None];
         for constant in &graph.initializer {
-            let tensor = Tensor::read(constant).map_err(|problem| format!("constant '{}': {problem}", constant.name))?;
+            let tensor =
+                Tensor::read(constant).map_err(|problem| format!("constant '{}': {problem}", constant.name))?;
             slots.insert(constant.name.clone(), constants.len());
             constants.push(Some(tensor));
         }
@@ -131,8 +132,7 @@ impl Network {
             return Err(format!("it has {} outputs ({}), expected one", graph.output.len(), names(&graph.output)));
         };
         let output_slot = *slots.get(&output.name).ok_or_else(|| format!("nothing computes '{}'", output.name))?;
-        let mut network =
-            Network { input: input.name, input_shape, output_slot, outputs: 0, steps, constants };
+        let mut network = Network { input: input.name, input_shape, output_slot, outputs: 0, steps, constants };
         network.outputs = network.output(&values)?.len();
         Ok(network)
     }
@@ -345,7 +345,8 @@ mod tests {
         let huge = refusal(graph(vec![], vec![constant("w", &[1 << 31, 1 << 31], vec![])]));
         assert!(huge.contains("too large"), "{huge}");
         // Outer sums of 2000 numbers, again and again.
-        let (row, column) = (constant("row", &[1, 2000], vec![0.0; 2000]), constant("column", &[2000, 1], vec![0.0; 2000]));
+        let (row, column) =
+            (constant("row", &[1, 2000], vec![0.0; 2000]), constant("column", &[2000, 1], vec![0.0; 2000]));
         let sums = (0..100).map(|index| node("Add", &["row", "column"], &format!("sum {index}"))).collect();
         let refused = refusal(graph(sums, vec![row, column]));
         assert!(refused.contains("more than 16777216"), "{refused}");

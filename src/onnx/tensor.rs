@@ -67,7 +67,8 @@ impl Tensor {
             return Err("its values are in another file; save the model as one file".into());
         }
         let shape = tensor.dims.iter().map(|size| usize::try_from(*size));
-        let shape: Vec<usize> = shape.collect::<Result<_, _>>().map_err(|_| format!("its shape is {:?}", tensor.dims))?;
+        let shape: Vec<usize> =
+            shape.collect::<Result<_, _>>().map_err(|_| format!("its shape is {:?}", tensor.dims))?;
         elements(&shape)?;
         let raw = &tensor.raw_data;
         let values = match tensor.data_type {
@@ -173,5 +174,9 @@ pub fn strides(shape: &[usize]) -> Vec<usize> {
 
 fn chunks<const N: usize>(raw: &[u8]) -> Result<impl Iterator<Item = [u8; N]>, String> {
     let (chunks, rest) = raw.as_chunks::<N>();
-    if rest.is_empty() { Ok(chunks.iter().copied()) } else { Err(format!("its {} bytes are no whole numbers", raw.len())) }
+    if rest.is_empty() {
+        Ok(chunks.iter().copied())
+    } else {
+        Err(format!("its {} bytes are no whole numbers", raw.len()))
+    }
 }

@@ -104,15 +104,22 @@ impl Survey {
         let joints = description.joints(&model)?;
         let hip_parent = model.body_parent(model.joint_body(joints[0]));
         let Some(root) = free.iter().copied().find(|joint| model.joint_body(*joint) == hip_parent) else {
-            return Err("its trunk is fixed to the world, or its hips are not children of the trunk: expected a trunk \
+            return Err(
+                "its trunk is fixed to the world, or its hips are not children of the trunk: expected a trunk \
                         with a <freejoint/> and four legs of three hinges"
-                .into());
+                    .into(),
+            );
         };
         let trunk = model.joint_body(root);
         for leg in joints.chunks(3) {
             let [hip, thigh, calf] = [0, 1, 2].map(|part| model.joint_body(leg[part]));
             if model.body_parent(hip) != trunk || model.body_parent(thigh) != hip || model.body_parent(calf) != thigh {
-                return Err(format!("{}, {} and {} are not three hinges one below the other", name(leg[0]), name(leg[1]), name(leg[2])));
+                return Err(format!(
+                    "{}, {} and {} are not three hinges one below the other",
+                    name(leg[0]),
+                    name(leg[1]),
+                    name(leg[2])
+                ));
             }
         }
         let is_below = |mut body: usize| {
@@ -210,7 +217,8 @@ impl Survey {
     fn start(&self, description: &Description, report: &mut Vec<String>) -> Result<Vec<f64>, String> {
         let model = &self.model;
         let fail = |error: crate::mujoco::Error| error.to_string();
-        let ours = |positions: &[f64]| -> Joints { self.joints.map(|joint| positions[model.joint_position_index(joint)]) };
+        let ours =
+            |positions: &[f64]| -> Joints { self.joints.map(|joint| positions[model.joint_position_index(joint)]) };
         if let (None, Ok(stand)) = (description.pose, model.numeric("stand_qpos"))
             && stand.len() == 7 + JOINT_COUNT
             && model.nq() == stand.len()
@@ -237,11 +245,16 @@ impl Survey {
         data.step1().map_err(fail)?;
         let bottom = |leg: usize| data.geom_positions()[3 * self.feet[leg] + 2] - radii[leg];
         let height = 1.0 - (0..4).map(bottom).fold(f64::INFINITY, f64::min);
-        report.push(format!("start: the joint angles of {from}, base at {height:.3} m, where the lowest foot touches the ground"));
+        report.push(format!(
+            "start: the joint angles of {from}, base at {height:.3} m, where the lowest foot touches the ground"
+        ));
         // In the order of the joints in the file, which is that of the positions.
         let mut in_file: Vec<(usize, f64)> = places.into_iter().zip(pose).collect();
         in_file.sort_by_key(|(place, _)| *place);
-        Ok([0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0].into_iter().chain(in_file.into_iter().map(|(_, angle)| angle)).collect())
+        Ok([0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0]
+            .into_iter()
+            .chain(in_file.into_iter().map(|(_, angle)| angle))
+            .collect())
     }
 
     /// What is changed.
@@ -262,7 +275,8 @@ impl Survey {
         }
         let (limits, own) = self.torque_limits();
         let servos = (0..model.count(Kind::Actuator)).filter(|id| model.actuator(*id).is_servo()).count();
-        let hips_and_thighs: Vec<f64> = (0..JOINT_COUNT).filter(|joint| joint % 3 < 2).map(|joint| limits[joint]).collect();
+        let hips_and_thighs: Vec<f64> =
+            (0..JOINT_COUNT).filter(|joint| joint % 3 < 2).map(|joint| limits[joint]).collect();
         let calves: Vec<f64> = (0..JOINT_COUNT).filter(|joint| joint % 3 == 2).map(|joint| limits[joint]).collect();
         lines.push(format!(
             "actuators: {} ({servos} of them servos) replaced by torque motors under our PD law; limits {} N m (hip, \
@@ -334,11 +348,14 @@ fn wrap_defaults(tree: &mut Element) -> bool {
     if !tree.all("default").any(|section| section.children.iter().any(|child| !is_class(child))) {
         return false;
     }
-    for section in tree.children.iter_mut().filter(|child| child.name == "default") {
-        section.set("class", MAIN_CLASS);
-        let inner = std::mem::take(section);
-        *section = Element { name: "default".into(), attributes: Vec::new(), children: vec![inner] };
-    }
+    // Sections of several files are one to MuJoCo.
+    let (sections, rest) = std::mem::take(&mut tree.children).into_iter().partition(|child| is_class(child));
+    let sections: Vec<Element> = sections;
+    tree.children = rest;
+    let mut class = Element { name: "default".into(), ..Element::default() };
+    class.set("class", MAIN_CLASS);
+    class.children = sections.into_iter().flat_map(|section| section.children).collect();
+    tree.children.push(Element { name: "default".into(), attributes: Vec::new(), children: vec![class] });
     for section in tree.children.iter_mut().filter(|child| child.name == "asset") {
         for asset in section.children.iter_mut().filter(|asset| matches!(asset.name.as_str(), "mesh" | "material")) {
             if matches!(asset.get("class"), None | Some("main")) {

@@ -127,7 +127,9 @@ fn usual(name: &str, index: usize) -> bool {
         _ => &["calf", "kfe", "knee", "shank", "lower", "kn"],
     };
     let short = name.strip_suffix("_joint").unwrap_or(&name);
-    legs.iter().any(|leg| short.strip_prefix(leg).and_then(|rest| rest.strip_prefix('_')).is_some_and(|rest| parts.contains(&rest)))
+    legs.iter().any(|leg| {
+        short.strip_prefix(leg).and_then(|rest| rest.strip_prefix('_')).is_some_and(|rest| parts.contains(&rest))
+    })
 }
 
 /// The foot of a leg: the geometry of that name, or the lowest sphere that collides below the calf.

@@ -73,7 +73,11 @@ impl Element {
 pub(super) fn read(path: &Path) -> Result<Element, String> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let root = read_file(path, folder, 0, &mut 0)?;
-    if root.name == "mujoco" { Ok(root) } else { Err(format!("its root element is <{}>, expected <mujoco>", root.name)) }
+    if root.name == "mujoco" {
+        Ok(root)
+    } else {
+        Err(format!("its root element is <{}>, expected <mujoco>", root.name))
+    }
 }
 
 fn read_file(path: &Path, folder: &Path, depth: usize, files_read: &mut usize) -> Result<Element, String> {
@@ -81,7 +85,8 @@ fn read_file(path: &Path, folder: &Path, depth: usize, files_read: &mut usize) -
     if *files_read > MAX_FILES {
         return Err("it includes too many files: does one include itself?".into());
     }
-    let bytes = files::read_bounded(path, MAX_BYTES).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
+    let bytes =
+        files::read_bounded(path, MAX_BYTES).map_err(|error| format!("cannot read {}: {error}", path.display()))?;
     let text = String::from_utf8_lossy(&bytes);
     let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
     let document = Document::parse_with_options(&text, options)

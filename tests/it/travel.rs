@@ -119,7 +119,11 @@ fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2(
         std::fs::write(folder.path().join(name), changed).unwrap();
     };
     model("fixed.xml", "<freejoint/>", "");
-    model("tail.xml", "<site name=\"imu\"", "<body><joint name=\"tail\"/><geom size=\"0.01\"/></body><site name=\"imu\"");
+    model(
+        "tail.xml",
+        "<site name=\"imu\"",
+        "<body><joint name=\"tail\"/><geom size=\"0.01\"/></body><site name=\"imu\"",
+    );
     model("nameless.xml", "name=\"RL_calf_joint\"", "name=\"left_rear_bottom\"");
     model("loop.xml", "<mujoco model=\"quadruped\">", "<mujoco><include file=\"loop.xml\"/>");
     model("broken.xml", "</default>", "");
@@ -193,6 +197,18 @@ fn a_public_style_quadruped_loses_servos_damping_and_soft_feet_and_the_report_sa
         let foot = model.geom_contact(model.id(Kind::Geom, "RL_foot").unwrap());
         assert_eq!((foot.contype, foot.conaffinity, foot.priority), (1, 2, 0));
     }
+}
+
+#[test]
+fn defaults_of_a_robots_file_do_not_reach_the_rest_of_the_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
+    let xml = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{}\"", robot("assets").display()));
+    let path = folder.path().join("robot.xml");
+    std::fs::write(&path, xml.replacen("<default>", "<default><geom group=\"5\" solref=\"0.5 1\"/>", 1)).unwrap();
+    let model = Scene::flat(RobotFile::Path(path), 1.0 / 240.0).compile().unwrap();
+    assert_eq!(model.geom(model.id(Kind::Geom, "ground").unwrap()).group, 0);
+    assert_eq!(model.geom(model.id(Kind::Geom, "FR_foot").unwrap()).group, 3);
 }
 
 #[test]
