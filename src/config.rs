@@ -19,6 +19,9 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("hardware", include_str!("../configs/hardware.yaml")),
 ];
 
+/// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
+const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
+
 /// How deep `base` may be nested.
 const MAX_BASES: usize = 8;
 
@@ -336,6 +339,12 @@ impl Config {
             "simulation.physics_rate_hz",
             s.physics_rate_hz,
             &format!("a multiple of policy_rate_hz ({} Hz), such as {}", s.policy_rate_hz, 4 * s.policy_rate_hz),
+        )?;
+        require(
+            s.physics_rate_hz <= MAX_PHYSICS_RATE_HZ,
+            "simulation.physics_rate_hz",
+            s.physics_rate_hz,
+            &format!("at most {MAX_PHYSICS_RATE_HZ} Hz"),
         )?;
         require((0.0..=1.0).contains(&s.latency_s), "simulation.latency_s", s.latency_s, "0 to 1 s")?;
         not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;

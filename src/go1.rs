@@ -22,6 +22,12 @@ pub const LEGS: [&str; 4] = ["FR", "FL", "RR", "RL"];
 /// Joints of a leg from the trunk downwards.
 pub const LEG_JOINTS: [&str; 3] = ["hip", "thigh", "calf"];
 
+/// Ranges of the Go1's hips, thighs and calves, as the model has them \[rad\].
+pub const JOINT_LIMITS: [[f64; 2]; 3] = [[-0.863, 0.863], [-0.686, 4.501], [-2.818, -0.888]];
+
+/// Torque limits of the Go1's hips, thighs and calves, as the model has them [N·m].
+pub const TORQUE_LIMITS: [f64; 3] = [23.7, 23.7, 35.55];
+
 /// The same hip, thigh and calf angle in every leg.
 pub fn same_in_every_leg(angles: [f64; 3]) -> Joints {
     std::array::from_fn(|joint| angles[joint % 3])

@@ -4,6 +4,7 @@ It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2
 modules: [`config`] → [`scene`] → [`mujoco`] → [`sim`] → [`env`](mod@env) → [`rollout`] → [`ppo`] → [`checkpoint`] → [`policy`].
 */
 
+pub mod agent;
 pub mod checkpoint;
 pub mod config;
 pub mod control;
@@ -11,7 +12,9 @@ pub mod env;
 pub mod estimate;
 pub mod evaluate;
 pub mod files;
+pub mod foreign;
 pub mod go1;
+pub mod guide;
 pub mod metrics;
 pub mod mujoco;
 pub mod onnx;
@@ -22,6 +25,7 @@ pub mod provenance;
 pub mod random;
 #[cfg(feature = "record")]
 pub mod record;
+pub mod robot;
 pub mod rollout;
 pub mod run;
 pub mod scenario;

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::agent::{Agent, AgentError};
 use crate::policy::{Policy, PolicyError};
 
 /// Name and file of every policy in `policies/` at build time, by name.
@@ -11,7 +12,10 @@ pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/polic
 #[derive(Debug, thiserror::Error)]
 pub enum FindError {
     /// Neither a file nor a shipped policy.
-    #[error("there is no policy '{name}': give a policy file, a run's folder, or one of: {known}")]
+    #[error(
+        "there is no policy '{name}': give a policy file, a run's folder, the YAML file of a policy from elsewhere, or \
+         one of: {known}"
+    )]
     Unknown {
         /// What was asked for.
         name: String,
@@ -20,26 +24,58 @@ pub enum FindError {
     },
     /// The file is no good.
     #[error(transparent)]
-    Policy(#[from] PolicyError),
+    Agent(#[from] AgentError),
+    /// An ONNX file alone.
+    #[error(
+        "{name} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
+         examples/policies/rsl_rl.yaml does, and give that"
+    )]
+    Undescribed {
+        /// The file.
+        name: String,
+    },
+    /// It is not ours.
+    #[error("{name} is a policy from elsewhere: this works with policy files of Supple")]
+    Foreign {
+        /// What was asked for.
+        name: String,
+    },
 }
 
-/// A policy by path of its file, path of a run's folder, or name of a shipped one; `compliant` stands for
-/// `compliant-seed0`.
+impl From<PolicyError> for FindError {
+    fn from(error: PolicyError) -> Self {
+        FindError::Agent(error.into())
+    }
+}
+
+/// A policy by path of its file, path of a run's folder, path of the YAML file of one from elsewhere, or name of a
+/// shipped one; `compliant` stands for `compliant-seed0`.
 ///
 /// # Errors
 /// [`FindError`], with the names that there are.
-pub fn find(name: &str) -> Result<Policy, FindError> {
+pub fn find(name: &str) -> Result<Agent, FindError> {
     let path = Path::new(name);
     if path.is_dir() {
-        return Ok(Policy::load(&path.join("policy.safetensors"))?);
+        return Ok(Agent::load(&path.join("policy.safetensors"))?);
     }
     if path.is_file() {
-        return Ok(Policy::load(path)?);
+        if path.extension().is_some_and(|extension| extension == "onnx") {
+            return Err(FindError::Undescribed { name: name.to_owned() });
+        }
+        return Ok(Agent::load(path)?);
     }
     let first_seed = format!("{name}-seed0");
     let shipped = EMBEDDED.iter().find(|(known, _)| *known == name || *known == first_seed);
     let (known, bytes) = shipped.ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
-    Ok(Policy::from_bytes(bytes, Path::new(known))?)
+    Ok(Policy::from_bytes(bytes, Path::new(known))?.into())
+}
+
+/// As [`find`], for what only works with a policy file of ours.
+///
+/// # Errors
+/// As [`find`], and if the policy is from elsewhere.
+pub fn find_ours(name: &str) -> Result<Policy, FindError> {
+    find(name)?.into_policy().ok_or_else(|| FindError::Foreign { name: name.to_owned() })
 }
 
 fn known() -> String {

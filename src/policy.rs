@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, ConfigError, Simulation};
 use crate::files;
-use crate::go1::{JOINT_COUNT, Joints, joint_name, same_in_every_leg};
+use crate::go1::{JOINT_COUNT, JOINT_LIMITS, Joints, TORQUE_LIMITS, joint_name, same_in_every_leg};
 use crate::ppo::{ActorCritic, Layer, Mlp, PackedMlp, Scratch};
 use crate::random::{Purpose, stream};
 use crate::task::Normaliser;
@@ -84,6 +84,58 @@ pub struct Provenance {
     pub mujoco_version: String,
 }
 
+/// In words and numbers, what a program in another language needs to run the policy.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Usage {
+    /// Name and unit of every number of the observation, in order.
+    pub observation_elements: Vec<String>,
+    /// What the first layer sees.
+    pub network_input: String,
+    /// What is between the layers.
+    pub activation: String,
+    /// What the last layer's outputs are.
+    pub joint_target: String,
+    /// Ranges of the joints; none of a robot from elsewhere \[rad\].
+    pub joint_limits_rad: Option<[[f64; 2]; JOINT_COUNT]>,
+    /// Limits of the PD law's torques; none of a robot from elsewhere [N·m].
+    pub torque_limits_n_m: Option<Joints>,
+}
+
+impl Usage {
+    /// For a robot of this name.
+    fn new(model: &str) -> Self {
+        let go1 = model == "go1";
+        Usage {
+            observation_elements: LAYOUT.iter().flat_map(|block| element_names(block.quantity, block.age)).collect(),
+            network_input: "(observation - normaliser.offset) * normaliser.scale".into(),
+            activation: "elu after every layer but the last; layer k is policy.k.weight, policy.k.bias".into(),
+            joint_target: "nominal_pose_rad + scale_rad * output, held until the next step, for the PD law".into(),
+            joint_limits_rad: go1.then(|| std::array::from_fn(|joint| JOINT_LIMITS[joint % 3])),
+            torque_limits_n_m: go1.then(|| same_in_every_leg(TORQUE_LIMITS)),
+        }
+    }
+}
+
+/// Names and units of a block's numbers, such as `gravity left [m/s^2]`.
+fn element_names(quantity: Quantity, age: u32) -> Vec<String> {
+    let of_joints = |what: &str| (0..JOINT_COUNT).map(|joint| format!("{} {what}", joint_name(joint))).collect();
+    let of_axes = |what: &str| ["left", "up", "forward"].iter().map(|axis| format!("{what} {axis}")).collect();
+    let names: Vec<String> = match quantity {
+        Quantity::BaseHeight => vec!["base height".into()],
+        Quantity::LocalGravity => of_axes("gravity"),
+        Quantity::JointAngles => of_joints("angle"),
+        Quantity::LocalVelocity => of_axes("velocity"),
+        Quantity::LocalAngularVelocity => of_axes("angular velocity"),
+        Quantity::JointRates => of_joints("rate"),
+        Quantity::JointTargets => of_joints("target"),
+        Quantity::Command => ["left", "forward", "yaw rate"].iter().map(|what| format!("commanded {what}")).collect(),
+    };
+    let units: Vec<&str> = quantity.unit().split(", ").collect();
+    let when = if age == 0 { "" } else { "previous " };
+    let named = names.iter().enumerate();
+    named.map(|(index, name)| format!("{when}{name} [{}]", units[index % units.len()])).collect()
+}
+
 /// The JSON under the metadata key `supple`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Metadata {
@@ -94,6 +146,9 @@ struct Metadata {
     scale_rad: f64,
     simulation: Simulation,
     provenance: Provenance,
+    /// The first files of this format lack it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    usage: Option<Usage>,
 }
 
 /// A trained policy with what is needed to use it.
@@ -111,6 +166,8 @@ pub struct Policy {
     pub simulation: Simulation,
     /// Where it came from.
     pub provenance: Provenance,
+    /// For other programs; none if the file it was read from has none.
+    pub usage: Option<Usage>,
     packed: PackedMlp,
 }
 
@@ -125,6 +182,7 @@ impl Policy {
             nominal_pose: same_in_every_leg(config.action.nominal_pose_rad),
             scale_rad: config.action.scale_rad,
             simulation: config.simulation.clone(),
+            usage: Some(Usage::new(&config.robot.model)),
             provenance,
         }
     }
@@ -163,6 +221,7 @@ impl Policy {
             scale_rad: self.scale_rad,
             simulation: self.simulation.clone(),
             provenance: self.provenance.clone(),
+            usage: self.usage.clone(),
         };
         // Plain structs of finite numbers and strings: serialising them cannot fail.
         serde_json::to_string(&metadata).unwrap_or_default()
@@ -216,6 +275,7 @@ impl Policy {
             scale_rad: metadata.scale_rad,
             simulation: metadata.simulation,
             provenance: metadata.provenance,
+            usage: metadata.usage,
         };
         let observations = read("golden.observation", &[GOLDEN, LENGTH])?;
         let expected = read("golden.joint_target", &[GOLDEN, JOINT_COUNT])?;
@@ -275,6 +335,9 @@ impl Metadata {
         let config = &self.provenance.config;
         if self.simulation != config.simulation {
             return Err("its simulation differs from that of the configuration it was trained with".into());
+        }
+        if self.usage.as_ref().is_some_and(|usage| *usage != Usage::new(&config.robot.model)) {
+            return Err("its description of how to use it is not that of a policy of this format".into());
         }
         let checked: Result<Config, ConfigError> = Config::from_yaml("in the policy file", &config.to_yaml());
         checked.map(drop).map_err(|error| error.to_string())
@@ -346,6 +409,25 @@ mod tests {
     }
 
     #[test]
+    fn the_shipped_policies_keep_their_bytes_and_so_their_identity() {
+        for (name, bytes) in crate::policies::EMBEDDED {
+            let policy = Policy::from_bytes(bytes, Path::new(name)).unwrap();
+            assert_eq!(policy.sha256(), files::sha256(&[bytes]), "{name}");
+        }
+    }
+
+    #[test]
+    fn every_number_of_the_observation_has_a_name_and_a_unit() {
+        let names = policy().usage.unwrap().observation_elements;
+        assert_eq!(names.len(), LENGTH);
+        assert_eq!(names[0], "previous base height [m]");
+        assert_eq!(names[34], "previous FR_hip target [rad]");
+        assert_eq!(names[46], "base height [m]");
+        assert_eq!(names[80..], ["commanded left [m/s]", "commanded forward [m/s]", "commanded yaw rate [rad/s]"]);
+        assert_eq!(names.iter().collect::<std::collections::BTreeSet<_>>().len(), LENGTH);
+    }
+
+    #[test]
     fn every_truncation_is_refused_without_panic() {
         let bytes = policy().to_bytes().unwrap();
         for length in (0..bytes.len()).step_by(97) {
@@ -371,5 +453,27 @@ mod tests {
         other.actor.layers.pop();
         let error = Policy::from_bytes(&other.to_bytes().unwrap(), Path::new("other")).unwrap_err().to_string();
         assert!(error.contains("16 outputs, expected 12"), "{error}");
+    }
+
+    proptest::proptest! {
+        #![proptest_config(proptest::prelude::ProptestConfig {
+            cases: 200, failure_persistence: None, ..proptest::prelude::ProptestConfig::default()
+        })]
+
+        #[test]
+        fn headers_changed_at_random_never_panic(
+            changes in proptest::collection::vec((0_usize..6000, proptest::prelude::any::<u8>()), 1..8),
+        ) {
+            static BYTES: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+            let mut bytes = BYTES.get_or_init(|| policy().to_bytes().unwrap()).clone();
+            for (place, byte) in changes {
+                bytes[place] = byte;
+            }
+            // Refused or harmless: what is read has sane rates, and so a short queue of delayed targets.
+            if let Ok(policy) = Policy::from_bytes(&bytes, Path::new("changed")) {
+                policy.joint_targets(&[0.0; LENGTH], &mut Scratch::default());
+                proptest::prop_assert!(policy.simulation.physics_rate_hz <= 20_000);
+            }
+        }
     }
 }

@@ -11,7 +11,8 @@ MuJoCo's 1 / 1 and meet both the robot and one another. They have priority 1, so
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
-use crate::mujoco::{Kind, Model, Result};
+use crate::mujoco::{Error, Kind, Model, Result};
+use crate::robot::Robot;
 
 /// The Go1 of `models/go1.xml`.
 pub const GO1: &str = include_str!("../models/go1.xml");
@@ -24,7 +25,7 @@ pub const GROUND: &str = "ground";
 pub enum RobotFile {
     /// The Go1 inside the binary.
     Embedded,
-    /// An MJCF file.
+    /// An MJCF file, or a YAML file about one, as [`Robot::load`] reads them.
     Path(PathBuf),
 }
 
@@ -201,7 +202,7 @@ impl Scene {
     /// # Errors
     /// [`crate::mujoco::Error::Load`] with MuJoCo's message.
     pub fn compile(&self) -> Result<Model> {
-        self.compile_xml(&self.xml(true))
+        self.compile_xml(&self.xml(true)?)
     }
 
     /// Compiles the scene to be looked at. Bodies and joints are those of [`Scene::compile`].
@@ -209,14 +210,11 @@ impl Scene {
     /// # Errors
     /// [`crate::mujoco::Error::Load`] with MuJoCo's message.
     pub fn compile_visual(&self) -> Result<Model> {
-        self.compile_xml(&self.xml(false))
+        self.compile_xml(&self.xml(false)?)
     }
 
     fn compile_xml(&self, scene: &str) -> Result<Model> {
-        let mut model = match &self.robot {
-            RobotFile::Embedded => Model::from_xml(&[("scene.xml", scene), ("go1.xml", GO1)])?,
-            RobotFile::Path(_) => Model::from_xml(&[("scene.xml", scene)])?,
-        };
+        let mut model = Model::from_xml(&[("scene.xml", scene), ("go1.xml", GO1)])?;
         if let Ground::Field(field) = &self.ground {
             let [low, high] = field.range();
             let id = model.id(Kind::HeightField, GROUND)?;
@@ -227,10 +225,16 @@ impl Scene {
     }
 
     /// The MJCF text that is handed to MuJoCo.
-    pub fn xml(&self, discard_visual: bool) -> String {
+    ///
+    /// # Errors
+    /// [`Error::Load`] with what does not fit in a robot from elsewhere.
+    pub fn xml(&self, discard_visual: bool) -> Result<String> {
         let robot = match &self.robot {
-            RobotFile::Embedded => "go1.xml".to_owned(),
-            RobotFile::Path(path) => escaped(&path.display().to_string()),
+            RobotFile::Embedded => r#"<include file="go1.xml"/>"#.to_owned(),
+            RobotFile::Path(path) => {
+                let fail = |problem| Error::Load { what: path.display().to_string(), message: problem };
+                Robot::load(path).map_err(|error| fail(error.problem))?.mjcf
+            }
         };
         let Buffers { contacts, rows, stack } = self.buffers;
         let mut xml = String::new();
@@ -238,7 +242,7 @@ impl Scene {
         let _ = write!(
             xml,
             r#"<mujoco model="supple">
-  <include file="{robot}"/>
+  {robot}
   <compiler discardvisual="{discard_visual}"/>
   <size njmax="{rows}" nconmax="{contacts}" nstack="{stack}"/>
   <option timestep="{timestep}" integrator="Euler" cone="pyramidal" {solver}/>
@@ -254,7 +258,7 @@ impl Scene {
             ground = self.ground_geom(),
             obstacles = self.obstacles,
         );
-        xml
+        Ok(xml)
     }
 
     fn ground_asset(&self) -> String {
@@ -287,10 +291,6 @@ impl Scene {
             Ground::Field(field) => field.range(),
         }
     }
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
 }
 
 #[cfg(test)]

@@ -87,8 +87,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
 /// The policy that was asked for, or the shipped one. Before any ships there is none.
 fn moving_policy(name: Option<&str>) -> anyhow::Result<Option<Policy>> {
     match name {
-        Some(name) => Ok(Some(policies::find(name)?)),
+        Some(name) => Ok(Some(policies::find_ours(name)?)),
         None if policies::EMBEDDED.is_empty() => Ok(None),
-        None => Ok(Some(policies::find("compliant")?)),
+        None => Ok(Some(policies::find_ours("compliant")?)),
     }
 }

@@ -38,7 +38,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).context(name.to_owned());
     write("config.json", &serde_json::to_string(config)?)?;
     let scene = Scene::flat(RobotFile::Embedded, config.simulation.timestep_s());
-    write("scene.xml", &scene.xml(true))?;
+    write("scene.xml", &scene.xml(true)?)?;
     write("go1.xml", GO1)?;
     if effort.quick {
         return Ok(None);

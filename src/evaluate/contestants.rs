@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::policy::{Policy, PolicyError};
+use crate::agent::{Agent, AgentError, is_description};
 
 /// Why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
@@ -37,7 +37,7 @@ pub enum ContestantError {
     },
     /// A file is no good.
     #[error(transparent)]
-    Policy(#[from] PolicyError),
+    Agent(#[from] AgentError),
 }
 
 /// A policy that is measured.
@@ -47,10 +47,8 @@ pub struct Contestant {
     pub seed: u64,
     /// Where it was read from.
     pub file: PathBuf,
-    /// Its identity.
-    pub sha256: String,
     /// The policy.
-    pub policy: Policy,
+    pub agent: Agent,
 }
 
 /// One of the two sets.
@@ -72,7 +70,7 @@ pub struct Contest {
 }
 
 impl Contest {
-    /// Policies `NAME-seedN.safetensors` of two names in one folder.
+    /// Policies `NAME-seedN.safetensors`, or `.yaml` from elsewhere, of two names in one folder.
     ///
     /// # Errors
     /// [`ContestantError`]
@@ -87,8 +85,9 @@ impl Contest {
             }
         }
         let [a, b] = sides;
-        let side =
-            |name: &String, files| Side::load(name, folder, files, || format!("{name}-seedN.safetensors, N a number"));
+        let side = |name: &String, files| {
+            Side::load(name, folder, files, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+        };
         Ok(Self::new([side(&names[0], a)?, side(&names[1], b)?], notes))
     }
 
@@ -104,7 +103,7 @@ impl Contest {
             let run = files.iter().find(|file| file.file_name().is_some_and(|name| name == "policy.safetensors"));
             let files = run.map_or_else(|| files.clone(), |policy| vec![policy.clone()]);
             let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-            Side::load(&names[index], path, files, || "*.safetensors".into())
+            Side::load(&names[index], path, files, || "*.safetensors or *.yaml".into())
         };
         let (mut sides, mut notes) = ([side(0)?, side(1)?], Vec::new());
         if let [[a], [b]] = [&sides[0].members[..], &sides[1].members[..]]
@@ -155,13 +154,13 @@ impl Side {
         }
         let mut members: Vec<Contestant> = Vec::new();
         for (seed, file) in files {
-            let policy = Policy::load(&file)?;
-            let seed = seed.unwrap_or(policy.provenance.seed);
+            let agent = Agent::load(&file)?;
+            let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());
                 return Err(ContestantError::Twice { first, second: file, seed, set });
             }
-            members.push(Contestant { seed, file, sha256: policy.sha256(), policy });
+            members.push(Contestant { seed, file, agent });
         }
         members.sort_by_key(|member| member.seed);
         Ok(Side { name: name.to_owned(), members })
@@ -179,7 +178,7 @@ fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
     let entries = std::fs::read_dir(folder).map_err(fail)?;
     let mut files =
         entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(fail)?;
-    files.retain(|file| file.extension().is_some_and(|extension| extension == "safetensors"));
+    files.retain(|file| is_description(file) || file.extension().is_some_and(|extension| extension == "safetensors"));
     files.sort();
     Ok(files)
 }

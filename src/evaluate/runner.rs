@@ -189,7 +189,7 @@ fn play_all(
             let (condition, trial) = (index / trials, index % trials);
             let number = experiment.info().number;
             let seed = trial::trial_seed(contestant.seed, number, condition, trial as u32);
-            match trial::play(experiment, &conditions[condition], seed, &contestant.policy, settings.sensing) {
+            match trial::play(experiment, &conditions[condition], seed, &contestant.agent, settings.sensing) {
                 Ok(sample) => played.push((index, sample)),
                 Err(error) => {
                     // The others stop at their next trial; of several failures the first trial's is told.

@@ -84,7 +84,7 @@ impl Store {
         let stored = Stored {
             key: key.to_owned(),
             experiment: experiment.info().name.to_owned(),
-            sha256: contestant.sha256.clone(),
+            sha256: contestant.agent.sha256.clone(),
             seed: contestant.seed,
             revision: GIT_REVISION.to_owned(),
             wall_s,
@@ -114,7 +114,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),
         "conditions": conditions,
-        "policy": contestant.sha256,
+        "policy": contestant.agent.sha256,
         "seed": contestant.seed,
     });
     if sensing == Sensing::Estimated {

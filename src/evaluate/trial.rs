@@ -4,8 +4,8 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{Condition, Experiment, Measured};
+use crate::agent::Agent;
 use crate::mujoco;
-use crate::policy::Policy;
 use crate::random::{Purpose, stream};
 use crate::scenario::catalog::{ParameterError, Scenario};
 use crate::scenario::estimation::Estimation;
@@ -115,15 +115,14 @@ pub fn play(
     experiment: &dyn Experiment,
     condition: &Condition,
     seed: u64,
-    policy: &Policy,
+    agent: &Agent,
     sensing: Sensing,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
-    let mut script = scenario.script(seed, &policy.provenance.config)?;
+    let mut script = scenario.script(seed, &agent.config)?;
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
-    let controller = Box::new(policy.controller());
-    let rollout = Rollout::new(&script, &policy.provenance.config, controller, experiment.needs_bodies())?;
+    let rollout = Rollout::new(&script, &agent.config, agent.controller(), experiment.needs_bodies())?;
     let trace = rollout.with_sensing(sensing, seed)?.trace();
     let end = End::of(&trace);
     let Measured { values, series } = experiment.measure(&scenario, &script, &trace, end);

@@ -12,7 +12,7 @@ mod model;
 
 pub use data::{Contact, Data};
 pub use error::{Buffer, Error, Result, StateKind};
-pub use model::{Geom, Kind, Model, Shape};
+pub use model::{Actuator, Geom, GeomContact, Kind, Model, Shape};
 
 use std::ffi::CStr;
 use std::sync::OnceLock;

@@ -100,6 +100,65 @@ pub struct Geom {
     pub group: i32,
 }
 
+/// What an actuator does to a joint.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Actuator {
+    /// The joint, if it acts on one.
+    pub joint: Option<usize>,
+    /// Torque per unit of its force.
+    pub gear: f64,
+    /// Force per unit of control.
+    pub gain: f64,
+    /// Whether its force depends on the joint's state, as a servo's does.
+    pub has_bias: bool,
+    /// Limits of its control, if it has any.
+    pub control_range: Option<[f64; 2]>,
+    /// Limits of its force, if it has any.
+    pub force_range: Option<[f64; 2]>,
+}
+
+impl Actuator {
+    /// Whether it controls a position or velocity by itself.
+    pub fn is_servo(&self) -> bool {
+        self.has_bias
+    }
+
+    /// The largest torque that it can give, if that is limited [N·m].
+    pub fn largest_torque(&self) -> Option<f64> {
+        let size = |[low, high]: [f64; 2]| low.abs().max(high.abs());
+        let force = match (self.force_range, self.control_range) {
+            (Some(range), _) => size(range),
+            (None, Some(range)) if !self.has_bias => self.gain.abs() * size(range),
+            _ => return None,
+        };
+        Some(force * self.gear.abs()).filter(|torque| *torque > 0.0 && torque.is_finite())
+    }
+}
+
+/// How a geometry makes contact.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GeomContact {
+    /// Mask of what it is.
+    pub contype: i32,
+    /// Mask of what it meets.
+    pub conaffinity: i32,
+    /// Dimensions of the contact force.
+    pub condim: i32,
+    /// The settings of the geometry with the higher one hold.
+    pub priority: i32,
+    /// Sliding, torsional, rolling.
+    pub friction: [f64; 3],
+    /// Softness.
+    pub solimp: [f64; 5],
+}
+
+impl GeomContact {
+    /// Whether it takes part in contacts at all.
+    pub fn collides(&self) -> bool {
+        self.contype != 0 || self.conaffinity != 0
+    }
+}
+
 /// An owned `mjModel`.
 #[derive(Debug)]
 pub struct Model(NonNull<sys::mjModel>);
@@ -344,6 +403,85 @@ impl Model {
     pub fn control_range(&self, actuator: usize) -> [f64; 2] {
         let range = self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu);
         [range[2 * actuator], range[2 * actuator + 1]]
+    }
+
+    /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
+    pub fn friction_loss(&self) -> &[f64] {
+        self.slice(self.raw().dof_frictionloss, self.raw().nv)
+    }
+
+    /// Whether a joint leaves its body free in space.
+    pub fn is_free(&self, joint: usize) -> bool {
+        self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_FREE as i32
+    }
+
+    /// Body that a joint moves.
+    pub fn joint_body(&self, joint: usize) -> usize {
+        self.slice(self.raw().jnt_bodyid, self.raw().njnt)[joint] as usize
+    }
+
+    /// What an actuator does.
+    pub fn actuator(&self, id: usize) -> Actuator {
+        let raw = self.raw();
+        let on_joint = self.slice(raw.actuator_trntype, raw.nu)[id] == sys::mjTRN_JOINT as i32;
+        let target = self.slice(raw.actuator_trnid, 2 * raw.nu)[2 * id];
+        let limits = |limited: *const sys::mjtByte, range: *const f64| {
+            (self.slice(limited, raw.nu)[id] != 0).then(|| row::<f64, 2>(self.slice(range, 2 * raw.nu), id))
+        };
+        Actuator {
+            joint: usize::try_from(target).ok().filter(|_| on_joint),
+            gear: self.slice(raw.actuator_gear, 6 * raw.nu)[6 * id],
+            gain: self.slice(raw.actuator_gainprm, sys::mjNGAIN as i32 * raw.nu)[sys::mjNGAIN as usize * id],
+            has_bias: self.slice(raw.actuator_biastype, raw.nu)[id] != sys::mjBIAS_NONE as i32,
+            control_range: limits(raw.actuator_ctrllimited, raw.actuator_ctrlrange),
+            force_range: limits(raw.actuator_forcelimited, raw.actuator_forcerange),
+        }
+    }
+
+    /// How a geometry makes contact.
+    pub fn geom_contact(&self, id: usize) -> GeomContact {
+        let raw = self.raw();
+        GeomContact {
+            contype: self.slice(raw.geom_contype, raw.ngeom)[id],
+            conaffinity: self.slice(raw.geom_conaffinity, raw.ngeom)[id],
+            condim: self.slice(raw.geom_condim, raw.ngeom)[id],
+            priority: self.slice(raw.geom_priority, raw.ngeom)[id],
+            friction: row(self.slice(raw.geom_friction, 3 * raw.ngeom), id),
+            solimp: row(self.slice(raw.geom_solimp, sys::mjNIMP as i32 * raw.ngeom), id),
+        }
+    }
+
+    /// A geometry's position in the frame of its body's parents up to and including the first with a joint \[m\].
+    pub fn geom_position_at_rest(&self, id: usize) -> [f64; 3] {
+        let raw = self.raw();
+        let mut position: [f64; 3] = row(self.slice(raw.geom_pos, 3 * raw.ngeom), id);
+        let mut body = self.geom_body(id);
+        while body != 0 && self.slice(raw.body_jntnum, raw.nbody)[body] == 0 {
+            let offset: [f64; 3] = row(self.slice(raw.body_pos, 3 * raw.nbody), body);
+            (0..3).for_each(|axis| position[axis] += offset[axis]);
+            body = self.body_parent(body);
+        }
+        position
+    }
+
+    /// Positions of a keyframe, shape (nq).
+    pub fn keyframe(&self, name: &str) -> Option<&[f64]> {
+        let c_name = CString::new(name).ok()?;
+        // SAFETY: model and name are valid.
+        let id = unsafe { sys::mj_name2id(self.as_ptr(), sys::mjOBJ_KEY as i32, c_name.as_ptr()) };
+        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq)
+            .chunks(self.nq())
+            .nth(usize::try_from(id).ok()?)
+    }
+
+    /// Positions of the first keyframe, shape (nq).
+    pub fn first_keyframe(&self) -> Option<&[f64]> {
+        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq).chunks(self.nq()).next()
+    }
+
+    /// Positions that the file puts everything at, shape (nq).
+    pub fn rest_positions(&self) -> &[f64] {
+        self.slice(self.raw().qpos0, self.raw().nq)
     }
 
     /// Mass of every body, shape (nbody). \[kg\]

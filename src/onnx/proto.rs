@@ -1,10 +1,19 @@
 //! The part of ONNX's protobuf schema (onnx.proto, IR version 8) that networks of dense layers need, declared by hand so
-//! that the build needs no protoc. Field numbers are the schema's.
+//! that the build needs no protoc. Field numbers are the schema's; fields that are not declared are skipped in reading.
 
 use prost::Message;
 
 /// Element type FLOAT of a tensor.
 pub const FLOAT: i32 = 1;
+
+/// Element type INT32 of a tensor.
+pub const INT32: i32 = 6;
+
+/// Element type INT64 of a tensor.
+pub const INT64: i32 = 7;
+
+/// Element type DOUBLE of a tensor.
+pub const DOUBLE: i32 = 11;
 
 /// Kind FLOAT of an attribute.
 pub const ATTRIBUTE_FLOAT: i32 = 1;
@@ -77,6 +86,8 @@ pub struct Node {
     pub op_type: String,
     #[prost(message, repeated, tag = "5")]
     pub attribute: Vec<Attribute>,
+    #[prost(string, tag = "7")]
+    pub domain: String,
 }
 
 /// A setting of an operator.
@@ -88,21 +99,40 @@ pub struct Attribute {
     pub f: f32,
     #[prost(int64, tag = "3")]
     pub i: i64,
+    #[prost(bytes = "vec", tag = "4")]
+    pub s: Vec<u8>,
+    #[prost(message, optional, tag = "5")]
+    pub t: Option<Tensor>,
+    #[prost(float, repeated, tag = "7")]
+    pub floats: Vec<f32>,
+    #[prost(int64, repeated, tag = "8")]
+    pub ints: Vec<i64>,
     #[prost(int32, tag = "20")]
     pub kind: i32,
 }
 
-/// A constant, little-endian and row-major in `raw_data`.
+/// A constant, row-major: little-endian in `raw_data`, or in the field of its type.
 #[derive(Clone, PartialEq, Message)]
 pub struct Tensor {
     #[prost(int64, repeated, tag = "1")]
     pub dims: Vec<i64>,
     #[prost(int32, tag = "2")]
     pub data_type: i32,
+    #[prost(float, repeated, tag = "4")]
+    pub float_data: Vec<f32>,
+    #[prost(int32, repeated, tag = "5")]
+    pub int32_data: Vec<i32>,
+    #[prost(int64, repeated, tag = "7")]
+    pub int64_data: Vec<i64>,
     #[prost(string, tag = "8")]
     pub name: String,
     #[prost(bytes = "vec", tag = "9")]
     pub raw_data: Vec<u8>,
+    #[prost(double, repeated, tag = "10")]
+    pub double_data: Vec<f64>,
+    /// 1 if the values are in another file.
+    #[prost(int32, tag = "14")]
+    pub data_location: i32,
 }
 
 /// Name and type of an input or output.

@@ -300,11 +300,10 @@ mod tests {
 
     #[test]
     fn the_shipped_policy_walks_on_its_sensors_and_knows_how_fast() {
-        let policy = policies::find("compliant").unwrap();
+        let agent = policies::find("compliant").unwrap();
         let (script, _) = walk(3.0);
         for seed in 0..3 {
-            let rollout =
-                Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), false).unwrap();
+            let rollout = Rollout::new(&script, &agent.config, agent.controller(), false).unwrap();
             let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
             assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
             let found = Estimation::of(&trace).unwrap();

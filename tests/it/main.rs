@@ -5,3 +5,4 @@ mod model;
 mod programs;
 mod scenarios;
 mod support;
+mod travel;

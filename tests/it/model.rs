@@ -1,7 +1,7 @@
 //! `models/go1.xml` against the manufacturer's figures.
 
 use supple::config::Config;
-use supple::go1::{JOINT_COUNT, joint_name, same_in_every_leg};
+use supple::go1::{JOINT_COUNT, JOINT_LIMITS, TORQUE_LIMITS, joint_name, same_in_every_leg};
 use supple::mujoco::{Kind, Model};
 use supple::scene::{RobotFile, Scene};
 use supple::sim::{Conditions, Sim};
@@ -38,6 +38,7 @@ fn joints_come_in_unitrees_order_with_its_limits_and_no_damping() {
             1 => ([-0.686, 4.501], 23.7, 0.004_481_385_914),
             _ => ([-2.818, -0.888], 35.55, 0.010_083_118_31),
         };
+        assert_eq!((JOINT_LIMITS[joint % 3], TORQUE_LIMITS[joint % 3]), (range, torque));
         assert_eq!(model.joint_range(joint + 1), range);
         assert_eq!(model.control_range(joint), [-torque, torque]);
         assert_eq!(model.armature()[6 + joint], armature);

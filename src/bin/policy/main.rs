@@ -2,14 +2,17 @@
 
 mod card;
 
-use std::path::PathBuf;
+use std::io::{BufRead, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::policies;
 use supple::policy::Policy;
-use supple::{files, onnx};
+use supple::ppo::Scratch;
+use supple::task::observation::{LENGTH, Observation};
+use supple::{files, foreign, onnx};
 
 /// Look at a policy, check it, export it.
 #[derive(Parser)]
@@ -31,6 +34,11 @@ enum Command {
     },
     /// Recompute the golden pairs of observation and joint targets stored in the file
     Verify {
+        /// Policy file, run folder, or name of a shipped policy
+        policy: String,
+    },
+    /// Print joint targets (rad) for observations given on standard input, each a line of 83 numbers in a JSON array
+    Run {
         /// Policy file, run folder, or name of a shipped policy
         policy: String,
     },
@@ -57,7 +65,7 @@ enum Command {
 
 #[derive(ValueEnum, Clone, Copy)]
 enum Format {
-    /// One graph from raw observation to joint targets
+    /// One graph from raw observation to joint targets, and a YAML file beside it that says what both are
     Onnx,
 }
 
@@ -73,20 +81,43 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Show { policy, json: true } => println!("{}", policies::find(&policy)?.metadata_json()),
-        Command::Show { policy, json: false } => print!("{}", description(&policies::find(&policy)?)),
+        Command::Show { policy, json: true } => println!("{}", policies::find_ours(&policy)?.metadata_json()),
+        Command::Show { policy, json: false } => print!("{}", description(&policies::find_ours(&policy)?)),
         Command::Verify { policy } => {
             // Reading a policy checks everything in it, the golden pairs included.
-            let policy = policies::find(&policy)?;
+            let policy = policies::find_ours(&policy)?;
             println!("sound: its golden joint targets are reproduced; sha256 {}", policy.sha256());
         }
+        Command::Run { policy } => answer(&policies::find_ours(&policy)?)?,
         Command::Card { run, name } => print!("{}", card::card(&run, &name)?),
         Command::Export { policy, format: Format::Onnx, out } => {
-            let bytes = onnx::export(&policies::find(&policy)?);
-            files::write_atomically(&out, &bytes).with_context(|| format!("cannot write {}", out.display()))?;
+            let (policy, name) = (policies::find_ours(&policy)?, out.file_name().unwrap_or_default());
+            write(&out, &onnx::export(&policy))?;
+            // What `scenario` needs to run the network again, and what tells others how to use it.
+            write(&out.with_extension("yaml"), foreign::describe(&policy, &name.to_string_lossy()).as_bytes())?;
         }
     }
     Ok(())
+}
+
+/// One line of joint targets for each line of observations.
+fn answer(policy: &Policy) -> anyhow::Result<()> {
+    let (mut scratch, mut out) = (Scratch::default(), std::io::stdout().lock());
+    for (index, line) in std::io::stdin().lock().lines().enumerate() {
+        let line = line.context("cannot read standard input")?;
+        let at = || format!("line {}: expected a JSON array of numbers", index + 1);
+        let numbers: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
+        let observation: Observation = numbers.try_into().map_err(|numbers: Vec<f64>| {
+            anyhow::anyhow!("line {}: {} numbers, expected {LENGTH}; see `policy show`", index + 1, numbers.len())
+        })?;
+        let targets = policy.joint_targets(&observation, &mut scratch);
+        writeln!(out, "{}", serde_json::json!(targets)).context("cannot write to standard output")?;
+    }
+    Ok(())
+}
+
+fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    files::write_atomically(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
 fn description(policy: &Policy) -> String {
@@ -125,9 +156,15 @@ fn description(policy: &Policy) -> String {
         text.push_str(&format!("  {start:3} {:3}  {name:22} {:16} {when}\n", block.length, block.unit));
         start += block.length;
     }
-    text.push_str("\njoints, nominal pose [rad]\n");
+    text.push_str("\njoints            nominal pose [rad]     range [rad]     largest torque [N m]\n");
     for (joint, angle) in policy.nominal_pose.iter().enumerate() {
-        text.push_str(&format!("  {:2}  {:10} {angle:+.4}\n", joint, supple::go1::joint_name(joint)));
+        let name = supple::go1::joint_name(joint);
+        let usage = policy.usage.as_ref();
+        let range = usage.and_then(|usage| usage.joint_limits_rad).map(|limits| limits[joint]);
+        let range = range.map_or_else(|| "-".into(), |[low, high]| format!("{low:+.3} to {high:+.3}"));
+        let torque = usage.and_then(|usage| usage.torque_limits_n_m).map(|limits| limits[joint]);
+        let torque = torque.map_or_else(|| "-".into(), |torque| torque.to_string());
+        text.push_str(&format!("  {joint:2}  {name:10} {angle:+.4}           {range:20} {torque}\n"));
     }
     text
 }

@@ -10,7 +10,7 @@ use supple::scenario::Sensing;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 
 /// Headings in the help, apart from the scenario's own parameters.
-const INPUT: &str = "Policies and seed";
+const INPUT: &str = "Policies, robot and seed";
 const OUTPUT: &str = "Output";
 
 /// Disturb a walking robot and watch what it does.
@@ -19,12 +19,15 @@ const OUTPUT: &str = "Output";
 #[derive(Parser, Debug)]
 #[command(version)]
 pub struct Args {
-    /// Policy file, run folder, or name of a shipped policy [default: compliant]
+    /// Policy file, run folder, YAML file of a policy from elsewhere, or name of a shipped policy [default: compliant]
     #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
     pub policy: Option<String>,
     /// Second policy in the same recording, `none` for none [default: baseline, if --policy is not given and both ship]
     #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
     pub compare: Option<String>,
+    /// Another robot: its MJCF file, or a YAML file that names one and its joints [default: the policy's]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
+    pub model: Option<String>,
     /// Seed of everything random in the scenario
     #[arg(long, global = true, help_heading = INPUT, value_name = "N", default_value_t = 0)]
     pub seed: u64,

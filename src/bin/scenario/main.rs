@@ -8,6 +8,7 @@ mod recording;
 #[path = "no_recording.rs"]
 mod recording;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -15,8 +16,9 @@ use args::{Args, What};
 use clap::CommandFactory;
 use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
+use supple::agent::Agent;
 use supple::policies;
-use supple::policy::Policy;
+use supple::robot::Robot;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::Metric;
@@ -44,18 +46,24 @@ fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     };
-    let robots = robots(args)?;
+    let mut robots = robots(args)?;
+    if let Some(model) = &args.model {
+        eprintln!("{model}:");
+        let robot = Robot::load(Path::new(model))?;
+        robot.report.iter().for_each(|line| eprintln!("  {line}"));
+        robots.iter_mut().for_each(|(_, agent)| agent.run_on(model, &robot));
+    }
     let scripts: Vec<Script> = robots
         .iter()
-        .map(|(_, policy)| Ok(scenario.script(args.seed, &policy.provenance.config)?))
+        .map(|(_, agent)| Ok(scenario.script(args.seed, &agent.config)?))
         .collect::<anyhow::Result<_>>()?;
     let mut recording = recording::Recording::start(args, scenario, &robots, &scripts)?;
     let traces = play(args, &robots, &scripts, &mut recording)?;
     let played = robots.iter().zip(&scripts).zip(&traces);
     let outcomes: Vec<Outcome<'_>> = played
-        .map(|(((name, policy), script), trace)| Outcome {
+        .map(|(((name, agent), script), trace)| Outcome {
             policy: name,
-            sha256: policy.sha256(),
+            sha256: agent.sha256.clone(),
             metrics: metrics(args.sensing, scenario, script, trace),
             trace,
         })
@@ -82,9 +90,9 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 }
 
 /// The policies to play, by name.
-fn robots(args: &Args) -> anyhow::Result<Vec<(String, Policy)>> {
+fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let label = |name: &str| {
-        let path = std::path::Path::new(name);
+        let path = Path::new(name);
         path.file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
     };
     let first = args.policy.as_deref().unwrap_or("compliant");
@@ -105,18 +113,18 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Policy)>> {
 /// Plays all robots step by step beside one another, recording as they go.
 fn play(
     args: &Args,
-    robots: &[(String, Policy)],
+    robots: &[(String, Agent)],
     scripts: &[Script],
     recording: &mut recording::Recording,
 ) -> anyhow::Result<Vec<Trace>> {
     let mut rollouts = Vec::new();
-    for ((_, policy), script) in robots.iter().zip(scripts) {
-        let rollout = Rollout::new(script, &policy.provenance.config, Box::new(policy.controller()), true)?;
+    for ((_, agent), script) in robots.iter().zip(scripts) {
+        let rollout = Rollout::new(script, &agent.config, agent.controller(), true)?;
         rollouts.push(rollout.with_sensing(args.sensing, args.seed)?);
     }
     let mut traces: Vec<Trace> = robots
         .iter()
-        .map(|(_, policy)| Trace { period_s: policy.simulation.policy_period_s(), ..Trace::default() })
+        .map(|(_, agent)| Trace { period_s: agent.config.simulation.policy_period_s(), ..Trace::default() })
         .collect();
     let bar = progress_bar(rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64);
     let mut playing = true;

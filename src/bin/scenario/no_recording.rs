@@ -1,6 +1,6 @@
 //! Without the `record` feature there is nothing to record with.
 
-use supple::policy::Policy;
+use supple::agent::Agent;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::{Played, Script};
 use supple::trace::Trace;
@@ -11,7 +11,7 @@ use crate::args::Args;
 pub struct Recording;
 
 impl Recording {
-    pub fn start(args: &Args, _: &Scenario, _: &[(String, Policy)], _: &[Script]) -> anyhow::Result<Self> {
+    pub fn start(args: &Args, _: &Scenario, _: &[(String, Agent)], _: &[Script]) -> anyhow::Result<Self> {
         if args.record.is_some() || args.connect.is_some() || args.on_fall.is_some() {
             anyhow::bail!("this program was built without recordings; build it with --features record");
         }
@@ -26,7 +26,7 @@ impl Recording {
         self,
         _: &Args,
         _: &Scenario,
-        _: &[(String, Policy)],
+        _: &[(String, Agent)],
         _: &[Script],
         _: &[Trace],
     ) -> anyhow::Result<()> {

@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use anyhow::Context;
+use supple::agent::Agent;
 use supple::mujoco::Model;
-use supple::policy::Policy;
 use supple::record::{BLUE, ORANGE, Recorder, RobotView, Sink, page_url};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::{Played, Script, Sensing};
@@ -26,7 +26,7 @@ impl Recording {
     pub fn start(
         args: &Args,
         scenario: &Scenario,
-        robots: &[(String, Policy)],
+        robots: &[(String, Agent)],
         scripts: &[Script],
     ) -> anyhow::Result<Self> {
         let sink = match (&args.record, &args.connect, args.serve) {
@@ -62,7 +62,7 @@ impl Recording {
         self,
         args: &Args,
         scenario: &Scenario,
-        robots: &[(String, Policy)],
+        robots: &[(String, Agent)],
         scripts: &[Script],
         traces: &[Trace],
     ) -> anyhow::Result<()> {
@@ -101,7 +101,7 @@ fn open(
     sink: Sink,
     title: &str,
     sensing: Sensing,
-    robots: &[(String, Policy)],
+    robots: &[(String, Agent)],
     scripts: &[Script],
 ) -> anyhow::Result<Recorder> {
     let models: Vec<Model> =
@@ -126,7 +126,7 @@ fn open(
 fn clip(
     path: &Path,
     title: &str,
-    robot: &(String, Policy),
+    robot: &(String, Agent),
     script: &Script,
     trace: &Trace,
     fall_s: f64,

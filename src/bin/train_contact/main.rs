@@ -57,7 +57,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         .policies
         .iter()
         .map(|name| {
-            let policy = policies::find(name)?;
+            let policy = policies::find_ours(name)?;
             let rate_hz = 1.0 / policy.simulation.timestep_s();
             anyhow::ensure!((rate_hz - RATE_HZ).abs() < 1e-6, "{name} runs at {rate_hz} Hz, expected {RATE_HZ} Hz");
             Ok(policy)

@@ -131,12 +131,12 @@ fn policies(report: &Report) -> String {
         .iter()
         .map(|policy| {
             format!(
-                "<tr><td>{}</td><td class=\"number\">{}</td><td>{}</td><td class=\"number\">{:.2} M</td><td>{}</td>\
+                "<tr><td>{}</td><td class=\"number\">{}</td><td>{}</td><td class=\"number\">{}</td><td>{}</td>\
                  <td><code>{}</code></td></tr>\n",
                 escaped(&policy.set),
                 policy.seed,
                 escaped(&policy.config),
-                policy.samples as f64 / 1e6,
+                policy.samples(),
                 escaped(&policy.revision),
                 escaped(&policy.sha256)
             )

@@ -117,7 +117,7 @@ pub fn document(report: &Report) -> String {
             policy.set.clone(),
             policy.seed.to_string(),
             policy.config.clone(),
-            format!("{:.1} M", policy.samples as f64 / 1e6),
+            policy.samples(),
             format!("`{}`", &policy.sha256[..16.min(policy.sha256.len())]),
         ]
     });

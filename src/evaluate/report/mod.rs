@@ -21,6 +21,7 @@ use super::runner::Measurement;
 use super::sensing::SensingFindings;
 use super::{Experiment, Info};
 use crate::files;
+use crate::policy::Provenance;
 
 /// Why the report was not written.
 #[derive(Debug, thiserror::Error)]
@@ -54,8 +55,8 @@ pub struct PolicyLine {
     pub sha256: String,
     /// Name of its configuration.
     pub config: String,
-    /// Samples it has seen.
-    pub samples: u64,
+    /// Samples it has seen; none of a policy from elsewhere.
+    pub samples: Option<u64>,
     /// Revision of the program that trained it.
     pub revision: String,
 }
@@ -139,16 +140,28 @@ pub struct Report {
     pub sensing: SensingFindings,
 }
 
+/// What a policy file of ours says of where it came from.
+fn origin<T>(member: &super::contestants::Contestant, of: impl Fn(&Provenance) -> T) -> Option<T> {
+    member.agent.policy().map(|policy| of(&policy.provenance))
+}
+
+impl PolicyLine {
+    /// For tables.
+    fn samples(&self) -> String {
+        self.samples.map_or_else(|| "–".into(), |samples| format!("{:.1} M", samples as f64 / 1e6))
+    }
+}
+
 impl Report {
     /// A report of two sets without experiments yet.
     pub fn new(contest: &Contest, protocol: String, command: String) -> Self {
         let line = |set: &str, member: &super::contestants::Contestant| PolicyLine {
             set: set.to_owned(),
             seed: member.seed,
-            sha256: member.sha256.clone(),
-            config: member.policy.provenance.config_name.clone(),
-            samples: member.policy.provenance.samples,
-            revision: member.policy.provenance.git_revision.clone(),
+            sha256: member.agent.sha256.clone(),
+            config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "from elsewhere".into()),
+            samples: origin(member, |origin| origin.samples),
+            revision: origin(member, |origin| origin.git_revision.clone()).unwrap_or_else(|| "–".into()),
         };
         let of_side = |side: &super::contestants::Side| {
             side.members.iter().map(|member| line(&side.name, member)).collect::<Vec<_>>()

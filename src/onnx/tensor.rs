@@ -1,0 +1,182 @@
+//! Dense tensors of the interpreter: single-precision values, or integers that say shapes and indices.
+
+use super::proto::{self, DOUBLE, FLOAT, INT32, INT64};
+
+/// Elements of any one tensor: a layer of 2048 by 2048.
+pub const MAX_ELEMENTS: usize = 1 << 22;
+
+/// Dimensions of any one tensor.
+const MAX_RANK: usize = 6;
+
+/// Row-major values.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Values {
+    /// What networks compute with.
+    Float(Vec<f32>),
+    /// Shapes, axes, indices.
+    Int(Vec<i64>),
+}
+
+/// Values with a shape; their number is the product of the shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tensor {
+    shape: Vec<usize>,
+    values: Values,
+}
+
+impl Tensor {
+    /// Single-precision values.
+    ///
+    /// # Errors
+    /// In words, if their number is not that of the shape.
+    pub fn float(shape: Vec<usize>, values: Vec<f32>) -> Result<Self, String> {
+        Self::new(shape, Values::Float(values))
+    }
+
+    /// Integers.
+    ///
+    /// # Errors
+    /// As [`Tensor::float`].
+    pub fn int(shape: Vec<usize>, values: Vec<i64>) -> Result<Self, String> {
+        Self::new(shape, Values::Int(values))
+    }
+
+    /// Values of either kind.
+    ///
+    /// # Errors
+    /// As [`Tensor::float`].
+    pub fn new(shape: Vec<usize>, values: Values) -> Result<Self, String> {
+        let count = elements(&shape)?;
+        let found = match &values {
+            Values::Float(values) => values.len(),
+            Values::Int(values) => values.len(),
+        };
+        if found == count {
+            Ok(Tensor { shape, values })
+        } else {
+            Err(format!("{found} values for the shape {shape:?}, which has {count}"))
+        }
+    }
+
+    /// A constant of the file.
+    ///
+    /// # Errors
+    /// In words: a type, size or place of the values that is not supported.
+    pub fn read(tensor: &proto::Tensor) -> Result<Self, String> {
+        if tensor.data_location != 0 {
+            return Err("its values are in another file; save the model as one file".into());
+        }
+        let shape = tensor.dims.iter().map(|size| usize::try_from(*size));
+        let shape: Vec<usize> =
+            shape.collect::<Result<_, _>>().map_err(|_| format!("its shape is {:?}", tensor.dims))?;
+        elements(&shape)?;
+        let raw = &tensor.raw_data;
+        let values = match tensor.data_type {
+            FLOAT if raw.is_empty() => Values::Float(tensor.float_data.clone()),
+            FLOAT => Values::Float(chunks::<4>(raw)?.map(f32::from_le_bytes).collect()),
+            DOUBLE if raw.is_empty() => Values::Float(tensor.double_data.iter().map(|value| *value as f32).collect()),
+            DOUBLE => Values::Float(chunks::<8>(raw)?.map(|bytes| f64::from_le_bytes(bytes) as f32).collect()),
+            INT32 if raw.is_empty() => Values::Int(tensor.int32_data.iter().map(|value| i64::from(*value)).collect()),
+            INT32 => Values::Int(chunks::<4>(raw)?.map(|bytes| i64::from(i32::from_le_bytes(bytes))).collect()),
+            INT64 if raw.is_empty() => Values::Int(tensor.int64_data.clone()),
+            INT64 => Values::Int(chunks::<8>(raw)?.map(i64::from_le_bytes).collect()),
+            other => {
+                return Err(format!("its element type is {other}, expected 1 (float), 6, 7 (integers) or 11 (double)"));
+            }
+        };
+        Self::new(shape, values)
+    }
+
+    /// Sizes of its dimensions.
+    pub fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    /// Its values of either kind.
+    pub fn values(&self) -> &Values {
+        &self.values
+    }
+
+    /// Single-precision values.
+    ///
+    /// # Errors
+    /// If they are integers.
+    pub fn floats(&self) -> Result<&[f32], String> {
+        match &self.values {
+            Values::Float(values) => Ok(values),
+            Values::Int(_) => Err("its input holds integers, expected single-precision numbers".into()),
+        }
+    }
+
+    /// Integers.
+    ///
+    /// # Errors
+    /// If they are not.
+    pub fn ints(&self) -> Result<&[i64], String> {
+        match &self.values {
+            Values::Int(values) => Ok(values),
+            Values::Float(_) => Err("its input holds single-precision numbers, expected integers".into()),
+        }
+    }
+
+    /// The same values in another shape.
+    ///
+    /// # Errors
+    /// As [`Tensor::float`].
+    pub fn reshaped(&self, shape: Vec<usize>) -> Result<Self, String> {
+        Self::new(shape, self.values.clone())
+    }
+
+    /// Applies a function to every value.
+    ///
+    /// # Errors
+    /// If they are integers.
+    pub fn map(&self, function: impl Fn(f32) -> f32) -> Result<Self, String> {
+        Self::float(self.shape.clone(), self.floats()?.iter().map(|value| function(*value)).collect())
+    }
+
+    /// Elements picked by their index in this tensor, in a new shape.
+    ///
+    /// # Errors
+    /// If an index is out of range.
+    pub fn pick(&self, shape: Vec<usize>, indices: &[usize]) -> Result<Self, String> {
+        fn of<T: Copy>(values: &[T], indices: &[usize]) -> Option<Vec<T>> {
+            indices.iter().map(|index| values.get(*index).copied()).collect()
+        }
+        let values = match &self.values {
+            Values::Float(values) => of(values, indices).map(Values::Float),
+            Values::Int(values) => of(values, indices).map(Values::Int),
+        };
+        Self::new(shape, values.ok_or("an index is beyond the end of its input")?)
+    }
+}
+
+/// Number of elements of a shape.
+///
+/// # Errors
+/// If it is more than any policy needs.
+pub fn elements(shape: &[usize]) -> Result<usize, String> {
+    let count = shape.iter().try_fold(1_usize, |product, size| product.checked_mul(*size));
+    match count {
+        Some(count) if count <= MAX_ELEMENTS && shape.len() <= MAX_RANK => Ok(count),
+        _ => Err(format!("the shape {shape:?} is too large: at most {MAX_ELEMENTS} elements in {MAX_RANK} dimensions")),
+    }
+}
+
+/// Distance in elements between neighbours along each dimension.
+pub fn strides(shape: &[usize]) -> Vec<usize> {
+    let mut strides = vec![1; shape.len()];
+    for k in (1..shape.len()).rev() {
+        strides[k - 1] = strides[k] * shape[k];
+    }
+    strides
+}
+
+fn chunks<const N: usize>(raw: &[u8]) -> Result<impl Iterator<Item = [u8; N]>, String> {
+    let (chunks, rest) = raw.as_chunks::<N>();
+    if rest.is_empty() {
+        Ok(chunks.iter().copied())
+    } else {
+        Err(format!("its {} bytes are no whole numbers", raw.len()))
+    }
+}

@@ -1,0 +1,112 @@
+//! How much a protobuf message would grow in memory, found out before it is decoded.
+//!
+//! Two bytes on disk can become a message of 200 in memory. A file of a few megabytes could thus ask for gigabytes; a
+//! policy has a few thousand fields at most.
+
+/// Fields of all messages together, far more than a policy has.
+const MAX_FIELDS: usize = 100_000;
+
+/// Messages of the schema that hold other messages.
+#[derive(Clone, Copy)]
+enum Message {
+    Model,
+    Graph,
+    Node,
+    Attribute,
+    ValueInfo,
+    Type,
+    TensorType,
+    Shape,
+    /// Values only: few fields, or packed ones whose size is that of the file.
+    Leaf,
+}
+
+impl Message {
+    /// The message in a length-delimited field, if it is one.
+    fn child(self, field: u64) -> Option<Message> {
+        match (self, field) {
+            (Message::Model, 7) => Some(Message::Graph),
+            (Message::Model, 8 | 14) | (Message::Graph, 5) | (Message::Attribute, 5) => Some(Message::Leaf),
+            (Message::Graph, 1) => Some(Message::Node),
+            (Message::Graph, 11 | 12) => Some(Message::ValueInfo),
+            (Message::Node, 5) => Some(Message::Attribute),
+            (Message::ValueInfo, 2) => Some(Message::Type),
+            (Message::Type, 1) => Some(Message::TensorType),
+            (Message::TensorType, 2) => Some(Message::Shape),
+            (Message::Shape, 1) => Some(Message::Leaf),
+            _ => None,
+        }
+    }
+}
+
+/// Refuses bytes with more fields than a policy has, or that are cut off.
+///
+/// # Errors
+/// In words.
+pub fn check(bytes: &[u8]) -> Result<(), String> {
+    let mut fields = 0;
+    count(bytes, Message::Model, &mut fields)
+}
+
+/// The schema is a tree of a few levels, and so is this recursion.
+fn count(mut bytes: &[u8], message: Message, fields: &mut usize) -> Result<(), String> {
+    let cut = || "it is cut off or not ONNX".to_owned();
+    while !bytes.is_empty() {
+        *fields += 1;
+        if *fields > MAX_FIELDS {
+            return Err(format!("it has more than {MAX_FIELDS} fields, far more than a policy"));
+        }
+        let key = varint(&mut bytes).ok_or_else(cut)?;
+        let length = match key & 7 {
+            0 => {
+                varint(&mut bytes).ok_or_else(cut)?;
+                0
+            }
+            1 => 8,
+            2 => usize::try_from(varint(&mut bytes).ok_or_else(cut)?).map_err(|_| cut())?,
+            5 => 4,
+            _ => return Err(cut()),
+        };
+        let (content, rest) = bytes.split_at_checked(length).ok_or_else(cut)?;
+        if let (2, Some(child)) = (key & 7, message.child(key >> 3)) {
+            count(content, child, fields)?;
+        }
+        bytes = rest;
+    }
+    Ok(())
+}
+
+/// A base-128 number of at most 64 bits.
+fn varint(bytes: &mut &[u8]) -> Option<u64> {
+    let mut value = 0;
+    for shift in (0..64).step_by(7) {
+        let (first, rest) = bytes.split_first()?;
+        *bytes = rest;
+        value |= u64::from(first & 0x7f) << shift;
+        if first & 0x80 == 0 {
+            return Some(value);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_million_empty_nodes_are_refused_before_they_are_decoded() {
+        // Field 7 (graph) with 2·10⁶ bytes: field 1 (node) of length 0, a million times.
+        let mut bytes = vec![0x3a, 0x80, 0x89, 0x7a];
+        bytes.extend([0x0a, 0x00].repeat(1_000_000));
+        let error = check(&bytes).unwrap_err();
+        assert!(error.contains("far more than a policy"), "{error}");
+    }
+
+    #[test]
+    fn a_length_beyond_the_end_is_refused() {
+        assert!(check(&[0x3a, 0xff, 0xff, 0xff, 0xff, 0x0f, 0x00]).is_err());
+        assert!(check(&[0x3a]).is_err());
+        assert!(check(&[0x08, 0x08]).is_ok());
+    }
+}

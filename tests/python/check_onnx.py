@@ -1,0 +1,89 @@
+#!/usr/bin/env python3
+"""Policies as the rest of the world sees them: ONNX in onnxruntime, safetensors in its own package, MuJoCo from PyPI.
+
+    python3 tests/python/check_onnx.py FOLDER_WITH_PROGRAMS [POLICY ...]
+
+scripts/check_python calls it. Checks, for each policy: the exported graph passes ONNX' checker; onnxruntime and our own
+inference (`policy run`) agree to 1e-5 rad on the stored golden observations and on random ones, alone and in a batch; the
+policy file opens with Python's safetensors and its metadata parse; examples/python/run_onnx.py walks as `scenario walk`.
+"""
+import json
+import pathlib
+import re
+import subprocess
+import sys
+import tempfile
+
+import numpy as np
+import onnx
+import onnxruntime
+from safetensors import safe_open
+
+ROOT = pathlib.Path(__file__).parents[2]
+PROGRAMS = pathlib.Path(sys.argv[1]).resolve()
+POLICIES = sys.argv[2:] or ["compliant", "baseline"]
+TOLERANCE_RAD = 1e-5
+TOLERANCE_M_S = 0.05
+
+
+def run(*command, text=None):
+    done = subprocess.run([str(part) for part in command], input=text, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, f"{command}: {done.stderr}"
+    return done.stdout
+
+
+def check_graph(path):
+    """The graph and the names that others rely on."""
+    model = onnx.load(path)
+    onnx.checker.check_model(model, full_check=True)
+    about = json.loads({entry.key: entry.value for entry in model.metadata_props}["supple"])
+    [observation], [target] = model.graph.input, model.graph.output
+    shapes = [[dim.dim_param or dim.dim_value for dim in value.type.tensor_type.shape.dim] for value in (observation, target)]
+    assert (observation.name, target.name, shapes) == ("observation", "joint_target", [["batch", 83], ["batch", 12]]), shapes
+    assert len(about["observation"]) == 14 and sum(block["length"] for block in about["observation"]) == 83
+    return about
+
+
+def check_numbers(path, policy, tensors):
+    """Golden and random observations through both runtimes."""
+    offset, scale = tensors["normaliser.offset"], tensors["normaliser.scale"]
+    rng = np.random.default_rng(0)
+    random = offset + rng.normal(size=(200, 83)) * rng.choice([0.1, 1.0, 3.0], size=(200, 1)) / scale
+    observations = np.concatenate([tensors["golden.observation"], random])
+    lines = "".join(json.dumps(row.tolist()) + "\n" for row in observations)
+    ours = np.array([json.loads(line) for line in run(PROGRAMS / "policy", "run", policy, text=lines).splitlines()])
+    assert np.abs(ours[:3] - tensors["golden.joint_target"]).max() < TOLERANCE_RAD
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    single = observations.astype(np.float32)
+    batch = session.run(["joint_target"], {"observation": single})[0]
+    alone = np.concatenate([session.run(["joint_target"], {"observation": row[None]})[0] for row in single])
+    worst = max(np.abs(batch - ours).max(), np.abs(alone - ours).max())
+    assert worst < TOLERANCE_RAD, f"onnxruntime differs by {worst} rad"
+    return worst
+
+
+def check_walk(path, policy):
+    """PyPI's MuJoCo against ours."""
+    printed = run(sys.executable, "examples/python/run_onnx.py", path, "0.5")
+    theirs = float(re.search(r"([+-]\d+\.\d+) m/s", printed).group(1))
+    played = json.loads(run(
+        PROGRAMS / "scenario", "walk", "--policy", policy, "--compare", "none", "--forward-m-s", "0.5", "--duration-s", "5",
+        "--json", "--no-record"))
+    ours = played["runs"][0]["metrics"]["forward_error_m_s"]
+    assert abs(theirs - ours) < TOLERANCE_M_S, f"velocity error {theirs} in PyPI's MuJoCo, {ours} in scenario walk"
+    return theirs, ours
+
+
+with tempfile.TemporaryDirectory() as folder:
+    for policy in POLICIES:
+        path = pathlib.Path(folder) / "policy.onnx"
+        run(PROGRAMS / "policy", "export", policy, "--format", "onnx", "--out", path)
+        about = check_graph(path)
+        file = ROOT / "policies" / f"{policy}-seed0.safetensors"
+        with safe_open(str(file if file.exists() else policy), framework="numpy") as opened:
+            assert json.loads(opened.metadata()["supple"]) == about
+            tensors = {name: opened.get_tensor(name) for name in opened.keys()}
+        worst = check_numbers(path, policy, tensors)
+        theirs, ours = check_walk(path, policy)
+        print(f"{policy}: onnxruntime {onnxruntime.__version__} within {worst:.1e} rad; forward velocity error "
+              f"{theirs:+.4f} m/s in PyPI's MuJoCo, {ours:+.4f} m/s in scenario walk")
