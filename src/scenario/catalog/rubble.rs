@@ -137,7 +137,7 @@ impl Parameters for Rubble {
     }
 
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
-        in_range("blocks", f64::from(self.blocks), 0.0, 200.0, "0 to 200")?;
+        in_range("blocks", f64::from(self.blocks), 0.0, 100.0, "0 to 100")?;
         in_range("block-edge-m", self.block_edge_m, 0.02, 0.5, "0.02 to 0.5 m")?;
         in_range("block-height-m", self.block_height_m, 0.01, 0.5, "0.01 to 0.5 m")?;
         in_range("mats", f64::from(self.mats), 0.0, 50.0, "0 to 50")?;
