@@ -12,7 +12,7 @@ use super::*;
 use crate::mujoco::Data;
 use crate::scene::{Buffers, Ground, HeightField, RobotFile, Scene};
 use crate::task::{Command, Stage, Terms};
-use crate::trace::{Disturbance, EventKind, Pose, Sensed};
+use crate::trace::{Disturbance, EventKind, Pose, Rope, Sensed};
 
 fn obstacles() -> String {
     let ball = |k: usize| {
@@ -124,6 +124,10 @@ fn a_recording_has_every_entity_that_its_layout_names() {
                 20..30 => Some(Disturbance::Pull { force: [0.0, 50.0, 0.0] }),
                 _ => None,
             };
+            // A rope that is tied in between, and is taken off.
+            let points = vec![[0.0, 0.0, 0.3], [0.0, 3.0, 0.3]];
+            frame.rope =
+                (5..30).contains(&step).then(|| Rope { points, force_n: f64::from(step % 2), ..Rope::default() });
             recorder.frame(robot, &frame).unwrap();
         }
         let fall = Event { time_s: 0.7, kind: EventKind::Fall, text: "the base sank to 0.19 m".into() };
@@ -144,7 +148,8 @@ fn a_recording_has_every_entity_that_its_layout_names() {
         assert!(found, "{query} shows nothing of {recorded:#?}");
     }
     assert!(followed.iter().all(|entity| recorded.contains(entity)), "{followed:?}");
-    let overlay = ["push", "rope", "pull", "label", "path", "foot\\ forces"].map(|name| format!("overlay/{name}"));
+    let overlay = ["push", "rope", "pull", "label", "path", "foot\\ forces", "loaded\\ rope"]
+        .map(|name| format!("overlay/{name}"));
     let bodies = ["trunk", "FL_calf", "crate", "scene/balls", "scene/ground"].map(str::to_owned);
     for name in bodies.iter().chain(&overlay) {
         assert!(recorded.contains(&format!("/world/compliant/{name}")), "{name} of {recorded:#?}");

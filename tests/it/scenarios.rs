@@ -168,7 +168,7 @@ fn a_rope_carries_its_weight_and_never_pushes() {
     let settled: Vec<f64> = ropes().filter(|(t, _)| (3.5..4.5).contains(t)).map(|(_, rope)| rope.force_n).collect();
     let mean = settled.iter().sum::<f64>() / settled.len() as f64;
     assert!((mean / 9.81 - 1.0).abs() < 0.02, "{mean}");
-    let (_, last) = ropes().last().unwrap();
+    let (_, last) = ropes().next_back().unwrap();
     assert!(last.peak_force_n == 0.0 && last.points.is_empty(), "{last:?}");
     let texts: Vec<&str> = trace.events.iter().map(|event| event.text.as_str()).collect();
     assert_eq!(texts[..2], ["the weight is let go", "the rope is taken off"]);

@@ -76,7 +76,7 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
         file,
         "policy,time_s,x_m,y_m,height_m,roll_rad,pitch_rad,yaw_rad,forward_m_s,left_m_s,yaw_rad_s,\
          command_forward_m_s,command_left_m_s,command_yaw_rad_s,power_w,torque_n_m,reward,peak_foot_force_n,\
-         peak_obstacle_force_n"
+         peak_obstacle_force_n,rope_force_n"
     )?;
     for outcome in outcomes {
         for frame in &outcome.trace.frames {
@@ -100,6 +100,7 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
                 frame.reward,
                 frame.peak_foot_force_n,
                 frame.peak_obstacle_force_n,
+                frame.rope.as_ref().map_or(0.0, |rope| rope.force_n),
             ];
             let row: Vec<String> = numbers.iter().map(f64::to_string).collect();
             writeln!(file, "{},{}", outcome.policy, row.join(","))?;

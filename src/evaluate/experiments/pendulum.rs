@@ -17,7 +17,7 @@ use crate::trace::Trace;
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
     Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
-    Quantity::new("push_m_s", "velocity change by the hit", "m/s", 2),
+    Quantity::new("push_m_s", "velocity change", "m/s", 2),
     Quantity::new("peak_contact_force_n", "peak contact force", "N", 0),
     Quantity::new("contact_impulse_n_s", "impulse in the first second", "N·s", 1),
     Quantity::new("hit", "hit by the ball", "%", 0),
@@ -45,8 +45,8 @@ impl Experiment for Pendulum {
             title: "A swinging ball",
             paper: "Fig. 8b",
             method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
-                     right side of the trunk. The push is the change of the trunk's velocity along the blow from before the \
-                     contact to its end; it decays as in E2, the average being 0.1 s when standing. Peak force and impulse \
+                     right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
+                     0.2 s; it decays as in E2, the average being 0.1 s when standing. Peak force and impulse \
                      are those of all contacts with the ball, which bounces back and may come again.",
         }
     }

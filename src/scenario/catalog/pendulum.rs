@@ -23,8 +23,8 @@ use crate::trace::{Frame, Trace};
 /// From the trunk's origin to where it ends: ahead, behind, at the sides \[m\]. Those of the collision geometries.
 const TRUNK_ENDS_M: [f64; 3] = [0.286, 0.21, 0.075];
 
-/// The first contact counts as over after this at the latest \[s\].
-const LONGEST_CONTACT_S: f64 = 0.2;
+/// The trunk has its largest velocity from a blow within this time \[s\].
+const LONGEST_BLOW_S: f64 = 0.2;
 
 /// Length of the sum of impulses from the first contact on \[s\].
 const IMPULSE_S: f64 = 1.0;
@@ -61,8 +61,8 @@ pub struct Pendulum {
 pub struct Impact {
     /// When it began \[s\].
     pub time_s: f64,
-    /// Change of the trunk's velocity along the blow from the frame before it to the last frame of the contact, as a
-    /// push in the heading frame (forward, left) [m/s].
+    /// Largest change of the trunk's velocity along the blow from the frame before it, within 0.2 s, as a push in the
+    /// heading frame (forward, left) [m/s].
     pub push: [f64; 2],
 }
 
@@ -83,15 +83,11 @@ impl Pendulum {
     /// The first contact of the ball with the robot, if there was one.
     pub fn impact(&self, trace: &Trace) -> Option<Impact> {
         let [ahead, left] = self.direction();
-        let touches = |frame: &&Frame| frame.peak_obstacle_force_n > 0.0;
-        let first = trace.frames.iter().position(|frame| touches(&frame))?;
-        let most = (LONGEST_CONTACT_S / trace.period_s).round() as usize;
-        let lasting = trace.frames[first..].iter().take(most).take_while(touches).count();
-        let along = |index: usize| {
-            let velocity = trace.frames.get(index)?.velocity_in_heading;
-            Some(velocity[0] * ahead + velocity[1] * left)
-        };
-        let change = along(first + lasting - 1)? - along(first.checked_sub(1)?)?;
+        let first = trace.frames.iter().position(|frame| frame.peak_obstacle_force_n > 0.0)?;
+        let along = |frame: &Frame| frame.velocity_in_heading[0] * ahead + frame.velocity_in_heading[1] * left;
+        let before = along(trace.frames.get(first.checked_sub(1)?)?);
+        let blow = trace.frames[first..].iter().take((LONGEST_BLOW_S / trace.period_s).round() as usize);
+        let change = metrics::largest(blow, along)? - before;
         let time_s = trace.frames[first].time_s - trace.period_s;
         Some(Impact { time_s, push: [change * ahead, change * left] })
     }

@@ -44,7 +44,7 @@ pub struct Pulley {
     /// Height of the pulley that the rope comes from (m)
     #[arg(long)]
     pub height_m: f64,
-    /// How far the weight can sink before it reaches the ground (m)
+    /// How far the weight can sink or rise, beyond what the commanded walk takes, before it meets ground or pulley (m)
     #[arg(long)]
     pub drop_m: f64,
     /// Slack of the rope when the weight is let go; the weight falls freely until the rope is taut (m)
@@ -69,7 +69,6 @@ impl Pulley {
     fn rig(&self) -> Rig {
         let [ahead, left] = self.direction();
         let upper = self.distance_m + UPPER_PULLEY_M;
-        let half_edge_m = self.half_edge_m();
         let low = |distance: f64, height: f64| [ahead * distance, left * distance, height];
         Rig {
             holders: vec![
@@ -77,7 +76,7 @@ impl Pulley {
                 ("upper_pulley", low(upper, self.upper_height_m())),
             ],
             load: "weight",
-            load_place: low(upper, half_edge_m + self.drop_m),
+            load_place: low(upper, self.start_height_m()),
             is_level_with_trunk: false,
             mass_kg: self.mass_kg,
             path: vec![HARNESS, "pulley", "upper_pulley", "weight"],
@@ -97,9 +96,19 @@ impl Pulley {
         0.5 * (self.mass_kg / STEEL_KG_M3).cbrt()
     }
 
+    /// How far the commanded walk leads towards the pulley during the pull \[m\].
+    fn approach_m(&self) -> f64 {
+        let [ahead, left] = self.direction();
+        (self.task.forward_m_s * ahead + self.task.left_m_s * left) * self.for_s
+    }
+
+    /// Height of the weight when it is let go \[m\].
+    fn start_height_m(&self) -> f64 {
+        self.half_edge_m() + self.drop_m + self.approach_m().max(0.0)
+    }
+
     fn upper_height_m(&self) -> f64 {
-        // A robot that is dragged the other way lifts the weight: there is as much room above it as below.
-        2.0 * (self.half_edge_m() + self.drop_m)
+        self.start_height_m() + self.drop_m + (-self.approach_m()).max(0.0)
     }
 }
 
@@ -111,12 +120,14 @@ impl Parameters for Pulley {
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
         in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
-        in_range("distance-m", self.distance_m, 0.5, 100.0, "0.5 to 100 m, clear of the robot")?;
         in_range("height-m", self.height_m, 0.05, 10.0, "0.05 to 10 m")?;
         in_range("drop-m", self.drop_m, 0.1, 100.0, "0.1 to 100 m")?;
         in_range("slack-m", self.slack_m, 0.0, 10.0, "0 to 10 m")?;
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
         in_range("for-s", self.for_s, 0.0, 3600.0, "0 to 3600 s")?;
+        let nearest_m = 0.5 + 0.5 * self.approach_m().abs();
+        let expected = "0.5 m to 100 m from where the commanded walk leads (half the way of the pull is on each side)";
+        in_range("distance-m", self.distance_m, nearest_m, 100.0, expected)?;
         let rig = self.rig();
         let [half, upper] = [self.half_edge_m(), self.upper_height_m()];
         let at = |[x, y, z]: [f64; 3]| format!("{x} {y} {z}");
