@@ -106,7 +106,10 @@ impl SensingFindings {
                     if table.in_page && is_main(row.quantity) {
                         self.main.rows.push(row.clone());
                     }
-                    self.all.rows.push(row);
+                    // Some experiments show a part of a table in the page, and all of it in a file.
+                    if !self.all.rows.contains(&row) {
+                        self.all.rows.push(row);
+                    }
                 }
             }
         }
@@ -199,6 +202,9 @@ mod tests {
             found.add(experiment, &measurement(experiment, 0.5, false), &measurement(experiment, 0.5, true));
             assert!(!found.main.rows.is_empty(), "{}", experiment.info().name);
             assert!(found.main.rows.len() <= found.all.rows.len());
+            for (index, row) in found.all.rows.iter().enumerate() {
+                assert!(!found.all.rows[..index].contains(row), "{row:?} stands there twice");
+            }
         }
     }
 }
