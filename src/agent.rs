@@ -31,8 +31,8 @@ pub struct Agent {
 
 #[derive(Debug)]
 enum Mind {
-    Ours(Policy),
-    Foreign(ForeignPolicy),
+    Ours(Box<Policy>),
+    Foreign(Box<ForeignPolicy>),
 }
 
 impl Agent {
@@ -71,7 +71,7 @@ impl Agent {
     /// As [`Agent::policy`], to keep.
     pub fn into_policy(self) -> Option<Policy> {
         match self.mind {
-            Mind::Ours(policy) => Some(policy),
+            Mind::Ours(policy) => Some(*policy),
             Mind::Foreign(_) => None,
         }
     }
@@ -79,13 +79,13 @@ impl Agent {
 
 impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
-        Agent { config: policy.provenance.config.clone(), sha256: policy.sha256(), mind: Mind::Ours(policy) }
+        Agent { config: policy.provenance.config.clone(), sha256: policy.sha256(), mind: Mind::Ours(Box::new(policy)) }
     }
 }
 
 impl From<ForeignPolicy> for Agent {
     fn from(policy: ForeignPolicy) -> Self {
-        Agent { config: policy.config.clone(), sha256: policy.sha256.clone(), mind: Mind::Foreign(policy) }
+        Agent { config: policy.config.clone(), sha256: policy.sha256.clone(), mind: Mind::Foreign(Box::new(policy)) }
     }
 }
 

@@ -26,9 +26,8 @@ struct Survey {
 /// # Errors
 /// In words: what does not fit.
 pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Robot, String> {
-    let folder = description.mjcf.parent().unwrap_or(Path::new(""));
-    let folder = std::path::absolute(folder).map_err(|error| error.to_string())?;
-    find_assets(&mut tree, &folder)?;
+    let file = std::path::absolute(&description.mjcf).map_err(|error| error.to_string())?;
+    find_assets(&mut tree, file.parent().unwrap_or(Path::new("")))?;
     for section in ["equality", "tendon", "deformable"] {
         if tree.all(section).any(|section| !section.children.is_empty()) {
             return Err(format!("it has a section <{section}>: a trunk with four legs of three hinges each has none"));
@@ -51,7 +50,8 @@ pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Robo
     if wrapped && trunk.get("childclass").is_none() {
         trunk.set("childclass", MAIN_CLASS);
     }
-    survey.change(&mut trunk, &mut survey.trunk.clone());
+    let mut id = survey.trunk;
+    survey.change(&mut trunk, &mut id);
     trunk.set("name", "trunk");
     let world = Element { name: "worldbody".into(), attributes: Vec::new(), children: vec![trunk] };
     world.write(&mut mjcf);

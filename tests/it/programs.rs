@@ -209,7 +209,7 @@ fn policy_program_shows_verifies_and_exports() {
     let folder = tempfile::tempdir().unwrap();
     standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
     let shown = run("policy", folder.path(), &["show", "p.safetensors"]);
-    assert!(String::from_utf8_lossy(&shown.stdout).contains("RL_calf    -1.4400"));
+    assert!(String::from_utf8_lossy(&shown.stdout).contains("RL_calf     -1.4400"));
     let json: Value =
         serde_json::from_slice(&run("policy", folder.path(), &["show", "p.safetensors", "--json"]).stdout).unwrap();
     assert_eq!(json["observation"].as_array().unwrap().len(), 14);

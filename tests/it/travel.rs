@@ -175,7 +175,7 @@ fn a_public_style_quadruped_loses_servos_damping_and_soft_feet_and_the_report_sa
     let path = robot("scene.xml");
     let report = Robot::load(&path).unwrap().report.join("\n");
     for expected in [
-        "mass: 12.8 kg",
+        "mass: 12.800 kg",
         "joint damping: 1 to 2 N m s/rad, set to 0",
         "joint friction: 0.2 N m, set to 0",
         "actuators: 12 (12 of them servos) replaced by torque motors",

@@ -11,7 +11,7 @@ use clap::{Parser, Subcommand, ValueEnum};
 use supple::policies;
 use supple::policy::Policy;
 use supple::ppo::Scratch;
-use supple::task::observation::{LENGTH, Observation};
+use supple::task::observation::{LENGTH, Observation, Quantity};
 use supple::{files, foreign, onnx};
 
 /// Look at a policy, check it, export it.
@@ -152,11 +152,11 @@ fn description(policy: &Policy) -> String {
     let mut start = 0;
     for block in supple::policy::layout_info() {
         let when = if block.age == 0 { "now" } else { "one step ago" };
-        let name = format!("{:?}", block.quantity);
-        text.push_str(&format!("  {start:3} {:3}  {name:22} {:16} {when}\n", block.length, block.unit));
+        let name = words(block.quantity);
+        text.push_str(&format!("  {start:3} {:3}  {name:40} {:16} {when}\n", block.length, block.unit));
         start += block.length;
     }
-    text.push_str("\njoints            nominal pose [rad]     range [rad]     largest torque [N m]\n");
+    text.push_str("\njoints            nominal [rad]  range [rad]         largest torque [N m]\n");
     for (joint, angle) in policy.nominal_pose.iter().enumerate() {
         let name = supple::go1::joint_name(joint);
         let usage = policy.usage.as_ref();
@@ -164,7 +164,21 @@ fn description(policy: &Policy) -> String {
         let range = range.map_or_else(|| "-".into(), |[low, high]| format!("{low:+.3} to {high:+.3}"));
         let torque = usage.and_then(|usage| usage.torque_limits_n_m).map(|limits| limits[joint]);
         let torque = torque.map_or_else(|| "-".into(), |torque| torque.to_string());
-        text.push_str(&format!("  {joint:2}  {name:10} {angle:+.4}           {range:20} {torque}\n"));
+        text.push_str(&format!("  {joint:2}  {name:12}{angle:+.4}        {range:20}{torque}\n"));
     }
     text
+}
+
+/// A quantity for people, with the order of its axes.
+fn words(quantity: Quantity) -> &'static str {
+    match quantity {
+        Quantity::BaseHeight => "base height above ground",
+        Quantity::LocalGravity => "gravity: left, up, forward",
+        Quantity::JointAngles => "joint angles",
+        Quantity::LocalVelocity => "velocity: left, up, forward",
+        Quantity::LocalAngularVelocity => "angular velocity: left, up, forward",
+        Quantity::JointRates => "joint rates",
+        Quantity::JointTargets => "joint targets",
+        Quantity::Command => "command: left, forward, yaw rate",
+    }
 }
