@@ -24,6 +24,9 @@ pub const NEWEST: &str = "checkpoint.safetensors";
 /// File of the checkpoint before.
 pub const PREVIOUS: &str = "checkpoint.previous.safetensors";
 
+/// File of a newest checkpoint that could not be read and was set aside.
+pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
+
 /// Version of the format.
 const FORMAT: u32 = 1;
 

@@ -30,5 +30,6 @@ pub mod sim;
 pub mod task;
 pub mod tensorboard;
 pub mod tensors;
+pub mod terminal;
 pub mod trace;
 pub mod train;

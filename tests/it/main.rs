@@ -1,6 +1,7 @@
 //! Tests of the whole: the compiled model, the programs as a user runs them, and properties of every scenario.
 
 mod evaluate;
+mod kill;
 mod model;
 mod programs;
 mod scenarios;

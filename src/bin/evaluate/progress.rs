@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use supple::evaluate::Info;
+use supple::terminal;
 
 /// Steps of the bar per second of simulated work.
 const STEPS: f64 = 10.0;
@@ -44,7 +45,7 @@ impl Progress {
     /// A line that stays.
     pub fn end(&mut self, info: &Info) {
         let line = format!("{} {}: {:.1} s", info.id, info.name, self.begun.elapsed().as_secs_f64());
-        self.bar.suspend(|| eprintln!("{line}"));
+        self.bar.suspend(|| terminal::note(line));
     }
 
     /// Takes the bar away.

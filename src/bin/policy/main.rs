@@ -9,7 +9,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::policies;
 use supple::policy::Policy;
-use supple::{files, onnx};
+use supple::{files, onnx, terminal};
 
 /// Look at a policy, check it, export it.
 #[derive(Parser)]
@@ -65,7 +65,7 @@ fn main() -> ExitCode {
     match run(Args::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            terminal::note(format_args!("error: {error:#}"));
             ExitCode::from(2)
         }
     }
@@ -73,14 +73,15 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Show { policy, json: true } => println!("{}", policies::find(&policy)?.metadata_json()),
-        Command::Show { policy, json: false } => print!("{}", description(&policies::find(&policy)?)),
+        Command::Show { policy, json: true } => terminal::print(format_args!("{}\n", policies::find(&policy)?.metadata_json()))?,
+        Command::Show { policy, json: false } => terminal::print(description(&policies::find(&policy)?))?,
         Command::Verify { policy } => {
             // Reading a policy checks everything in it, the golden pairs included.
             let policy = policies::find(&policy)?;
-            println!("sound: its golden joint targets are reproduced; sha256 {}", policy.sha256());
+            let sha256 = policy.sha256();
+            terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
-        Command::Card { run, name } => print!("{}", card::card(&run, &name)?),
+        Command::Card { run, name } => terminal::print(card::card(&run, &name)?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
             let bytes = onnx::export(&policies::find(&policy)?);
             files::write_atomically(&out, &bytes).with_context(|| format!("cannot write {}", out.display()))?;

@@ -18,13 +18,14 @@ use output::Outcome;
 use supple::policies;
 use supple::policy::Policy;
 use supple::scenario::{Rollout, Script};
+use supple::terminal;
 use supple::trace::Trace;
 
 fn main() -> ExitCode {
     match args::parse().and_then(|args| run(&args)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            terminal::note(format_args!("error: {error:#}"));
             ExitCode::from(2)
         }
     }
@@ -33,11 +34,8 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     let What::Play(scenario) = &args.what else {
         for scenario in Args::command().get_subcommands().filter(|command| command.get_name() != "list") {
-            println!(
-                "{:10} {}",
-                scenario.get_name(),
-                scenario.get_about().map(ToString::to_string).unwrap_or_default()
-            );
+            let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
+            terminal::print(format_args!("{:10} {about}\n", scenario.get_name()))?;
         }
         return Ok(());
     };
@@ -62,9 +60,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
         output::write_csv(path, &outcomes).with_context(|| format!("cannot write {}", path.display()))?;
     }
     if args.json {
-        println!("{}", output::to_json(scenario, args.seed, &outcomes));
+        terminal::print(format_args!("{}\n", output::to_json(scenario, args.seed, &outcomes)))?;
     } else {
-        print!("{}", output::summary(scenario, &outcomes));
+        terminal::print(output::summary(scenario, &outcomes))?;
     }
     recording.finish(args, scenario, &robots, &scripts, &traces)
 }

@@ -8,6 +8,7 @@ use supple::policy::Policy;
 use supple::record::{BLUE, ORANGE, Recorder, RobotView, Sink, page_url};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::{Played, Script};
+use supple::terminal;
 use supple::trace::Trace;
 
 use crate::args::Args;
@@ -38,7 +39,7 @@ impl Recording {
         };
         let recorder = open(sink.clone(), scenario.name(), robots, scripts)?;
         if let Sink::Serve(port) = sink {
-            eprintln!("watch it at {}", page_url(port));
+            terminal::note(format_args!("watch it at {}", page_url(port)));
         }
         Ok(Recording { recorder: Some(recorder), sink: Some(sink) })
     }
@@ -70,7 +71,7 @@ impl Recording {
             if let (Some(folder), Some(fall)) = (&args.on_fall, trace.fall()) {
                 let path = folder.join(format!("{}-{}-seed{}-fall.rrd", scenario.name(), robot.0, args.seed));
                 clip(&path, scenario.name(), robot, script, trace, fall.time_s)?;
-                eprintln!("the fall is in {}", path.display());
+                terminal::note(format_args!("the fall is in {}", path.display()));
             }
         }
         if let Some(Sink::Serve(_)) = self.sink {
@@ -80,7 +81,7 @@ impl Recording {
             recorder.finish()?;
         }
         if let Some(Sink::File(path)) = self.sink {
-            eprintln!("recorded {path}; open it with: rerun {path}", path = path.display());
+            terminal::note(format_args!("recorded {path}; open it with: rerun {path}", path = path.display()));
         }
         Ok(())
     }
@@ -93,7 +94,7 @@ fn wait_for_interrupt() -> anyhow::Result<()> {
         let _ = interrupted.send(());
     })
     .context("cannot catch Ctrl-C")?;
-    eprintln!("serving until Ctrl-C");
+    terminal::note("serving until Ctrl-C");
     Ok(wait.recv()?)
 }
 
