@@ -171,6 +171,7 @@ impl Checkpoint {
         }
         let run: RunState =
             serde_json::from_str(&metadata.run).map_err(|error| format!("its run state does not parse: {error}"))?;
+        run.config.check().map_err(|error| error.to_string())?;
         let learner = LearnerState {
             parameters: read_group(&tensors, "parameters")?,
             first_moment: read_group(&tensors, "first_moment")?,

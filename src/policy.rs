@@ -12,7 +12,7 @@ use rand_distr::StandardNormal;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Config, ConfigError, Simulation};
+use crate::config::{Config, Simulation};
 use crate::files;
 use crate::go1::{JOINT_COUNT, Joints, joint_name, same_in_every_leg};
 use crate::ppo::{ActorCritic, Layer, Mlp, PackedMlp, Scratch};
@@ -276,8 +276,7 @@ impl Metadata {
         if self.simulation != config.simulation {
             return Err("its simulation differs from that of the configuration it was trained with".into());
         }
-        let checked: Result<Config, ConfigError> = Config::from_yaml("in the policy file", &config.to_yaml());
-        checked.map(drop).map_err(|error| error.to_string())
+        config.check().map_err(|error| error.to_string())
     }
 }
 

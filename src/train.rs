@@ -92,11 +92,18 @@ impl Trainer {
     /// If the checkpoint does not fit its own configuration, or the model cannot be simulated.
     pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
         let Checkpoint { run, learner } = checkpoint;
-        let mut environments = environments(&run.config, run.seed, run.commands.share)?;
-        if environments.len() != run.environments.len() {
-            let (found, expected) = (run.environments.len(), environments.len());
+        let (found, expected) = (run.environments.len(), run.config.ppo.environments);
+        if found != expected {
             return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected}")));
         }
+        let shapes = |networks: &ActorCritic| -> Vec<_> {
+            networks.tensors().into_iter().map(|(name, shape, _)| (name, shape)).collect()
+        };
+        let expected = shapes(&learner.parameters);
+        if [&learner.first_moment, &learner.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
+            return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
+        }
+        let mut environments = environments(&run.config, run.seed, run.commands.share)?;
         let (inputs, outputs) = (learner.parameters.policy.inputs(), learner.parameters.policy.outputs());
         if (inputs, outputs) != (LENGTH, JOINT_COUNT) {
             let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {LENGTH} to {JOINT_COUNT}");

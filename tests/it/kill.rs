@@ -14,7 +14,8 @@ use supple::random::{Purpose, stream};
 
 use crate::support::{assert_same, complaint, metrics, run, small_config};
 
-const START: [&str; 6] = ["--config", "small.yaml", "--samples", "3840", "--threads", "1"];
+const START: [&str; 2] = ["--config", "small.yaml"];
+const GO: [&str; 4] = ["--samples", "3840", "--threads", "1"];
 
 /// What stood in the folder after a kill.
 #[derive(Debug, Default)]
@@ -33,7 +34,7 @@ fn a_run_that_is_killed_at_any_moment_and_resumed_gives_the_bits_of_one_that_is_
     config.run.checkpoint_every = 1;
     std::fs::write(folder.path().join("small.yaml"), config.to_yaml()).unwrap();
     let started = Instant::now();
-    let output = run("train", folder.path(), &[&START[..], &["--out", "whole"]].concat());
+    let output = run("train", folder.path(), &[&START[..], &GO, &["--out", "whole"]].concat());
     assert!(output.status.success(), "{}", complaint(&output));
     let length_s = started.elapsed().as_secs_f64();
     let whole = folder.path().join("whole");
@@ -47,7 +48,7 @@ fn a_run_that_is_killed_at_any_moment_and_resumed_gives_the_bits_of_one_that_is_
         let name = killed.file_name().unwrap().to_str().unwrap();
         let arguments =
             if killed.exists() { vec!["--resume", name] } else { [&START[..], &["--out", name]].concat() };
-        let output = run("train", folder.path(), &[&arguments[..], &["--samples", "3840"]].concat());
+        let output = run("train", folder.path(), &[&arguments[..], &GO].concat());
         assert!(output.status.success(), "trial {trial}, killed after {delay_s} s: {}", complaint(&output));
         assert_same(&metrics(&whole), &metrics(&killed));
         assert_same_weights_and_environments(&whole, &killed);
@@ -61,6 +62,7 @@ fn kill_after(delay: Duration, run: &Path, tally: &mut Tally) {
     let parent = run.parent().unwrap();
     let mut child = Command::new(env!("CARGO_BIN_EXE_train"))
         .args(START)
+        .args(GO)
         .arg("--out")
         .arg(run)
         .current_dir(parent)
