@@ -334,12 +334,17 @@ impl Config {
     /// [`ConfigError::Value`] that names the key.
     pub fn check(&self) -> Result<(), ConfigError> {
         let s = &self.simulation;
-        require(s.policy_rate_hz > 0, "simulation.policy_rate_hz", s.policy_rate_hz, "at least 1 Hz")?;
+        let rate = (1..=1000).contains(&s.policy_rate_hz);
+        require(rate, "simulation.policy_rate_hz", s.policy_rate_hz, "1 to 1000 Hz")?;
         require(
-            s.physics_rate_hz > 0 && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
+            (1..=100_000).contains(&s.physics_rate_hz) && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
             "simulation.physics_rate_hz",
             s.physics_rate_hz,
-            &format!("a multiple of policy_rate_hz ({} Hz), such as {}", s.policy_rate_hz, 4 * s.policy_rate_hz),
+            &format!(
+                "a multiple of policy_rate_hz ({} Hz) up to 100000, such as {}",
+                s.policy_rate_hz,
+                4 * s.policy_rate_hz
+            ),
         )?;
         require((0.0..=1.0).contains(&s.latency_s), "simulation.latency_s", s.latency_s, "0 to 1 s")?;
         not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;
@@ -588,7 +593,7 @@ mod tests {
             (
                 "policy_rate_hz: 60",
                 "policy_rate_hz: 70",
-                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz), such as 280",
+                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz) up to 100000, such as 280",
             ),
             (
                 "environments: 64",

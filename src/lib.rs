@@ -12,6 +12,7 @@ pub mod estimate;
 pub mod evaluate;
 pub mod files;
 pub mod go1;
+pub mod last_second;
 pub mod metrics;
 pub mod mujoco;
 pub mod onnx;

@@ -9,7 +9,8 @@
 | `checkpoint.safetensors` | the newest checkpoint; the one before is `checkpoint.previous.safetensors` |
 | `policy.safetensors` | the policy of the newest checkpoint |
 | `checkpoint.damaged.safetensors` | a newest checkpoint that could not be read, set aside |
-| `fault-minibatch.csv` | the minibatch on which the learner failed, if it did |
+| `faults` | CSV files: the last second before each physics fault, of at most 20 |
+| `fault-minibatch.csv`, `fault.json` | the minibatch on which the learner failed, if it did, and what led there |
 | `lock` | held by the process that trains here |
 
 A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
@@ -23,12 +24,16 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::env::Fault;
 use crate::files;
 use crate::metrics::IterationMetrics;
 use crate::policy::PolicyError;
 use crate::provenance;
 use crate::tensorboard::EventWriter;
 use crate::train::Trainer;
+
+/// Physics faults of which the last second is kept; a scene that is wrong has thousands.
+const MAX_FAULTS: usize = 20;
 
 /// File of the policy of the newest checkpoint.
 const POLICY: &str = "policy.safetensors";
@@ -170,15 +175,42 @@ impl RunFolder {
         self.events.scalars(metrics.samples, now_s, &scalars).map_err(at)
     }
 
-    /// Keeps the minibatch on which the learner failed, if there is one; returns the file.
+    /// Keeps the minibatch on which the learner failed, if there is one, and what led there; returns the latter's file.
     ///
     /// # Errors
     /// The system's reason, such as a full disk.
-    pub fn keep_fault(&self, minibatch: &str) -> Result<PathBuf, RunError> {
-        let path = self.path.join("fault-minibatch.csv");
-        files::write_atomically(&path, minibatch.as_bytes())
-            .map_err(|source| RunError::Io { path: path.clone(), source })?;
-        Ok(path)
+    pub fn keep_learner_fault(&self, minibatch: &str, circumstances: &str) -> Result<PathBuf, RunError> {
+        let write = |name: &str, text: &str| {
+            let path = self.path.join(name);
+            files::write_atomically(&path, text.as_bytes())
+                .map(|()| path.clone())
+                .map_err(|source| RunError::Io { path, source })
+        };
+        if !minibatch.is_empty() {
+            write("fault-minibatch.csv", minibatch)?;
+        }
+        write("fault.json", circumstances)
+    }
+
+    /// Keeps the last second before a physics fault of an iteration; returns the file, or none if there are enough.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk.
+    pub fn keep_physics_fault(&self, iteration: u64, fault: &Fault) -> Result<Option<PathBuf>, RunError> {
+        let folder = self.path.join("faults");
+        let Fault { environment, episode, step, .. } = fault;
+        let path =
+            folder.join(format!("iteration-{iteration}-environment-{environment}-episode-{episode}-step-{step}.csv"));
+        let keep = || {
+            fs::create_dir_all(&folder)?;
+            if fs::read_dir(&folder)?.count() >= MAX_FAULTS {
+                return Ok(false);
+            }
+            let text = format!("# {}\n{}", fault.error, fault.last_second);
+            files::write_atomically(&path, text.as_bytes()).map(|()| true)
+        };
+        let kept = keep().map_err(|source| RunError::Io { path: path.clone(), source })?;
+        Ok(kept.then_some(path))
     }
 
     /// Writes checkpoint and policy, after making sure that the metrics which the checkpoint stands behind are on disk.

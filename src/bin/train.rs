@@ -9,6 +9,7 @@ use anyhow::Context;
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use supple::config::Config;
+use supple::env::Fault;
 use supple::metrics::IterationMetrics;
 use supple::run::RunFolder;
 use supple::terminal;
@@ -90,6 +91,7 @@ fn train(
     while trainer.samples() < total && !stop.load(Ordering::Relaxed) {
         let metrics = trainer.iterate().map_err(|error| explain(error, folder))?;
         folder.log(&metrics)?;
+        keep_physics_faults(trainer, folder, &bar);
         bar.set_position(metrics.samples);
         bar.set_message(summary(&metrics));
         if metrics.iteration % every == 0 {
@@ -118,18 +120,32 @@ fn stop_on_signals(stop: Arc<AtomicBool>) -> anyhow::Result<()> {
     ctrlc::set_handler(handler).context("cannot catch Ctrl-C")
 }
 
+/// Keeps and shows the physics faults of an iteration. They never end the run.
+fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar) {
+    for fault in trainer.faults() {
+        let Fault { error, environment, step, .. } = fault;
+        let kept = match folder.keep_physics_fault(trainer.iteration(), fault) {
+            Ok(Some(file)) => format!("; its last second is in {}", file.display()),
+            // There are enough on file, and enough were shown.
+            Ok(None) => continue,
+            Err(problem) => format!("; its last second could not be kept: {problem}"),
+        };
+        bar.suspend(|| {
+            terminal::note(format_args!(
+                "physics fault in environment {environment} after {step} steps: {error}{kept}"
+            ));
+        });
+    }
+}
+
 /// Keeps what led to a failure of the learner beside the last good checkpoint.
 fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
-    let TrainError::Learner { minibatch, .. } = &error else { return error.into() };
-    let kept = folder.keep_fault(minibatch);
-    let path = folder.path().display();
-    match kept {
-        Ok(file) => anyhow::Error::from(error).context(format!(
-            "training failed; the minibatch is in {}, the last good checkpoint in {path}",
-            file.display()
-        )),
-        Err(second) => anyhow::Error::from(error).context(format!("training failed, and so did keeping why: {second}")),
-    }
+    let TrainError::Learner { minibatch, circumstances, .. } = &error else { return error.into() };
+    let kept = match folder.keep_learner_fault(minibatch, circumstances) {
+        Ok(file) => format!("what led there is in {} and fault-minibatch.csv beside it", file.display()),
+        Err(problem) => format!("and so did keeping why: {problem}"),
+    };
+    anyhow::Error::from(error).context(format!("training failed; {kept}"))
 }
 
 fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {

@@ -405,6 +405,16 @@ impl Model {
     }
 }
 
+/// Faults on demand.
+#[cfg(test)]
+impl Model {
+    /// Makes the contact buffer smaller.
+    pub(crate) fn limit_contacts(&mut self, contacts: i32) {
+        assert!(contacts <= self.raw().nconmax);
+        self.raw_mut().nconmax = contacts;
+    }
+}
+
 fn row<T: Copy, const N: usize>(values: &[T], index: usize) -> [T; N] {
     std::array::from_fn(|k| values[N * index + k])
 }

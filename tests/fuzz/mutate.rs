@@ -8,14 +8,34 @@ const MAX_LENGTH: usize = 1 << 16;
 
 /// Numbers on which programs trip.
 const NUMBERS: [&str; 22] = [
-    "0", "-0", "1", "-1", "2", "0.5", "1e-9", "1e9", "1e308", "1e400", "-1e308", "nan", ".nan", "inf", ".inf", "-.inf",
-    "255", "65536", "2147483648", "4294967296", "18446744073709551616", "0x10",
+    "0",
+    "-0",
+    "1",
+    "-1",
+    "2",
+    "0.5",
+    "1e-9",
+    "1e9",
+    "1e308",
+    "1e400",
+    "-1e308",
+    "nan",
+    ".nan",
+    "inf",
+    ".inf",
+    "-.inf",
+    "255",
+    "65536",
+    "2147483648",
+    "4294967296",
+    "18446744073709551616",
+    "0x10",
 ];
 
-/// One of the corpus, changed in one to six places.
+/// One of the corpus, changed in one to four places.
 pub fn mutate(corpus: &[Vec<u8>], words: &[&str], rng: &mut ChaCha8Rng) -> Vec<u8> {
     let mut input = pick(corpus, rng).clone();
-    for _ in 0..rng.random_range(1..=6) {
+    for _ in 0..rng.random_range(1..=4) {
         change(&mut input, corpus, words, rng);
         input.truncate(MAX_LENGTH);
     }

@@ -35,7 +35,8 @@ pub fn run_all() -> ExitCode {
     let number = |name: &str| std::env::var(name).ok().map(|text| text.parse::<u64>().expect("a number"));
     let (only, executions) = (number("SUPPLE_FUZZ_ONLY"), number("SUPPLE_FUZZ"));
     let mut failed = false;
-    for target in TARGETS.iter().filter(|target| filters.is_empty() || filters.iter().any(|f| target.name.contains(f))) {
+    for target in TARGETS.iter().filter(|target| filters.is_empty() || filters.iter().any(|f| target.name.contains(f)))
+    {
         if let Some(index) = only {
             println!("{:?}", String::from_utf8_lossy(&target.input(index)));
         }
@@ -80,7 +81,7 @@ fn watch(order: &str, folder: &Path, first: u64, tally: &mut Tally) -> u64 {
     let words = File::create(folder.join("stderr")).expect("a file");
     fs::write(folder.join("at"), [first, 0, 0, 0].map(u64::to_le_bytes).concat()).expect("a file");
     let mut child = Command::new("sh")
-        .args(["-c", &format!("ulimit -v {ADDRESS_SPACE_KIB} -c 0; exec \"$0\"")])
+        .args(["-c", &format!("ulimit -v {ADDRESS_SPACE_KIB}; ulimit -c 0; exec \"$0\"")])
         .arg(program)
         .env("SUPPLE_FUZZ_CHILD", order)
         .current_dir(folder)
@@ -123,7 +124,9 @@ fn watch(order: &str, folder: &Path, first: u64, tally: &mut Tally) -> u64 {
 /// The input that the child is at, inputs that were accepted, slowest \[ms\], peak memory \[KiB\].
 fn progress(folder: &Path) -> [u64; 4] {
     let bytes = fs::read(folder.join("at")).unwrap_or_default();
-    std::array::from_fn(|k| bytes.get(8 * k..8 * k + 8).map_or(0, |b| u64::from_le_bytes(b.try_into().expect("8 bytes"))))
+    std::array::from_fn(|k| {
+        bytes.get(8 * k..8 * k + 8).map_or(0, |b| u64::from_le_bytes(b.try_into().expect("8 bytes")))
+    })
 }
 
 /// The child's side: runs the inputs and keeps a note of where it is.

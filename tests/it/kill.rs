@@ -46,8 +46,7 @@ fn a_run_that_is_killed_at_any_moment_and_resumed_gives_the_bits_of_one_that_is_
         let killed = folder.path().join(format!("killed-{trial}"));
         kill_after(Duration::from_secs_f64(delay_s), &killed, &mut tally);
         let name = killed.file_name().unwrap().to_str().unwrap();
-        let arguments =
-            if killed.exists() { vec!["--resume", name] } else { [&START[..], &["--out", name]].concat() };
+        let arguments = if killed.exists() { vec!["--resume", name] } else { [&START[..], &["--out", name]].concat() };
         let output = run("train", folder.path(), &[&arguments[..], &GO].concat());
         assert!(output.status.success(), "trial {trial}, killed after {delay_s} s: {}", complaint(&output));
         assert_same(&metrics(&whole), &metrics(&killed));

@@ -73,7 +73,9 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Show { policy, json: true } => terminal::print(format_args!("{}\n", policies::find(&policy)?.metadata_json()))?,
+        Command::Show { policy, json: true } => {
+            terminal::print(format_args!("{}\n", policies::find(&policy)?.metadata_json()))?
+        }
         Command::Show { policy, json: false } => terminal::print(description(&policies::find(&policy)?))?,
         Command::Verify { policy } => {
             // Reading a policy checks everything in it, the golden pairs included.

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use supple::mujoco::Model;
 use supple::policy::Policy;
-use supple::record::{BLUE, ORANGE, Recorder, RobotView, Sink, page_url};
+use supple::record::{BLUE, ORANGE, RecordError, Recorder, RobotView, Sink, page_url};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::{Played, Script};
 use supple::terminal;
@@ -49,18 +49,31 @@ impl Recording {
         let Some(recorder) = &mut self.recorder else {
             return Ok(());
         };
-        if let Some(frame) = &played.frame {
-            recorder.frame(robot, frame)?;
+        let mut log = || {
+            if let Some(frame) = &played.frame {
+                recorder.frame(robot, frame)?;
+            }
+            played.events.iter().try_for_each(|event| recorder.event(robot, event))
+        };
+        let logged = log();
+        self.unless_the_viewer_is_gone(logged)
+    }
+
+    /// A viewer that goes away is no reason to lose the numbers; a file that cannot be written is.
+    fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> anyhow::Result<()> {
+        match logged {
+            Err(error) if matches!(self.sink, Some(Sink::Connect(_))) => {
+                terminal::note(format_args!("warning: {error}; going on without a viewer"));
+                self.recorder = None;
+                Ok(())
+            }
+            logged => Ok(logged?),
         }
-        for event in &played.events {
-            recorder.event(robot, event)?;
-        }
-        Ok(())
     }
 
     /// Writes the clips of falls and closes the recording; one that is served, when Ctrl-C says so.
     pub fn finish(
-        self,
+        mut self,
         args: &Args,
         scenario: &Scenario,
         robots: &[(String, Policy)],
@@ -77,8 +90,9 @@ impl Recording {
         if let Some(Sink::Serve(_)) = self.sink {
             wait_for_interrupt()?;
         }
-        if let Some(recorder) = self.recorder {
-            recorder.finish()?;
+        if let Some(recorder) = self.recorder.take() {
+            let finished = recorder.finish();
+            self.unless_the_viewer_is_gone(finished)?;
         }
         if let Some(Sink::File(path)) = self.sink {
             terminal::note(format_args!("recorded {path}; open it with: rerun {path}", path = path.display()));
