@@ -5,8 +5,6 @@ environment therefore notes down where it is and what it is told to do before ea
 written over and over: no allocation, some hundred bytes copied per step. Only a fault reads it.
 */
 
-use std::fmt::Write as _;
-
 use crate::go1::{JOINT_COUNT, Joints, joint_name};
 
 /// A ring of policy steps: positions, velocities and joint targets before each.
@@ -48,22 +46,20 @@ impl LastSecond {
         self.noted += 1;
     }
 
-    /// As CSV, oldest step first: `step` counts down to 0, the step in which the physics failed.
+    /// As CSV, oldest step first: the first column counts down to 0, the step in which the physics failed.
     pub fn csv(&self) -> String {
-        let mut csv = "steps_before_fault".to_owned();
-        // Writing into a String cannot fail.
-        (0..self.positions).for_each(|k| drop(write!(csv, ",position_{k}")));
-        (0..self.velocities).for_each(|k| drop(write!(csv, ",velocity_{k}")));
-        (0..JOINT_COUNT).for_each(|joint| drop(write!(csv, ",target_{}_rad", joint_name(joint))));
-        csv.push('\n');
+        let positions = (0..self.positions).map(|k| format!(",position_{k}"));
+        let velocities = (0..self.velocities).map(|k| format!(",velocity_{k}"));
+        let targets = (0..JOINT_COUNT).map(|joint| format!(",target_{}_rad", joint_name(joint)));
+        let columns: String = positions.chain(velocities).chain(targets).collect();
         let width = self.width();
         let kept = self.rows.len() / width;
-        for noted in self.noted.saturating_sub(kept)..self.noted {
-            let _ = write!(csv, "{}", self.noted - 1 - noted);
-            self.rows[noted % kept * width..][..width].iter().for_each(|value| drop(write!(csv, ",{value}")));
-            csv.push('\n');
-        }
-        csv
+        let rows = (self.noted.saturating_sub(kept)..self.noted).map(|noted| {
+            let row = &self.rows[noted % kept * width..][..width];
+            let numbers: String = row.iter().map(|number| format!(",{number}")).collect();
+            format!("{}{numbers}\n", self.noted - 1 - noted)
+        });
+        format!("steps_before_fault{columns}\n{}", rows.collect::<String>())
     }
 
     fn width(&self) -> usize {

@@ -365,7 +365,8 @@ mod tests {
         assert!(error.to_string().contains("iteration 1"), "{error}");
         let TrainError::Learner { minibatch, circumstances, .. } = error else { panic!("another error") };
         let told: serde_json::Value = serde_json::from_str(&circumstances).unwrap();
-        assert_eq!(told["rollout"]["observations"]["not_finite"], 64);
+        // At least the first number of each of the 64.
+        assert!(told["rollout"]["observations"]["not_finite"].as_u64() >= Some(64), "{told}");
         assert!(told["minibatch"]["policy_loss"].is_null() && told["log_std"].as_array().unwrap().len() == 12);
         assert_eq!(minibatch.lines().count(), 1 + 32);
         assert!(minibatch.lines().nth(1).unwrap().contains("NaN"));

@@ -360,13 +360,24 @@ mod tests {
         let mut other = ball();
         data.exhaust_stack();
         let error = data.step().unwrap_err();
-        assert!(matches!(&error, Error::Engine { call: "mj_step", message } if message.contains("stack")), "{error}");
+        assert!(matches!(&error, Error::Engine { call: "mj_step", message } if message == "Stack overflow"), "{error}");
         data.reset().unwrap();
         for _ in 0..100 {
             data.step().unwrap();
             other.step().unwrap();
         }
         assert_eq!(data.positions(), other.positions());
+    }
+
+    #[test]
+    fn a_contact_that_explodes_is_an_error() {
+        let mut data = ball();
+        // A thousand kilometres below the floor: the contact pushes back with more than 1e10 m/s².
+        data.positions_mut()[2] = -1e6;
+        let error = (0..10).find_map(|_| data.step().err()).unwrap();
+        assert!(matches!(error, Error::Unstable { .. }), "{error}");
+        data.reset().unwrap();
+        data.step().unwrap();
     }
 
     #[test]
