@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
@@ -14,6 +15,9 @@ use supple::metrics::IterationMetrics;
 use supple::run::RunFolder;
 use supple::terminal;
 use supple::train::{TrainError, Trainer};
+
+/// Signals that follow one another faster are one.
+const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
 ///
@@ -46,7 +50,7 @@ fn main() -> ExitCode {
     match run(Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            terminal::note(format_args!("error: {error:#}"));
+            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
             ExitCode::from(2)
         }
     }
@@ -66,7 +70,11 @@ fn run(args: Args) -> anyhow::Result<()> {
     let mut saved = trainer.iteration();
     train(&mut trainer, &mut folder, total, &stop, &mut saved).with_context(|| {
         let path = folder.path().display();
-        format!("stopped; the checkpoint of iteration {saved} is whole, go on from it with: train --resume {path}")
+        if folder.path().exists() {
+            format!("stopped; the checkpoint of iteration {saved} is whole, go on from it with: train --resume {path}")
+        } else {
+            format!("stopped; somebody has removed {path}, and the run with it")
+        }
     })?;
     let path = folder.path().display();
     if trainer.samples() < total {
@@ -108,14 +116,20 @@ fn train(
 }
 
 /// The first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one does not wait: checkpoints are whole at every
-/// moment.
+/// moment. Programs that pass signals on, such as timeout, send the same one twice: that counts once.
 fn stop_on_signals(stop: Arc<AtomicBool>) -> anyhow::Result<()> {
-    let handler = move || {
-        if stop.swap(true, Ordering::Relaxed) {
+    let mut first: Option<Instant> = None;
+    let handler = move || match first {
+        None => {
+            first = Some(Instant::now());
+            stop.store(true, Ordering::Relaxed);
+            terminal::note("stopping after this iteration; once more to stop at once");
+        }
+        Some(first) if first.elapsed() < SAME_SIGNAL => {}
+        Some(_) => {
             terminal::note("stopped at once; what came after the last checkpoint is lost");
             std::process::exit(130);
         }
-        terminal::note("stopping after this iteration; once more to stop at once");
     };
     ctrlc::set_handler(handler).context("cannot catch Ctrl-C")
 }
