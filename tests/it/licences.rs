@@ -20,8 +20,7 @@ fn allowed() -> Vec<String> {
 fn permitted(expression: &str, allowed: &[String]) -> bool {
     let spaced = expression.replace('/', " OR ").replace('(', " ( ").replace(')', " ) ");
     // AND binds closer than OR, so an expression is alternatives of requirements.
-    let mut words = spaced.split_whitespace().peekable();
-    alternatives(&mut words, allowed)
+    alternatives(&mut spaced.split_whitespace().peekable(), allowed)
 }
 
 fn alternatives<'a>(words: &mut std::iter::Peekable<impl Iterator<Item = &'a str>>, allowed: &[String]) -> bool {
@@ -43,19 +42,15 @@ fn requirements<'a>(words: &mut std::iter::Peekable<impl Iterator<Item = &'a str
 fn licence<'a>(words: &mut std::iter::Peekable<impl Iterator<Item = &'a str>>, allowed: &[String]) -> bool {
     let mut name = words.next().unwrap_or_default().to_owned();
     if name == "(" {
-        let inner = {
-            let words: &mut std::iter::Peekable<_> = words;
-            let mut depth = 1;
-            let inner: Vec<&str> = words
-                .by_ref()
-                .take_while(|word| {
-                    depth += i32::from(*word == "(") - i32::from(*word == ")");
-                    depth > 0
-                })
-                .collect();
-            inner.join(" ")
-        };
-        return permitted(&inner, allowed);
+        let mut depth = 1;
+        let inner: Vec<&str> = words
+            .by_ref()
+            .take_while(|word| {
+                depth += i32::from(*word == "(") - i32::from(*word == ")");
+                depth > 0
+            })
+            .collect();
+        return permitted(&inner.join(" "), allowed);
     }
     if words.next_if_eq(&"WITH").is_some() {
         name = format!("{name} WITH {}", words.next().unwrap_or_default());
