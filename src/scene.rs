@@ -168,7 +168,10 @@ impl Scene {
     fn compile_xml(&self, scene: &str) -> Result<Model> {
         let mut model = match &self.robot {
             RobotFile::Embedded => Model::from_xml(&[("scene.xml", scene), ("go1.xml", GO1)])?,
-            RobotFile::Path(_) => Model::from_xml(&[("scene.xml", scene)])?,
+            RobotFile::Path(path) => {
+                Model::check_file(path)?;
+                Model::from_xml(&[("scene.xml", scene)])?
+            }
         };
         if let Ground::Field(field) = &self.ground {
             let [low, high] = field.range();

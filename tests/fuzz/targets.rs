@@ -36,7 +36,7 @@ impl Target {
         let corpus = self.cache.get_or_init(self.corpus);
         let mut rng = stream(index, Purpose::Scenario, self.name.len() as u64, 1);
         let whole = &corpus[index as usize % corpus.len()];
-        match header(whole).filter(|_| self.framed && index % 4 > 0) {
+        match header(whole).filter(|_| self.framed && !index.is_multiple_of(4)) {
             Some((header, tensors)) => {
                 let header = mutate(&[header.to_vec()], self.words, &mut rng);
                 [&(header.len() as u64).to_le_bytes()[..], &header, tensors].concat()
@@ -203,7 +203,7 @@ fn checkpoint(input: &[u8]) -> bool {
     let Ok(bytes) = (Checkpoint { run, learner }).to_bytes() else { return false };
     let Ok(checkpoint) = Checkpoint::from_bytes(&bytes) else { return false };
     let config = checkpoint.run.config.clone();
-    if input.len() % 8 > 0 {
+    if !input.len().is_multiple_of(8) {
         return true;
     }
     let Ok(mut trainer) = Trainer::resume(checkpoint, 1) else { return false };
@@ -249,12 +249,12 @@ fn scenario(input: &[u8]) -> bool {
     let Ok(matches) = command.try_get_matches_from(line) else { return false };
     let Ok(scenario) = Scenario::from_arg_matches(&matches) else { return false };
     // Terrains and fields of balls take milliseconds each.
-    if matches!(scenario, Scenario::Terrain(_)) && input.len() % 32 > 0 {
+    if matches!(scenario, Scenario::Terrain(_)) && !input.len().is_multiple_of(32) {
         return true;
     }
     let config = CONFIG.get_or_init(|| Config::load("compliant").expect("an embedded configuration"));
     let Ok(script) = scenario.script(input.len() as u64, config) else { return false };
-    if input.len() % 64 == 0 && script.scene.buffers.contacts < 1000 {
+    if input.len().is_multiple_of(64) && script.scene.buffers.contacts < 1000 {
         let sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m);
         sim.expect("a scene within the ranges compiles");
     }
@@ -269,7 +269,7 @@ fn mjcf(input: &[u8]) -> bool {
     let text = String::from_utf8_lossy(input);
     let model = if text.starts_with("<mujoco") {
         Model::from_xml(&[("f.xml", &text)])
-    } else if input.len() % 16 == 0 {
+    } else if input.len().is_multiple_of(16) {
         let obstacles = text.into_owned();
         Scene { obstacles, ..Scene::flat(RobotFile::Embedded, 1.0 / 240.0) }.compile()
     } else {
