@@ -11,7 +11,7 @@ use crate::targets::{TARGETS, Target};
 /// Executions of a process before the next one takes over, so that leaks inside MuJoCo do not add up.
 const CHUNK: u64 = 20_000;
 /// What a quick run spends on each target.
-const QUICK: Duration = Duration::from_secs(3);
+const QUICK: Duration = Duration::from_secs(2);
 /// Longer with one input is a hang, also on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// Address space of a child \[KiB\]: 1 GiB, and the program with its libraries.

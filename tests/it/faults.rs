@@ -199,3 +199,22 @@ fn a_physics_fault_is_shown_kept_and_does_not_end_the_run() {
     assert!(lines.next().unwrap().starts_with("steps_before_fault,position_0"));
     assert!(text.lines().last().unwrap().starts_with("0,"));
 }
+
+#[test]
+fn a_gradient_that_is_not_finite_stops_the_run_with_what_led_there_and_a_whole_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = small_config();
+    // Finite in double precision, infinite in the single precision of the networks.
+    config.ppo.value_coefficient = 1e300;
+    std::fs::write(folder.path().join("wild.yaml"), config.to_yaml()).unwrap();
+    let output = run("train", folder.path(), &["--config", "wild.yaml", "--samples", "5120", "--out", "run"]);
+    assert_eq!(output.status.code(), Some(2));
+    let words = complaint(&output);
+    assert!(words.contains("training failed; what led there is in run/fault.json"), "{words}");
+    assert_eq!(words.lines().count(), 1);
+    let read = |name: &str| std::fs::read_to_string(folder.path().join("run").join(name)).unwrap();
+    let told: serde_json::Value = serde_json::from_str(&read("fault.json")).unwrap();
+    assert!(told["minibatch"]["gradient_norm"].is_null() && told["rollout"]["returns"]["low"].is_number());
+    assert_eq!(read("fault-minibatch.csv").lines().count(), 1 + 64);
+    assert!(supple::checkpoint::Checkpoint::load(&folder.path().join("run")).unwrap().1.is_none());
+}
