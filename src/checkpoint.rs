@@ -24,6 +24,9 @@ pub const NEWEST: &str = "checkpoint.safetensors";
 /// File of the checkpoint before.
 pub const PREVIOUS: &str = "checkpoint.previous.safetensors";
 
+/// File of a newest checkpoint that could not be read and was set aside.
+pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
+
 /// Version of the format.
 const FORMAT: u32 = 1;
 
@@ -168,6 +171,7 @@ impl Checkpoint {
         }
         let run: RunState =
             serde_json::from_str(&metadata.run).map_err(|error| format!("its run state does not parse: {error}"))?;
+        run.config.check().map_err(|error| error.to_string())?;
         let learner = LearnerState {
             parameters: read_group(&tensors, "parameters")?,
             first_moment: read_group(&tensors, "first_moment")?,

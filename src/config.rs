@@ -331,14 +331,23 @@ impl Config {
         serde_yaml::to_string(self).unwrap_or_default()
     }
 
-    fn check(&self) -> Result<(), ConfigError> {
+    /// Checks every value's range: for configurations that come from elsewhere than YAML.
+    ///
+    /// # Errors
+    /// [`ConfigError::Value`] that names the key.
+    pub fn check(&self) -> Result<(), ConfigError> {
         let s = &self.simulation;
-        require(s.policy_rate_hz > 0, "simulation.policy_rate_hz", s.policy_rate_hz, "at least 1 Hz")?;
+        let rate = (1..=1000).contains(&s.policy_rate_hz);
+        require(rate, "simulation.policy_rate_hz", s.policy_rate_hz, "1 to 1000 Hz")?;
         require(
-            s.physics_rate_hz > 0 && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
+            (1..=100_000).contains(&s.physics_rate_hz) && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
             "simulation.physics_rate_hz",
             s.physics_rate_hz,
-            &format!("a multiple of policy_rate_hz ({} Hz), such as {}", s.policy_rate_hz, 4 * s.policy_rate_hz),
+            &format!(
+                "a multiple of policy_rate_hz ({} Hz) up to 100000, such as {}",
+                s.policy_rate_hz,
+                4 * s.policy_rate_hz
+            ),
         )?;
         require(
             s.physics_rate_hz <= MAX_PHYSICS_RATE_HZ,
@@ -350,8 +359,8 @@ impl Config {
         not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;
         not_negative("simulation.kd_n_m_s_per_rad", s.kd_n_m_s_per_rad)?;
 
-        let finite = self.action.nominal_pose_rad.iter().all(|angle| angle.is_finite());
-        require(finite, "action.nominal_pose_rad", format!("{:?}", self.action.nominal_pose_rad), "finite angles")?;
+        let angles = self.action.nominal_pose_rad.iter().all(|angle| angle.is_finite());
+        require(angles, "action.nominal_pose_rad", format!("{:?}", self.action.nominal_pose_rad), "finite angles")?;
         positive("action.scale_rad", self.action.scale_rad)?;
         let o = &self.observation;
         positive("observation.height_scale", o.height_scale)?;
@@ -384,6 +393,17 @@ impl Config {
         not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
         share("episode.slope", e.slope)?;
         not_negative("episode.min_height_m", e.min_height_m)?;
+        let weights = &self.reward;
+        finite("reward.linear_velocity", weights.linear_velocity)?;
+        finite("reward.angular_velocity", weights.angular_velocity)?;
+        finite("reward.energy", weights.energy)?;
+        finite("reward.torque", weights.torque)?;
+        finite("reward.pose", weights.pose)?;
+        finite("reward.foot_clearance", weights.foot_clearance)?;
+        finite("reward.foot_height", weights.foot_height)?;
+        finite("reward.tracking_sharpness", weights.tracking_sharpness)?;
+        finite("reward.height_sharpness", weights.height_sharpness)?;
+        finite("reward.negative_sharpness", weights.negative_sharpness)?;
         positive("reward.base_height_m", self.reward.base_height_m)?;
         positive("reward.foot_height_m", self.reward.foot_height_m)?;
 
@@ -419,7 +439,7 @@ impl Config {
         share("ppo.discount", p.discount)?;
         share("ppo.gae_lambda", p.gae_lambda)?;
         positive("ppo.desired_kl", p.desired_kl)?;
-        require(p.initial_log_std.is_finite(), "ppo.initial_log_std", p.initial_log_std, "a finite number")?;
+        finite("ppo.initial_log_std", p.initial_log_std)?;
         not_negative("ppo.value_coefficient", p.value_coefficient)?;
         positive("ppo.max_gradient_norm", p.max_gradient_norm)?;
         positive("ppo.adam_epsilon", p.adam_epsilon)?;
@@ -482,6 +502,10 @@ fn positive(key: &'static str, value: f64) -> Result<(), ConfigError> {
 
 fn not_negative(key: &'static str, value: f64) -> Result<(), ConfigError> {
     require(value >= 0.0 && value.is_finite(), key, value, "a number not below zero")
+}
+
+fn finite(key: &'static str, value: f64) -> Result<(), ConfigError> {
+    require(value.is_finite(), key, value, "a finite number")
 }
 
 fn share(key: &'static str, value: f64) -> Result<(), ConfigError> {
@@ -578,7 +602,7 @@ mod tests {
             (
                 "policy_rate_hz: 60",
                 "policy_rate_hz: 70",
-                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz), such as 280",
+                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz) up to 100000, such as 280",
             ),
             (
                 "environments: 64",

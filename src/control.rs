@@ -47,6 +47,12 @@ impl Latency {
         Latency { fraction: steps - whole, targets: vec![target; whole as usize + 2], next: 0 }
     }
 
+    /// Whether `other` is a state of the same delay.
+    pub fn fits(&self, other: &Self) -> bool {
+        let length = self.targets.len();
+        other.targets.len() == length && other.next < length && other.fraction == self.fraction
+    }
+
     /// Forgets every target but this one.
     pub fn reset(&mut self, target: Joints) {
         self.targets.fill(target);

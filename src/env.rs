@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::Config;
 use crate::go1::{Joints, same_in_every_leg};
+use crate::last_second::LastSecond;
 use crate::mujoco;
 use crate::random::{Purpose, stream};
 use crate::scene::{RobotFile, Scene};
@@ -54,8 +55,23 @@ pub struct EpisodeReport {
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
-    /// What MuJoCo reported, for a fault.
-    pub fault: Option<mujoco::Error>,
+    /// What led to a physics fault.
+    pub fault: Option<Box<Fault>>,
+}
+
+/// A physics fault, to be inspected.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fault {
+    /// What MuJoCo reported.
+    pub error: mujoco::Error,
+    /// Index of the environment in its run.
+    pub environment: u64,
+    /// Episodes of this environment before this one.
+    pub episode: u64,
+    /// Steps of the episode before the one that failed.
+    pub step: usize,
+    /// See [`LastSecond::csv`].
+    pub last_second: String,
 }
 
 /// Where an episode is. Plain data: saved as it is.
@@ -98,6 +114,8 @@ pub struct LocomotionEnv {
     index: u64,
     sim: Sim,
     progress: Progress,
+    /// Not part of the saved state: nothing depends on it, and after a resumption it starts anew.
+    last_second: LastSecond,
 }
 
 impl LocomotionEnv {
@@ -118,6 +136,11 @@ impl LocomotionEnv {
             nominal,
             seed,
             index,
+            last_second: LastSecond::new(
+                config.simulation.policy_rate_hz as usize,
+                sim.data().model().nq(),
+                sim.data().model().nv(),
+            ),
             sim,
         };
         env.begin()?;
@@ -137,6 +160,7 @@ impl LocomotionEnv {
 
     fn begin(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
+        self.last_second.clear();
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
         self.progress.current = observation::reduced(&state);
@@ -154,9 +178,16 @@ impl LocomotionEnv {
     pub fn step(&mut self, action: &[f32]) -> (Step, Option<EpisodeReport>) {
         match self.try_step(action) {
             Ok((step, report)) => (step, report),
-            Err(fault) => {
+            Err(error) => {
+                let fault = Fault {
+                    error,
+                    environment: self.index,
+                    episode: self.progress.episode,
+                    step: self.progress.step,
+                    last_second: self.last_second.csv(),
+                };
                 let step = Step { reward: 0.0, end: Some(End::Fault) };
-                (step, Some(self.report(End::Fault, Some(fault))))
+                (step, Some(self.report(End::Fault, Some(Box::new(fault)))))
             }
         }
     }
@@ -164,6 +195,7 @@ impl LocomotionEnv {
     fn try_step(&mut self, action: &[f32]) -> mujoco::Result<(Step, Option<EpisodeReport>)> {
         let scale = self.config.action.scale_rad;
         let target: Joints = std::array::from_fn(|joint| self.nominal[joint] + scale * f64::from(action[joint]));
+        self.last_second.note(self.sim.data().positions(), self.sim.data().velocities(), &target);
         let stage = self.stages.at(self.progress.step);
         if self.progress.step == self.stages.recovery_start {
             self.sim.push(&self.progress.plan.push)?;
@@ -213,7 +245,7 @@ impl LocomotionEnv {
         }
     }
 
-    fn report(&self, end: End, fault: Option<mujoco::Error>) -> EpisodeReport {
+    fn report(&self, end: End, fault: Option<Box<Fault>>) -> EpisodeReport {
         let p = &self.progress;
         let walked = p.step >= self.stages.recovery_start;
         EpisodeReport {
@@ -249,6 +281,7 @@ impl LocomotionEnv {
     /// A state of another model, or a fault of MuJoCo.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
         self.sim.restore(&state.sim)?;
+        self.last_second.clear();
         self.progress = state.progress.clone();
         Ok(())
     }

@@ -66,6 +66,9 @@ pub struct LearnerMetrics {
     pub kl: f64,
     /// Share of samples outside the clip range.
     pub clip_share: f64,
+    /// Largest probability ratio of a sample. 0 in files of versions that did not measure it.
+    #[serde(default)]
+    pub max_ratio: f64,
     /// Norm of the joint gradient before clipping.
     pub gradient_norm: f64,
     /// Largest norm of the joint gradient before clipping.
@@ -82,6 +85,7 @@ impl From<UpdateStatistics> for LearnerMetrics {
             entropy: statistics.entropy,
             kl: statistics.kl,
             clip_share: statistics.clip_fraction,
+            max_ratio: statistics.max_ratio,
             gradient_norm: statistics.gradient_norm,
             max_gradient_norm: statistics.max_gradient_norm,
             learning_rate: statistics.learning_rate,
@@ -207,6 +211,7 @@ impl IterationMetrics {
         put("learner/entropy", Some(self.learner.entropy));
         put("learner/kl", Some(self.learner.kl));
         put("learner/clip_share", Some(self.learner.clip_share));
+        put("learner/max_ratio", Some(self.learner.max_ratio));
         put("learner/gradient_norm", Some(self.learner.gradient_norm));
         put("learner/max_gradient_norm", Some(self.learner.max_gradient_norm));
         put("learner/learning_rate", Some(self.learner.learning_rate));

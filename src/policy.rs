@@ -12,7 +12,7 @@ use rand_distr::StandardNormal;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Config, ConfigError, Simulation};
+use crate::config::{Config, Simulation};
 use crate::files;
 use crate::go1::{JOINT_COUNT, JOINT_LIMITS, Joints, TORQUE_LIMITS, joint_name, same_in_every_leg};
 use crate::ppo::{ActorCritic, Layer, Mlp, PackedMlp, Scratch};
@@ -339,8 +339,7 @@ impl Metadata {
         if self.usage.as_ref().is_some_and(|usage| *usage != Usage::new(&config.robot.model)) {
             return Err("its description of how to use it is not that of a policy of this format".into());
         }
-        let checked: Result<Config, ConfigError> = Config::from_yaml("in the policy file", &config.to_yaml());
-        checked.map(drop).map_err(|error| error.to_string())
+        config.check().map_err(|error| error.to_string())
     }
 }
 

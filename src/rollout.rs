@@ -267,22 +267,53 @@ mod tests {
             .unwrap()
     }
 
+    /// Breaks four of the five environments, each in another way.
+    fn break_four(envs: &mut [LocomotionEnv]) {
+        // Not a number.
+        envs[1].sim_mut().data_mut().velocities_mut()[3] = f64::NAN;
+        // A robot that is shot into the ground.
+        envs[2].sim_mut().data_mut().velocities_mut()[2] = -1e8;
+        // A robot that lies in the ground, with more contacts than there is room for.
+        envs[3].sim_mut().data_mut().model_mut().limit_contacts(8);
+        envs[3].sim_mut().data_mut().positions_mut()[2] = 0.0;
+        // An error raised inside MuJoCo, on one worker's thread.
+        envs[4].sim_mut().data_mut().exhaust_stack();
+    }
+
     #[test]
-    fn a_physics_fault_ends_one_episode_is_counted_and_leaves_the_others_alone() {
+    fn physics_faults_end_their_episodes_are_counted_and_kept_and_leave_the_others_alone() {
         let calm = collect(2, |_| {});
-        let faulty = collect(2, |envs| envs[1].sim_mut().data_mut().velocities_mut()[3] = f64::NAN);
-        let faults: Vec<_> = faulty.episodes.iter().filter(|episode| episode.end == End::Fault).collect();
-        assert_eq!(faults.len(), 1);
-        assert!(faults[0].fault.as_ref().is_some_and(|fault| fault.to_string().contains("became unstable")));
-        assert_eq!(faulty.ends[60], Some(End::Fault));
+        let faulty = collect(2, break_four);
+        let faults: Vec<_> = faulty.episodes.iter().filter_map(|episode| episode.fault.as_ref()).collect();
+        let found: Vec<(u64, String)> =
+            faults.iter().map(|fault| (fault.environment, fault.error.to_string())).collect();
+        assert_eq!(found.iter().map(|fault| fault.0).collect::<Vec<_>>(), [1, 2, 3, 4], "{found:?}");
+        for ((_, message), expected) in
+            found.iter().zip(["unstable", "Contacts is full at 32", "Contacts is full at 8", "Stack overflow"])
+        {
+            assert!(message.contains(expected), "{found:?}");
+        }
+        assert!(faults[0].last_second.contains("NaN"));
+        let rows = |fault: &crate::env::Fault| fault.last_second.lines().count() - 1;
+        assert!(faults.iter().all(|fault| rows(fault) == (fault.step + 1).min(60)), "{found:?}");
+        for (env, fault) in (1..5).zip(&faults) {
+            assert_eq!(faulty.ends[60 * env + fault.step], Some(End::Fault));
+        }
         assert!(faulty.observations.iter().chain(&faulty.rewards).all(|value| value.is_finite()));
-        let others = |rollout: &Rollout| {
-            let rows: Vec<usize> = (0..60).chain(120..300).collect();
-            rows.iter()
-                .flat_map(|row| rollout.observations[row * LENGTH..(row + 1) * LENGTH].to_vec())
-                .collect::<Vec<_>>()
+        let untouched =
+            |rollout: &Rollout| (rollout.observations[..60 * LENGTH].to_vec(), rollout.rewards[..60].to_vec());
+        assert!(untouched(&calm) == untouched(&faulty), "the other environment must not notice");
+    }
+
+    #[test]
+    fn faults_do_not_depend_on_the_number_of_workers() {
+        let (one, three) = (collect(1, break_four), collect(3, break_four));
+        let faults = |rollout: &Rollout| {
+            let faults = rollout.episodes.iter().filter_map(|episode| episode.fault.clone());
+            faults.map(|fault| (fault.environment, fault.step, fault.error, fault.last_second)).collect::<Vec<_>>()
         };
-        assert!(others(&calm) == others(&faulty), "the other environments must not notice");
+        assert_eq!(faults(&one), faults(&three));
+        assert!(one.observations == three.observations && one.rewards == three.rewards);
     }
 
     #[test]

@@ -8,10 +8,14 @@
 | `events.out.tfevents.*` | the same for TensorBoard, one file for each session |
 | `checkpoint.safetensors` | the newest checkpoint; the one before is `checkpoint.previous.safetensors` |
 | `policy.safetensors` | the policy of the newest checkpoint |
-| `fault-minibatch.csv` | the minibatch on which the learner failed, if it did |
+| `checkpoint.damaged.safetensors` | a newest checkpoint that could not be read, set aside |
+| `faults` | CSV files: the last second before each physics fault, of at most 20 |
+| `fault-minibatch.csv`, `fault.json` | the minibatch on which the learner failed, if it did, and what led there |
 | `lock` | held by the process that trains here |
 
 A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
+It appears with its first checkpoint in it, that of iteration 0, so that a run can be resumed from the moment that it is
+there, however early it is killed.
 */
 
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -20,12 +24,22 @@ use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use crate::checkpoint::{Checkpoint, CheckpointError};
+use crate::env::Fault;
 use crate::files;
 use crate::metrics::IterationMetrics;
 use crate::policy::PolicyError;
 use crate::provenance;
 use crate::tensorboard::EventWriter;
 use crate::train::Trainer;
+
+/// Physics faults of which the last second is kept; a scene that is wrong has thousands.
+const MAX_FAULTS: usize = 20;
+
+/// File of the policy of the newest checkpoint.
+const POLICY: &str = "policy.safetensors";
+
+/// File that the process which trains in a folder holds locked.
+const LOCK: &str = "lock";
 
 /// Why a run's folder could not be used.
 #[derive(Debug, thiserror::Error)]
@@ -75,14 +89,13 @@ impl RunFolder {
             let path = path.to_owned();
             move |source| RunError::Io { path, source }
         };
-        if let Some(parent) = path.parent() {
-            fs::create_dir_all(parent).map_err(at(parent))?;
+        if path.exists() {
+            return Err(RunError::Exists(path.to_owned()));
         }
-        fs::create_dir(path).map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists => RunError::Exists(path.to_owned()),
-            _ => RunError::Io { path: path.to_owned(), source },
-        })?;
-        let lock = lock(path)?;
+        let staged = staging_place(path);
+        fs::create_dir_all(&staged).map_err(at(&staged))?;
+        let lock = lock(&staged)?;
+        remove_all_but_the_lock(&staged).map_err(at(&staged))?;
         let about = serde_json::json!({
             "config_name": trainer.config_name(),
             "seed": trainer.seed(),
@@ -90,9 +103,20 @@ impl RunFolder {
             "mujoco_version": provenance::MUJOCO_VERSION,
             "command": std::env::args().collect::<Vec<_>>().join(" "),
         });
-        let (run, config) = (path.join("run.json"), path.join("config.yaml"));
-        files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
-        files::write_atomically(&config, trainer.config().to_yaml().as_bytes()).map_err(at(&config))?;
+        let fill = || {
+            let (run, config) = (staged.join("run.json"), staged.join("config.yaml"));
+            files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
+            files::write_atomically(&config, trainer.config().to_yaml().as_bytes()).map_err(at(&config))?;
+            trainer.checkpoint().save(&staged)?;
+            trainer.policy().save(&staged.join(POLICY))?;
+            fs::rename(&staged, path).map_err(at(path))?;
+            files::sync_folder(path).map_err(at(path))
+        };
+        if let Err(error) = fill() {
+            // Best effort: the first error is the one to report.
+            let _ = fs::remove_dir_all(&staged);
+            return Err(error);
+        }
         Self::open(path, lock)
     }
 
@@ -102,12 +126,17 @@ impl RunFolder {
     /// # Errors
     /// [`RunError::NotARun`], or what is wrong with the checkpoint.
     pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Option<CheckpointError>), RunError> {
-        use crate::checkpoint::{NEWEST, PREVIOUS};
+        use crate::checkpoint::{DAMAGED, NEWEST, PREVIOUS};
         if !path.join(NEWEST).exists() && !path.join(PREVIOUS).exists() {
             return Err(RunError::NotARun(path.to_owned()));
         }
         let lock = lock(path)?;
         let (checkpoint, passed_over) = Checkpoint::load(path)?;
+        if passed_over.is_some() && path.join(NEWEST).exists() {
+            // Else the next checkpoint would make the damaged one the one to fall back to.
+            let damaged = path.join(DAMAGED);
+            fs::rename(path.join(NEWEST), &damaged).map_err(|source| RunError::Io { path: damaged, source })?;
+        }
         let metrics = path.join("metrics.jsonl");
         cut_metrics(&metrics, checkpoint.run.iteration)
             .map_err(|source| RunError::Io { path: metrics.clone(), source })?;
@@ -146,30 +175,85 @@ impl RunFolder {
         self.events.scalars(metrics.samples, now_s, &scalars).map_err(at)
     }
 
-    /// Keeps the minibatch on which the learner failed, if there is one; returns the file.
+    /// Keeps the minibatch on which the learner failed, if there is one, and what led there; returns the latter's file.
     ///
     /// # Errors
     /// The system's reason, such as a full disk.
-    pub fn keep_fault(&self, minibatch: &str) -> Result<PathBuf, RunError> {
-        let path = self.path.join("fault-minibatch.csv");
-        files::write_atomically(&path, minibatch.as_bytes())
-            .map_err(|source| RunError::Io { path: path.clone(), source })?;
-        Ok(path)
+    pub fn keep_learner_fault(&self, minibatch: &str, circumstances: &str) -> Result<PathBuf, RunError> {
+        let write = |name: &str, text: &str| {
+            let path = self.path.join(name);
+            files::write_atomically(&path, text.as_bytes())
+                .map(|()| path.clone())
+                .map_err(|source| RunError::Io { path, source })
+        };
+        if !minibatch.is_empty() {
+            write("fault-minibatch.csv", minibatch)?;
+        }
+        write("fault.json", circumstances)
     }
 
-    /// Writes checkpoint and policy.
+    /// Keeps the last second before a physics fault of an iteration; returns the file, or none if there are enough.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk.
+    pub fn keep_physics_fault(&self, iteration: u64, fault: &Fault) -> Result<Option<PathBuf>, RunError> {
+        let folder = self.path.join("faults");
+        let Fault { environment, episode, step, .. } = fault;
+        let path =
+            folder.join(format!("iteration-{iteration}-environment-{environment}-episode-{episode}-step-{step}.csv"));
+        let keep = || {
+            fs::create_dir_all(&folder)?;
+            if fs::read_dir(&folder)?.count() >= MAX_FAULTS {
+                return Ok(false);
+            }
+            let text = format!("# {}\n{}", fault.error, fault.last_second);
+            files::write_atomically(&path, text.as_bytes()).map(|()| true)
+        };
+        let kept = keep().map_err(|source| RunError::Io { path: path.clone(), source })?;
+        Ok(kept.then_some(path))
+    }
+
+    /// Writes checkpoint and policy, after making sure that the metrics which the checkpoint stands behind are on disk.
     ///
     /// # Errors
     /// The system's reason, such as a full disk; older files are untouched then.
     pub fn save(&self, trainer: &Trainer) -> Result<(), RunError> {
+        let metrics = |source| RunError::Io { path: self.path.join("metrics.jsonl"), source };
+        self.metrics.sync_data().map_err(metrics)?;
         trainer.checkpoint().save(&self.path)?;
-        Ok(trainer.policy().save(&self.path.join("policy.safetensors"))?)
+        self.save_policy(trainer)
     }
+
+    /// Writes the policy alone. A run that was killed between the two files of [`RunFolder::save`] has an old one.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk; the older file is untouched then.
+    pub fn save_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
+        Ok(trainer.policy().save(&self.path.join(POLICY))?)
+    }
+}
+
+/// Where the folder of a new run is put together: beside its place, under a name that a start which was cut off leaves
+/// for the next one to find.
+fn staging_place(path: &Path) -> PathBuf {
+    let name = path.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
+    path.with_file_name(format!(".{name}.starting"))
+}
+
+/// Clears what a start that was cut off has left.
+fn remove_all_but_the_lock(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.file_name().is_none_or(|name| name != LOCK) {
+            fs::remove_file(path)?;
+        }
+    }
+    Ok(())
 }
 
 /// Claims a run's folder for this process.
 fn lock(folder: &Path) -> Result<File, RunError> {
-    let path = folder.join("lock");
+    let path = folder.join(LOCK);
     let io = |source| RunError::Io { path: path.clone(), source };
     let file = OpenOptions::new().create(true).append(true).open(&path).map_err(io)?;
     match file.try_lock() {

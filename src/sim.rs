@@ -298,8 +298,10 @@ impl Sim {
         if state.positions.len() != model.nq()
             || state.velocities.len() != model.nv()
             || state.warm_start.len() != model.nv()
+            || !self.latency.fits(&state.latency)
         {
-            return Err(Error::Load { what: "a saved state".into(), message: "it belongs to another model".into() });
+            let message = "it belongs to another model or latency".into();
+            return Err(Error::Load { what: "a saved state".into(), message });
         }
         self.data.reset()?;
         self.apply(state.conditions);

@@ -9,7 +9,7 @@ use rand::seq::SliceRandom;
 
 use crate::checkpoint::{Checkpoint, RunState};
 use crate::config::{Config, Ppo};
-use crate::env::LocomotionEnv;
+use crate::env::{End, Fault, LocomotionEnv};
 use crate::go1::JOINT_COUNT;
 use crate::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
 use crate::mujoco;
@@ -36,6 +36,8 @@ pub enum TrainError {
         fault: Box<UpdateFault>,
         /// The minibatch it met it in, as CSV: a row for each sample. Empty if no minibatch is to blame.
         minibatch: String,
+        /// What the update and the rollout before it were like, as JSON.
+        circumstances: String,
     },
     /// A checkpoint that does not fit its own configuration.
     #[error("the checkpoint does not fit its configuration: {0}")]
@@ -56,6 +58,8 @@ pub struct Trainer {
     iteration: u64,
     samples: u64,
     elapsed_s: f64,
+    /// Physics faults of the last iteration.
+    faults: Vec<Fault>,
 }
 
 impl Trainer {
@@ -83,6 +87,7 @@ impl Trainer {
             iteration: 0,
             samples: 0,
             elapsed_s: 0.0,
+            faults: Vec::new(),
         })
     }
 
@@ -92,11 +97,18 @@ impl Trainer {
     /// If the checkpoint does not fit its own configuration, or the model cannot be simulated.
     pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
         let Checkpoint { run, learner } = checkpoint;
-        let mut environments = environments(&run.config, run.seed, run.commands.share)?;
-        if environments.len() != run.environments.len() {
-            let (found, expected) = (run.environments.len(), environments.len());
+        let (found, expected) = (run.environments.len(), run.config.ppo.environments);
+        if found != expected {
             return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected}")));
         }
+        let shapes = |networks: &ActorCritic| -> Vec<_> {
+            networks.tensors().into_iter().map(|(name, shape, _)| (name, shape)).collect()
+        };
+        let expected = shapes(&learner.parameters);
+        if [&learner.first_moment, &learner.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
+            return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
+        }
+        let mut environments = environments(&run.config, run.seed, run.commands.share)?;
         let (inputs, outputs) = (learner.parameters.policy.inputs(), learner.parameters.policy.outputs());
         if (inputs, outputs) != (LENGTH, JOINT_COUNT) {
             let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {LENGTH} to {JOINT_COUNT}");
@@ -117,6 +129,7 @@ impl Trainer {
             iteration: run.iteration,
             samples: run.samples,
             elapsed_s: run.elapsed_s,
+            faults: Vec::new(),
         })
     }
 
@@ -138,6 +151,7 @@ impl Trainer {
             threads: self.threads,
         };
         let rollout = collection.collect(&mut self.environments)?;
+        self.faults = rollout.episodes.iter().filter_map(|episode| episode.fault.as_deref().cloned()).collect();
         let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
         let collected = started.elapsed();
 
@@ -154,6 +168,7 @@ impl Trainer {
         let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
             iteration: self.iteration,
             minibatch: minibatch_csv(&fault, &rollout, &advantages, &returns),
+            circumstances: circumstances(&fault, &rollout, &returns, &network.log_std),
             fault: Box::new(fault),
         })?;
 
@@ -185,6 +200,11 @@ impl Trainer {
             learner: statistics.into(),
             time: Timing::new(rollout.len(), collected, whole - collected, whole, self.elapsed_s),
         })
+    }
+
+    /// Physics faults of the last iteration, by environment and then time.
+    pub fn faults(&self) -> &[Fault] {
+        &self.faults
     }
 
     /// The state to go on from.
@@ -283,6 +303,38 @@ fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, advantages: &[f32], ret
     csv
 }
 
+/// The numbers around a failed update, as JSON; numbers that are not finite are `null`.
+fn circumstances(fault: &UpdateFault, rollout: &Rollout, returns: &[f32], log_std: &[f32]) -> String {
+    let range = |values: &[f32]| {
+        let low = values.iter().copied().fold(f32::INFINITY, f32::min);
+        let high = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let not_finite = values.iter().filter(|value| !value.is_finite()).count();
+        serde_json::json!({ "low": low, "high": high, "not_finite": not_finite })
+    };
+    let count = |end: End| rollout.episodes.iter().filter(|episode| episode.end == end).count();
+    let statistics = match fault {
+        UpdateFault::NotFinite { summary, .. } => Some(summary),
+        UpdateFault::Shape { .. } | UpdateFault::Sample { .. } => None,
+    };
+    let told = serde_json::json!({
+        "message": fault.to_string(),
+        "minibatch": statistics,
+        "rollout": {
+            "observations": range(&rollout.observations),
+            "actions": range(&rollout.actions),
+            "log_probs": range(&rollout.log_probs),
+            "rewards": range(&rollout.rewards),
+            "values": range(&rollout.values),
+            "returns": range(returns),
+            "falls": count(End::Fall),
+            "faults": count(End::Fault),
+            "explained_variance": explained_variance(rollout, returns),
+        },
+        "log_std": log_std,
+    });
+    format!("{told:#}\n")
+}
+
 /// An order of all samples for every epoch.
 fn permutations(seed: u64, iteration: u64, epochs: usize, samples: usize) -> Vec<Vec<u32>> {
     (0..epochs)
@@ -311,7 +363,11 @@ mod tests {
         trainer.normaliser.scale[0] = f64::NAN;
         let error = trainer.iterate().unwrap_err();
         assert!(error.to_string().contains("iteration 1"), "{error}");
-        let TrainError::Learner { minibatch, .. } = error else { panic!("another error") };
+        let TrainError::Learner { minibatch, circumstances, .. } = error else { panic!("another error") };
+        let told: serde_json::Value = serde_json::from_str(&circumstances).unwrap();
+        // At least the first number of each of the 64.
+        assert!(told["rollout"]["observations"]["not_finite"].as_u64() >= Some(64), "{told}");
+        assert!(told["minibatch"]["policy_loss"].is_null() && told["log_std"].as_array().unwrap().len() == 12);
         assert_eq!(minibatch.lines().count(), 1 + 32);
         assert!(minibatch.lines().nth(1).unwrap().contains("NaN"));
         // The parameters are those before the step that failed.

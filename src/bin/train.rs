@@ -4,19 +4,25 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use supple::config::Config;
+use supple::env::Fault;
 use supple::metrics::IterationMetrics;
 use supple::run::RunFolder;
+use supple::terminal;
 use supple::train::{TrainError, Trainer};
+
+/// Signals that follow one another faster are one.
+const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
 ///
 /// Metrics go to DIR/metrics.jsonl and to TensorBoard event files in DIR, the policy to DIR/policy.safetensors.
-/// Ctrl-C finishes the iteration, writes a checkpoint and says how to go on.
+/// Ctrl-C finishes the iteration, writes a checkpoint and says how to go on; a second one stops at once.
 #[derive(Parser)]
 #[command(version)]
 struct Args {
@@ -44,7 +50,7 @@ fn main() -> ExitCode {
     match run(Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
             ExitCode::from(2)
         }
     }
@@ -52,8 +58,7 @@ fn main() -> ExitCode {
 
 fn run(args: Args) -> anyhow::Result<()> {
     let stop = Arc::new(AtomicBool::new(false));
-    let handler = Arc::clone(&stop);
-    ctrlc::set_handler(move || handler.store(true, Ordering::Relaxed)).context("cannot catch Ctrl-C")?;
+    stop_on_signals(Arc::clone(&stop))?;
 
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or(cores, usize::from);
@@ -62,45 +67,99 @@ fn run(args: Args) -> anyhow::Result<()> {
         None => start(&args, threads)?,
     };
     let total = args.samples.unwrap_or(trainer.config().run.samples);
-    let every = trainer.config().run.checkpoint_every;
-
-    let bar = progress_bar(total, trainer.samples());
     let mut saved = trainer.iteration();
-    while trainer.samples() < total && !stop.load(Ordering::Relaxed) {
-        let metrics = trainer.iterate().map_err(|error| explain(error, &folder))?;
-        folder.log(&metrics)?;
-        bar.set_position(metrics.samples);
-        bar.set_message(summary(&metrics));
-        if metrics.iteration % every == 0 {
-            folder.save(&trainer)?;
-            saved = metrics.iteration;
+    train(&mut trainer, &mut folder, total, &stop, &mut saved).with_context(|| {
+        let path = folder.path().display();
+        if folder.path().exists() {
+            format!("stopped; the checkpoint of iteration {saved} is whole, go on from it with: train --resume {path}")
+        } else {
+            format!("stopped; somebody has removed {path}, and the run with it")
         }
-    }
-    bar.abandon();
-    if saved != trainer.iteration() {
-        folder.save(&trainer)?;
-    }
+    })?;
     let path = folder.path().display();
     if trainer.samples() < total {
-        eprintln!("stopped after {} samples; go on with: train --resume {path}", trainer.samples());
+        let samples = trainer.samples();
+        terminal::note(format_args!("stopped after {samples} samples; go on with: train --resume {path}"));
     } else {
-        eprintln!("done: {} samples; the policy is {path}/policy.safetensors", trainer.samples());
+        terminal::note(format_args!("done: {} samples; the policy is {path}/policy.safetensors", trainer.samples()));
     }
     Ok(())
 }
 
+/// Iterates until `total` samples are collected or `stop` is set; `saved` is the iteration of the newest checkpoint.
+fn train(
+    trainer: &mut Trainer,
+    folder: &mut RunFolder,
+    total: u64,
+    stop: &AtomicBool,
+    saved: &mut u64,
+) -> anyhow::Result<()> {
+    let every = trainer.config().run.checkpoint_every;
+    let bar = progress_bar(total, trainer.samples());
+    while trainer.samples() < total && !stop.load(Ordering::Relaxed) {
+        let metrics = trainer.iterate().map_err(|error| explain(error, folder))?;
+        folder.log(&metrics)?;
+        keep_physics_faults(trainer, folder, &bar);
+        bar.set_position(metrics.samples);
+        bar.set_message(summary(&metrics));
+        if metrics.iteration % every == 0 {
+            folder.save(trainer)?;
+            *saved = metrics.iteration;
+        }
+    }
+    bar.abandon();
+    if *saved != trainer.iteration() {
+        folder.save(trainer)?;
+        *saved = trainer.iteration();
+    }
+    Ok(())
+}
+
+/// The first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one does not wait: checkpoints are whole at every
+/// moment. Programs that pass signals on, such as timeout, send the same one twice: that counts once.
+fn stop_on_signals(stop: Arc<AtomicBool>) -> anyhow::Result<()> {
+    let mut first: Option<Instant> = None;
+    let handler = move || match first {
+        None => {
+            first = Some(Instant::now());
+            stop.store(true, Ordering::Relaxed);
+            terminal::note("stopping after this iteration; once more to stop at once");
+        }
+        Some(first) if first.elapsed() < SAME_SIGNAL => {}
+        Some(_) => {
+            terminal::note("stopped at once; what came after the last checkpoint is lost");
+            std::process::exit(130);
+        }
+    };
+    ctrlc::set_handler(handler).context("cannot catch Ctrl-C")
+}
+
+/// Keeps and shows the physics faults of an iteration. They never end the run.
+fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar) {
+    for fault in trainer.faults() {
+        let Fault { error, environment, step, .. } = fault;
+        let kept = match folder.keep_physics_fault(trainer.iteration(), fault) {
+            Ok(Some(file)) => format!("; its last second is in {}", file.display()),
+            // There are enough on file, and enough were shown.
+            Ok(None) => continue,
+            Err(problem) => format!("; its last second could not be kept: {problem}"),
+        };
+        bar.suspend(|| {
+            terminal::note(format_args!(
+                "physics fault in environment {environment} after {step} steps: {error}{kept}"
+            ));
+        });
+    }
+}
+
 /// Keeps what led to a failure of the learner beside the last good checkpoint.
 fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
-    let TrainError::Learner { minibatch, .. } = &error else { return error.into() };
-    let kept = folder.keep_fault(minibatch);
-    let path = folder.path().display();
-    match kept {
-        Ok(file) => anyhow::Error::from(error).context(format!(
-            "training failed; the minibatch is in {}, the last good checkpoint in {path}",
-            file.display()
-        )),
-        Err(second) => anyhow::Error::from(error).context(format!("training failed, and so did keeping why: {second}")),
-    }
+    let TrainError::Learner { minibatch, circumstances, .. } = &error else { return error.into() };
+    let kept = match folder.keep_learner_fault(minibatch, circumstances) {
+        Ok(file) => format!("what led there is in {} and fault-minibatch.csv beside it", file.display()),
+        Err(problem) => format!("and so did keeping why: {problem}"),
+    };
+    anyhow::Error::from(error).context(format!("training failed; {kept}"))
 }
 
 fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
@@ -117,9 +176,11 @@ fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
 fn resume(path: &std::path::Path, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     let (folder, checkpoint, passed_over) = RunFolder::resume(path)?;
     if let Some(reason) = passed_over {
-        eprintln!("warning: {reason}; going on from the checkpoint before it");
+        terminal::note(format_args!("warning: {reason}; going on from the checkpoint before it"));
     }
-    Ok((Trainer::resume(checkpoint, threads)?, folder))
+    let trainer = Trainer::resume(checkpoint, threads)?;
+    folder.save_policy(&trainer)?;
+    Ok((trainer, folder))
 }
 
 fn progress_bar(total: u64, done: u64) -> ProgressBar {

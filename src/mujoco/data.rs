@@ -29,6 +29,8 @@ pub struct Contact {
 pub struct Data {
     raw: NonNull<sys::mjData>,
     model: Model,
+    /// MuJoCo has left a call in the middle, through its fatal error handler.
+    broken: bool,
 }
 
 // SAFETY: an mjData is plain memory, used by one thread at a time through `&mut`.
@@ -104,12 +106,7 @@ impl Data {
     /// # Errors
     /// [`Error::Engine`] if MuJoCo cannot allocate it.
     pub fn new(model: Model) -> Result<Self> {
-        let (mut data, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
-        // SAFETY: the model is valid; the shim catches errors.
-        let failed = unsafe { sys::supple_make_data(&mut data, model.as_ptr(), message.as_mut_ptr()) };
-        check("mj_makeData", failed, &message)?;
-        let raw = NonNull::new(data).ok_or(Error::Engine { call: "mj_makeData", message: "no memory".into() })?;
-        Ok(Data { raw, model })
+        Ok(Data { raw: allocate(&model)?, model, broken: false })
     }
 
     /// The model.
@@ -138,11 +135,18 @@ impl Data {
         unsafe { self.raw.as_mut() }.time = time_s;
     }
 
-    /// Back to the reference configuration at rest, time 0, all warnings cleared.
+    /// Back to the reference configuration at rest, time 0, all warnings cleared. After a fatal error inside MuJoCo,
+    /// which leaves its data in the middle of something, they are made anew.
     ///
     /// # Errors
     /// [`Error::Engine`] if MuJoCo reports a fatal error.
     pub fn reset(&mut self) -> Result<()> {
+        if self.broken {
+            let left = std::mem::replace(&mut self.raw, allocate(&self.model)?);
+            // SAFETY: the pointer was owned, came from MuJoCo, and is not used afterwards.
+            unsafe { sys::mj_deleteData(left.as_ptr()) };
+            self.broken = false;
+        }
         self.call("mj_resetData", sys::supple_reset_data)
     }
 
@@ -179,6 +183,7 @@ impl Data {
         let mut message: Message = EMPTY_MESSAGE;
         // SAFETY: model and data are valid and belong together; the shim catches errors.
         let failed = unsafe { function(self.model.as_ptr(), self.raw.as_ptr(), message.as_mut_ptr()) };
+        self.broken |= failed != 0;
         check(name, failed, &message)?;
         self.check_warnings()
     }
@@ -297,6 +302,24 @@ impl Data {
     }
 }
 
+fn allocate(model: &Model) -> Result<NonNull<sys::mjData>> {
+    let (mut data, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
+    // SAFETY: the model is valid; the shim catches errors.
+    let failed = unsafe { sys::supple_make_data(&mut data, model.as_ptr(), message.as_mut_ptr()) };
+    check("mj_makeData", failed, &message)?;
+    NonNull::new(data).ok_or(Error::Engine { call: "mj_makeData", message: "no memory".into() })
+}
+
+/// Faults on demand.
+#[cfg(test)]
+impl Data {
+    /// Makes MuJoCo's stack so small that the next step raises a fatal error inside it.
+    pub(crate) fn exhaust_stack(&mut self) {
+        // SAFETY: the pointer is valid and `self` is borrowed mutably; less than what is allocated is always safe.
+        unsafe { self.raw.as_mut() }.nstack = 8;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -359,6 +382,32 @@ mod tests {
         let error = data.step1().unwrap_err();
         assert_eq!(error, Error::BufferFull { buffer: Buffer::Contacts, size: 4 });
         assert!(error.to_string().contains("nconmax"));
+    }
+
+    #[test]
+    fn after_a_fatal_error_inside_mujoco_a_reset_makes_the_data_anew() {
+        let mut data = ball();
+        let mut other = ball();
+        data.exhaust_stack();
+        let error = data.step().unwrap_err();
+        assert!(matches!(&error, Error::Engine { call: "mj_step", message } if message == "Stack overflow"), "{error}");
+        data.reset().unwrap();
+        for _ in 0..100 {
+            data.step().unwrap();
+            other.step().unwrap();
+        }
+        assert_eq!(data.positions(), other.positions());
+    }
+
+    #[test]
+    fn a_contact_that_explodes_is_an_error() {
+        let mut data = ball();
+        // A million kilometres below the floor: the contact pushes back with more than 1e10 m/s².
+        data.positions_mut()[2] = -1e9;
+        let error = (0..10).find_map(|_| data.step().err()).unwrap();
+        assert!(matches!(error, Error::Unstable { .. }), "{error}");
+        data.reset().unwrap();
+        data.step().unwrap();
     }
 
     #[test]

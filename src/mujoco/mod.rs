@@ -9,6 +9,7 @@ module is the only one that holds `unsafe` code.
 mod data;
 mod error;
 mod model;
+mod sizes;
 
 pub use data::{Contact, Data};
 pub use error::{Buffer, Error, Result, StateKind};

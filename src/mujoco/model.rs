@@ -7,7 +7,7 @@ use std::ptr::NonNull;
 use mujoco_sys as sys;
 
 use super::error::{Error, Result};
-use super::{EMPTY_MESSAGE, check, initialise, text};
+use super::{EMPTY_MESSAGE, check, initialise, sizes, text};
 
 /// Kinds of named elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -183,9 +183,19 @@ impl Model {
     pub fn from_file(path: &Path) -> Result<Self> {
         initialise()?;
         let what = path.display().to_string();
+        Self::check_file(path)?;
         let file = CString::new(what.clone())
             .map_err(|_| Error::Load { what: what.clone(), message: "the path holds a zero byte".into() })?;
         load(&what, &file, std::ptr::null())
+    }
+
+    /// Refuses an MJCF file with sizes beyond reason, which MuJoCo would take at their word.
+    ///
+    /// # Errors
+    /// [`Error::Load`] with the attribute. A file that cannot be read is for MuJoCo to complain about.
+    pub fn check_file(path: &Path) -> Result<()> {
+        let text = std::fs::read_to_string(path).unwrap_or_default();
+        sizes::check(&text).map_err(|message| Error::Load { what: path.display().to_string(), message })
     }
 
     /// Compiles MJCF held in memory: `(name, text)` pairs, the main file first, then those it includes.
@@ -202,6 +212,7 @@ impl Model {
         // SAFETY: `vfs` is a valid mjVFS.
         unsafe { sys::mj_defaultVFS(&mut *vfs) };
         let mut add = |name: &str, text: &str| {
+            sizes::check(text).map_err(failed)?;
             let size = i32::try_from(text.len()).map_err(|_| failed(format!("{name} is larger than 2 GiB")))?;
             let c_name = CString::new(name).map_err(|_| failed(format!("the name '{name}' holds a zero byte")))?;
             // SAFETY: `vfs` and the name are valid; MuJoCo copies the name and allocates `size` bytes.
@@ -575,6 +586,16 @@ impl Model {
         }
         // SAFETY: callers pass a field of this model with the length that mjmodel.h documents for it.
         unsafe { std::slice::from_raw_parts(start, length as usize) }
+    }
+}
+
+/// Faults on demand.
+#[cfg(test)]
+impl Model {
+    /// Makes the contact buffer smaller.
+    pub(crate) fn limit_contacts(&mut self, contacts: i32) {
+        assert!(contacts <= self.raw().nconmax);
+        self.raw_mut().nconmax = contacts;
     }
 }
 

@@ -35,6 +35,8 @@ pub struct Sums {
     pub value_loss: f64,
     pub kl: f64,
     pub clipped: f64,
+    /// Largest probability ratio, not a sum.
+    pub max_ratio: f64,
     /// Gradient of the policy loss by `ln σ`; shape (actions).
     pub log_std_gradient: Vec<f64>,
 }
@@ -88,6 +90,8 @@ impl Block {
             let surrogate = Surrogate::new(minibatch.advantage(row), ratio, settings.clip_range);
             sums.policy_loss += surrogate.loss;
             sums.clipped += f64::from(surrogate.clipped);
+            // Finite, so that it can be logged.
+            sums.max_ratio = sums.max_ratio.max(ratio.min(f64::MAX));
             sums.kl += kl.at(&batch.means[row * actions..][..actions], mean);
 
             let slope = surrogate.slope / minibatch.rows.len() as f64;

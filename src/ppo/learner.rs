@@ -26,6 +26,10 @@ use super::team::Team;
 use super::update::{Progress, check};
 use super::{ActorCritic, Batch, DiagonalGaussian, Hyperparameters, KlDivergence, UpdateFault, UpdateStatistics};
 
+/// `ln σ` is kept within this range, far from where training goes: below it, log-densities lose their precision, above
+/// it, actions are nothing but noise.
+pub const LOG_STD_RANGE: [f32; 2] = [-7.0, 2.0];
+
 /// Everything that an update depends on besides its batch; what a checkpoint has to keep.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearnerState {
@@ -235,6 +239,7 @@ impl Learner {
             entropy: DiagonalGaussian::new(&log_std.values).entropy(),
             kl: mean(&policy, |sums| sums.kl),
             clip_fraction: mean(&policy, |sums| sums.clipped),
+            max_ratio: policy.iter().map(|block| block.sums.max_ratio).fold(0.0, f64::max),
             gradient_norm,
             max_gradient_norm: gradient_norm,
             learning_rate: 0.0,
@@ -249,7 +254,12 @@ impl Learner {
                 self.arch.dispatch(Adam { parameters: &mut panel.parameters, step });
                 panel.transpose();
             }
-            None => self.arch.dispatch(Adam { parameters: &mut write(&self.log_std), step }),
+            None => {
+                let mut log_std = write(&self.log_std);
+                self.arch.dispatch(Adam { parameters: &mut log_std, step });
+                let [low, high] = LOG_STD_RANGE;
+                log_std.values.iter_mut().for_each(|value| *value = value.clamp(low, high));
+            }
         };
         team.phase(self.panels.len() + 1, task, || ());
     }

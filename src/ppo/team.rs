@@ -3,6 +3,24 @@ A few threads that go through short phases of work together.
 
 A phase lasts tens of microseconds, less than it takes to wake a sleeping thread, so whoever is done spins until the
 others are. Tasks are handed out by a counter: which thread does which is left to chance and must not matter.
+
+Why no two phases overlap, and why a phase sees everything that the one before has written:
+
+- `arrived` counts the threads that have taken their last task of a phase. Its `fetch_add`s are a chain of
+  acquire-release operations on one atomic, so the thread that arrives last has seen all that the others did before they
+  arrived. It alone runs `conclude`, and resets `next_task` and `arrived` while everybody else waits; nobody else touches
+  them in that time, so those stores can be relaxed.
+- It then stores the next `phase` with release. The others leave their wait by an acquire load of that value, and with
+  it see the resets, the conclusion, and through it the work of every thread.
+- `next_task` only has to hand out every number once, which read-modify-write operations do in any order; it carries no
+  data, so it is relaxed.
+- A thread reads `phase` when it enters. It cannot be late: the number changes only when all threads have arrived, this
+  one included, so it stays as read until this thread has arrived itself. Wrapping round is harmless, as waiting is for
+  a change and nobody can fall a whole round behind.
+- `broken` carries no data either: it only makes waiting threads panic too, and one that sees it late spins a little
+  longer.
+
+ThreadSanitizer agrees: docs/reliability.md.
 */
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

@@ -365,6 +365,33 @@ fn a_nan_stops_the_update_before_its_step() {
 }
 
 #[test]
+fn infinite_returns_and_gradients_stop_the_update() {
+    let network = network();
+    for huge in [f32::INFINITY, f32::MAX] {
+        let mut samples = Samples::new(&network, 64, 1);
+        samples.returns[7] = huge;
+        let mut learner = learner(&network, settings(64), 1);
+        let result = learner.update(&samples.batch(), &permutations(64, 1, 1));
+        assert!(matches!(result, Err(UpdateFault::NotFinite { .. })), "{huge}: {result:?}");
+        assert!(learner.parameters() == network);
+    }
+}
+
+#[test]
+fn the_standard_deviation_stays_within_its_range_and_the_largest_ratio_is_reported() {
+    let mut network = network();
+    network.log_std[0] = LOG_STD_RANGE[1] + 1.0;
+    network.log_std[1] = LOG_STD_RANGE[0] - 1.0;
+    let mut samples = Samples::new(&network, 64, 1);
+    samples.log_std.clone_from(&network.log_std);
+    let mut learner = learner(&network, settings(64), 1);
+    let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
+    let log_std = learner.parameters().log_std;
+    assert_eq!((log_std[0], log_std[1]), (LOG_STD_RANGE[1], LOG_STD_RANGE[0]));
+    assert!(statistics.max_ratio.is_finite() && statistics.max_ratio > 0.0);
+}
+
+#[test]
 fn a_nan_in_an_observation_is_noticed() {
     let network = network();
     let mut samples = Samples::new(&network, 64, 1);

@@ -2,12 +2,14 @@
 The course of an update: from the sums of a minibatch to its step, statistics or fault.
 */
 
+use serde::Serialize;
+
 use super::Batch;
 use super::loss::Minibatch;
 use super::optimizer::AdamStep;
 
 /// What an update did; means over its minibatches unless said otherwise.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct UpdateStatistics {
     /// Clipped surrogate, negated.
     pub policy_loss: f64,
@@ -19,6 +21,8 @@ pub struct UpdateStatistics {
     pub kl: f64,
     /// Fraction of samples with a probability ratio outside the clip range.
     pub clip_fraction: f64,
+    /// Largest probability ratio of a sample, over all minibatches.
+    pub max_ratio: f64,
     /// Joint norm before clipping.
     pub gradient_norm: f64,
     /// Largest joint norm before clipping.
@@ -110,6 +114,7 @@ impl UpdateStatistics {
         self.entropy += share * minibatch.entropy;
         self.kl += share * minibatch.kl;
         self.clip_fraction += share * minibatch.clip_fraction;
+        self.max_ratio = self.max_ratio.max(minibatch.max_ratio);
         self.gradient_norm += share * minibatch.gradient_norm;
         self.max_gradient_norm = self.max_gradient_norm.max(minibatch.max_gradient_norm);
         self.learning_rate = minibatch.learning_rate;

@@ -1,6 +1,9 @@
 //! Tests of the whole: the compiled model, the programs as a user runs them, and properties of every scenario.
 
 mod evaluate;
+mod faults;
+mod kill;
+mod licences;
 mod model;
 mod programs;
 mod scenarios;

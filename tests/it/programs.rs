@@ -2,29 +2,7 @@
 
 use serde_json::Value;
 
-use crate::support::{complaint, run, small_config_file, standing_policy};
-
-/// Metrics without the wall-clock times.
-fn metrics(folder: &std::path::Path) -> Vec<Value> {
-    let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
-    text.lines()
-        .map(|line| {
-            let mut object: Value = serde_json::from_str(line).unwrap();
-            object.as_object_mut().unwrap().remove("time").unwrap();
-            object
-        })
-        .collect()
-}
-
-/// Names the first iteration and number that differ.
-fn assert_same(a: &[Value], b: &[Value]) {
-    assert_eq!(a.len(), b.len());
-    for (a, b) in a.iter().zip(b) {
-        for (key, value) in a.as_object().unwrap() {
-            assert_eq!(value, &b[key], "{key} of iteration {}", a["iteration"]);
-        }
-    }
-}
+use crate::support::{assert_same, complaint, metrics, run, small_config_file, standing_policy};
 
 #[test]
 fn metrics_do_not_depend_on_the_number_of_threads() {

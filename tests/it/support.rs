@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use serde_json::Value;
 use supple::config::Config;
 use supple::go1::JOINT_COUNT;
 use supple::policy::{Policy, Provenance};
@@ -64,4 +65,26 @@ pub fn run(program: &str, folder: &Path, arguments: &[&str]) -> Output {
 /// Standard error as text.
 pub fn complaint(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).trim().to_owned()
+}
+
+/// Metrics without the wall-clock times.
+pub fn metrics(folder: &Path) -> Vec<Value> {
+    let text = std::fs::read_to_string(folder.join("metrics.jsonl")).unwrap();
+    text.lines()
+        .map(|line| {
+            let mut object: Value = serde_json::from_str(line).unwrap();
+            object.as_object_mut().unwrap().remove("time").unwrap();
+            object
+        })
+        .collect()
+}
+
+/// Names the first iteration and number that differ.
+pub fn assert_same(a: &[Value], b: &[Value]) {
+    assert_eq!(a.len(), b.len());
+    for (a, b) in a.iter().zip(b) {
+        for (key, value) in a.as_object().unwrap() {
+            assert_eq!(value, &b[key], "{key} of iteration {}", a["iteration"]);
+        }
+    }
 }

@@ -15,12 +15,13 @@ use supple::evaluate::report::{Report, Section};
 use supple::evaluate::runner::{self, Measurement, Settings};
 use supple::evaluate::store::Store;
 use supple::scenario::Sensing;
+use supple::terminal;
 
 fn main() -> ExitCode {
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
             ExitCode::from(2)
         }
     }
@@ -29,7 +30,7 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
     let contest = contest(args)?;
-    contest.notes.iter().for_each(|note| eprintln!("note: {note}"));
+    contest.notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let settings = Settings {
@@ -75,7 +76,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(path) = &args.results {
         report.write_document(path)?;
     }
-    println!("{}", args.out.join("report.html").display());
+    terminal::print(format_args!("{}\n", args.out.join("report.html").display()))?;
     Ok(())
 }
 

@@ -5,6 +5,7 @@ use std::time::Instant;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use supple::evaluate::Info;
 use supple::scenario::Sensing;
+use supple::terminal;
 
 /// Steps of the bar per second of simulated work.
 const STEPS: f64 = 10.0;
@@ -46,7 +47,7 @@ impl Progress {
     pub fn end(&mut self, info: &Info, sensing: Sensing) {
         let on = if sensing == Sensing::Estimated { " on sensors" } else { "" };
         let line = format!("{} {}{on}: {:.1} s", info.id, info.name, self.begun.elapsed().as_secs_f64());
-        self.bar.suspend(|| eprintln!("{line}"));
+        self.bar.suspend(|| terminal::note(line));
     }
 
     /// Takes the bar away.

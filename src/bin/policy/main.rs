@@ -2,7 +2,7 @@
 
 mod card;
 
-use std::io::{BufRead, Write};
+use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -12,7 +12,7 @@ use supple::policies;
 use supple::policy::Policy;
 use supple::ppo::Scratch;
 use supple::task::observation::{LENGTH, Observation, Quantity};
-use supple::{files, foreign, onnx};
+use supple::{files, foreign, onnx, terminal};
 
 /// Look at a policy, check it, export it.
 #[derive(Parser)]
@@ -73,7 +73,7 @@ fn main() -> ExitCode {
     match run(Args::parse().command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
             ExitCode::from(2)
         }
     }
@@ -81,15 +81,17 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Show { policy, json: true } => println!("{}", policies::find_ours(&policy)?.metadata_json()),
-        Command::Show { policy, json: false } => print!("{}", description(&policies::find_ours(&policy)?)),
+        Command::Show { policy, json: true } => {
+            terminal::print(format_args!("{}\n", policies::find_ours(&policy)?.metadata_json()))?
+        }
+        Command::Show { policy, json: false } => terminal::print(description(&policies::find_ours(&policy)?))?,
         Command::Verify { policy } => {
             // Reading a policy checks everything in it, the golden pairs included.
-            let policy = policies::find_ours(&policy)?;
-            println!("sound: its golden joint targets are reproduced; sha256 {}", policy.sha256());
+            let sha256 = policies::find_ours(&policy)?.sha256();
+            terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
         Command::Run { policy } => answer(&policies::find_ours(&policy)?)?,
-        Command::Card { run, name } => print!("{}", card::card(&run, &name)?),
+        Command::Card { run, name } => terminal::print(card::card(&run, &name)?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
             let (policy, name) = (policies::find_ours(&policy)?, out.file_name().unwrap_or_default());
             write(&out, &onnx::export(&policy))?;
@@ -102,7 +104,7 @@ fn run(command: Command) -> anyhow::Result<()> {
 
 /// One line of joint targets for each line of observations.
 fn answer(policy: &Policy) -> anyhow::Result<()> {
-    let (mut scratch, mut out) = (Scratch::default(), std::io::stdout().lock());
+    let mut scratch = Scratch::default();
     for (index, line) in std::io::stdin().lock().lines().enumerate() {
         let line = line.context("cannot read standard input")?;
         let at = || format!("line {}: expected a JSON array of numbers", index + 1);
@@ -111,7 +113,7 @@ fn answer(policy: &Policy) -> anyhow::Result<()> {
             anyhow::anyhow!("line {}: {} numbers, expected {LENGTH}; see `policy show`", index + 1, numbers.len())
         })?;
         let targets = policy.joint_targets(&observation, &mut scratch);
-        writeln!(out, "{}", serde_json::json!(targets)).context("cannot write to standard output")?;
+        terminal::print(format_args!("{}\n", serde_json::json!(targets)))?;
     }
     Ok(())
 }

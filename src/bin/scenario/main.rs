@@ -23,13 +23,14 @@ use supple::scenario::catalog::Scenario;
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::Metric;
 use supple::scenario::{Rollout, Script, Sensing};
+use supple::terminal;
 use supple::trace::Trace;
 
 fn main() -> ExitCode {
     match args::parse().and_then(|args| run(&args)) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
             ExitCode::from(2)
         }
     }
@@ -38,19 +39,16 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     let What::Play(scenario) = &args.what else {
         for scenario in Args::command().get_subcommands().filter(|command| command.get_name() != "list") {
-            println!(
-                "{:10} {}",
-                scenario.get_name(),
-                scenario.get_about().map(ToString::to_string).unwrap_or_default()
-            );
+            let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
+            terminal::print(format_args!("{:10} {about}\n", scenario.get_name()))?;
         }
         return Ok(());
     };
     let mut robots = robots(args)?;
     if let Some(model) = &args.model {
-        eprintln!("{model}:");
+        terminal::note(format_args!("{model}:"));
         let robot = Robot::load(Path::new(model))?;
-        robot.report.iter().for_each(|line| eprintln!("  {line}"));
+        robot.report.iter().for_each(|line| terminal::note(format_args!("  {line}")));
         robots.iter_mut().for_each(|(_, agent)| agent.run_on(model, &robot));
     }
     let scripts: Vec<Script> = robots
@@ -73,9 +71,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
         output::write_csv(path, &outcomes).with_context(|| format!("cannot write {}", path.display()))?;
     }
     if args.json {
-        println!("{}", output::to_json(scenario, args.seed, args.sensing, &outcomes));
+        terminal::print(format_args!("{}\n", output::to_json(scenario, args.seed, args.sensing, &outcomes)))?;
     } else {
-        print!("{}", output::summary(scenario, &outcomes));
+        terminal::print(output::summary(scenario, &outcomes))?;
     }
     recording.finish(args, scenario, &robots, &scripts, &traces)
 }

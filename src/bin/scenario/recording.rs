@@ -5,9 +5,10 @@ use std::path::Path;
 use anyhow::Context;
 use supple::agent::Agent;
 use supple::mujoco::Model;
-use supple::record::{BLUE, ORANGE, Recorder, RobotView, Sink, page_url};
+use supple::record::{BLUE, ORANGE, RecordError, Recorder, RobotView, Sink, page_url};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::{Played, Script, Sensing};
+use supple::terminal;
 use supple::trace::Trace;
 
 use crate::args::Args;
@@ -38,7 +39,7 @@ impl Recording {
         };
         let recorder = open(sink.clone(), scenario.name(), args.sensing, robots, scripts)?;
         if let Sink::Serve(port) = sink {
-            eprintln!("watch it at {}", page_url(port));
+            terminal::note(format_args!("watch it at {}", page_url(port)));
         }
         Ok(Recording { recorder: Some(recorder), sink: Some(sink) })
     }
@@ -48,18 +49,31 @@ impl Recording {
         let Some(recorder) = &mut self.recorder else {
             return Ok(());
         };
-        if let Some(frame) = &played.frame {
-            recorder.frame(robot, frame)?;
+        let mut log = || {
+            if let Some(frame) = &played.frame {
+                recorder.frame(robot, frame)?;
+            }
+            played.events.iter().try_for_each(|event| recorder.event(robot, event))
+        };
+        let logged = log();
+        self.unless_the_viewer_is_gone(logged)
+    }
+
+    /// A viewer that goes away is no reason to lose the numbers; a file that cannot be written is.
+    fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> anyhow::Result<()> {
+        match logged {
+            Err(error) if matches!(self.sink, Some(Sink::Connect(_))) => {
+                terminal::note(format_args!("warning: {error}; going on without a viewer"));
+                self.recorder = None;
+                Ok(())
+            }
+            logged => Ok(logged?),
         }
-        for event in &played.events {
-            recorder.event(robot, event)?;
-        }
-        Ok(())
     }
 
     /// Writes the clips of falls and closes the recording; one that is served, when Ctrl-C says so.
     pub fn finish(
-        self,
+        mut self,
         args: &Args,
         scenario: &Scenario,
         robots: &[(String, Agent)],
@@ -70,17 +84,18 @@ impl Recording {
             if let (Some(folder), Some(fall)) = (&args.on_fall, trace.fall()) {
                 let path = folder.join(format!("{}-{}-seed{}-fall.rrd", scenario.name(), robot.0, args.seed));
                 clip(&path, scenario.name(), robot, script, trace, fall.time_s)?;
-                eprintln!("the fall is in {}", path.display());
+                terminal::note(format_args!("the fall is in {}", path.display()));
             }
         }
         if let Some(Sink::Serve(_)) = self.sink {
             wait_for_interrupt()?;
         }
-        if let Some(recorder) = self.recorder {
-            recorder.finish()?;
+        if let Some(recorder) = self.recorder.take() {
+            let finished = recorder.finish();
+            self.unless_the_viewer_is_gone(finished)?;
         }
         if let Some(Sink::File(path)) = self.sink {
-            eprintln!("recorded {path}; open it with: rerun {path}", path = path.display());
+            terminal::note(format_args!("recorded {path}; open it with: rerun {path}", path = path.display()));
         }
         Ok(())
     }
@@ -93,7 +108,7 @@ fn wait_for_interrupt() -> anyhow::Result<()> {
         let _ = interrupted.send(());
     })
     .context("cannot catch Ctrl-C")?;
-    eprintln!("serving until Ctrl-C");
+    terminal::note("serving until Ctrl-C");
     Ok(wait.recv()?)
 }
 

@@ -17,6 +17,7 @@ use supple::policies;
 use supple::policy::Policy;
 use supple::ppo::Scratch;
 use supple::provenance::{GIT_REVISION, MUJOCO_VERSION};
+use supple::terminal;
 
 /// One of so many episodes is held out.
 const HELD_OUT: u32 = 5;
@@ -46,7 +47,7 @@ fn main() -> ExitCode {
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
             ExitCode::from(2)
         }
     }
@@ -66,7 +67,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let noise = SensorNoise::default();
     let (training, held_out) = gather(args, &found, noise)?;
     let all = join(&training);
-    eprintln!("{} ticks of {} episodes to learn from", all.labels.len() / 4, training.len());
+    terminal::note(format_args!("{} ticks of {} episodes to learn from", all.labels.len() / 4, training.len()));
 
     let learning = Learning { seed: args.seed, ..Learning::default() };
     let bar = bar("learning", learning.epochs as u64);
@@ -93,13 +94,17 @@ fn run(args: &Args) -> anyhow::Result<()> {
         },
     );
     network.provenance.held_out = scores(&network, &held_out)?;
-    println!("held out: {} episodes, {} ticks", held_out.len(), join(&held_out).labels.len() / 4);
-    println!("foot  precision  recall      F1");
+    terminal::print(format_args!(
+        "held out: {} episodes, {} ticks\n",
+        held_out.len(),
+        join(&held_out).labels.len() / 4
+    ))?;
+    terminal::print(format_args!("foot  precision  recall      F1\n"))?;
     for (leg, score) in LEGS.iter().zip(&network.provenance.held_out) {
-        println!("{leg:4}  {:9.4}  {:6.4}  {:6.4}", score.precision, score.recall, score.f1);
+        terminal::print(format_args!("{leg:4}  {:9.4}  {:6.4}  {:6.4}\n", score.precision, score.recall, score.f1))?;
     }
     network.save(&args.out)?;
-    println!("{}", args.out.display());
+    terminal::print(format_args!("{}\n", args.out.display()))?;
     Ok(())
 }
 

@@ -1,0 +1,220 @@
+//! What goes wrong around the programs, and what a user sees then.
+
+use std::io::Read;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use crate::support::{assert_same, complaint, metrics, run, small_config, small_config_file, standing_policy};
+
+/// Starts a long training run and waits for its folder.
+fn training(folder: &Path) -> Child {
+    small_config_file(folder);
+    let mut child = Command::new(env!("CARGO_BIN_EXE_train"))
+        .args(["--config", "small.yaml", "--samples", "100000000", "--threads", "1", "--out", "run"])
+        .current_dir(folder)
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    while !folder.join("run/metrics.jsonl").exists() {
+        assert!(child.try_wait().unwrap().is_none(), "train ended by itself");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    child
+}
+
+fn send(signal: &str, child: &Child) {
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+}
+
+#[test]
+fn a_closed_pipe_is_neither_a_panic_nor_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let scenario: &[&str] = &["walk", "--policy", "p.safetensors", "--duration-s", "0.2", "--no-record", "--json"];
+    let cases = [
+        (env!("CARGO_BIN_EXE_scenario"), scenario),
+        (env!("CARGO_BIN_EXE_scenario"), &["list"]),
+        (env!("CARGO_BIN_EXE_policy"), &["show", "p.safetensors"]),
+        (env!("CARGO_BIN_EXE_policy"), &["verify", "p.safetensors"]),
+    ];
+    for (program, arguments) in cases {
+        let mut child = Command::new(program)
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success(), "{arguments:?}: {}", complaint(&output));
+        assert_eq!(complaint(&output), "", "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_standard_output_that_is_full_is_an_error() {
+    let Ok(full) = std::fs::File::options().write(true).open("/dev/full") else { return };
+    let child = Command::new(env!("CARGO_BIN_EXE_scenario")).arg("list").stdout(full).stderr(Stdio::piped()).spawn();
+    let output = child.unwrap().wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).starts_with("error: cannot write to standard output: No space left"));
+}
+
+#[test]
+fn a_checkpoint_that_cannot_be_written_leaves_the_one_before_and_the_run_can_be_resumed() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = small_config();
+    config.run.checkpoint_every = 1;
+    std::fs::write(folder.path().join("small.yaml"), config.to_yaml()).unwrap();
+    let size = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().len();
+    assert!(
+        run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "probe"]).status.success()
+    );
+    // Room for the first checkpoint, in which environments are at rest and their numbers short, but for no later one.
+    let kibibytes = size("probe/checkpoint.safetensors").max(size("probe/policy.safetensors")) / 1024;
+    let train = env!("CARGO_BIN_EXE_train");
+    let limited = format!(
+        "trap '' XFSZ; ulimit -f {}; exec {train} --config small.yaml --samples 5120 --threads 1 --out run",
+        kibibytes * 95 / 100
+    );
+    let output = Command::new("bash").args(["-c", &limited]).current_dir(folder.path()).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", complaint(&output));
+    let words = complaint(&output);
+    assert!(words.contains("File too large") && words.lines().count() == 1, "{words}");
+    if folder.path().join("run").exists() {
+        assert!(words.contains("go on from it with: train --resume run"), "{words}");
+        let output = run("train", folder.path(), &["--resume", "run", "--samples", "5120"]);
+        assert!(output.status.success(), "{}", complaint(&output));
+    } else {
+        let output = run("train", folder.path(), &["--config", "small.yaml", "--samples", "5120", "--out", "run"]);
+        assert!(output.status.success(), "{}", complaint(&output));
+    }
+    assert!(
+        run("train", folder.path(), &["--config", "small.yaml", "--samples", "5120", "--out", "ref"]).status.success()
+    );
+    assert_same(&metrics(&folder.path().join("ref")), &metrics(&folder.path().join("run")));
+}
+
+#[test]
+fn a_folder_that_is_removed_under_a_run_ends_it_with_one_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let child = training(folder.path());
+    // More than once: the run may be writing into it.
+    while std::fs::remove_dir_all(folder.path().join("run")).is_err() {}
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).contains("somebody has removed run"), "{}", complaint(&output));
+}
+
+#[test]
+fn sigterm_finishes_the_iteration_as_ctrl_c_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let child = training(folder.path());
+    send("-TERM", &child);
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success());
+    assert!(complaint(&output).contains("go on with: train --resume run"), "{}", complaint(&output));
+    assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1"]).status.success());
+}
+
+#[test]
+fn training_goes_on_when_nobody_reads_its_words() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut child = training(folder.path());
+    let mut words = child.stderr.take().unwrap();
+    send("-INT", &child);
+    // The first words, then the pipe is closed.
+    words.read_exact(&mut [0]).unwrap();
+    drop(words);
+    assert!(child.wait().unwrap().success());
+}
+
+#[test]
+fn a_start_that_was_cut_off_is_cleared_away_by_the_next() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let left = folder.path().join(".run.starting");
+    std::fs::create_dir(&left).unwrap();
+    std::fs::write(left.join("checkpoint.safetensors"), "half").unwrap();
+    std::fs::write(left.join("lock"), "").unwrap();
+    let output = run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "run"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    assert!(!left.exists());
+    assert!(!folder.path().join("run/checkpoint.damaged.safetensors").exists());
+}
+
+#[test]
+fn a_damaged_checkpoint_is_set_aside_and_never_becomes_the_one_to_fall_back_to() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    assert!(
+        run("train", folder.path(), &["--config", "small.yaml", "--samples", "1536", "--out", "run"]).status.success()
+    );
+    std::fs::write(folder.path().join("run/checkpoint.safetensors"), "damaged").unwrap();
+    assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1536"]).status.success());
+    let text = |name: &str| std::fs::read(folder.path().join("run").join(name)).unwrap();
+    assert_eq!(text("checkpoint.damaged.safetensors"), b"damaged");
+    assert_ne!(text("checkpoint.previous.safetensors"), b"damaged");
+}
+
+#[test]
+fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let play = |csv: &str, recording: &[&str]| {
+        let line = ["push", "--policy", "p.safetensors", "--duration-s", "2", "--at-s", "0.5", "--json", "--csv", csv];
+        let output = run("scenario", folder.path(), &[&line[..], recording].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+        (output.stdout, std::fs::read(folder.path().join(csv)).unwrap())
+    };
+    let plain = play("a.csv", &["--no-record"]);
+    assert_eq!(plain, play("b.csv", &["--no-record"]));
+    if cfg!(feature = "record") {
+        assert_eq!(plain, play("c.csv", &["--record", "c.rrd"]));
+        assert!(folder.path().join("c.rrd").exists());
+    }
+}
+
+#[test]
+fn a_physics_fault_is_shown_kept_and_does_not_end_the_run() {
+    let folder = tempfile::tempdir().unwrap();
+    // Pushes that throw the robot so hard that MuJoCo gives up.
+    let mut config = small_config();
+    config.episode.push_speed_m_s = 1e9;
+    config.episode.push_gate = 0.0;
+    std::fs::write(folder.path().join("wild.yaml"), config.to_yaml()).unwrap();
+    let output = run("train", folder.path(), &["--config", "wild.yaml", "--samples", "5120", "--out", "run"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let words = complaint(&output);
+    assert!(words.contains("physics fault in environment") && words.contains("its last second is in run/faults/"));
+    let faults: u64 = metrics(&folder.path().join("run")).iter().map(|line| line["faults"].as_u64().unwrap()).sum();
+    let kept: Vec<_> =
+        std::fs::read_dir(folder.path().join("run/faults")).unwrap().map(|e| e.unwrap().path()).collect();
+    assert!(faults > 0 && kept.len() as u64 == faults.min(20), "{faults} faults, {} kept", kept.len());
+    let text = std::fs::read_to_string(&kept[0]).unwrap();
+    let mut lines = text.lines();
+    assert!(lines.next().unwrap().starts_with("# "));
+    assert!(lines.next().unwrap().starts_with("steps_before_fault,position_0"));
+    assert!(text.lines().last().unwrap().starts_with("0,"));
+}
+
+#[test]
+fn a_gradient_that_is_not_finite_stops_the_run_with_what_led_there_and_a_whole_checkpoint() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = small_config();
+    // Finite in double precision, infinite in the single precision of the networks.
+    config.ppo.value_coefficient = 1e300;
+    std::fs::write(folder.path().join("wild.yaml"), config.to_yaml()).unwrap();
+    let output = run("train", folder.path(), &["--config", "wild.yaml", "--samples", "5120", "--out", "run"]);
+    assert_eq!(output.status.code(), Some(2));
+    let words = complaint(&output);
+    assert!(words.contains("training failed; what led there is in run/fault.json"), "{words}");
+    assert_eq!(words.lines().count(), 1);
+    let read = |name: &str| std::fs::read_to_string(folder.path().join("run").join(name)).unwrap();
+    let told: serde_json::Value = serde_json::from_str(&read("fault.json")).unwrap();
+    assert!(told["minibatch"]["gradient_norm"].is_null() && told["rollout"]["returns"]["low"].is_number());
+    assert_eq!(read("fault-minibatch.csv").lines().count(), 1 + 64);
+    assert!(supple::checkpoint::Checkpoint::load(&folder.path().join("run")).unwrap().1.is_none());
+}
