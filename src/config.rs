@@ -19,6 +19,9 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("hardware", include_str!("../configs/hardware.yaml")),
 ];
 
+/// Longest stage of an episode \[s\].
+const MAX_STAGE_S: f64 = 3600.0;
+
 /// How deep `base` may be nested.
 const MAX_BASES: usize = 8;
 
@@ -372,13 +375,14 @@ impl Config {
         let e = &self.episode;
         let period = s.policy_period_s();
         require(
-            e.walking_s.is_finite() && e.walking_s >= period,
+            (period..=MAX_STAGE_S).contains(&e.walking_s),
             "episode.walking_s",
             e.walking_s,
-            "at least one policy step",
+            "at least one policy step and at most an hour",
         )?;
-        not_negative("episode.recovery_s", e.recovery_s)?;
-        not_negative("episode.post_recovery_s", e.post_recovery_s)?;
+        let stage = 0.0..=MAX_STAGE_S;
+        require(stage.contains(&e.recovery_s), "episode.recovery_s", e.recovery_s, "0 to 3600 s")?;
+        require(stage.contains(&e.post_recovery_s), "episode.post_recovery_s", e.post_recovery_s, "0 to 3600 s")?;
         share("episode.push_gate", e.push_gate)?;
         not_negative("episode.push_speed_m_s", e.push_speed_m_s)?;
         not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
@@ -588,7 +592,7 @@ mod tests {
             (
                 "walking_s: 2.0",
                 "walking_s: -1",
-                "config key episode.walking_s is -1, expected at least one policy step",
+                "config key episode.walking_s is -1, expected at least one policy step and at most an hour",
             ),
             (
                 "policy_rate_hz: 60",
