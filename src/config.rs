@@ -21,6 +21,8 @@ pub const EMBEDDED: &[(&str, &str)] = &[
 
 /// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
 const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
+/// Longest stage of an episode \[s\].
+const MAX_STAGE_S: f64 = 3600.0;
 
 /// How deep `base` may be nested.
 const MAX_BASES: usize = 8;
@@ -340,20 +342,14 @@ impl Config {
         let rate = (1..=1000).contains(&s.policy_rate_hz);
         require(rate, "simulation.policy_rate_hz", s.policy_rate_hz, "1 to 1000 Hz")?;
         require(
-            (1..=100_000).contains(&s.physics_rate_hz) && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
+            (1..=MAX_PHYSICS_RATE_HZ).contains(&s.physics_rate_hz) && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
             "simulation.physics_rate_hz",
             s.physics_rate_hz,
             &format!(
-                "a multiple of policy_rate_hz ({} Hz) up to 100000, such as {}",
+                "a multiple of policy_rate_hz ({} Hz) up to {MAX_PHYSICS_RATE_HZ}, such as {}",
                 s.policy_rate_hz,
                 4 * s.policy_rate_hz
             ),
-        )?;
-        require(
-            s.physics_rate_hz <= MAX_PHYSICS_RATE_HZ,
-            "simulation.physics_rate_hz",
-            s.physics_rate_hz,
-            &format!("at most {MAX_PHYSICS_RATE_HZ} Hz"),
         )?;
         require((0.0..=1.0).contains(&s.latency_s), "simulation.latency_s", s.latency_s, "0 to 1 s")?;
         not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;
@@ -381,13 +377,14 @@ impl Config {
         let e = &self.episode;
         let period = s.policy_period_s();
         require(
-            e.walking_s.is_finite() && e.walking_s >= period,
+            (period..=MAX_STAGE_S).contains(&e.walking_s),
             "episode.walking_s",
             e.walking_s,
-            "at least one policy step",
+            "at least one policy step and at most an hour",
         )?;
-        not_negative("episode.recovery_s", e.recovery_s)?;
-        not_negative("episode.post_recovery_s", e.post_recovery_s)?;
+        let stage = 0.0..=MAX_STAGE_S;
+        require(stage.contains(&e.recovery_s), "episode.recovery_s", e.recovery_s, "0 to 3600 s")?;
+        require(stage.contains(&e.post_recovery_s), "episode.post_recovery_s", e.post_recovery_s, "0 to 3600 s")?;
         share("episode.push_gate", e.push_gate)?;
         not_negative("episode.push_speed_m_s", e.push_speed_m_s)?;
         not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
@@ -597,12 +594,12 @@ mod tests {
             (
                 "walking_s: 2.0",
                 "walking_s: -1",
-                "config key episode.walking_s is -1, expected at least one policy step",
+                "config key episode.walking_s is -1, expected at least one policy step and at most an hour",
             ),
             (
                 "policy_rate_hz: 60",
                 "policy_rate_hz: 70",
-                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz) up to 100000, such as 280",
+                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz) up to 20000, such as 280",
             ),
             (
                 "environments: 64",

@@ -136,7 +136,7 @@ fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2(
         (&["--policy", "joint.yaml"], "`joints` has 'tail', which is no joint of the robot"),
         (&["--policy", "twice.yaml"], "must name each of these once"),
         (&["--policy", "key.yaml"], "unknown field `observation_klip`"),
-        (&["--policy", "fast.yaml"], "at most 20000 Hz"),
+        (&["--policy", "fast.yaml"], "up to 20000"),
         (&["--policy", "axis.yaml"], "entry 3 (ProjectedGravity): `elements` has 'yaw'"),
         (&["--policy", "scale.yaml"], "`scale` has 2 numbers, expected one, or 3"),
         (&["--policy", "old.yaml"], "ages from 0 to 200 policy steps"),
