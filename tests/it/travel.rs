@@ -111,7 +111,10 @@ fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2(
     std::fs::write(folder.path().join("cut.onnx"), &network[..network.len() / 2]).unwrap();
     let bomb: String = (1..40).map(|k| format!("a{k}: &a{k} [*a{j}, *a{j}, *a{j}]\n", j = k - 1)).collect();
     std::fs::write(folder.path().join("bomb.yaml"), format!("a0: &a0 [1, 1, 1]\n{bomb}")).unwrap();
+    // Its keyframe would no longer have the right length.
     let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
+    let (before, after) = (xml.find("<keyframe>").unwrap(), xml.find("</keyframe>").unwrap() + "</keyframe>".len());
+    let xml = format!("{}{}", &xml[..before], &xml[after..]);
     let assets = robot("assets").display().to_string();
     let model = |name: &str, from: &str, to: &str| {
         assert!(xml.contains(from), "{from}");
