@@ -118,7 +118,7 @@ fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2(
     let assets = robot("assets").display().to_string();
     let model = |name: &str, from: &str, to: &str| {
         assert!(xml.contains(from), "{from}");
-        let changed = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{assets}\"")).replacen(from, to, 1);
+        let changed = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{assets}\"")).replace(from, to);
         std::fs::write(folder.path().join(name), changed).unwrap();
     };
     model("fixed.xml", "<freejoint/>", "");
@@ -127,7 +127,7 @@ fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2(
         "<site name=\"imu\"",
         "<body><joint name=\"tail\"/><geom size=\"0.01\"/></body><site name=\"imu\"",
     );
-    model("nameless.xml", "name=\"RL_calf_joint\"", "name=\"left_rear_bottom\"");
+    model("nameless.xml", "RL_calf_joint", "left_rear_bottom");
     model("loop.xml", "<mujoco model=\"quadruped\">", "<mujoco><include file=\"loop.xml\"/>");
     model("broken.xml", "</default>", "");
     standing_policy().save(&folder.path().join("ours.safetensors")).unwrap();
