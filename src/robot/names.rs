@@ -7,7 +7,7 @@ use serde::Deserialize;
 use crate::config::layered;
 use crate::files;
 use crate::go1::{JOINT_COUNT, Joints, LEGS, joint_name};
-use crate::mujoco::{Kind, Model};
+use crate::mujoco::{Kind, Model, Shape};
 
 /// Larger files are not lists of names.
 const MAX_BYTES: u64 = 64 << 10;
@@ -138,7 +138,11 @@ fn usual(name: &str, index: usize) -> bool {
 /// In words.
 pub(super) fn foot(model: &Model, given: Option<&String>, leg: usize, calf: usize) -> Result<usize, String> {
     if let Some(name) = given {
-        return model.id(Kind::Geom, name).map_err(|error| error.to_string());
+        let foot = model.id(Kind::Geom, name).map_err(|error| error.to_string())?;
+        return match model.geom(foot).shape {
+            Shape::Sphere | Shape::Capsule => Ok(foot),
+            other => Err(format!("its foot '{name}' is a {other:?}, expected a sphere or the round end of a capsule")),
+        };
     }
     let below = |mut body: usize| {
         // A foot may be a body of its own, fixed to the calf.
@@ -149,7 +153,7 @@ pub(super) fn foot(model: &Model, given: Option<&String>, leg: usize, calf: usiz
     };
     let spheres = (0..model.count(Kind::Geom)).filter(|geom| {
         let shape = model.geom(*geom).shape;
-        shape == crate::mujoco::Shape::Sphere && model.geom_contact(*geom).collides() && below(model.geom_body(*geom))
+        shape == Shape::Sphere && model.geom_contact(*geom).collides() && below(model.geom_body(*geom))
     });
     let depth = |geom: &usize| model.geom_position_at_rest(*geom)[2];
     spheres.min_by(|a, b| depth(a).total_cmp(&depth(b))).ok_or_else(|| {
