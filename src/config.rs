@@ -342,7 +342,8 @@ impl Config {
         let rate = (1..=1000).contains(&s.policy_rate_hz);
         require(rate, "simulation.policy_rate_hz", s.policy_rate_hz, "1 to 1000 Hz")?;
         require(
-            (1..=MAX_PHYSICS_RATE_HZ).contains(&s.physics_rate_hz) && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
+            (1..=MAX_PHYSICS_RATE_HZ).contains(&s.physics_rate_hz)
+                && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
             "simulation.physics_rate_hz",
             s.physics_rate_hz,
             &format!(
