@@ -7,8 +7,9 @@ Each minibatch goes through three phases, each a list of independent tasks:
 2. gradient of one weight panel, summed over all rows in order;
 3. Adam for one panel.
 
-Blocks and panels sit in read-write locks: a phase writes the one kind and reads the other. No gradient is ever summed
-across threads, and sums of partial results run in a fixed order, so the parameters have the same bits for any number
+Each list has the policy's tasks first and then the value function's, so that threads keep to one network and find what
+they need in their own caches (see [`Team`]). Blocks and panels sit in read-write locks: a phase writes the one kind and
+reads the other. No gradient is ever summed across threads, and sums of partial results run in a fixed order, so the parameters have the same bits for any number
 of threads.
 */
 
@@ -22,7 +23,7 @@ use super::loss::Minibatch;
 use super::optimizer::{Adam, AdamStep, Parameters};
 use super::packed::BLOCK;
 use super::panel::{Panel, panel_starts, unpack};
-use super::team::Team;
+use super::team::{Member, Team};
 use super::update::{Progress, check};
 use super::{ActorCritic, Batch, DiagonalGaussian, Hyperparameters, KlDivergence, UpdateFault, UpdateStatistics};
 
@@ -160,7 +161,7 @@ impl Learner {
     }
 
     /// Phase 1: forward and backward pass of both networks, block by block.
-    pub(super) fn passes(&self, team: &Team, minibatch: &Minibatch<'_>) {
+    pub(super) fn passes(&self, team: Member<'_>, minibatch: &Minibatch<'_>) {
         let panels: Vec<_> = self.panels.iter().map(read).collect();
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.shapes.policy.layers.len());
@@ -185,7 +186,12 @@ impl Learner {
     }
 
     /// Phase 2: gradients of all panels from the deltas of all blocks.
-    pub(super) fn gradients(&self, team: &Team, minibatch: &Minibatch<'_>, conclude: impl FnOnce(UpdateStatistics)) {
+    pub(super) fn gradients(
+        &self,
+        team: Member<'_>,
+        minibatch: &Minibatch<'_>,
+        conclude: impl FnOnce(UpdateStatistics),
+    ) {
         let count = minibatch.rows.chunks(BLOCK).len();
         let task = |task: usize| {
             let panel = &mut *write(&self.panels[task]);
@@ -247,7 +253,7 @@ impl Learner {
     }
 
     /// Phase 3: Adam.
-    fn steps(&self, team: &Team, step: &AdamStep) {
+    fn steps(&self, team: Member<'_>, step: &AdamStep) {
         let task = |task: usize| match self.panels.get(task) {
             Some(panel) => {
                 let mut panel = write(panel);

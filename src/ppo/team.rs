@@ -2,18 +2,23 @@
 A few threads that go through short phases of work together.
 
 A phase lasts tens of microseconds, less than it takes to wake a sleeping thread, so whoever is done spins until the
-others are. Tasks are handed out by a counter: which thread does which is left to chance and must not matter.
+others are.
+
+Each thread has a share of a phase's tasks, the same stretch of the list in every phase, and helps the others when it is
+through with its own. Tasks of different phases that belong together should therefore stand at like places of their
+lists: what a thread writes in one phase it then mostly finds in its own cache in the next, and with as many threads as
+networks each thread keeps to one network. Which thread does which task is in the end left to chance and must not matter.
 
 Why no two phases overlap, and why a phase sees everything that the one before has written:
 
 - `arrived` counts the threads that have taken their last task of a phase. Its `fetch_add`s are a chain of
   acquire-release operations on one atomic, so the thread that arrives last has seen all that the others did before they
-  arrived. It alone runs `conclude`, and resets `next_task` and `arrived` while everybody else waits; nobody else touches
+  arrived. It alone runs `conclude`, and resets `taken` and `arrived` while everybody else waits; nobody else touches
   them in that time, so those stores can be relaxed.
 - It then stores the next `phase` with release. The others leave their wait by an acquire load of that value, and with
   it see the resets, the conclusion, and through it the work of every thread.
-- `next_task` only has to hand out every number once, which read-modify-write operations do in any order; it carries no
-  data, so it is relaxed.
+- A counter in `taken` only has to hand out every number once, which read-modify-write operations do in any order; it
+  carries no data, so it is relaxed.
 - A thread reads `phase` when it enters. It cannot be late: the number changes only when all threads have arrived, this
   one included, so it stays as read until this thread has arrived itself. Wrapping round is harmless, as waiting is for
   a change and nobody can fall a whole round behind.
@@ -33,12 +38,24 @@ const SPINS: u32 = 100;
 /// What the threads of a team share to keep in step.
 #[derive(Debug)]
 pub struct Team {
-    threads: usize,
-    next_task: AtomicUsize,
+    /// For each thread, tasks of its share that have been taken, by whomever.
+    taken: Vec<CacheLine>,
     arrived: AtomicUsize,
     phase: AtomicUsize,
     /// A thread of the team has panicked and will never arrive.
     broken: AtomicBool,
+}
+
+/// Keeps the counters of different threads from moving together between caches.
+#[derive(Debug, Default)]
+#[repr(align(64))]
+struct CacheLine(AtomicUsize);
+
+/// A thread of a team.
+#[derive(Debug, Clone, Copy)]
+pub struct Member<'a> {
+    team: &'a Team,
+    index: usize,
 }
 
 impl Team {
@@ -46,47 +63,56 @@ impl Team {
     ///
     /// # Panics
     /// When `work` does.
-    pub fn run(threads: usize, work: impl Fn(&Team) + Sync) {
+    pub fn run(threads: usize, work: impl Fn(Member<'_>) + Sync) {
         let team = Self {
-            threads,
-            next_task: AtomicUsize::new(0),
+            taken: (0..threads).map(|_| CacheLine::default()).collect(),
             arrived: AtomicUsize::new(0),
             phase: AtomicUsize::new(0),
             broken: AtomicBool::new(false),
         };
-        let member = || {
+        let member = |index| {
             let _alarm = Alarm(&team);
-            work(&team);
+            work(Member { team: &team, index });
         };
         thread::scope(|scope| {
-            for _ in 1..threads {
-                scope.spawn(member);
+            for index in 1..threads {
+                scope.spawn(move || member(index));
             }
-            member();
+            member(0);
         });
     }
+}
 
+impl Member<'_> {
     /// One phase, called by every thread: does all of `tasks` between them, then `conclude` on one thread alone while
     /// the others wait.
     pub fn phase(&self, tasks: usize, task: impl Fn(usize), conclude: impl FnOnce()) {
-        let phase = self.phase.load(Ordering::Acquire);
-        loop {
-            let next = self.next_task.fetch_add(1, Ordering::Relaxed);
-            if next >= tasks {
-                break;
+        let team = self.team;
+        let phase = team.phase.load(Ordering::Acquire);
+        let threads = team.taken.len();
+        let start = |share: usize| share * tasks / threads;
+        for share in (self.index..threads).chain(0..self.index) {
+            let (first, length) = (start(share), start(share + 1) - start(share));
+            loop {
+                let next = team.taken[share].0.fetch_add(1, Ordering::Relaxed);
+                if next >= length {
+                    break;
+                }
+                task(first + next);
             }
-            task(next);
         }
-        if self.arrived.fetch_add(1, Ordering::AcqRel) + 1 == self.threads {
+        if team.arrived.fetch_add(1, Ordering::AcqRel) + 1 == threads {
             conclude();
-            self.next_task.store(0, Ordering::Relaxed);
-            self.arrived.store(0, Ordering::Relaxed);
-            self.phase.store(phase.wrapping_add(1), Ordering::Release);
+            team.taken.iter().for_each(|taken| taken.0.store(0, Ordering::Relaxed));
+            team.arrived.store(0, Ordering::Relaxed);
+            team.phase.store(phase.wrapping_add(1), Ordering::Release);
         } else {
-            self.wait_while(phase);
+            team.wait_while(phase);
         }
     }
+}
 
+impl Team {
     fn wait_while(&self, phase: usize) {
         let mut spins = 0;
         while self.phase.load(Ordering::Acquire) == phase {
