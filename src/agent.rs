@@ -85,7 +85,7 @@ impl From<Policy> for Agent {
 
 impl From<ForeignPolicy> for Agent {
     fn from(policy: ForeignPolicy) -> Self {
-        Agent { config: policy.config.clone(), sha256: policy.sha256.clone(), mind: Mind::Foreign(Box::new(policy)) }
+        Agent { config: policy.config().clone(), sha256: policy.sha256.clone(), mind: Mind::Foreign(Box::new(policy)) }
     }
 }
 

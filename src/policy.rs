@@ -162,9 +162,7 @@ pub struct Policy {
     pub nominal_pose: Joints,
     /// \[rad\] per unit of action.
     pub scale_rad: f64,
-    /// Rates, gains and latency it was trained with.
-    pub simulation: Simulation,
-    /// Where it came from.
+    /// Where it came from; rates, gains and latency are those of its configuration.
     pub provenance: Provenance,
     /// For other programs; none if the file it was read from has none.
     pub usage: Option<Usage>,
@@ -181,7 +179,6 @@ impl Policy {
             normaliser: Normaliser::new(config),
             nominal_pose: same_in_every_leg(config.action.nominal_pose_rad),
             scale_rad: config.action.scale_rad,
-            simulation: config.simulation.clone(),
             usage: Some(Usage::new(&config.robot.model)),
             provenance,
         }
@@ -219,7 +216,7 @@ impl Policy {
             joints: (0..JOINT_COUNT).map(joint_name).collect(),
             nominal_pose_rad: self.nominal_pose,
             scale_rad: self.scale_rad,
-            simulation: self.simulation.clone(),
+            simulation: self.provenance.config.simulation.clone(),
             provenance: self.provenance.clone(),
             usage: self.usage.clone(),
         };
@@ -273,7 +270,6 @@ impl Policy {
             normaliser,
             nominal_pose: metadata.nominal_pose_rad,
             scale_rad: metadata.scale_rad,
-            simulation: metadata.simulation,
             provenance: metadata.provenance,
             usage: metadata.usage,
         };
@@ -471,7 +467,7 @@ mod tests {
             // Refused or harmless: what is read has sane rates, and so a short queue of delayed targets.
             if let Ok(policy) = Policy::from_bytes(&bytes, Path::new("changed")) {
                 policy.joint_targets(&[0.0; LENGTH], &mut Scratch::default());
-                proptest::prop_assert!(policy.simulation.physics_rate_hz <= 20_000);
+                proptest::prop_assert!(policy.provenance.config.simulation.physics_rate_hz <= 20_000);
             }
         }
     }

@@ -3,6 +3,7 @@
 use std::error::Error;
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::process::ExitCode;
 
 /// Writes to standard output. That nobody reads it any more is no error: whoever reads decides how much.
 ///
@@ -14,6 +15,17 @@ pub fn print(text: impl Display) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(error) => Err(io::Error::new(error.kind(), format!("cannot write to standard output: {error}"))),
         Ok(()) => Ok(()),
+    }
+}
+
+/// The end of a program: says what went wrong, if something did, and gives the exit code, 0 or 2.
+pub fn conclude(outcome: Result<(), impl AsRef<dyn Error + Send + Sync>>) -> ExitCode {
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            note(format_args!("error: {}", complaint(error.as_ref())));
+            ExitCode::from(2)
+        }
     }
 }
 

@@ -68,7 +68,7 @@ pub fn measure(policy: Option<Policy>, config: &Config, effort: &Effort) -> anyh
     let plays =
         (0..effort.repetitions).map(|_| play(&scenario, &policy, &path)).collect::<anyhow::Result<Vec<Play>>>()?;
 
-    let period_s = policy.simulation.policy_period_s();
+    let period_s = policy.provenance.config.simulation.policy_period_s();
     let second = (1.0 / period_s).round() as usize;
     let simulated_s = |play: &Play| play.frames_s.len() as f64 * period_s;
     let slowest = |play: &Play| {

@@ -47,13 +47,7 @@ struct Args {
 }
 
 fn main() -> ExitCode {
-    match run(Args::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
-            ExitCode::from(2)
-        }
-    }
+    terminal::conclude(run(Args::parse()))
 }
 
 fn run(args: Args) -> anyhow::Result<()> {

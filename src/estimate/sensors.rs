@@ -34,6 +34,13 @@ pub struct EncoderReading {
     pub rates: Joints,
 }
 
+impl EncoderReading {
+    /// What perfect encoders read that are mounted off by `offsets` \[rad\].
+    pub fn exact(angles: &Joints, rates: Joints, offsets: &Joints) -> Self {
+        EncoderReading { angles: std::array::from_fn(|joint| angles[joint] + offsets[joint]), rates }
+    }
+}
+
 /// How the trunk moves, for [`ImuReading::exact`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrunkMotion {

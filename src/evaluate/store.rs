@@ -1,9 +1,8 @@
 /*! Finished measurements on disk, so that none is made twice.
 
 A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
-policy, its seed, the experiment's parameters and scenarios, the versions of MuJoCo and of this format, and what the
-policy acts on. A new policy or a
-changed experiment therefore measures only what is new.
+policy, its seed, what it acts on, the experiment's parameters, scenarios and quantities, and the versions of MuJoCo and
+of this format. A new policy or a changed experiment therefore measures only what is new.
 */
 
 use std::path::{Path, PathBuf};
@@ -107,6 +106,7 @@ fn checksum(samples: &PolicyResult) -> String {
 
 /// Hash of everything that decides what an experiment measures with a policy.
 pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant, sensing: Sensing) -> String {
+    let quantities: Vec<&str> = experiment.quantities().iter().map(|quantity| quantity.name).collect();
     let mut parts = serde_json::json!({
         "format": FORMAT,
         "mujoco": MUJOCO_VERSION,
@@ -114,6 +114,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),
         "conditions": conditions,
+        "quantities": quantities,
         "policy": contestant.agent.sha256,
         "seed": contestant.seed,
     });

@@ -28,10 +28,10 @@ impl ForeignPolicy {
     pub fn controller(&self) -> ForeignController<'_> {
         ForeignController {
             policy: self,
-            past: vec![VecDeque::new(); self.observation.len()],
+            past: vec![VecDeque::new(); self.parts.observation.len()],
             step: 0,
             last_action: [0.0; JOINT_COUNT],
-            last_target: self.nominal_pose,
+            last_target: self.parts.nominal_pose,
             scratch: Scratch::default(),
         }
     }
@@ -39,8 +39,8 @@ impl ForeignPolicy {
     /// Longest age that any block needs.
     fn oldest(&self) -> usize {
         let largest = |ages: &[u32]| ages.iter().copied().max().unwrap_or(0) as usize;
-        let of_blocks = self.observation.iter().map(|block| largest(&block.steps_ago)).max().unwrap_or(0);
-        of_blocks + largest(&self.history)
+        let of_blocks = self.parts.observation.iter().map(|block| largest(&block.steps_ago)).max().unwrap_or(0);
+        of_blocks + largest(&self.parts.history)
     }
 }
 
@@ -48,9 +48,9 @@ impl ForeignController<'_> {
     /// A block's numbers now, scaled and clipped.
     fn measure(&self, block: &Block, state: &RobotState, command: &Command) -> Vec<f32> {
         let policy = self.policy;
-        let in_order = |joints: &Joints| policy.order.map(|joint| joints[joint]).to_vec();
+        let in_order = |joints: &Joints| policy.parts.order.map(|joint| joints[joint]).to_vec();
         let vector = |xyz: [f64; 3]| block.axes.iter().map(|(axis, sign)| sign * xyz[*axis]).collect();
-        let time_s = self.step as f64 * policy.period_s;
+        let time_s = self.step as f64 * policy.parts.config.simulation.policy_period_s();
         let clock = |wave: fn(f64) -> f64| {
             block.values.iter().map(|phase| wave(TAU * (block.frequency_hz * time_s + phase).fract())).collect()
         };
@@ -60,7 +60,7 @@ impl ForeignController<'_> {
             Quantity::ProjectedGravity => vector(state.gravity_in_base.normalize().into()),
             Quantity::JointAngles => in_order(&state.joint_angles),
             Quantity::JointOffsets => {
-                in_order(&std::array::from_fn(|joint| state.joint_angles[joint] - policy.nominal_pose[joint]))
+                in_order(&std::array::from_fn(|joint| state.joint_angles[joint] - policy.parts.nominal_pose[joint]))
             }
             Quantity::JointRates => in_order(&state.joint_rates),
             Quantity::BaseVelocity => vector(state.velocity_in_base.into()),
@@ -72,7 +72,7 @@ impl ForeignController<'_> {
             Quantity::ClockCos => clock(f64::cos),
             Quantity::Constant => block.values.clone(),
         };
-        let clip = block.clip.min(policy.observation_clip);
+        let clip = block.clip.min(policy.parts.observation_clip);
         let scaled = raw.iter().zip(&block.offset).zip(&block.scale);
         scaled.map(|((value, offset), scale)| ((value - offset) * scale).clamp(-clip, clip) as f32).collect()
     }
@@ -81,7 +81,7 @@ impl ForeignController<'_> {
     fn remember(&mut self, state: &RobotState, command: &Command) {
         let length = self.policy.oldest() + 1;
         for index in 0..self.past.len() {
-            let now = self.measure(&self.policy.observation[index], state, command);
+            let now = self.measure(&self.policy.parts.observation[index], state, command);
             let past = &mut self.past[index];
             past.push_front(now.clone());
             past.truncate(length);
@@ -91,8 +91,8 @@ impl ForeignController<'_> {
 
     fn observation(&self) -> Vec<f32> {
         let mut observation = Vec::with_capacity(self.policy.network.inputs());
-        for frame in &self.policy.history {
-            for (block, past) in self.policy.observation.iter().zip(&self.past) {
+        for frame in &self.policy.parts.history {
+            for (block, past) in self.policy.parts.observation.iter().zip(&self.past) {
                 for age in &block.steps_ago {
                     observation.extend(&past[(frame + age) as usize]);
                 }
@@ -104,28 +104,28 @@ impl ForeignController<'_> {
 
 impl Controller for ForeignController<'_> {
     fn rest(&self) -> Joints {
-        self.policy.nominal_pose
+        self.policy.parts.nominal_pose
     }
 
     fn begin(&mut self, _: &RobotState) {
         self.past.iter_mut().for_each(VecDeque::clear);
         self.step = 0;
         self.last_action = [0.0; JOINT_COUNT];
-        self.last_target = self.policy.nominal_pose;
+        self.last_target = self.policy.parts.nominal_pose;
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
         self.remember(state, command);
         let observation = self.observation();
         let output = self.policy.network.forward(&observation, &mut self.scratch);
-        let clip = self.policy.action_clip;
+        let clip = self.policy.parts.action_clip;
         for (action, value) in self.last_action.iter_mut().zip(output) {
             *action = f64::from(*value).clamp(-clip, clip);
         }
-        for (index, joint) in self.policy.order.iter().enumerate() {
-            let scaled = self.policy.action_scale[index] * self.last_action[index];
-            self.last_target[*joint] = match self.policy.meaning {
-                Meaning::OffsetFromNominal => self.policy.nominal_pose[*joint] + scaled,
+        for (index, joint) in self.policy.parts.order.iter().enumerate() {
+            let scaled = self.policy.parts.action_scale[index] * self.last_action[index];
+            self.last_target[*joint] = match self.policy.parts.meaning {
+                Meaning::OffsetFromNominal => self.policy.parts.nominal_pose[*joint] + scaled,
                 Meaning::JointAngle => scaled,
             };
         }
@@ -200,7 +200,7 @@ action: {meaning: offset_from_nominal, scale_rad: 0.25, clip: 1.0}
         assert_eq!(second[37], -3.0);
         assert!((second[39] - 1.0).abs() < 1e-6 && second[40].abs() < 1e-6);
         // Outputs are clipped to ±1 and scaled to ±0.25 about the nominal pose, in our order.
-        for (index, joint) in policy.order.iter().enumerate() {
+        for (index, joint) in policy.parts.order.iter().enumerate() {
             let expected = policy.nominal_pose()[*joint] + 0.25 * controller.last_action[index];
             assert_eq!(targets[*joint], expected);
             assert!(controller.last_action[index].abs() <= 1.0);

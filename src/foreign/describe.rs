@@ -8,7 +8,7 @@ use crate::task::observation::{LAYOUT, Quantity};
 
 /// The YAML file for the ONNX file `onnx` that the policy was exported to.
 pub fn describe(policy: &Policy, onnx: &str) -> String {
-    let simulation = &policy.simulation;
+    let simulation = &policy.provenance.config.simulation;
     let joints: Vec<String> = (0..JOINT_COUNT).map(joint_name).collect();
     let mut text = String::new();
     // Writing into a String cannot fail.

@@ -18,7 +18,7 @@ pub use spec::{Block, Quantity};
 
 use crate::config::{Config, ConfigError};
 use crate::files;
-use crate::go1::{JOINT_COUNT, Joints};
+use crate::go1::Joints;
 use crate::onnx::{Network, OnnxError};
 
 /// Larger files are not descriptions of a policy.
@@ -65,25 +65,7 @@ pub enum Meaning {
 #[derive(Debug)]
 pub struct ForeignPolicy {
     network: Network,
-    /// The observation, in order.
-    pub observation: Vec<Block>,
-    /// Steps ago of each repetition of the observation, in order; `[0]` is no history.
-    pub history: Vec<u32>,
-    /// Limit of every number that the network sees.
-    observation_clip: f64,
-    /// For each of the policy's joints, its place in our order.
-    order: [usize; JOINT_COUNT],
-    /// Our order \[rad\].
-    nominal_pose: Joints,
-    meaning: Meaning,
-    /// The policy's order \[rad\].
-    action_scale: Joints,
-    /// Limit of every output, before it is scaled.
-    action_clip: f64,
-    /// Seconds between its steps.
-    period_s: f64,
-    /// Rates, gains and latency to run it with; all else is that of the paper's configuration.
-    pub config: Config,
+    parts: spec::Parts,
     /// SHA-256 of the YAML file and the ONNX file.
     pub sha256: String,
 }
@@ -107,6 +89,11 @@ impl ForeignPolicy {
 
     /// Joint targets at rest, in our order \[rad\].
     pub fn nominal_pose(&self) -> Joints {
-        self.nominal_pose
+        self.parts.nominal_pose
+    }
+
+    /// Rates, gains and latency to run it with; all else is that of the paper's configuration.
+    pub fn config(&self) -> &Config {
+        &self.parts.config
     }
 }

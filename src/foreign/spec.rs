@@ -140,16 +140,25 @@ pub(super) struct Spec {
 }
 
 /// Everything but the network.
-struct Parts {
-    observation: Vec<Block>,
-    history: Vec<u32>,
-    observation_clip: f64,
-    order: [usize; JOINT_COUNT],
-    nominal_pose: Joints,
-    meaning: Meaning,
-    action_scale: Joints,
-    action_clip: f64,
-    config: Config,
+#[derive(Debug)]
+pub(super) struct Parts {
+    /// The observation, in order.
+    pub(super) observation: Vec<Block>,
+    /// Steps ago of each repetition of the observation, in order; `[0]` is no history.
+    pub(super) history: Vec<u32>,
+    /// Limit of every number that the network sees.
+    pub(super) observation_clip: f64,
+    /// For each of the policy's joints, its place in our order.
+    pub(super) order: [usize; JOINT_COUNT],
+    /// Our order \[rad\].
+    pub(super) nominal_pose: Joints,
+    pub(super) meaning: Meaning,
+    /// The policy's order \[rad\].
+    pub(super) action_scale: Joints,
+    /// Limit of every output, before it is scaled.
+    pub(super) action_clip: f64,
+    /// Rates, gains and latency to run it with; all else is that of the paper's configuration.
+    pub(super) config: Config,
 }
 
 impl Spec {
@@ -197,20 +206,7 @@ impl Spec {
                 network.outputs()
             ));
         }
-        Ok(ForeignPolicy {
-            network,
-            observation: parts.observation,
-            history: parts.history,
-            observation_clip: parts.observation_clip,
-            order: parts.order,
-            nominal_pose: parts.nominal_pose,
-            meaning: parts.meaning,
-            action_scale: parts.action_scale,
-            action_clip: parts.action_clip,
-            period_s: parts.config.simulation.policy_period_s(),
-            config: parts.config,
-            sha256,
-        })
+        Ok(ForeignPolicy { network, parts, sha256 })
     }
 }
 

@@ -53,6 +53,11 @@ pub fn velocity_errors(trace: &Trace, from_s: f64, until_s: f64) -> Option<[f64;
     ])
 }
 
+/// Length of the horizontal part of [`velocity_errors`] [m/s].
+pub fn velocity_error(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
+    velocity_errors(trace, from_s, until_s).map(|[forward, left, _]| forward.hypot(left))
+}
+
 /// Mechanical power over weight times horizontal speed.
 pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let frames = window(trace, from_s, until_s);

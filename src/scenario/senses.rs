@@ -138,11 +138,7 @@ impl Senses {
             angular_acceleration: (velocity.1 - self.last_velocity.1) / dt_s,
         };
         self.last_velocity = velocity;
-        let angles = robot.joint_angles(data);
-        let exact = EncoderReading {
-            angles: std::array::from_fn(|joint| angles[joint] + self.offsets[joint]),
-            rates: robot.joint_rates(data),
-        };
+        let exact = EncoderReading::exact(&robot.joint_angles(data), robot.joint_rates(data), &self.offsets);
         let imu = ImuReading::exact(&motion, Vector3::from(data.model().gravity()));
         let imu = self.sensors.imu(&imu, dt_s, &mut self.rng);
         let encoders = self.sensors.encoders(&exact, dt_s, &mut self.rng);

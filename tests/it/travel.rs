@@ -266,6 +266,6 @@ fn examples_describe_what_they_say() {
     let policy = ForeignPolicy::load(&example(folder.path(), "rsl_rl")).unwrap();
     // Ours are FR, FL, RR, RL: Isaac Gym's left legs come first.
     assert_eq!(policy.nominal_pose(), [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]);
-    assert_eq!((policy.config.simulation.physics_rate_hz, policy.config.simulation.policy_rate_hz), (200, 50));
+    assert_eq!((policy.config().simulation.physics_rate_hz, policy.config().simulation.policy_rate_hz), (200, 50));
     assert!(Robot::load(&repository("examples/robots/quadruped.yaml")).unwrap_err().problem.contains("robot.xml"));
 }

@@ -25,8 +25,9 @@ const COMMANDS: [[f64; 3]; 8] = [
     [-1.0, -0.5, -0.5],
 ];
 
-/// The card of the policy in a run's folder, under the name that it ships with.
-pub fn card(run: &Path, name: &str) -> anyhow::Result<String> {
+/// The card of the policy in a run's folder, under `name` or that of the folder.
+pub fn card(run: &Path, name: Option<&str>) -> anyhow::Result<String> {
+    let name = name.map_or_else(|| run.file_name().unwrap_or_default().to_string_lossy(), Into::into);
     let policy = Policy::load(&run.join("policy.safetensors"))?;
     let curve = read_metrics(&run.join("metrics.jsonl"), policy.provenance.samples)?;
     let provenance = &policy.provenance;
@@ -73,8 +74,8 @@ fn read_metrics(path: &Path, samples: u64) -> anyhow::Result<Vec<IterationMetric
 /// Means over stretches of the run.
 fn curve_table(curve: &[IterationMetrics]) -> String {
     let mut text = String::from(
-        "| samples | r_lin | falls | falls after a push | pushed | commands open | swing | std | reward |\n\
-         |---|---|---|---|---|---|---|---|---|\n",
+        "| samples | wall-clock | r_lin | falls | falls after a push | pushed | commands open | swing | std | reward |\n\
+         |---|---|---|---|---|---|---|---|---|---|\n",
     );
     for row in 1..=ROWS {
         let stretch = &curve[(row - 1) * curve.len() / ROWS..row * curve.len() / ROWS];
@@ -84,8 +85,9 @@ fn curve_table(curve: &[IterationMetrics]) -> String {
             values.iter().sum::<f64>() / values.len() as f64
         };
         text.push_str(&format!(
-            "| {:.1} M | {:.3} | {:.1} % | {:.1} % | {:.0} % | {:.0} % | {:.0} mm | {:.2} | {:.2} |\n",
+            "| {:.1} M | {:.1} min | {:.3} | {:.1} % | {:.1} % | {:.0} % | {:.0} % | {:.0} mm | {:.2} | {:.2} |\n",
             last.samples as f64 / 1e6,
+            last.time.elapsed_s / 60.0,
             mean(|iteration| iteration.walking_linear),
             100.0 * mean(|iteration| iteration.fall_share),
             100.0 * mean(|iteration| iteration.pushed_fall_share),

@@ -42,13 +42,13 @@ enum Command {
         /// Policy file, run folder, or name of a shipped policy
         policy: String,
     },
-    /// Print the card that ships with a policy: where it came from, how it learned, how it walks (Markdown)
+    /// Print a run's card: where its policy came from, how it learned, how it walks (Markdown)
     Card {
         /// Folder of the run
         run: PathBuf,
-        /// Name that it ships under
+        /// Name that the policy ships under [default: the folder's]
         #[arg(long)]
-        name: String,
+        name: Option<String>,
     },
     /// Write the policy in another format
     Export {
@@ -70,13 +70,7 @@ enum Format {
 }
 
 fn main() -> ExitCode {
-    match run(Args::parse().command) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
-            ExitCode::from(2)
-        }
-    }
+    terminal::conclude(run(Args::parse().command))
 }
 
 fn run(command: Command) -> anyhow::Result<()> {
@@ -91,7 +85,7 @@ fn run(command: Command) -> anyhow::Result<()> {
             terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
         Command::Run { policy } => answer(&policies::find_ours(&policy)?)?,
-        Command::Card { run, name } => terminal::print(card::card(&run, &name)?)?,
+        Command::Card { run, name } => terminal::print(card::card(&run, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
             let (policy, name) = (policies::find_ours(&policy)?, out.file_name().unwrap_or_default());
             write(&out, &onnx::export(&policy))?;
@@ -128,7 +122,7 @@ fn description(policy: &Policy) -> String {
         .chain(policy.actor.layers.iter().map(|layer| layer.outputs()))
         .map(|width| width.to_string())
         .collect();
-    let simulation = &policy.simulation;
+    let simulation = &policy.provenance.config.simulation;
     let mut text = format!(
         "trained   {} samples, config {}, seed {}, git {}, MuJoCo {}\n\
          sha256    {}\n\

@@ -27,13 +27,7 @@ use supple::terminal;
 use supple::trace::Trace;
 
 fn main() -> ExitCode {
-    match args::parse().and_then(|args| run(&args)) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
-            ExitCode::from(2)
-        }
-    }
+    terminal::conclude(args::parse().and_then(|args| run(&args)))
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {

@@ -23,8 +23,8 @@ const PUSH_S: std::ops::Range<f64> = 2.0..3.5;
 /// One of so many episodes asks the robot to stand, which random commands never do.
 const STANDING: u64 = 6;
 
-/// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, joint offsets and push as in training with dynamics randomisation. It
-/// ends with a fall, as what a fallen robot's feet do is no matter of walking.
+/// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, joint offsets and push as in training with
+/// dynamics randomisation. It ends with a fall, as what a fallen robot's feet do is no matter of walking.
 ///
 /// # Errors
 /// A fault of MuJoCo.
@@ -77,11 +77,7 @@ struct Tap<R> {
 
 impl<R: rand::Rng> StepObserver for Tap<R> {
     fn forces(&mut self, data: &Data, robot: &Go1, _: &Joints) {
-        let angles = robot.joint_angles(data);
-        let exact = EncoderReading {
-            angles: std::array::from_fn(|joint| angles[joint] + self.offsets[joint]),
-            rates: robot.joint_rates(data),
-        };
+        let exact = EncoderReading::exact(&robot.joint_angles(data), robot.joint_rates(data), &self.offsets);
         let reading = self.sensors.encoders(&exact, data.model().timestep_s(), &mut self.rng);
         self.history.push(&reading, &self.target);
     }

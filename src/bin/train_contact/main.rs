@@ -44,13 +44,7 @@ struct Args {
 }
 
 fn main() -> ExitCode {
-    match run(&Args::parse()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => {
-            terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
-            ExitCode::from(2)
-        }
-    }
+    terminal::conclude(run(&Args::parse()))
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
@@ -59,7 +53,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         .iter()
         .map(|name| {
             let policy = policies::find_ours(name)?;
-            let rate_hz = 1.0 / policy.simulation.timestep_s();
+            let rate_hz = 1.0 / policy.provenance.config.simulation.timestep_s();
             anyhow::ensure!((rate_hz - RATE_HZ).abs() < 1e-6, "{name} runs at {rate_hz} Hz, expected {RATE_HZ} Hz");
             Ok(policy)
         })

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{parameters, value};
+use super::{by_condition, labels, parameters, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
-use crate::evaluate::plot::dots::{self, Dots};
+use crate::evaluate::plot::dots;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
@@ -66,7 +66,6 @@ impl Experiment for BallPit {
         let when = |edge_m: f64| trace.frames.iter().find(|frame| frame.position[0] > edge_m).map(|f| f.time_s);
         let times = when(pit.distance_m).zip(when(pit.far_edge_m()));
         let crossed = times.is_some() && end != End::Fault;
-        let truth = |value: bool| Some(f64::from(u8::from(value)));
         let values = vec![
             truth(crossed),
             Some(end.fell()),
@@ -82,15 +81,11 @@ impl Experiment for BallPit {
     fn findings(&self, results: &Results) -> Findings {
         let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
         let table = Table::of_conditions("ball-pit", "Crossing 400 loose balls.", results, &names);
-        let panel = |name: &str| Dots {
-            quantity: results.quantity(name),
-            rows: vec![[0, 1].map(|set| results.per_seed(set, 0, name))],
-        };
-        let panels = ["crossed", "fell", "stuck", "peak_foot_force_n"].map(panel);
+        let panels = ["crossed", "fell", "stuck", "peak_foot_force_n"].map(|name| by_condition(results, name));
         let figure = Figure::new(
             "ball-pit",
             "Crossing a pit of 400 balls: mean ± standard deviation over seeds, single seeds as hollow marks.",
-            dots::draw("Crossing a ball pit", &panels, &[String::new()], &results.names),
+            dots::draw("Crossing a ball pit", &panels, &labels(results), &results.names),
         );
         let claim = |text: &str, paper: &str, name: &str, expected| {
             Claim::direction(text, paper, results.quantity(name), expected, results.compare(0, name))

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{parameters, value};
+use super::{by_condition, labels, parameters, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
-use crate::evaluate::plot::dots::{self, Dots};
+use crate::evaluate::plot::dots;
 use crate::evaluate::plot::top_view::{self, Run, View};
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
@@ -117,8 +117,8 @@ impl Experiment for FreeBox {
         }
         let errors = velocity_errors(trace, script.duration_s - self.resumed_s, script.duration_s);
         let resumed = passed && errors.is_some_and(|[forward, left, _]| forward.hypot(left) < self.resumed_m_s);
-        values[5] = Some(f64::from(u8::from(passed)));
-        values[6] = Some(f64::from(u8::from(resumed)));
+        values[5] = truth(passed);
+        values[6] = truth(resumed);
         values[8] = Some(end.fell());
 
         let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
@@ -146,15 +146,12 @@ impl Experiment for FreeBox {
              policy with the box after. A cross is a fall.",
             top_view::draw("Paths of the robot and the box, seen from above", views, size_m),
         );
-        let panel = |name: &str| Dots {
-            quantity: results.quantity(name),
-            rows: vec![[0, 1].map(|set| results.per_seed(set, 0, name))],
-        };
-        let panels = ["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"].map(panel);
+        let panels = ["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"]
+            .map(|name| by_condition(results, name));
         let forces = Figure::new(
             "box-forces",
             "What the box suffers: mean ± standard deviation over seeds, single seeds as hollow marks.",
-            dots::draw("Displacement and forces of the box", &panels, &[String::new()], &results.names),
+            dots::draw("Displacement and forces of the box", &panels, &labels(results), &results.names),
         );
         let claim = |text: &str, paper: &str, name: &str, expected| {
             Claim::direction(text, paper, results.quantity(name), expected, results.compare(0, name))

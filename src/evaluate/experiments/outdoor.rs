@@ -68,9 +68,8 @@ impl Experiment for Outdoor {
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let upright = end == End::Upright;
         let found = scenario.metrics(script, trace);
-        let errors = metrics::velocity_errors(trace, self.settle_s, script.duration_s).filter(|_| upright);
+        let error = metrics::velocity_error(trace, self.settle_s, script.duration_s).filter(|_| upright);
         let of_upright = |name: &str| value(&found, name).filter(|_| upright);
-        let error = errors.map(|[forward, left, _]| forward.hypot(left));
         let values = vec![
             truth(upright),
             error,

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, gait, labels, parameters, value};
+use super::{by_condition, gait, labels, parameters, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -81,7 +81,7 @@ impl Experiment for Pendulum {
         if end == End::Fault {
             values.fill(None);
         }
-        values[QUANTITIES.len() - 2] = Some(f64::from(u8::from(was_hit)));
+        values[QUANTITIES.len() - 2] = truth(was_hit);
         values[QUANTITIES.len() - 1] = Some(end.fell());
         Measured { values, series: Vec::new() }
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::parameters;
+use super::{parameters, truth};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::grid::{self, Grid};
@@ -143,7 +143,7 @@ impl Experiment for PushGrid {
         let until_s = script.pushes.first().map_or(script.duration_s, |push| push.time_s + self.watch_s);
         let fell = trace.fall().is_some_and(|fall| fall.time_s <= until_s);
         let success = !fell && end != End::Fault;
-        Measured { values: vec![Some(f64::from(u8::from(success)))], series: Vec::new() }
+        Measured { values: vec![truth(success)], series: Vec::new() }
     }
 
     fn findings(&self, results: &Results) -> Findings {

@@ -69,12 +69,12 @@ impl Experiment for Rubble {
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let upright = end == End::Upright;
         let found = scenario.metrics(script, trace);
-        let errors = metrics::velocity_errors(trace, self.settle_s, script.duration_s).filter(|_| upright);
+        let error = metrics::velocity_error(trace, self.settle_s, script.duration_s).filter(|_| upright);
         let of_upright = |name: &str| value(&found, name).filter(|_| upright);
         let values = vec![
             truth(upright),
             truth(upright && value(&found, "crossed") == Some(1.0)),
-            errors.map(|[forward, left, _]| forward.hypot(left)),
+            error,
             of_upright("peak_foot_force_n"),
             of_upright("power_w"),
         ];

@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{parameters, value};
+use super::{by_condition, labels, parameters, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
-use crate::evaluate::plot::dots::{self, Dots};
+use crate::evaluate::plot::dots;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
@@ -76,14 +76,9 @@ impl Experiment for Terrain {
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let upright = end == End::Upright;
         let found = scenario.metrics(script, trace);
-        let errors = metrics::velocity_errors(trace, self.settle_s, script.duration_s).filter(|_| upright);
+        let error = metrics::velocity_error(trace, self.settle_s, script.duration_s).filter(|_| upright);
         let of_upright = |name: &str| value(&found, name).filter(|_| upright);
-        let values = vec![
-            Some(f64::from(u8::from(upright))),
-            errors.map(|[forward, left, _]| forward.hypot(left)),
-            of_upright("peak_foot_force_n"),
-            of_upright("power_w"),
-        ];
+        let values = vec![truth(upright), error, of_upright("peak_foot_force_n"), of_upright("power_w")];
         Measured { values, series: Vec::new() }
     }
 
@@ -92,17 +87,17 @@ impl Experiment for Terrain {
         let caption = "Walking over Perlin terrain, by height (peak to peak) and frequency.";
         let table = Table::of_conditions("terrain", caption, results, &names);
         let conditions = results.conditions.len();
-        let panel = |name: &str| Dots {
-            quantity: results.quantity(name),
-            rows: (0..conditions).map(|c| [0, 1].map(|set| results.per_seed(set, c, name))).collect(),
-        };
-        let labels: Vec<String> = results.conditions.iter().map(|condition| condition.label.clone()).collect();
-        let panels = ["success", "velocity_error_m_s", "peak_foot_force_n"].map(panel);
+        let panels = ["success", "velocity_error_m_s", "peak_foot_force_n"].map(|name| by_condition(results, name));
         let figure = Figure::new(
             "terrain",
             "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds as \
              hollow marks. Numbers but success are of trials without a fall.",
-            dots::draw("Success, velocity error and peak foot force by terrain", &panels, &labels, &results.names),
+            dots::draw(
+                "Success, velocity error and peak foot force by terrain",
+                &panels,
+                &labels(results),
+                &results.names,
+            ),
         );
         let all: Vec<usize> = (0..conditions).collect();
         let claim = |text: &str, paper: &str, name: &str, expected, over: &[usize]| {

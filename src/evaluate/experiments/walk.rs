@@ -2,10 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{parameters, value};
+use super::{by_condition, labels, parameters, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
-use crate::evaluate::plot::dots::{self, Dots};
+use crate::evaluate::plot::dots;
 use crate::evaluate::results::Results;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
@@ -110,7 +110,7 @@ impl Experiment for Walk {
         values[0] = Some(end.fell());
         if end == End::Upright {
             let errors = metrics::velocity_errors(trace, self.settle_s, script.duration_s);
-            values[1] = errors.map(|[forward, left, _]| forward.hypot(left));
+            values[1] = metrics::velocity_error(trace, self.settle_s, script.duration_s);
             (0..3).for_each(|axis| values[2 + axis] = errors.map(|errors| errors[axis]));
             let found = scenario.metrics(script, trace);
             for (index, quantity) in QUANTITIES.iter().enumerate().skip(5) {
@@ -129,14 +129,7 @@ impl Experiment for Walk {
         let first = results.conditions.first().map_or(String::new(), |condition| condition.label.clone());
         let caption = format!("Walking undisturbed at the command of the other experiments ({first}).");
         let table = Table { name: "walk".into(), caption, rows: of_first, in_page: true };
-        let panel = |name: &str| Dots {
-            quantity: results.quantity(name),
-            rows: (0..results.conditions.len())
-                .map(|condition| [0, 1].map(|set| results.per_seed(set, condition, name)))
-                .collect(),
-        };
-        let labels: Vec<String> = results.conditions.iter().map(|condition| condition.label.clone()).collect();
-        let panels = [panel("velocity_error_m_s"), panel("power_w")];
+        let panels = ["velocity_error_m_s", "power_w"].map(|name| by_condition(results, name));
         let claim = Claim::bound(
             "Walking undisturbed at 0.5 m/s, both keep the velocity error below 0.05 m/s",
             "< 0.05 / < 0.05 m/s",
@@ -151,7 +144,7 @@ impl Experiment for Walk {
                 "walk",
                 "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
                  the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
-                dots::draw("Velocity error and power by command", &panels, &labels, &results.names),
+                dots::draw("Velocity error and power by command", &panels, &labels(results), &results.names),
             )],
             notes: self.strangers(results),
         }
