@@ -256,6 +256,8 @@ pub struct Ppo {
     pub minibatch_size: usize,
     /// Passes over the batch.
     pub epochs: usize,
+    /// Whether half of the samples are learnt from in the [mirror](crate::mirror).
+    pub mirror: bool,
     /// Clip range of the probability ratio.
     pub clip_range: f64,
     /// Weight of the entropy bonus.
@@ -430,6 +432,8 @@ impl Config {
             &format!("2 to ppo.batch_size ({})", p.batch_size),
         )?;
         require(p.epochs > 0, "ppo.epochs", p.epochs, "at least 1")?;
+        let upright = self.action.nominal_pose_rad[0] == 0.0;
+        require(!p.mirror || upright, "ppo.mirror", p.mirror, "false, unless the hip of action.nominal_pose_rad is 0")?;
         let widths = !p.hidden_layers.is_empty() && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
         require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), "one or more widths from 1 to 4096")?;
         positive("ppo.clip_range", p.clip_range)?;
@@ -612,6 +616,15 @@ mod tests {
         for (from, to, message) in cases {
             assert_eq!(changed(from, to).unwrap_err().to_string(), message);
         }
+    }
+
+    #[test]
+    fn a_pose_that_leans_to_one_side_has_no_mirror_image() {
+        let mut config = Config::load("fast").unwrap();
+        config.action.nominal_pose_rad[0] = 0.1;
+        let error = config.validate().unwrap_err().to_string();
+        let expected = "config key ppo.mirror is true, expected false, unless the hip of action.nominal_pose_rad is 0";
+        assert_eq!(error, expected);
     }
 
     #[test]

@@ -17,6 +17,7 @@ pub mod go1;
 pub mod guide;
 pub mod last_second;
 pub mod metrics;
+pub mod mirror;
 pub mod mujoco;
 pub mod onnx;
 pub mod policies;

@@ -30,6 +30,8 @@ pub enum Purpose {
     Sensor = 8,
     /// Resampling for confidence intervals. Counters: quantity, free.
     Bootstrap = 9,
+    /// Samples that are learnt from in the mirror. Counters: iteration, epoch.
+    Mirror = 10,
 }
 
 /// The generator of a stream.

@@ -12,6 +12,7 @@ use crate::config::{Config, Ppo};
 use crate::env::{End, Fault, LocomotionEnv};
 use crate::go1::JOINT_COUNT;
 use crate::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
+use crate::mirror::{self, MirroredBatch};
 use crate::mujoco;
 use crate::policy::{Policy, Provenance};
 use crate::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, UpdateFault};
@@ -164,7 +165,15 @@ impl Trainer {
             advantages: &advantages,
             returns: &returns,
         };
-        let permutations = permutations(self.seed, self.iteration, ppo.epochs, rollout.len());
+        let mut permutations = permutations(self.seed, self.iteration, ppo.epochs, rollout.len());
+        let images = ppo.mirror.then(|| MirroredBatch::new(&batch, &network.policy, self.threads));
+        if images.is_some() {
+            for (epoch, order) in permutations.iter_mut().enumerate() {
+                let mut rng = stream(self.seed, Purpose::Mirror, self.iteration, epoch as u64);
+                mirror::flip(order, rollout.len(), &mut rng);
+            }
+        }
+        let batch = images.as_ref().map_or(batch, MirroredBatch::as_batch);
         let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
             iteration: self.iteration,
             minibatch: minibatch_csv(&fault, &rollout, &advantages, &returns),
@@ -291,7 +300,8 @@ fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, advantages: &[f32], ret
         columns("action", JOINT_COUNT),
         columns("observation", LENGTH)
     );
-    for row in samples.iter().map(|sample| *sample as usize) {
+    // An image is told by the sample that it is of.
+    for row in samples.iter().map(|sample| *sample as usize % rollout.len()) {
         let numbers =
             [rollout.rewards[row], rollout.values[row], advantages[row], returns[row], rollout.log_probs[row]];
         let action = &rollout.actions[row * JOINT_COUNT..(row + 1) * JOINT_COUNT];

@@ -1,0 +1,228 @@
+/*! The robot in a mirror: every sample of a batch teaches the same thing to the other side.
+
+The Go1 is nearly its own mirror image about the plane between its left and right legs, and so is the task. A learner
+that is shown samples in the mirror about half of the time gets twice the variety from the same physics, and its robot
+walks as straight to the left as to the right. It is off in Table III; the fast presets use it.
+*/
+
+use std::sync::LazyLock;
+
+use rand::{Rng, RngExt};
+
+use crate::go1::JOINT_COUNT;
+use crate::ppo::{Batch, Mlp, PackedMlp, Scratch};
+use crate::task::observation::{LAYOUT, LENGTH, Quantity};
+
+/// Where a number of the mirror image comes from, and with which sign.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Source {
+    index: usize,
+    sign: f32,
+}
+
+/// FR ↔ FL, RR ↔ RL; hips turn the other way.
+fn of_joint(joint: usize) -> Source {
+    let (leg, part) = (joint / 3, joint % 3);
+    Source { index: (leg ^ 1) * 3 + part, sign: if part == 0 { -1.0 } else { 1.0 } }
+}
+
+/// Within a quantity in the paper's axes (left, up, forward).
+fn of_quantity(quantity: Quantity, index: usize) -> Source {
+    let signs: [f32; 3] = match quantity {
+        Quantity::BaseHeight => [1.0; 3],
+        Quantity::LocalGravity | Quantity::LocalVelocity => [-1.0, 1.0, 1.0],
+        // A reflection keeps the turn about its normal and reverses the others.
+        Quantity::LocalAngularVelocity => [1.0, -1.0, -1.0],
+        // Left, forward, yaw.
+        Quantity::Command => [-1.0, 1.0, -1.0],
+        Quantity::JointAngles | Quantity::JointRates | Quantity::JointTargets => return of_joint(index),
+    };
+    Source { index, sign: signs[index] }
+}
+
+static OBSERVATION: LazyLock<[Source; LENGTH]> = LazyLock::new(|| {
+    let mut sources = [Source { index: 0, sign: 0.0 }; LENGTH];
+    let mut start = 0;
+    for block in LAYOUT {
+        for k in 0..block.quantity.length() {
+            let within = of_quantity(block.quantity, k);
+            sources[start + k] = Source { index: start + within.index, ..within };
+        }
+        start += block.quantity.length();
+    }
+    sources
+});
+
+static ACTION: LazyLock<[Source; JOINT_COUNT]> = LazyLock::new(|| std::array::from_fn(of_joint));
+
+fn reflect(sources: &[Source], rows: &[f32]) -> Vec<f32> {
+    rows.chunks_exact(sources.len())
+        .flat_map(|row| sources.iter().map(|source| source.sign * row[source.index]))
+        .collect()
+}
+
+/// Mirror images of normalised observations, shape (n, 83). The hips' nominal angle must be zero, or offsets have no
+/// mirror image of their own.
+pub fn observations(rows: &[f32]) -> Vec<f32> {
+    reflect(&*OBSERVATION, rows)
+}
+
+/// Mirror images of actions, shape (n, 12).
+pub fn actions(rows: &[f32]) -> Vec<f32> {
+    reflect(&*ACTION, rows)
+}
+
+/// A batch of n samples and, as samples n to 2 n, their mirror images.
+#[derive(Debug)]
+pub struct MirroredBatch {
+    observations: Vec<f32>,
+    actions: Vec<f32>,
+    means: Vec<f32>,
+    log_std: Vec<f32>,
+    log_probs: Vec<f32>,
+    advantages: Vec<f32>,
+    returns: Vec<f32>,
+}
+
+impl MirroredBatch {
+    /// Rewards and values have no side, and an image was as likely as its sample, from the mirror image of the policy
+    /// that sampled. The means are those of that policy itself: the learning rate follows how far it moves, not how far
+    /// it is from its image.
+    pub fn new(batch: &Batch<'_>, policy: &Mlp, threads: usize) -> Self {
+        let (seen, done) = (observations(batch.observations), actions(batch.actions));
+        let means = evaluate(&PackedMlp::new(policy), &seen, threads);
+        Self {
+            observations: [batch.observations, &seen].concat(),
+            actions: [batch.actions, &done].concat(),
+            means: [batch.means, &means].concat(),
+            log_std: batch.log_std.to_vec(),
+            log_probs: batch.log_probs.repeat(2),
+            advantages: batch.advantages.repeat(2),
+            returns: batch.returns.repeat(2),
+        }
+    }
+
+    /// For the learner.
+    pub fn as_batch(&self) -> Batch<'_> {
+        Batch {
+            observations: &self.observations,
+            actions: &self.actions,
+            means: &self.means,
+            log_std: &self.log_std,
+            log_probs: &self.log_probs,
+            advantages: &self.advantages,
+            returns: &self.returns,
+        }
+    }
+}
+
+/// Replaces samples of `order`, all of them below `samples`, by their images with probability ½.
+pub fn flip(order: &mut [u32], samples: usize, rng: &mut impl Rng) {
+    for row in order {
+        if rng.random() {
+            *row += samples as u32;
+        }
+    }
+}
+
+/// Outputs have the same bits for any number of threads.
+fn evaluate(network: &PackedMlp, inputs: &[f32], threads: usize) -> Vec<f32> {
+    let rows = inputs.len() / LENGTH;
+    let share = rows.div_ceil(threads.max(1)).max(1);
+    let mut outputs = vec![0.0; rows * JOINT_COUNT];
+    std::thread::scope(|scope| {
+        for (inputs, outputs) in inputs.chunks(share * LENGTH).zip(outputs.chunks_mut(share * JOINT_COUNT)) {
+            scope.spawn(move || network.forward(inputs.len() / LENGTH, inputs, outputs, &mut Scratch::default()));
+        }
+    });
+    outputs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::go1::{FootState, RobotState};
+    use crate::ppo::ActorCritic;
+    use crate::random::{Purpose, stream};
+    use crate::task::observation::{pack, reduced};
+    use crate::task::{Command, Normaliser};
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    /// A robot that leans, turns, moves and is commanded to its left, or to its right with the legs' roles swapped.
+    fn leaning(side: f64) -> Vec<f32> {
+        let joint = |values: [f64; 12]| -> [f64; 12] {
+            if side > 0.0 {
+                values
+            } else {
+                std::array::from_fn(|k| {
+                    let swapped = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8][k];
+                    if k % 3 == 0 { -values[swapped] } else { values[swapped] }
+                })
+            }
+        };
+        let angles = joint([0.1, 0.7, -1.4, 0.2, 0.8, -1.5, -0.1, 0.6, -1.3, 0.3, 0.9, -1.6]);
+        let state = |age: f64| RobotState {
+            position: Vector3::zeros(),
+            world_from_base: UnitQuaternion::identity(),
+            height: 0.3 + age,
+            velocity_in_base: Vector3::new(0.5, side * 0.2, -0.1),
+            angular_velocity_in_base: Vector3::new(side * 0.3, 0.4, side * (0.5 + age)),
+            gravity_in_base: Vector3::new(-0.5, side * 0.7, -9.7),
+            joint_angles: angles,
+            joint_rates: joint([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0]),
+            feet: [FootState::default(); 4],
+        };
+        let command = Command { forward: 0.9, left: side * 0.4, yaw: side * -0.3 };
+        let raw = pack(&reduced(&state(0.01)), &angles, &reduced(&state(0.0)), &command);
+        let mut seen = vec![0.0; LENGTH];
+        Normaliser::new(&Config::load("compliant").unwrap()).apply(&raw, &mut seen);
+        seen
+    }
+
+    #[test]
+    fn image_of_a_robot_leaning_to_the_left_is_one_leaning_to_the_right() {
+        assert_ne!(leaning(1.0), leaning(-1.0));
+        assert_eq!(observations(&leaning(1.0)), leaning(-1.0));
+        assert_eq!(observations(&observations(&leaning(1.0))), leaning(1.0));
+    }
+
+    #[test]
+    fn actions_change_sides_and_hips_turn_around() {
+        let done: Vec<f32> = (1..=12).map(|k| k as f32).collect();
+        assert_eq!(actions(&done), [-4.0, 5.0, 6.0, -1.0, 2.0, 3.0, -10.0, 11.0, 12.0, -7.0, 8.0, 9.0]);
+    }
+
+    #[test]
+    fn images_keep_what_has_no_side_and_have_means_of_their_own() {
+        let network = ActorCritic::orthogonal(LENGTH, &[16], 12, -1.0, &mut stream(0, Purpose::Weights, 0, 0));
+        let seen = [leaning(1.0), leaning(-1.0), leaning(1.0)].concat();
+        let evaluated = evaluate(&PackedMlp::new(&network.policy), &seen, 1);
+        let batch = Batch {
+            observations: &seen,
+            actions: &[[0.5; 12]; 3].concat(),
+            means: &evaluated,
+            log_std: &network.log_std,
+            log_probs: &[1.0, 2.0, 3.0],
+            advantages: &[4.0, 5.0, 6.0],
+            returns: &[7.0, 8.0, 9.0],
+        };
+        let images = |threads| MirroredBatch::new(&batch, &network.policy, threads);
+        let both = images(1);
+        assert_eq!(both.means, images(2).means);
+        // Samples 1 and 3 are the image of sample 2, which therefore has their means.
+        assert_eq!(both.means[4 * 12..5 * 12], evaluated[..12]);
+        assert_eq!(both.means[3 * 12..4 * 12], evaluated[12..24]);
+        assert_eq!((both.advantages.as_slice(), both.returns[5]), (&[4.0, 5.0, 6.0, 4.0, 5.0, 6.0][..], 9.0));
+        assert_eq!(both.log_probs, [1.0, 2.0, 3.0, 1.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn flipping_leaves_every_sample_once_on_either_side() {
+        let mut order: Vec<u32> = (0..1000).rev().collect();
+        flip(&mut order, 1000, &mut stream(0, Purpose::Shuffle, 0, 0));
+        let flipped = order.iter().filter(|row| **row >= 1000).count();
+        assert!((400..600).contains(&flipped), "{flipped} of 1000");
+        assert!(order.iter().map(|row| row % 1000).eq((0..1000).rev()));
+    }
+}
