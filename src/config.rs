@@ -622,7 +622,7 @@ mod tests {
     fn a_pose_that_leans_to_one_side_has_no_mirror_image() {
         let mut config = Config::load("fast").unwrap();
         config.action.nominal_pose_rad[0] = 0.1;
-        let error = config.validate().unwrap_err().to_string();
+        let error = config.check().unwrap_err().to_string();
         let expected = "config key ppo.mirror is true, expected false, unless the hip of action.nominal_pose_rad is 0";
         assert_eq!(error, expected);
     }
