@@ -17,20 +17,31 @@ fn main() {
     }
 }
 
-/// An array expression of (name, bytes), by name.
+/// An array expression of (name, bytes), by name: `compliant-seed0`, `hardware/compliant-seed0`.
 fn embedded_policies(folder: &Path) -> String {
-    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok).map(|entry| entry.path());
-    let mut files: Vec<PathBuf> = entries.filter(|path| path.extension().is_some_and(|e| e == "safetensors")).collect();
+    let mut files = Vec::new();
+    policies_in(folder, "", &mut files);
     files.sort();
     let mut code = String::from("&[\n");
-    for file in files {
-        let path = file.canonicalize().unwrap_or(file.clone());
-        let name = file.file_stem().unwrap_or_default().to_string_lossy();
+    for (name, file) in files {
+        let path = file.canonicalize().unwrap_or(file);
         // Writing into a String cannot fail.
         let _ = writeln!(code, "    ({name:?}, include_bytes!({:?})),", path.display().to_string());
     }
     code.push(']');
     code
+}
+
+/// Those of a folder and of the folders in it.
+fn policies_in(folder: &Path, prefix: &str, files: &mut Vec<(String, PathBuf)>) {
+    for path in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok).map(|entry| entry.path()) {
+        let name = format!("{prefix}{}", path.file_stem().unwrap_or_default().to_string_lossy());
+        if path.is_dir() {
+            policies_in(&path, &format!("{name}/"), files);
+        } else if path.extension().is_some_and(|extension| extension == "safetensors") {
+            files.push((name, path));
+        }
+    }
 }
 
 fn git_revision() -> Option<String> {

@@ -17,6 +17,7 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("fast", include_str!("../configs/fast.yaml")),
     ("fast-baseline", include_str!("../configs/fast-baseline.yaml")),
     ("hardware", include_str!("../configs/hardware.yaml")),
+    ("hardware-baseline", include_str!("../configs/hardware-baseline.yaml")),
 ];
 
 /// Physics steps per second beyond which nothing is gained and a delay would need a long queue.

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::agent::{Agent, AgentError};
 use crate::policy::{Policy, PolicyError};
 
-/// Name and file of every policy in `policies/` at build time, by name.
+/// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
 
 /// Why no policy was found.
@@ -49,7 +49,7 @@ impl From<PolicyError> for FindError {
 }
 
 /// A policy by path of its file, path of a run's folder, path of the YAML file of one from elsewhere, or name of a
-/// shipped one; `compliant` stands for `compliant-seed0`.
+/// shipped one; `compliant` stands for `compliant-seed0`, `hardware/compliant` for `hardware/compliant-seed0`.
 ///
 /// # Errors
 /// [`FindError`], with the names that there are.

@@ -26,7 +26,8 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Configuration: compliant, baseline, fast, fast-baseline, hardware, or a YAML file [default: compliant]
+    /// Configuration: compliant, baseline, fast, fast-baseline, hardware, hardware-baseline, or a YAML file [default:
+    /// compliant]
     #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     config: Option<String>,
     /// Seed of everything random in the run [default: 0]
