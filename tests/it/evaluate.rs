@@ -174,27 +174,36 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
     check_page(&report.join("report.html"));
 }
 
-/// Opens the page in headless Chromium: every figure is there, nothing is fetched, the console is silent.
+/// Opens the page in headless Chromium: every figure is laid out with nothing cut off, nothing is fetched, the console is
+/// silent.
 fn check_page(page: &Path) {
     let text = std::fs::read_to_string(page).unwrap();
     assert!(
         !text.replace("http://www.w3.org/2000/svg", "").contains("http"),
         "the page refers to something outside it"
     );
-    let Some((dom, _)) = browse(page) else {
+    let frame = page.with_file_name("frame.html");
+    std::fs::write(&frame, include_str!("frame.html").replace("PAGE", &format!("file://{}", page.display()))).unwrap();
+    let Some((dom, console)) = browse(&frame) else {
         eprintln!("SKIPPED: the page was not opened, for there is no /usr/bin/chromium (Debian package chromium)");
         return;
     };
-    for figure in FIGURES {
-        assert!(dom.contains(&format!("<figure id=\"figure-{figure}\">\n<svg")), "{figure} is not in the page");
+    assert!(!console.contains("CONSOLE"), "{console}");
+    let found = dom.split_once("<pre id=\"found\">").unwrap().1.split_once("</pre>").unwrap().0;
+    let found: Value = serde_json::from_str(found).unwrap_or_else(|_| panic!("{found}"));
+    let figures = found["figures"].as_array().unwrap();
+    let names: Vec<&str> = figures.iter().map(|figure| figure["name"].as_str().unwrap()).collect();
+    assert!(FIGURES.iter().all(|figure| names.contains(figure)), "{names:?}");
+    for figure in figures {
+        assert_eq!(figure["cut"], serde_json::json!([]), "text outside of the drawing: {figure}");
+        let [width, height, right] = ["width", "height", "right"].map(|key| figure[key].as_f64().unwrap());
+        assert!(width > 300.0 && height > 100.0 && right <= found["width"].as_f64().unwrap() + 1.0, "{figure}");
     }
     // The same with something that complains: the check would see it.
     let broken = page.with_file_name("broken.html");
     std::fs::write(&broken, text.replace("</body>", "<script>nowhere();</script></body>")).unwrap();
     let (_, console) = browse(&broken).unwrap();
     assert!(console.contains("nowhere is not defined"), "{console}");
-    let (_, console) = browse(page).unwrap();
-    assert!(!console.contains("CONSOLE"), "{console}");
 }
 
 /// The document as Chromium understands it, and its log; none if there is no Chromium.
@@ -207,7 +216,12 @@ fn browse(page: &Path) -> Option<(String, String)> {
     let output = Command::new(chromium)
         .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
         .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
-        .args(["--enable-logging=stderr", "--dump-dom"])
+        .args([
+            "--allow-file-access-from-files",
+            "--enable-logging=stderr",
+            "--virtual-time-budget=10000",
+            "--dump-dom",
+        ])
         .arg(format!("--user-data-dir={}", profile.path().display()))
         .arg(format!("file://{}", page.display()))
         .output()
