@@ -33,7 +33,7 @@ struct Args {
     /// Seed of everything random in the run [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "resume")]
     seed: Option<u64>,
-    /// Samples of the whole run, also when resumed [default: the configuration's]
+    /// Samples of the whole run; a resumed run keeps its own unless told otherwise [default: the configuration's]
     #[arg(long, value_name = "N")]
     samples: Option<u64>,
     /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]
@@ -58,10 +58,10 @@ fn run(args: Args) -> anyhow::Result<()> {
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or(cores, usize::from);
     let (mut trainer, mut folder) = match &args.resume {
-        Some(path) => resume(path, threads)?,
+        Some(path) => resume(path, args.samples, threads)?,
         None => start(&args, threads)?,
     };
-    let total = args.samples.unwrap_or(trainer.config().run.samples);
+    let total = trainer.config().run.samples;
     let mut saved = trainer.iteration();
     train(&mut trainer, &mut folder, total, &stop, &mut saved).with_context(|| {
         let path = folder.path().display();
@@ -159,7 +159,8 @@ fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
 
 fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     let name = args.config.as_deref().unwrap_or("compliant");
-    let config = Config::load(name)?;
+    let mut config = Config::load(name)?;
+    config.run.samples = args.samples.unwrap_or(config.run.samples);
     let stem = std::path::Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy());
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| format!("runs/{stem}-seed{seed}").into());
@@ -168,8 +169,10 @@ fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     Ok((trainer, folder))
 }
 
-fn resume(path: &std::path::Path, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
-    let (folder, checkpoint, passed_over) = RunFolder::resume(path)?;
+fn resume(path: &std::path::Path, samples: Option<u64>, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
+    let (folder, mut checkpoint, passed_over) = RunFolder::resume(path)?;
+    let planned = &mut checkpoint.run.config.run.samples;
+    *planned = samples.unwrap_or(*planned);
     if let Some(reason) = passed_over {
         terminal::note(format_args!("warning: {reason}; going on from the checkpoint before it"));
     }
