@@ -115,6 +115,7 @@ pub struct Go1 {
     ground: usize,
     /// For each geometry: part of the robot other than a foot.
     is_body_part: Vec<bool>,
+    mass_kg: f64,
 }
 
 impl Go1 {
@@ -136,6 +137,8 @@ impl Go1 {
         };
         let is_body_part =
             (0..model.count(Kind::Geom)).map(|geom| in_robot(model.geom_body(geom)) && !feet.contains(&geom)).collect();
+        let masses = model.body_mass();
+        let mass_kg = (0..model.count(Kind::Body)).filter(|body| in_robot(*body)).map(|body| masses[body]).sum();
         Ok(Go1 {
             trunk,
             root_position: model.joint_position_index(root),
@@ -148,7 +151,13 @@ impl Go1 {
             foot_radius: feet.map(|geom| model.geom(geom).size[0]),
             ground: model.id(Kind::Geom, GROUND)?,
             is_body_part,
+            mass_kg,
         })
+    }
+
+    /// Mass of all its parts \[kg\].
+    pub fn mass_kg(&self) -> f64 {
+        self.mass_kg
     }
 
     /// Body id of the trunk.

@@ -106,6 +106,8 @@ pub struct Frame {
     pub peak_obstacle_force_n: f64,
     /// Impulse between the robot and obstacles over the step [N·s].
     pub obstacle_impulse_n_s: f64,
+    /// Time that they touched, of the step \[s\].
+    pub obstacle_contact_s: f64,
     /// A rope, if the scene has one.
     pub rope: Option<Rope>,
     /// What the robot knew of it; none if it acts on the true state.
@@ -146,6 +148,8 @@ pub enum EventKind {
 pub struct Trace {
     /// Time between frames \[s\].
     pub period_s: f64,
+    /// Of the robot \[N\].
+    pub weight_n: f64,
     /// One frame for each policy step.
     pub frames: Vec<Frame>,
     /// In order of time.
@@ -156,5 +160,10 @@ impl Trace {
     /// The first fall, if there was one.
     pub fn fall(&self) -> Option<&Event> {
         self.events.iter().find(|event| event.kind == EventKind::Fall)
+    }
+
+    /// Whether the robot got to the script's goal on its feet.
+    pub fn reached_goal(&self) -> bool {
+        self.events.iter().any(|event| event.kind == EventKind::Success)
     }
 }

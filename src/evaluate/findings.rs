@@ -134,7 +134,7 @@ pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize) -> Str
 
 /// A signed number with its interval.
 pub fn estimate(estimate: Option<Estimate>, quantity: Quantity) -> String {
-    let Some(Estimate { value, interval }) = estimate else { return "–".to_owned() };
+    let Some(Estimate { value, interval, .. }) = estimate else { return "–".to_owned() };
     let signed = |value: f64| {
         let text = number(value, quantity);
         if value > 0.0 && !text.starts_with('−') { format!("+{text}") } else { text }
@@ -174,7 +174,7 @@ mod tests {
     #[test]
     fn estimates_are_signed() {
         let metres = Quantity::new("x", "x", "m", 1);
-        let found = estimate(Some(Estimate { value: 0.5, interval: Some([-0.2, 1.2]) }), metres);
+        let found = estimate(Some(Estimate { value: 0.5, interval: Some([-0.2, 1.2]), pairs: 5 }), metres);
         assert_eq!(found, "+0.5 [−0.2, +1.2]");
     }
 }

@@ -49,58 +49,50 @@ impl Results {
         self.quantities[self.index(name)]
     }
 
-    /// For each seed, the mean over the trials of a condition that define the quantity.
+    /// For each seed of a set, the mean over a condition's trials.
     pub fn per_seed(&self, set: usize, condition: usize, quantity: &str) -> PerSeed {
-        let index = self.index(quantity);
-        let of_seed = |(seed, policy): (&u64, &PolicyResult)| Some((*seed, mean_of(policy, condition, index)?));
-        self.sets[set].iter().filter_map(of_seed).collect()
+        self.means(set, &[condition], self.index(quantity))
     }
 
     /// Both sets in one condition.
     pub fn compare(&self, condition: usize, quantity: &str) -> Comparison {
-        Comparison::new(self.per_seed(0, condition, quantity), self.per_seed(1, condition, quantity))
+        self.compare_over(&[condition], quantity)
     }
 
-    /// Both sets, each policy by the mean over conditions of its mean over trials. A condition in which one of a pair
-    /// has no number is left out for both: else the one that falls where it is hard would be spared the hard part.
+    /// Both sets, each policy by the mean over conditions of its mean over trials.
     pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
         let index = self.index(quantity);
-        let of_set = |set: usize| -> PerSeed {
-            let of_seed = |(seed, policy): (&u64, &PolicyResult)| {
-                let partner = self.sets[1 - set].get(seed);
-                let shared: Vec<usize> = match partner {
-                    Some(partner) => self.shared([policy, partner], conditions, index),
-                    None => Vec::new(),
-                };
-                let used = if shared.is_empty() { conditions } else { &shared };
-                Some((*seed, mean(used.iter().filter_map(|condition| mean_of(policy, *condition, index)))?))
-            };
-            self.sets[set].iter().filter_map(of_seed).collect()
-        };
-        Comparison::new(of_set(0), of_set(1))
+        Comparison::new(self.means(0, conditions, index), self.means(1, conditions, index))
     }
 
-    /// What [`Results::compare_over`] leaves out, in words; none if it is nothing.
+    /// For each seed of a set, the mean over conditions of the mean over trials. A trial that leaves the quantity
+    /// undefined for one of a pair is left out for both: else the one that falls where it is hard would be spared the
+    /// hard part. Only where the partner has no number at all does a policy keep all of its own.
+    fn means(&self, set: usize, conditions: &[usize], quantity: usize) -> PerSeed {
+        let of_seed = |(seed, policy): (&u64, &PolicyResult)| {
+            let partner = self.sets[1 - set].get(seed);
+            let partner =
+                partner.filter(|other| conditions.iter().any(|c| mean_of(other, None, *c, quantity).is_some()));
+            Some((*seed, mean(conditions.iter().filter_map(|c| mean_of(policy, partner, *c, quantity)))?))
+        };
+        self.sets[set].iter().filter_map(of_seed).collect()
+    }
+
+    /// How many conditions of pairs [`Results::compare_over`] leaves out as a whole, in words; none if there is none.
     pub fn left_out(&self, conditions: &[usize], quantity: &str) -> Option<String> {
         let (index, seeds) = (self.index(quantity), self.common_seeds());
         let shared = |seed: &u64| {
-            let pair = [&self.sets[0][seed], &self.sets[1][seed]];
-            self.shared(pair, conditions, index).len()
+            let (policy, partner) = (&self.sets[0][seed], &self.sets[1][seed]);
+            conditions.iter().filter(|c| mean_of(policy, Some(partner), **c, index).is_some()).count()
         };
         let (all, used) = (seeds.len() * conditions.len(), seeds.iter().map(shared).sum::<usize>());
         (used < all).then(|| {
             format!(
-                "{} of {all} pairs of policies and directions are left out of the means, for one of the pair has no number \
-                 there (it fell in every trial).",
+                "{} of {all} conditions of pairs are left out of the means: there is no trial there in which both policies \
+                 have a number.",
                 all - used
             )
         })
-    }
-
-    /// Conditions in which both policies have a number.
-    fn shared(&self, pair: [&PolicyResult; 2], conditions: &[usize], quantity: usize) -> Vec<usize> {
-        let both = |condition: &usize| pair.iter().all(|policy| mean_of(policy, *condition, quantity).is_some());
-        conditions.iter().copied().filter(both).collect()
     }
 
     /// Seeds that both sets have.
@@ -125,9 +117,14 @@ impl Results {
     }
 }
 
-/// Mean over the trials of a condition that define a quantity.
-fn mean_of(policy: &PolicyResult, condition: usize, quantity: usize) -> Option<f64> {
-    mean(policy.get(condition)?.iter().filter_map(|sample| sample.values[quantity]))
+/// Mean over the trials of a condition that define a quantity, for the partner too if there is one.
+fn mean_of(policy: &PolicyResult, partner: Option<&PolicyResult>, condition: usize, quantity: usize) -> Option<f64> {
+    let others = partner.and_then(|partner| partner.get(condition));
+    let counts = |trial: usize| {
+        others.is_none_or(|others| others.get(trial).is_some_and(|other| other.values[quantity].is_some()))
+    };
+    let trials = policy.get(condition)?.iter().enumerate();
+    mean(trials.filter(|(trial, _)| counts(*trial)).filter_map(|(_, sample)| sample.values[quantity]))
 }
 
 #[cfg(test)]
@@ -142,7 +139,12 @@ mod tests {
         let condition = protocol.decay.conditions().unwrap().remove(0);
         let sample = |value: &Option<f64>| {
             let (fell, end) = value.map_or((1.0, End::Fell), |_| (0.0, End::Upright));
-            Sample { end, values: vec![Some(fell), *value, None, None], series: Vec::new(), estimation: None }
+            Sample {
+                end,
+                values: vec![Some(fell), *value, None, None, None, None],
+                series: Vec::new(),
+                estimation: None,
+            }
         };
         let policy = |values: &[Option<f64>; 2]| values.iter().map(|value| vec![sample(value)]).collect();
         Results {
@@ -163,8 +165,29 @@ mod tests {
         let comparison = results.compare_over(&[0, 1], "decay_10_s");
         assert_eq!((comparison.a[&0], comparison.b[&0]), (1.0, 2.0));
         assert_eq!((comparison.a[&1], comparison.b[&1]), (4.0, 4.0));
-        assert!(results.left_out(&[0, 1], "decay_10_s").unwrap().starts_with("1 of 4 pairs"));
+        assert!(results.left_out(&[0, 1], "decay_10_s").unwrap().starts_with("1 of 4 conditions"));
         assert_eq!(results.left_out(&[0], "decay_10_s"), None);
+    }
+
+    #[test]
+    fn policies_that_share_no_trial_are_not_compared() {
+        // One has a number where the other has none, and the other way round.
+        let results = results([vec![[Some(1.0), None]], vec![[None, Some(2.0)]]]);
+        let comparison = results.compare_over(&[0, 1], "decay_10_s");
+        assert_eq!((comparison.a.len(), comparison.b.len(), comparison.difference), (0, 0, None));
+    }
+
+    #[test]
+    fn a_trial_that_one_of_a_pair_lacks_is_left_out_for_both() {
+        // Two trials of one condition: the first is easy, and a falls in the second.
+        let mut results = results([vec![[Some(1.0), None]], vec![[Some(2.0), Some(8.0)]]]);
+        for set in &mut results.sets {
+            let policy = set.get_mut(&0).unwrap();
+            let second = policy.remove(1);
+            policy[0].extend(second);
+        }
+        assert_eq!(results.compare(0, "decay_10_s").b[&0], 2.0);
+        assert_eq!(results.compare(0, "fell").a[&0], 0.5);
     }
 
     #[test]

@@ -1,22 +1,29 @@
 /*! Means over seeds, paired differences, and what may be said about them.
 
 A cell of a table is the mean ± standard deviation over seeds, as in the paper. Both methods saw the same trials, so a
-difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. Pairs are few, and a percentile
-bootstrap over few pairs is too narrow rather than too wide: the interval is a yardstick, not a test.
+difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. Over few pairs a percentile bootstrap
+is too narrow, so that its percentiles are moved outwards to where they would give the interval of Student's t for numbers
+that are normally distributed (the *expanded* percentile interval of T. C. Hesterberg, What Teachers Should Know About the
+Bootstrap, The American Statistician 69, 2015). With fewer than five pairs not even that helps: they have the
+same sign too often by chance, and nothing is decided.
 */
 
 use std::collections::BTreeMap;
 
 use rand::RngExt;
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use crate::random::{Purpose, stream};
 
 /// Resamples of a bootstrap.
 const RESAMPLES: usize = 10_000;
 
-/// Share of resamples on either side of the interval.
+/// Chance that what is estimated lies beyond the interval, on either side.
 const TAIL: f64 = 0.025;
+
+/// Pairs from which on an interval decides: four of the same sign are one chance in eight, five one in sixteen.
+const ENOUGH_PAIRS: usize = 5;
 
 /// One number for each seed that has one.
 pub type PerSeed = BTreeMap<u64, f64>;
@@ -45,13 +52,15 @@ impl Spread {
     }
 }
 
-/// A number and the interval that holds it with 95 %.
+/// A number and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Estimate {
-    /// From all seeds.
+    /// From all pairs of seeds.
     pub value: f64,
-    /// Percentile bootstrap; none with fewer than two pairs of seeds.
+    /// Expanded percentile bootstrap; none with fewer than two pairs, or if the number is undefined for a resample.
     pub interval: Option<[f64; 2]>,
+    /// Pairs of seeds.
+    pub pairs: usize,
 }
 
 /// One quantity of two sets of policies.
@@ -92,10 +101,18 @@ impl Comparison {
 pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<Estimate> {
     let all: Vec<usize> = (0..pairs).collect();
     let value = statistic(&all)?;
-    Some(Estimate { value, interval: interval(pairs, statistic) })
+    Some(Estimate { value, interval: interval(pairs, statistic), pairs })
 }
 
-/// 95 % percentile interval of a statistic over resampled pairs.
+/// Share of resamples on either side of the interval of a mean over `pairs`: Φ(−t √(n / (n − 1))) with the quantile t of
+/// Student's distribution of n − 1 degrees of freedom.
+fn tail(pairs: usize) -> Option<f64> {
+    let freedom = pairs as f64 - 1.0;
+    let t = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - TAIL);
+    Some(Normal::standard().cdf(-t * (pairs as f64 / freedom).sqrt()))
+}
+
+/// 95 % interval of a statistic over resampled pairs.
 fn interval(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<[f64; 2]> {
     if pairs < 2 {
         return None;
@@ -103,15 +120,14 @@ fn interval(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option
     // The same resamples for every quantity: intervals then differ only because the numbers do.
     let mut rng = stream(0, Purpose::Bootstrap, pairs as u64, 0);
     let mut chosen = vec![0; pairs];
-    let mut found: Vec<f64> = (0..RESAMPLES)
-        .filter_map(|_| {
-            chosen.iter_mut().for_each(|pair| *pair = rng.random_range(0..pairs));
-            statistic(&chosen)
-        })
-        .collect();
+    let mut resample = || {
+        chosen.iter_mut().for_each(|pair| *pair = rng.random_range(0..pairs));
+        statistic(&chosen)
+    };
+    let mut found = (0..RESAMPLES).map(|_| resample()).collect::<Option<Vec<f64>>>()?;
     found.sort_by(f64::total_cmp);
-    let at = |share: f64| found.get((share * (found.len().saturating_sub(1)) as f64).round() as usize).copied();
-    Some([at(TAIL)?, at(1.0 - TAIL)?])
+    let rank = (tail(pairs)? * (RESAMPLES - 1) as f64).round() as usize;
+    Some([found[rank], found[RESAMPLES - 1 - rank]])
 }
 
 /// Mean, if there is anything to average.
@@ -140,8 +156,8 @@ pub enum Verdict {
     NoEffect,
     /// The interval lies on the other side of zero.
     Opposite,
-    /// No interval: only one pair of seeds.
-    OnePair,
+    /// There are fewer than five pairs of seeds.
+    TooFew,
     /// A number is missing on one side or both.
     Undefined,
     /// A bound that both sets keep.
@@ -154,7 +170,9 @@ impl Verdict {
     /// Of a difference.
     pub fn of(difference: Option<Estimate>, expected: Expected) -> Self {
         let Some(estimate) = difference else { return Verdict::Undefined };
-        let Some([low, high]) = estimate.interval else { return Verdict::OnePair };
+        let Some([low, high]) = estimate.interval.filter(|_| estimate.pairs >= ENOUGH_PAIRS) else {
+            return Verdict::TooFew;
+        };
         match expected {
             Expected::Higher if low > 0.0 => Verdict::AsThePaper,
             Expected::Lower if high < 0.0 => Verdict::AsThePaper,
@@ -177,9 +195,9 @@ impl Verdict {
     pub fn text(self) -> &'static str {
         match self {
             Verdict::AsThePaper => "effect in the paper's direction",
-            Verdict::NoEffect => "no effect: the interval holds zero",
+            Verdict::NoEffect => "no effect shown: the interval holds zero",
             Verdict::Opposite => "opposite effect",
-            Verdict::OnePair => "one pair of seeds: no interval can be formed",
+            Verdict::TooFew => "too few pairs of seeds to tell",
             Verdict::Undefined => "not defined for one of the sets",
             Verdict::Holds => "holds for both",
             Verdict::Fails => "does not hold for both",
@@ -206,21 +224,45 @@ mod tests {
 
     #[test]
     fn a_constant_shift_has_an_interval_of_no_width() {
-        let comparison = Comparison::new(per_seed(&[1.5, 2.5, 3.5]), per_seed(&[1.0, 2.0, 3.0]));
+        let comparison = Comparison::new(per_seed(&[1.5, 2.5, 3.5, 4.5, 5.5]), per_seed(&[1.0, 2.0, 3.0, 4.0, 5.0]));
         let difference = comparison.difference.unwrap();
         assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
         assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::AsThePaper);
         assert_eq!(Verdict::of(comparison.difference, Expected::Lower), Verdict::Opposite);
-        // 7.5 / 6 − 1
-        assert!((comparison.relative.unwrap().value - 0.25).abs() < 1e-12);
+        // 17.5 / 15 − 1
+        assert!((comparison.relative.unwrap().value - 1.0 / 6.0).abs() < 1e-12);
     }
 
     #[test]
-    fn two_pairs_resample_to_their_mean_and_themselves() {
-        // Differences −1 and 3: resamples give −1 (1/4), 1 (1/2), 3 (1/4).
-        let comparison = Comparison::new(per_seed(&[0.0, 4.0]), per_seed(&[1.0, 1.0]));
-        assert_eq!(comparison.difference.unwrap().interval, Some([-1.0, 3.0]));
-        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::NoEffect);
+    fn two_pairs_resample_to_their_mean_and_themselves_and_decide_nothing() {
+        // Differences 1 and 3: resamples give 1 (1/4), 2 (1/2), 3 (1/4).
+        let comparison = Comparison::new(per_seed(&[2.0, 4.0]), per_seed(&[1.0, 1.0]));
+        assert_eq!(comparison.difference.unwrap().interval, Some([1.0, 3.0]));
+        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::TooFew);
+    }
+
+    #[test]
+    fn percentiles_of_few_pairs_are_moved_outwards_as_students_t_is() {
+        // t = 2.776 with 4 degrees of freedom, times √(5/4): Φ(−3.104) = 9.5e-4. Of many pairs they are 2.5 %.
+        assert!((tail(5).unwrap() - 9.5e-4).abs() < 1e-5, "{:?}", tail(5));
+        assert!((tail(10_000).unwrap() - 0.025).abs() < 1e-4);
+    }
+
+    /// How often differences without any effect are given one, of 200 draws.
+    fn false_alarms(pairs: usize) -> f64 {
+        let mut rng = stream(0, Purpose::Bootstrap, 1, 0);
+        let mut alarm = || {
+            let drawn: Vec<f64> = (0..pairs).map(|_| rng.sample(rand_distr::StandardNormal)).collect();
+            let comparison = Comparison::new(per_seed(&drawn), per_seed(&vec![0.0; pairs]));
+            Verdict::of(comparison.difference, Expected::Higher) != Verdict::NoEffect
+        };
+        (0..200).filter(|_| alarm()).count() as f64 / 200.0
+    }
+
+    #[test]
+    fn five_pairs_without_an_effect_rarely_have_one() {
+        // One in sixteen by the signs alone; the plain percentile interval gives one in seven.
+        assert!(false_alarms(5) < 0.1, "{}", false_alarms(5));
     }
 
     #[test]
@@ -228,9 +270,16 @@ mod tests {
         let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
         let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
         let comparison = Comparison::new(a, b);
-        assert_eq!(comparison.difference, Some(Estimate { value: 3.0, interval: None }));
-        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::OnePair);
+        assert_eq!(comparison.difference, Some(Estimate { value: 3.0, interval: None, pairs: 1 }));
+        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::TooFew);
         let none = Comparison::new(per_seed(&[1.0]), PerSeed::new());
         assert_eq!(Verdict::of(none.difference, Expected::Higher), Verdict::Undefined);
+    }
+
+    #[test]
+    fn a_ratio_that_some_resamples_leave_undefined_has_no_interval() {
+        let comparison = Comparison::new(per_seed(&[1.0, 2.0, 3.0]), per_seed(&[-1.0, 2.0, 2.0]));
+        let relative = comparison.relative.unwrap();
+        assert_eq!((relative.value, relative.interval), (1.0, None));
     }
 }

@@ -6,14 +6,11 @@ its time. Velocities are in the heading frame (forward, left).
 
 use crate::trace::{Frame, Trace};
 
-/// Mass of the Go1 times gravity, for the cost of transport \[N\].
-const WEIGHT_N: f64 = 13.100_448 * 9.81;
-
-/// Length of the moving average in decay times while walking: one stride \[s\].
+/// Length of the moving average in decay times: one stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
 
-/// Length of the moving average in decay times while standing \[s\].
-pub const STANDING_AVERAGE_S: f64 = 0.1;
+/// From here on a robot that started at rest walks as it will \[s\].
+pub const SETTLE_S: f64 = 2.0;
 
 /// A foot counts as touching from this force on \[N\].
 const CONTACT_N: f64 = 1.0;
@@ -65,7 +62,7 @@ pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64
     let forward = mean(frames.clone(), |frame| frame.velocity_in_heading[0])?;
     let left = mean(frames, |frame| frame.velocity_in_heading[1])?;
     let speed = forward.hypot(left);
-    (speed > 0.05).then(|| power_w / (WEIGHT_N * speed))
+    (speed > 0.05).then(|| power_w / (trace.weight_n * speed))
 }
 
 /// Touchdowns of a foot per second, mean over the feet \[Hz\].
@@ -111,7 +108,8 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
 ///
 /// `e(t)` is the velocity along the push minus its mean over the last second before the push, smoothed by a centred
 /// moving average of `average_s`. The decay time is the last time after the push at which `|e|` exceeds `threshold`
-/// times the push's size. None after a fall, or if the trace does not reach around the push.
+/// times the push's size. None after a fall, if `|e|` still exceeds it at the end, or if the trace does not reach around the
+/// push.
 pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average_s: f64) -> Option<f64> {
     let (error, size) = push_error(trace, push_s, push)?;
     let half = (0.5 * average_s / trace.period_s).round() as usize;
@@ -122,8 +120,10 @@ pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, av
     // The average reaches half its length beyond the last frame it can be formed for.
     let last = error.len().checked_sub(half + 1)?;
     let first = error.iter().position(|(time_s, _)| *time_s > 0.0)?;
-    let exceeding = (first..=last).rev().find(|index| smoothed(*index).abs() > threshold * size);
-    Some(exceeding.map_or(0.0, |index| error[index].0))
+    match (first..=last).rev().find(|index| smoothed(*index).abs() > threshold * size) {
+        Some(index) => (index < last).then(|| error[index].0),
+        None => Some(0.0),
+    }
 }
 
 /// How far a push carries the robot along its direction, beside where it would have walked: the integral of `e(t)` over
@@ -212,7 +212,7 @@ pub(crate) mod tests {
                 Frame { time_s, velocity_in_heading: velocity(time_s), ..Frame::default() }
             })
             .collect();
-        Trace { period_s, frames, events: Vec::new() }
+        Trace { period_s, weight_n: 128.5, frames, events: Vec::new() }
     }
 
     #[test]
@@ -236,6 +236,13 @@ pub(crate) mod tests {
     fn an_oscillating_gait_without_a_push_effect_has_decay_time_zero() {
         let trace = synthetic(5.0, |t| [0.5, 0.1 * (std::f64::consts::TAU * t / STRIDE_S).sin(), 0.0]);
         assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S), Some(0.0));
+    }
+
+    #[test]
+    fn what_has_not_decayed_at_the_end_has_no_decay_time() {
+        let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.2 } else { 0.0 }, 0.0]);
+        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S), None);
+        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.5, STRIDE_S), Some(0.0));
     }
 
     #[test]

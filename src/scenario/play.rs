@@ -11,6 +11,7 @@ use crate::estimate::{SensorFault, SensorNoise};
 use crate::go1::{Foothold, Go1, Joints, RobotState};
 use crate::mujoco::{self, Data, Kind};
 use crate::sim::{Sim, StepObserver};
+use crate::task::episode::GRAVITY;
 use crate::task::{Stages, SwingTracker, Terms};
 use crate::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
 
@@ -113,9 +114,15 @@ impl<'a> Rollout<'a> {
         self.steps
     }
 
+    /// A trace without frames yet.
+    pub fn empty_trace(&self) -> Trace {
+        let weight_n = self.sim.robot().mass_kg() * GRAVITY;
+        Trace { period_s: self.sim.policy_period_s(), weight_n, ..Trace::default() }
+    }
+
     /// Plays to the end.
     pub fn trace(self) -> Trace {
-        let mut trace = Trace { period_s: self.sim.policy_period_s(), ..Trace::default() };
+        let mut trace = self.empty_trace();
         for played in self {
             trace.events.extend(played.events);
             trace.frames.extend(played.frame);
@@ -189,6 +196,7 @@ impl<'a> Rollout<'a> {
             peak_foot_force_n: meter.peak_foot_force_n,
             peak_obstacle_force_n: meter.peak_obstacle_force_n,
             obstacle_impulse_n_s: meter.obstacle_force_sum_n * period_s / substeps,
+            obstacle_contact_s: f64::from(meter.obstacle_substeps) * period_s / substeps,
             rope,
             sensed: self.senses.as_ref().map(|senses| senses.sensed(&state)),
             disturbance: self.disturbance(time_s),
@@ -302,6 +310,8 @@ struct Meter<'a> {
     peak_foot_force_n: f64,
     peak_obstacle_force_n: f64,
     obstacle_force_sum_n: f64,
+    /// Physics steps with a force between the robot and obstacles.
+    obstacle_substeps: u32,
     /// A part of the robot that touched an obstacle.
     touched: Option<usize>,
     /// The tendon that is a rope.
@@ -348,6 +358,7 @@ impl StepObserver for Meter<'_> {
         let obstacle_force_n = norm(obstacles);
         self.peak_obstacle_force_n = self.peak_obstacle_force_n.max(obstacle_force_n);
         self.obstacle_force_sum_n += obstacle_force_n;
+        self.obstacle_substeps += u32::from(obstacle_force_n > 0.0);
     }
 }
 

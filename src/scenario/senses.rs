@@ -18,11 +18,14 @@ use crate::estimate::sensors::TrunkMotion;
 use crate::estimate::{
     EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors, kinematics,
 };
-use crate::go1::{FootState, Go1, Joints, RobotState};
+use crate::go1::{FootState, Go1, JOINT_COUNT, Joints, LEGS, RobotState};
 use crate::mujoco::Data;
 use crate::random::{Purpose, stream};
 use crate::sim::{Conditions, Sim};
 use crate::trace::Sensed;
+
+/// How far a foot may be from where the Go1's would be \[m\]; published models of it differ by some millimetres.
+const LEG_TOLERANCE_M: f64 = 0.01;
 
 /// What a controller acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
@@ -47,9 +50,35 @@ pub enum SensingError {
         /// Rate of the physics \[Hz\].
         found_hz: f64,
     },
+    /// Not the legs that the filters know.
+    #[error(
+        "the estimator knows the legs of the Go1, and foot {foot} of this robot is {distance_m:.3} m from where they would \
+         have it: sense the true state instead"
+    )]
+    Legs {
+        /// The foot.
+        foot: &'static str,
+        /// How far off \[m\].
+        distance_m: f64,
+    },
     /// The first reading is no good.
     #[error("the sensors do not start: {0}")]
     Start(#[from] SensorFault),
+}
+
+/// Whether the robot's feet are where the Go1's would be.
+fn check_legs(sim: &Sim) -> Result<(), SensingError> {
+    let state = sim.state();
+    let expected = kinematics::feet(&sim.robot().joint_angles(sim.data()), &[0.0; JOINT_COUNT]);
+    for (leg, geom) in sim.robot().feet().into_iter().enumerate() {
+        let centre = Vector3::from_column_slice(&sim.data().geom_positions()[3 * geom..3 * geom + 3]);
+        let found = state.world_from_base.inverse() * (centre - state.position);
+        let distance_m = (found - expected[leg].position).norm();
+        if distance_m > LEG_TOLERANCE_M {
+            return Err(SensingError::Legs { foot: LEGS[leg], distance_m });
+        }
+    }
+    Ok(())
 }
 
 /// A robot's sensors and what it makes of them.
@@ -96,6 +125,7 @@ impl Senses {
         if (timestep_s * RATE_HZ - 1.0).abs() > 1e-6 {
             return Err(SensingError::Rate { found_hz: 1.0 / timestep_s });
         }
+        check_legs(sim)?;
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let config = EstimatorConfig::default();
         let state = sim.state();

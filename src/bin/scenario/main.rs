@@ -114,10 +114,7 @@ fn play(
         let rollout = Rollout::new(script, &agent.config, agent.controller(), true)?;
         rollouts.push(rollout.with_sensing(args.sensing, args.seed)?);
     }
-    let mut traces: Vec<Trace> = robots
-        .iter()
-        .map(|(_, agent)| Trace { period_s: agent.config.simulation.policy_period_s(), ..Trace::default() })
-        .collect();
+    let mut traces: Vec<Trace> = rollouts.iter().map(Rollout::empty_trace).collect();
     let bar = progress_bar(rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64);
     let mut playing = true;
     while playing {

@@ -65,7 +65,7 @@ impl Experiment for BallPit {
         let found = scenario.metrics(script, trace);
         let when = |edge_m: f64| trace.frames.iter().find(|frame| frame.position[0] > edge_m).map(|f| f.time_s);
         let times = when(pit.distance_m).zip(when(pit.far_edge_m()));
-        let crossed = times.is_some() && end != End::Fault;
+        let crossed = value(&found, "crossed") == Some(1.0);
         let values = vec![
             truth(crossed),
             Some(end.fell()),

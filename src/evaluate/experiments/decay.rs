@@ -2,14 +2,14 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::parameters;
+use super::{parameters, truth};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::curves::{self, Curve};
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::{Expected, Spread};
 use crate::evaluate::trial::{End, Sample};
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
 use crate::scenario::catalog::{PushAway, Scenario, defaults};
 use crate::scenario::metrics::{STRIDE_S, carried, decay_time};
 use crate::scenario::{Script, metrics};
@@ -21,6 +21,7 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
     Quantity::new("carried_m", "carried by the push within 2 s", "m", 3),
     Quantity::new("left_before_m_s", "sideways velocity before", "m/s", 3),
+    UNDECAYED,
 ];
 
 /// Over which the robot is carried \[s\].
@@ -85,7 +86,7 @@ impl Experiment for Decay {
             method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
                      push minus its mean over the last second before, smoothed by a centred moving average of one \
                      stride (0.4 s). Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
-                     the push; a fall has none. Beside it, without threshold and average: how far the push carries \
+                     the push; a fall has none, nor has what lasts to the end. Beside it, without threshold and average: how far the push carries \
                      the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
         }
     }
@@ -110,6 +111,7 @@ impl Experiment for Decay {
         if end == End::Upright {
             values[1] = decay_time(trace, push.time_s, push.push.linear, 0.1, STRIDE_S);
             values[2] = decay_time(trace, push.time_s, push.push.linear, 0.2, STRIDE_S);
+            values[5] = truth(values[1].is_none());
             values[3] = carried(trace, push.time_s, push.push.linear, CARRIED_S);
             let before = metrics::window(trace, push.time_s - 1.0, push.time_s);
             values[4] = metrics::mean(before, |frame| frame.velocity_in_heading[1]);

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::decay::CARRIED_S;
-use super::{directions, parameters, polar};
+use super::{directions, parameters, polar, truth};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::plot;
@@ -11,16 +11,17 @@ use crate::evaluate::plot::polar::Scales;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::{Expected, Spread};
 use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
 use crate::scenario::Script;
 use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
-use crate::scenario::metrics::{STANDING_AVERAGE_S, STRIDE_S, carried, decay_time};
+use crate::scenario::metrics::{STRIDE_S, carried, decay_time};
 use crate::trace::Trace;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
     Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
     Quantity::new("carried_m", "carried by the push within 2 s", "m", 3),
+    UNDECAYED,
     FELL,
 ];
 
@@ -54,8 +55,7 @@ impl Experiment for Directions {
             name: "directions",
             title: "Decay of pushes from all sides",
             paper: "Fig. 4",
-            method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2; \
-                     when standing, the moving average is 0.1 s long.",
+            method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
         }
     }
 
@@ -82,11 +82,11 @@ impl Experiment for Directions {
     }
 
     fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let average_s = if script.command.forward == 0.0 { STANDING_AVERAGE_S } else { STRIDE_S };
         let push = script.pushes.first().filter(|_| end == End::Upright);
-        let decay = |threshold| decay_time(trace, push?.time_s, push?.push.linear, threshold, average_s);
+        let decay = |threshold| decay_time(trace, push?.time_s, push?.push.linear, threshold, STRIDE_S);
         let carried = push.and_then(|push| carried(trace, push.time_s, push.push.linear, CARRIED_S));
-        Measured { values: vec![decay(0.1), decay(0.2), carried, Some(end.fell())], series: Vec::new() }
+        let undecayed = push.and_then(|_| truth(decay(0.1).is_none()));
+        Measured { values: vec![decay(0.1), decay(0.2), carried, undecayed, Some(end.fell())], series: Vec::new() }
     }
 
     fn findings(&self, results: &Results) -> Findings {
@@ -134,7 +134,7 @@ impl Experiment for Directions {
         let figure = Figure::new(
             "directions",
             "Decay time of a push of 0.5 m/s by the direction it pushes to: mean and ± standard deviation over seeds. \
-             Trials with a fall have no decay time. The two plots differ in scale.",
+             Trials with a fall, or in which it lasts to the end, have no decay time. The two plots differ in scale.",
             svg,
         );
         Findings { claims, tables: vec![table, every], figures: vec![figure], notes }

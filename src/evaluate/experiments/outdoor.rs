@@ -29,8 +29,6 @@ pub struct Outdoor {
     pub steepest: Vec<f64>,
     /// Runs of each policy for each of them.
     pub trials: u32,
-    /// Start of the averages \[s\].
-    pub settle_s: f64,
 }
 
 impl Experiment for Outdoor {
@@ -68,7 +66,7 @@ impl Experiment for Outdoor {
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let upright = end == End::Upright;
         let found = scenario.metrics(script, trace);
-        let error = metrics::velocity_error(trace, self.settle_s, script.duration_s).filter(|_| upright);
+        let error = metrics::velocity_error(trace, metrics::SETTLE_S, script.duration_s).filter(|_| upright);
         let of_upright = |name: &str| value(&found, name).filter(|_| upright);
         let values = vec![
             truth(upright),

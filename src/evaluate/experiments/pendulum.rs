@@ -9,7 +9,7 @@ use crate::evaluate::plot::dots;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
 use crate::scenario::Script;
 use crate::scenario::catalog::{Pendulum as Parameters, Scenario, Task, defaults};
 use crate::trace::Trace;
@@ -21,6 +21,7 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("peak_contact_force_n", "peak contact force", "N", 0),
     Quantity::new("contact_impulse_n_s", "impulse in the first second", "N·s", 1),
     Quantity::new("hit", "hit by the ball", "%", 0),
+    UNDECAYED,
     FELL,
 ];
 
@@ -46,8 +47,7 @@ impl Experiment for Pendulum {
             paper: "Fig. 8b",
             method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
                      right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
-                     0.2 s; it decays as in E2, the average being 0.1 s when standing. Peak force and impulse \
-                     are those of all contacts with the ball, which bounces back and may come again.",
+                     0.2 s; it decays as in E2. Peak force and impulse are those of all contacts with the ball, which bounces back and may come again.",
         }
     }
 
@@ -81,7 +81,9 @@ impl Experiment for Pendulum {
         if end == End::Fault {
             values.fill(None);
         }
-        values[QUANTITIES.len() - 2] = truth(was_hit);
+        let decay = values[0];
+        values[QUANTITIES.len() - 3] = truth(was_hit);
+        values[QUANTITIES.len() - 2] = (end == End::Upright && was_hit).then_some(f64::from(u8::from(decay.is_none())));
         values[QUANTITIES.len() - 1] = Some(end.fell());
         Measured { values, series: Vec::new() }
     }

@@ -30,8 +30,6 @@ pub struct Rubble {
     pub heights_m: Vec<f64>,
     /// Runs of each policy for each height.
     pub trials: u32,
-    /// Start of the averages \[s\].
-    pub settle_s: f64,
 }
 
 impl Experiment for Rubble {
@@ -69,11 +67,11 @@ impl Experiment for Rubble {
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let upright = end == End::Upright;
         let found = scenario.metrics(script, trace);
-        let error = metrics::velocity_error(trace, self.settle_s, script.duration_s).filter(|_| upright);
+        let error = metrics::velocity_error(trace, metrics::SETTLE_S, script.duration_s).filter(|_| upright);
         let of_upright = |name: &str| value(&found, name).filter(|_| upright);
         let values = vec![
             truth(upright),
-            truth(upright && value(&found, "crossed") == Some(1.0)),
+            value(&found, "crossed"),
             error,
             of_upright("peak_foot_force_n"),
             of_upright("power_w"),

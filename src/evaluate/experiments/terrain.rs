@@ -31,8 +31,6 @@ pub struct Terrain {
     pub frequencies_per_m: Vec<f64>,
     /// Runs of each policy on each terrain.
     pub trials: u32,
-    /// Start of the averages \[s\].
-    pub settle_s: f64,
 }
 
 impl Experiment for Terrain {
@@ -76,7 +74,7 @@ impl Experiment for Terrain {
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let upright = end == End::Upright;
         let found = scenario.metrics(script, trace);
-        let error = metrics::velocity_error(trace, self.settle_s, script.duration_s).filter(|_| upright);
+        let error = metrics::velocity_error(trace, metrics::SETTLE_S, script.duration_s).filter(|_| upright);
         let of_upright = |name: &str| value(&found, name).filter(|_| upright);
         let values = vec![truth(upright), error, of_upright("peak_foot_force_n"), of_upright("power_w")];
         Measured { values, series: Vec::new() }
@@ -100,12 +98,13 @@ impl Experiment for Terrain {
             ),
         );
         let all: Vec<usize> = (0..conditions).collect();
+        let first = results.conditions.first().map_or("", |condition| &condition.label);
         let claim = |text: &str, paper: &str, name: &str, expected, over: &[usize]| {
             Claim::direction(text, paper, results.quantity(name), expected, results.compare_over(over, name))
         };
         let claims = vec![
             claim(
-                "On 5 cm Perlin terrain of frequency 0.5, compliant policies fall less often",
+                &format!("On terrain of {first}, compliant policies fall less often"),
                 "less often",
                 "success",
                 Expected::Higher,

@@ -87,8 +87,6 @@ impl Parameters for BallPit {
     }
 
     fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
-        let is_beyond = trace.frames.last().is_some_and(|frame| frame.position[0] > self.far_edge_m());
-        let crossed = is_beyond && trace.fall().is_none();
-        found.push(metric("crossed", "got across", Some(f64::from(u8::from(crossed))), ""));
+        found.push(metric("crossed", "got across", Some(f64::from(u8::from(trace.reached_goal()))), ""));
     }
 }

@@ -67,8 +67,7 @@ impl Parameters for FreeBox {
 
     fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         let frames = || trace.frames.iter();
-        let touching = |frame: &&Frame| frame.peak_obstacle_force_n > 0.0;
-        let contact_s = frames().filter(touching).count() as f64 * trace.period_s;
+        let contact_s: f64 = frames().map(|frame| frame.obstacle_contact_s).sum();
         let impulse: f64 = frames().map(|frame| frame.obstacle_impulse_n_s).sum();
         let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n);
         // The box is the last body.

@@ -212,7 +212,7 @@ impl Scenario {
     /// The numbers this scenario is about.
     pub fn metrics(&self, script: &Script, trace: &Trace) -> Vec<Metric> {
         let end_s = trace.frames.last().map_or(0.0, |frame| frame.time_s);
-        let settled_s = 2.0_f64.min(0.5 * end_s);
+        let settled_s = metrics::SETTLE_S.min(0.5 * end_s);
         let mut found = vec![
             metric("duration_s", "simulated", Some(end_s), "s"),
             metric("fell", "fell", Some(f64::from(u8::from(trace.fall().is_some()))), ""),

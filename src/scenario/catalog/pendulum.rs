@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::pulley::rope;
 use super::{ParameterError, Parameters, Task, in_range, metric};
-use crate::scenario::metrics::{self, Metric, STANDING_AVERAGE_S, STRIDE_S};
+use crate::scenario::metrics::{self, Metric, STRIDE_S};
 use crate::scenario::rig::Words;
 use crate::scenario::{Rig, Script};
 use crate::scene::Buffers;
@@ -94,8 +94,7 @@ impl Pendulum {
 
     /// How long the velocity change of an impact lasts \[s\], as that of a push.
     pub fn decay_time(&self, trace: &Trace, impact: &Impact, threshold: f64) -> Option<f64> {
-        let average_s = if self.task.is_standing() { STANDING_AVERAGE_S } else { STRIDE_S };
-        metrics::decay_time(trace, impact.time_s, impact.push, threshold, average_s)
+        metrics::decay_time(trace, impact.time_s, impact.push, threshold, STRIDE_S)
     }
 
     fn rig(&self) -> Rig {

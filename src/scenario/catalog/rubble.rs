@@ -187,8 +187,7 @@ impl Parameters for Rubble {
     }
 
     fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
-        let crossed = trace.fall().is_none() && trace.frames.iter().any(|frame| frame.position[0] > self.far_edge_m());
-        found.push(metric("crossed", "got across", Some(f64::from(u8::from(crossed))), ""));
+        found.push(metric("crossed", "got across", Some(f64::from(u8::from(trace.reached_goal()))), ""));
         let peak = metrics::largest(trace.frames.iter(), |frame| frame.peak_obstacle_force_n);
         found.push(metric("peak_contact_force_n", "peak force on blocks and mats", peak, "N"));
     }

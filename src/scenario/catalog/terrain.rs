@@ -7,8 +7,10 @@ use super::{ParameterError, Parameters, Task, in_range};
 use crate::scenario::{Script, terrain};
 use crate::scene::{Buffers, Ground};
 
-/// Half-length of height fields along x and y \[m\].
-const FIELD_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];
+/// Half-length of height fields along x and y at least \[m\].
+const LEAST_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];
+/// Ground beyond the end of the way \[m\].
+const MARGIN_M: f64 = 3.0;
 
 /// Kind of terrain.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,10 +62,12 @@ impl Parameters for Terrain {
         in_range("step-length-m", self.step_length_m, 0.1, 10.0, "0.1 to 10 m")?;
         in_range("steps", f64::from(self.steps), 1.0, 100.0, "1 to 100")?;
         in_range("incline", self.incline, -1.0, 1.0, "-1 to 1")?;
+        let way = [self.task.forward_m_s, self.task.left_m_s].map(|speed| speed.abs() * self.task.duration_s);
+        let half = [0, 1].map(|axis| LEAST_HALF_SIZE_M[axis].max(way[axis] + MARGIN_M));
         let field = match self.kind {
-            TerrainKind::Perlin => terrain::perlin(FIELD_HALF_SIZE_M, self.height_m, self.frequency_per_m, seed),
-            TerrainKind::Steps => terrain::steps(FIELD_HALF_SIZE_M, self.height_m, self.step_length_m, self.steps),
-            TerrainKind::Slope => terrain::slope(FIELD_HALF_SIZE_M, self.incline),
+            TerrainKind::Perlin => terrain::perlin(half, self.height_m, self.frequency_per_m, seed),
+            TerrainKind::Steps => terrain::steps(half, self.height_m, self.step_length_m, self.steps),
+            TerrainKind::Slope => terrain::slope(half, self.incline),
         };
         script.scene.ground = Ground::Field(field);
         script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
