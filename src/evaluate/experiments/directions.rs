@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::decay::CARRIED_S;
+use super::decay::{CARRIED_S, THRESHOLDS};
 use super::{directions, parameters, polar, truth};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
@@ -90,25 +90,27 @@ impl Experiment for Directions {
     }
 
     fn findings(&self, results: &Results) -> Findings {
-        let decay = results.quantity("decay_10_s");
         let (mut claims, mut rows, mut panels, mut notes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for index in 0..self.commands_m_s.len() {
             let (conditions, name) = self.command(index);
             let all: Vec<usize> = conditions.clone().collect();
-            let longer = |condition: &&usize| {
-                let mean =
-                    |set| Spread::of(&results.per_seed(set, **condition, "decay_10_s")).map(|spread| spread.mean);
-                mean(0).zip(mean(1)).is_some_and(|(a, b)| a > b)
-            };
-            let longer = all.iter().filter(longer).count();
-            let text = format!(
-                "Pushed while {name}, compliant policies take longer in all directions (here: in {longer} of {}; the \
-                 numbers are means over directions)",
-                all.len()
-            );
-            let comparison = results.compare_over(&all, "decay_10_s");
-            notes.extend(results.left_out(&all, "decay_10_s").map(|note| format!("{name}: {note}")));
-            claims.push(Claim::direction(&text, "longer", decay, Expected::Higher, comparison));
+            for (quantity, words) in THRESHOLDS {
+                let longer = |condition: &&usize| {
+                    let mean =
+                        |set| Spread::of(&results.per_seed(set, **condition, quantity)).map(|spread| spread.mean);
+                    mean(0).zip(mean(1)).is_some_and(|(a, b)| a > b)
+                };
+                let longer = all.iter().filter(longer).count();
+                let text = format!(
+                    "Pushed while {name}, compliant policies take longer in all directions ({words}; here in {longer} of \
+                     {}, and the numbers are means over directions)",
+                    all.len()
+                );
+                let comparison = results.compare_over(&all, quantity);
+                notes.extend(results.left_out(&all, quantity).map(|note| format!("{name}, {words}: {note}")));
+                let quantity = results.quantity(quantity);
+                claims.push(Claim::direction(&text, "longer", quantity, Expected::Higher, comparison));
+            }
             for quantity in QUANTITIES {
                 rows.push(Row {
                     condition: name.clone(),

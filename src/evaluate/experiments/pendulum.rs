@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::decay::THRESHOLDS;
 use super::{by_condition, gait, labels, parameters, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
@@ -104,17 +105,20 @@ impl Experiment for Pendulum {
         let count = self.heights_m.len();
         for (index, command) in self.commands_m_s.iter().enumerate() {
             let of_command: Vec<usize> = (index * count..(index + 1) * count).collect();
-            notes.extend(results.left_out(&of_command, "decay_10_s").map(|note| format!("{}: {note}", gait(*command))));
-            claims.push(Claim::direction(
-                &format!(
-                    "Hit by a swinging ball while {}, compliant policies recover more gradually (mean over heights)",
-                    gait(*command)
-                ),
-                "more gradual",
-                results.quantity("decay_10_s"),
-                Expected::Higher,
-                results.compare_over(&of_command, "decay_10_s"),
-            ));
+            for (quantity, words) in THRESHOLDS {
+                let gait = gait(*command);
+                notes.extend(results.left_out(&of_command, quantity).map(|note| format!("{gait}, {words}: {note}")));
+                claims.push(Claim::direction(
+                    &format!(
+                        "Hit by a swinging ball while {gait}, compliant policies recover more gradually ({words}, mean over \
+                         heights)"
+                    ),
+                    "more gradual",
+                    results.quantity(quantity),
+                    Expected::Higher,
+                    results.compare_over(&of_command, quantity),
+                ));
+            }
         }
         Findings { claims, tables: vec![table], figures: vec![figure], notes }
     }
