@@ -41,6 +41,8 @@ pub struct Rollout<'a> {
     steps: usize,
     pushes_done: usize,
     shown_push: Option<(f64, Vector3<f64>)>,
+    /// When the last disturbance came \[s\], and what it was.
+    disturbed: Option<(f64, String)>,
     pulling: bool,
     fallen_since: Option<usize>,
     rig: Option<RigState>,
@@ -75,6 +77,7 @@ impl<'a> Rollout<'a> {
             step: 0,
             pushes_done: 0,
             shown_push: None,
+            disturbed: None,
             pulling: false,
             fallen_since: None,
             rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
@@ -155,10 +158,17 @@ impl<'a> Rollout<'a> {
         let mut swings = meter.swings;
         let foot_height = swings.take().foot_height;
         self.swings = swings;
+        if let Some(event) = events.iter().rfind(|event| event.kind == EventKind::Disturbance) {
+            self.disturbed = Some((event.time_s, event.text.clone()));
+        }
         let terms = Terms::new(&state, &self.script.command, &summary, foot_height, &config.reward);
         if let (Some(fall), None) = (summary.fall, self.fallen_since) {
             self.fallen_since = Some(self.step);
-            let text = format!("fell: {}", self.sim.describe(fall));
+            let after = self
+                .disturbed
+                .as_ref()
+                .map_or(String::new(), |(since_s, what)| format!(", {:.2} s after: {what}", time_s - since_s));
+            let text = format!("fell: {}{after}", self.sim.describe(fall));
             events.push(Event { time_s, kind: EventKind::Fall, text });
         }
         let rope = self

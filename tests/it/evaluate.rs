@@ -291,7 +291,7 @@ fn a_missing_seed_is_told_and_left_out_of_differences_only() {
     assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
     let power = &experiment(&summary, "walk")["numbers"][0]["quantities"]["power_w"];
     assert_eq!(power["compliant"]["by_seed"].as_object().unwrap().len(), 2);
-    assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null}));
+    assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null, "pairs": 1}));
     let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
     assert!(page.contains("no policy of seed 3"));
 }

@@ -92,7 +92,8 @@ fn estimates_are_deterministic_and_finite_in_every_scenario() {
 fn estimates_stay_finite_when_the_robot_is_thrown() {
     let far = scenario("push", &["--duration-s=3", "--at-s=0.2", "--push-m-s=20", "--direction-deg=120"]);
     let trace = trace_with(&far, 1, Sensing::Estimated);
-    assert!(trace.fall().is_some());
+    let fall = trace.fall().unwrap();
+    assert!(fall.text.contains(" s after: push: -10.00 m/s forward, +17.32 m/s left"), "{}", fall.text);
     for frame in &trace.frames {
         let sensed = frame.sensed.unwrap();
         assert!(sensed.velocity.iter().chain(&sensed.position).all(|number| number.abs() < 1e4), "{sensed:?}");
