@@ -2,7 +2,8 @@
 
 The Go1 is nearly its own mirror image about the plane between its left and right legs, and so is the task. A learner
 that is shown samples in the mirror about half of the time gets twice the variety from the same physics, and its robot
-walks as straight to the left as to the right. It is off in Table III; the fast presets use it.
+drifts to neither side. rsl_rl has the same by the name of symmetry augmentation. It is off in Table III; the fast presets
+use it.
 */
 
 use std::sync::LazyLock;
@@ -10,7 +11,7 @@ use std::sync::LazyLock;
 use rand::{Rng, RngExt};
 
 use crate::go1::JOINT_COUNT;
-use crate::ppo::{Batch, Mlp, PackedMlp, Scratch};
+use crate::ppo::{Batch, Mlp, PackedMlp, Samples, Scratch};
 use crate::task::observation::{LAYOUT, LENGTH, Quantity};
 
 /// Where a number of the mirror image comes from, and with which sign.
@@ -63,56 +64,31 @@ fn reflect(sources: &[Source], rows: &[f32]) -> Vec<f32> {
 
 /// Mirror images of normalised observations, shape (n, 83). The hips' nominal angle must be zero, or offsets have no
 /// mirror image of their own.
-pub fn observations(rows: &[f32]) -> Vec<f32> {
+fn observations(rows: &[f32]) -> Vec<f32> {
     reflect(&*OBSERVATION, rows)
 }
 
 /// Mirror images of actions, shape (n, 12).
-pub fn actions(rows: &[f32]) -> Vec<f32> {
+fn actions(rows: &[f32]) -> Vec<f32> {
     reflect(&*ACTION, rows)
 }
 
-/// A batch of n samples and, as samples n to 2 n, their mirror images.
-#[derive(Debug)]
-pub struct MirroredBatch {
-    observations: Vec<f32>,
-    actions: Vec<f32>,
-    means: Vec<f32>,
-    log_std: Vec<f32>,
-    log_probs: Vec<f32>,
-    advantages: Vec<f32>,
-    returns: Vec<f32>,
-}
-
-impl MirroredBatch {
-    /// Rewards and values have no side, and an image was as likely as its sample, from the mirror image of the policy
-    /// that sampled. The means are those of that policy itself: the learning rate follows how far it moves, not how far
-    /// it is from its image.
-    pub fn new(batch: &Batch<'_>, policy: &Mlp, threads: usize) -> Self {
-        let (seen, done) = (observations(batch.observations), actions(batch.actions));
-        let means = evaluate(&PackedMlp::new(policy), &seen, threads);
-        Self {
-            observations: [batch.observations, &seen].concat(),
-            actions: [batch.actions, &done].concat(),
-            means: [batch.means, &means].concat(),
-            log_std: batch.log_std.to_vec(),
-            log_probs: batch.log_probs.repeat(2),
-            advantages: batch.advantages.repeat(2),
-            returns: batch.returns.repeat(2),
-        }
-    }
-
-    /// For the learner.
-    pub fn as_batch(&self) -> Batch<'_> {
-        Batch {
-            observations: &self.observations,
-            actions: &self.actions,
-            means: &self.means,
-            log_std: &self.log_std,
-            log_probs: &self.log_probs,
-            advantages: &self.advantages,
-            returns: &self.returns,
-        }
+/// The n samples of a batch and, as samples n to 2 n, their mirror images.
+///
+/// Rewards and values have no side, and an image was as likely as its sample, from the mirror image of the policy that
+/// sampled. The means are those of that policy itself: the learning rate follows how far it moves, not how far it is from
+/// its image.
+pub fn doubled(batch: &Batch<'_>, policy: &Mlp, threads: usize) -> Samples {
+    let (seen, done) = (observations(batch.observations), actions(batch.actions));
+    let means = evaluate(&PackedMlp::new(policy), &seen, threads);
+    Samples {
+        observations: [batch.observations, &seen].concat(),
+        actions: [batch.actions, &done].concat(),
+        means: [batch.means, &means].concat(),
+        log_std: batch.log_std.to_vec(),
+        log_probs: batch.log_probs.repeat(2),
+        advantages: batch.advantages.repeat(2),
+        returns: batch.returns.repeat(2),
     }
 }
 
@@ -207,7 +183,7 @@ mod tests {
             advantages: &[4.0, 5.0, 6.0],
             returns: &[7.0, 8.0, 9.0],
         };
-        let images = |threads| MirroredBatch::new(&batch, &network.policy, threads);
+        let images = |threads| doubled(&batch, &network.policy, threads);
         let both = images(1);
         assert_eq!(both.means, images(2).means);
         // Samples 1 and 3 are the image of sample 2, which therefore has their means.

@@ -12,10 +12,10 @@ use crate::config::{Config, Ppo};
 use crate::env::{End, Fault, LocomotionEnv};
 use crate::go1::JOINT_COUNT;
 use crate::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
-use crate::mirror::{self, MirroredBatch};
+use crate::mirror;
 use crate::mujoco;
 use crate::policy::{Policy, Provenance};
-use crate::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, UpdateFault};
+use crate::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, Samples, UpdateFault};
 use crate::provenance;
 use crate::random::{Purpose, stream};
 use crate::rollout::{Collection, Rollout};
@@ -166,17 +166,17 @@ impl Trainer {
             returns: &returns,
         };
         let mut permutations = permutations(self.seed, self.iteration, ppo.epochs, rollout.len());
-        let images = ppo.mirror.then(|| MirroredBatch::new(&batch, &network.policy, self.threads));
+        let images = ppo.mirror.then(|| mirror::doubled(&batch, &network.policy, self.threads));
         if images.is_some() {
             for (epoch, order) in permutations.iter_mut().enumerate() {
                 let mut rng = stream(self.seed, Purpose::Mirror, self.iteration, epoch as u64);
                 mirror::flip(order, rollout.len(), &mut rng);
             }
         }
-        let batch = images.as_ref().map_or(batch, MirroredBatch::as_batch);
+        let batch = images.as_ref().map_or(batch, Samples::batch);
         let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
             iteration: self.iteration,
-            minibatch: minibatch_csv(&fault, &rollout, &advantages, &returns),
+            minibatch: minibatch_csv(&fault, &rollout, &batch),
             circumstances: circumstances(&fault, &rollout, &returns, &network.log_std),
             fault: Box::new(fault),
         })?;
@@ -292,7 +292,7 @@ fn environments(config: &Config, seed: u64, command_share: f64) -> mujoco::Resul
 }
 
 /// The samples of the minibatch in which an update failed.
-fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, advantages: &[f32], returns: &[f32]) -> String {
+fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>) -> String {
     let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
     let columns = |name: &str, count: usize| (0..count).map(|k| format!(",{name}_{k}")).collect::<String>();
     let mut csv = format!(
@@ -300,12 +300,12 @@ fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, advantages: &[f32], ret
         columns("action", JOINT_COUNT),
         columns("observation", LENGTH)
     );
-    // An image is told by the sample that it is of.
-    for row in samples.iter().map(|sample| *sample as usize % rollout.len()) {
-        let numbers =
-            [rollout.rewards[row], rollout.values[row], advantages[row], returns[row], rollout.log_probs[row]];
-        let action = &rollout.actions[row * JOINT_COUNT..(row + 1) * JOINT_COUNT];
-        let observation = &rollout.observations[row * LENGTH..(row + 1) * LENGTH];
+    for row in samples.iter().map(|sample| *sample as usize) {
+        // A mirror image has the reward and the value of its sample.
+        let (reward, value) = (rollout.rewards[row % rollout.len()], rollout.values[row % rollout.len()]);
+        let numbers = [reward, value, batch.advantages[row], batch.returns[row], batch.log_probs[row]];
+        let action = &batch.actions[row * JOINT_COUNT..(row + 1) * JOINT_COUNT];
+        let observation = &batch.observations[row * LENGTH..(row + 1) * LENGTH];
         let numbers: String =
             numbers.iter().chain(action).chain(observation).map(|number| format!(",{number}")).collect();
         csv.push_str(&format!("{row}{numbers}\n"));

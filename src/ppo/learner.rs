@@ -9,8 +9,8 @@ Each minibatch goes through three phases, each a list of independent tasks:
 
 Each list has the policy's tasks first and then the value function's, so that threads keep to one network and find what
 they need in their own caches (see [`Team`]). Blocks and panels sit in read-write locks: a phase writes the one kind and
-reads the other. No gradient is ever summed across threads, and sums of partial results run in a fixed order, so the parameters have the same bits for any number
-of threads.
+reads the other. No gradient is ever summed across threads, and sums of partial results run in a fixed order, so the
+parameters have the same bits for any number of threads.
 */
 
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};

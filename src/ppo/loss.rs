@@ -66,6 +66,34 @@ pub struct Batch<'a> {
     pub returns: &'a [f32],
 }
 
+/// A batch that owns its numbers; fields as in [`Batch`].
+#[derive(Debug, Clone, Default)]
+#[allow(missing_docs)]
+pub struct Samples {
+    pub observations: Vec<f32>,
+    pub actions: Vec<f32>,
+    pub means: Vec<f32>,
+    pub log_std: Vec<f32>,
+    pub log_probs: Vec<f32>,
+    pub advantages: Vec<f32>,
+    pub returns: Vec<f32>,
+}
+
+impl Samples {
+    /// For the learner.
+    pub fn batch(&self) -> Batch<'_> {
+        Batch {
+            observations: &self.observations,
+            actions: &self.actions,
+            means: &self.means,
+            log_std: &self.log_std,
+            log_probs: &self.log_probs,
+            advantages: &self.advantages,
+            returns: &self.returns,
+        }
+    }
+}
+
 /// One minibatch of an update, and what its samples share.
 #[derive(Debug, Clone, Copy)]
 pub struct Minibatch<'a> {

@@ -12,18 +12,8 @@ use super::reference::Reference;
 use super::team::Team;
 use super::*;
 
-/// A batch that owns its numbers, from a policy somewhat away from the one to be trained.
-struct Samples {
-    observations: Vec<f32>,
-    actions: Vec<f32>,
-    means: Vec<f32>,
-    log_std: Vec<f32>,
-    log_probs: Vec<f32>,
-    advantages: Vec<f32>,
-    returns: Vec<f32>,
-}
-
 impl Samples {
+    /// From a policy somewhat away from the one to be trained.
     fn new(network: &ActorCritic, samples: usize, seed: u64) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
         let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());
@@ -45,18 +35,6 @@ impl Samples {
             log_std,
             advantages: normal(samples, 3.0, rng),
             returns: normal(samples, 2.0, rng),
-        }
-    }
-
-    fn batch(&self) -> Batch<'_> {
-        Batch {
-            observations: &self.observations,
-            actions: &self.actions,
-            means: &self.means,
-            log_std: &self.log_std,
-            log_probs: &self.log_probs,
-            advantages: &self.advantages,
-            returns: &self.returns,
         }
     }
 }

@@ -1,7 +1,7 @@
 /*! Uneven ground: Perlin noise, steps and slopes as height fields.
 
-Perlin's gradient noise in one octave, scaled so that its highest and lowest point over the field are exactly the
-wanted magnitude apart. Every terrain is flat around the origin, where the robot starts, and rises smoothly from there.
+Perlin's gradient noise in one octave, scaled so that its highest and lowest point over the field are the wanted magnitude
+apart. Every terrain is then flattened around the origin, where the robot starts, and rises smoothly from there.
 */
 
 use rand::RngExt;

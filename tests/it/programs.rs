@@ -213,7 +213,7 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
     let rows = other.actor.layers[1].weight.len() - other.actor.layers[1].inputs();
     other.actor.layers[1].weight.truncate(8 * 11.min(rows));
     std::fs::write(folder.path().join("other.safetensors"), other.to_bytes().unwrap()).unwrap();
-    let cases: [(&[&str], &str); 7] = [
+    let cases: [(&[&str], &str); 8] = [
         (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
         (&["push", "--policy", "cut.safetensors"], "was it cut off"),
         (&["push", "--policy", "other.safetensors"], "11 outputs, expected 12"),
@@ -221,6 +221,10 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
         (&["box", "--policy", "standing.safetensors", "--mass-kg", "0"], "--mass-kg is 0, expected 0.001"),
         (&["push", "--policy", "standing.safetensors", "--params", "odd.yaml"], "no parameter 'push_m_ss'"),
         (&["walk", "--policy", "standing.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
+        (
+            &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],
+            "--duration-s is 100, expected a way",
+        ),
     ];
     for (arguments, expected) in cases {
         let output = run("scenario", folder.path(), arguments);

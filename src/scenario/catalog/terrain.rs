@@ -9,6 +9,8 @@ use crate::scene::{Buffers, Ground};
 
 /// Half-length of height fields along x and y at least \[m\].
 const LEAST_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];
+/// The longest way that there is ground for \[m\], in either direction.
+const LONGEST_WAY_M: f64 = 30.0;
 /// Ground beyond the end of the way \[m\].
 const MARGIN_M: f64 = 3.0;
 
@@ -63,6 +65,10 @@ impl Parameters for Terrain {
         in_range("steps", f64::from(self.steps), 1.0, 100.0, "1 to 100")?;
         in_range("incline", self.incline, -1.0, 1.0, "-1 to 1")?;
         let way = [self.task.forward_m_s, self.task.left_m_s].map(|speed| speed.abs() * self.task.duration_s);
+        if way[0].max(way[1]) > LONGEST_WAY_M {
+            let found = self.task.duration_s.to_string();
+            return Err(ParameterError { name: "duration-s", found, expected: "a way of at most 30 m at the command" });
+        }
         let half = [0, 1].map(|axis| LEAST_HALF_SIZE_M[axis].max(way[axis] + MARGIN_M));
         let field = match self.kind {
             TerrainKind::Perlin => terrain::perlin(half, self.height_m, self.frequency_per_m, seed),
