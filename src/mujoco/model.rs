@@ -344,14 +344,24 @@ impl Model {
         self.raw_mut().opt.gravity = gravity;
     }
 
-    /// Sets the sliding friction coefficient of a geometry.
+    /// Sets the sliding friction coefficient of a geometry, and of the pairs that name it: they have their own.
     ///
     /// # Panics
     /// If there is no geometry of this id.
     pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
         assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        let raw = self.raw_mut();
         // SAFETY: geom_friction holds 3 numbers for each geom; the id was checked.
-        unsafe { *self.raw_mut().geom_friction.add(3 * geom) = friction };
+        unsafe { *raw.geom_friction.add(3 * geom) = friction };
+        for pair in 0..raw.npair as usize {
+            // SAFETY: the arrays hold a geom id, and 5 coefficients of which the first two are sliding, for each pair.
+            unsafe {
+                if [*raw.pair_geom1.add(pair), *raw.pair_geom2.add(pair)].contains(&(geom as i32)) {
+                    *raw.pair_friction.add(5 * pair) = friction;
+                    *raw.pair_friction.add(5 * pair + 1) = friction;
+                }
+            }
+        }
     }
 
     /// Sets which of two geometries decides how they touch: the one of higher priority (friction, softness).

@@ -1,8 +1,12 @@
 //! `models/go1.xml` against the manufacturer's figures.
 
+use std::collections::HashSet;
+
+use rand::RngExt;
 use supple::config::Config;
 use supple::go1::{JOINT_COUNT, JOINT_LIMITS, TORQUE_LIMITS, joint_name, same_in_every_leg};
 use supple::mujoco::{Kind, Model};
+use supple::random::{Purpose, stream};
 use supple::scene::{RobotFile, Scene};
 use supple::sim::{Conditions, Sim};
 
@@ -82,6 +86,46 @@ fn visual_geometries_do_not_change_the_physics() {
     assert_eq!(stepped.body_mass(), seen.body_mass());
     assert_eq!((stepped.nq(), stepped.nv(), stepped.nu()), (seen.nq(), seen.nv(), seen.nu()));
     assert!(seen.count(Kind::Geom) > stepped.count(Kind::Geom));
+}
+
+/// Robots thrown about in any pose, on ground of another friction than the model's: what the scene lists as pairs must be
+/// all that MuJoCo finds when it has to look itself, as it does among obstacles.
+#[test]
+fn the_pairs_of_the_flat_scene_are_all_contacts_there_are() {
+    let config = Config::load("compliant").unwrap();
+    let searching = Scene { obstacles: "<!-- none -->".into(), ..scene() };
+    let mut sims = [scene(), searching].map(|scene| Sim::new(&scene, &config.simulation, 0.2).unwrap());
+    let target = same_in_every_leg([0.0, 0.72, -1.44]);
+    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.3, joint_offsets: [0.0; 12] };
+    let mut rng = stream(0, Purpose::Scenario, 0, 0);
+    let mut touched = HashSet::new();
+    for _ in 0..300 {
+        let pose: [f64; 19] = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
+        let [found, expected] = sims.each_mut().map(|sim| {
+            sim.reset(conditions, &target).unwrap();
+            let positions = sim.data_mut().positions_mut();
+            positions[2] = 0.1 + 0.1 * pose[2];
+            positions[3..7].copy_from_slice(&pose[3..7]);
+            positions[7..].iter_mut().zip(&pose[7..]).for_each(|(angle, change)| *angle += change);
+            sim.refresh().unwrap();
+            let mut contacts: Vec<_> = sim.data().contacts().map(|contact| contact.geoms).collect();
+            contacts.sort_unstable();
+            // Deep in the ground, MuJoCo may give up; both ways, then.
+            let end = sim.step(&target, &mut ()).map(|_| sim.data().velocities().to_vec());
+            (contacts, end.ok())
+        });
+        assert_eq!(found.0, expected.0);
+        touched.extend(found.0);
+        match (found.1, expected.1) {
+            (Some(found), Some(expected)) => {
+                let off = found.iter().zip(&expected).map(|(a, b)| (a - b).abs() / (1.0 + b.abs()));
+                assert!(off.fold(0.0, f64::max) < 1e-6, "{found:?} {expected:?}");
+            }
+            (found, expected) => assert_eq!(found.is_some(), expected.is_some()),
+        }
+    }
+    // Trunk, head, and hip, thigh, calf and foot of each leg.
+    assert_eq!(touched.len(), 18, "{touched:?}");
 }
 
 #[test]
