@@ -1,10 +1,11 @@
 /*! How fast everything is, measured in one run on one machine, so that ratios can be trusted where times cannot.
 
 `cargo bench --bench throughput` prints a table, `-- --json` the same figures as one JSON object, `-- --quick` only shows
-that everything runs. Physics, learner, whole iterations and the ball pit are always measured; PyTorch and
+that everything runs. Physics, learner, whole iterations, the ball pit and the sensing path are always measured; PyTorch and
 Stable-Baselines3 as well once `benches/peers/setup` has installed them. docs/performance.md says what the figures mean.
 */
 
+mod estimator;
 mod learner;
 mod machine;
 mod peers;
@@ -72,10 +73,12 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let training = training::measure(&config, threads, &effort).context("training")?;
     eprintln!("ball pit …");
     let pit = pit::measure(policy, &config, &effort).context("ball pit")?;
+    eprintln!("sensing …");
+    let sensing = estimator::measure(&config, &effort).context("sensing")?;
     let peers = if args.no_peers { None } else { peers::measure(&config, threads, &effort).context("peers")? };
 
     let machine = Machine::new(threads, &effort, start);
-    let report = Report::new(machine, physics, learner, training, pit, peers);
+    let report = Report::new(machine, physics, learner, training, pit, sensing, peers);
     if args.json {
         println!("{}", serde_json::to_string(&report)?);
     } else {

@@ -5,6 +5,7 @@ use std::fmt::{Display, Formatter, Result};
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::estimator::Sensing;
 use crate::learner::Update;
 use crate::machine::Machine;
 use crate::peers::Peers;
@@ -26,6 +27,7 @@ pub struct Report {
     update: Update,
     training: Training,
     ball_pit: Pit,
+    sensing: Sensing,
     peers: Option<Peers>,
 }
 
@@ -37,6 +39,7 @@ impl Report {
         update: Update,
         training: Training,
         ball_pit: Pit,
+        sensing: Sensing,
         peers: Option<Peers>,
     ) -> Self {
         let figure = |peer: Option<&Value>, name: &str| peer.and_then(|peer| peer[name].as_f64());
@@ -54,6 +57,7 @@ impl Report {
             update,
             training,
             ball_pit,
+            sensing,
             peers,
         }
     }
@@ -61,7 +65,7 @@ impl Report {
 
 impl Display for Report {
     fn fmt(&self, f: &mut Formatter<'_>) -> Result {
-        let Report { machine, physics, update, training, ball_pit, .. } = self;
+        let Report { machine, physics, update, training, ball_pit, sensing, .. } = self;
         let n = machine.threads;
         writeln!(f, "{}, {n} threads, supple {}", machine.processor, machine.git_revision)?;
         writeln!(f, "others took {:.1} % of the cores' time", 100.0 * machine.taken_by_others)?;
@@ -85,6 +89,8 @@ impl Display for Report {
         row("  rollout [s]", one.rollout_s, all.rollout_s)?;
         row("  update [s]", one.update_s, all.update_s)?;
         row("  rest [s]", one.rest_s, all.rest_s)?;
+        row("sensing, a tick at 240 Hz [µs]", sensing.tick_us, f64::NAN)?;
+        row("  contact network [µs]", sensing.network_us, f64::NAN)?;
         if let Some(Peers { torch_update, sb3 }) = &self.peers {
             let figure = |peer: &Option<Value>, name: &str| peer.as_ref().and_then(|peer| peer[name].as_f64());
             let mut row = |name: &str, value: Option<f64>| match value {
