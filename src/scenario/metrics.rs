@@ -65,14 +65,23 @@ pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64
     (speed > 0.05).then(|| power_w / (trace.weight_n * speed))
 }
 
+/// Whether a foot carries something.
+fn touching(frame: &Frame, leg: usize) -> bool {
+    frame.foot_forces[leg].iter().map(|force| force * force).sum::<f64>().sqrt() > CONTACT_N
+}
+
+/// Share of the time in which no foot touches the ground: about none in a trot, most of it in hopping.
+pub fn flight_share(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
+    mean(window(trace, from_s, until_s), |frame| f64::from(!(0..4).any(|leg| touching(frame, leg))))
+}
+
 /// Touchdowns of a foot per second, mean over the feet \[Hz\].
 pub fn stride_frequency(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let mut touchdowns = 0_u32;
     for leg in 0..4 {
         let mut airborne_since: Option<f64> = None;
         for frame in window(trace, from_s, until_s) {
-            let touching = frame.foot_forces[leg].iter().map(|force| force * force).sum::<f64>().sqrt() > CONTACT_N;
-            match (touching, airborne_since) {
+            match (touching(frame, leg), airborne_since) {
                 // Chatter of a standing foot is not a step.
                 (true, Some(since_s)) => {
                     touchdowns += u32::from(frame.time_s - since_s > 0.05);
@@ -92,8 +101,7 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     for leg in 0..4 {
         let mut peak: Option<f64> = None;
         for frame in window(trace, from_s, until_s) {
-            let touching = frame.foot_forces[leg].iter().map(|force| force * force).sum::<f64>().sqrt() > CONTACT_N;
-            if touching {
+            if touching(frame, leg) {
                 // Chatter of a standing foot is not a swing.
                 peaks.extend(peak.take().filter(|peak| *peak > 0.005));
             } else {
@@ -297,5 +305,9 @@ pub(crate) mod tests {
         let frequency = stride_frequency(&trace, 0.0, 4.0).unwrap();
         assert!((frequency - 2.0).abs() <= 0.25, "{frequency}");
         assert!((swing_height(&trace, 0.0, 4.0).unwrap() - 0.06).abs() < 0.001);
+        assert!((flight_share(&trace, 0.0, 4.0).unwrap() - 0.5).abs() < 0.04);
+        // One foot that stays down is enough.
+        trace.frames.iter_mut().for_each(|frame| frame.foot_forces[2] = [0.0, 0.0, 2.0]);
+        assert_eq!(flight_share(&trace, 0.0, 4.0), Some(0.0));
     }
 }

@@ -105,7 +105,7 @@ fn walking_table(policy: &Policy) -> anyhow::Result<String> {
     let base: Walk = defaults("walk")?;
     let mut table = String::from(
         "| command: forward, left, turn | forward error | sideways error | yaw rate error | power | cost of transport | \
-         strides | foot height | fell |\n|---|---|---|---|---|---|---|---|---|\n",
+         strides | in flight | foot height | fell |\n|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for [forward_m_s, left_m_s, yaw_rad_s] in COMMANDS {
         let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
@@ -121,13 +121,14 @@ fn walking_table(policy: &Policy) -> anyhow::Result<String> {
         };
         let fell = trace.fall().map_or("no".to_owned(), |fall| format!("after {:.1} s", fall.time_s));
         table.push_str(&format!(
-            "| {forward_m_s} m/s, {left_m_s} m/s, {yaw_rad_s} rad/s | {} | {} | {} | {} | {} | {} | {} | {fell} |\n",
+            "| {forward_m_s} m/s, {left_m_s} m/s, {yaw_rad_s} rad/s | {} | {} | {} | {} | {} | {} | {} | {} | {fell} |\n",
             cell("forward_error_m_s", 1.0, 3, " m/s"),
             cell("left_error_m_s", 1.0, 3, " m/s"),
             cell("yaw_error_rad_s", 1.0, 3, " rad/s"),
             cell("power_w", 1.0, 0, " W"),
             cell("cost_of_transport", 1.0, 2, ""),
             cell("stride_frequency_hz", 1.0, 2, " Hz"),
+            cell("flight_percent", 1.0, 0, " %"),
             cell("swing_height_m", 1e3, 0, " mm"),
         ));
     }

@@ -76,7 +76,7 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
         file,
         "policy,time_s,x_m,y_m,height_m,roll_rad,pitch_rad,yaw_rad,forward_m_s,left_m_s,yaw_rad_s,\
          command_forward_m_s,command_left_m_s,command_yaw_rad_s,power_w,torque_n_m,reward,peak_foot_force_n,\
-         peak_obstacle_force_n,rope_force_n"
+         peak_obstacle_force_n,rope_force_n,foot_fr_up_n,foot_fl_up_n,foot_rr_up_n,foot_rl_up_n"
     )?;
     for outcome in outcomes {
         for frame in &outcome.trace.frames {
@@ -101,6 +101,10 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
                 frame.peak_foot_force_n,
                 frame.peak_obstacle_force_n,
                 frame.rope.as_ref().map_or(0.0, |rope| rope.force_n),
+                frame.foot_forces[0][2],
+                frame.foot_forces[1][2],
+                frame.foot_forces[2][2],
+                frame.foot_forces[3][2],
             ];
             let row: Vec<String> = numbers.iter().map(f64::to_string).collect();
             writeln!(file, "{},{}", outcome.policy, row.join(","))?;

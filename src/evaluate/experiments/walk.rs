@@ -23,8 +23,12 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("torque_n_m", "torque norm", "N·m", 1),
     Quantity::new("cost_of_transport", "cost of transport", "", 2),
     Quantity::new("stride_frequency_hz", "stride frequency", "Hz", 2),
+    Quantity::new("flight_percent", "time in flight", "%", 0),
     Quantity::new("swing_height_m", "foot height", "m", 3),
 ];
+
+/// Time in flight from which on a gait is called hopping; a trot at this speed has next to none \[%\].
+const HOPPING_PERCENT: f64 = 30.0;
 
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,6 +50,10 @@ impl Walk {
         for (set, name) in results.names.iter().enumerate() {
             let falls = results.per_seed(set, 0, "fell");
             let errors = results.per_seed(set, 0, "velocity_error_m_s");
+            let flights = results.per_seed(set, 0, "flight_percent");
+            for (seed, share) in flights.iter().filter(|(_, share)| **share > HOPPING_PERCENT) {
+                notes.push(format!("{name}, seed {seed}, hops: {share:.0} % of the time no foot is on the ground."));
+            }
             for seed in falls.iter().filter(|(_, fell)| **fell > 0.0).map(|(seed, _)| seed) {
                 notes.push(format!("{name}, seed {seed}, falls without any disturbance."));
             }

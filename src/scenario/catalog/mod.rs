@@ -236,6 +236,8 @@ impl Scenario {
         found.push(metric("cost_of_transport", "cost of transport", transport, ""));
         let strides = metrics::stride_frequency(trace, settled_s, end_s);
         found.push(metric("stride_frequency_hz", "stride frequency", strides, "Hz"));
+        let flight = metrics::flight_share(trace, settled_s, end_s);
+        found.push(metric("flight_percent", "in flight", flight.map(|share| 100.0 * share), "%"));
         let swing = metrics::swing_height(trace, settled_s, end_s);
         found.push(metric("swing_height_m", "swing height", swing, "m"));
         let whole = || metrics::window(trace, 0.0, end_s);
