@@ -55,6 +55,8 @@ pub struct EpisodeReport {
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
+    /// Share of the time in which no foot touched the ground.
+    pub flight_share: f64,
     /// What led to a physics fault.
     pub fault: Option<Box<Fault>>,
 }
@@ -90,6 +92,7 @@ struct Progress {
     swings: SwingTracker,
     swing_sum_m: f64,
     swing_count: usize,
+    flight_sum: f64,
     #[serde(with = "serde_arrays")]
     previous: Reduced,
     #[serde(with = "serde_arrays")]
@@ -210,6 +213,7 @@ impl LocomotionEnv {
         p.terms.add(&terms);
         p.swing_sum_m += landings.peak_sum_m;
         p.swing_count += landings.count;
+        p.flight_sum += landings.flight_share;
         let mut paid = terms;
         match stage {
             Stage::Walking => p.walking.add(&terms),
@@ -255,6 +259,7 @@ impl LocomotionEnv {
             reward: p.reward,
             terms: p.terms.divided(p.step.max(1) as f64),
             walking_linear: walked.then(|| p.walking.linear_velocity / self.stages.recovery_start as f64),
+            flight_share: p.flight_sum / p.step.max(1) as f64,
             swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
             fault,
         }
@@ -309,6 +314,7 @@ fn start(
         swings: SwingTracker::default(),
         swing_sum_m: 0.0,
         swing_count: 0,
+        flight_sum: 0.0,
         previous: [0.0; observation::REDUCED_LENGTH],
         current: [0.0; observation::REDUCED_LENGTH],
         last_target: nominal,

@@ -140,6 +140,8 @@ pub struct SwingTracker {
     paid: f64,
     landed_m: f64,
     landings: usize,
+    looks: usize,
+    looks_in_flight: usize,
 }
 
 /// What a [`SwingTracker`] has gathered since it was last asked.
@@ -151,6 +153,8 @@ pub struct Landings {
     pub count: usize,
     /// Sum of their peak heights \[m\].
     pub peak_sum_m: f64,
+    /// Share of the physics steps in which no foot touched the ground.
+    pub flight_share: f64,
 }
 
 impl SwingTracker {
@@ -161,14 +165,22 @@ impl SwingTracker {
 
     /// What has landed since the last call.
     pub fn take(&mut self) -> Landings {
-        let landings = Landings { foot_height: self.paid, count: self.landings, peak_sum_m: self.landed_m };
+        let landings = Landings {
+            foot_height: self.paid,
+            count: self.landings,
+            peak_sum_m: self.landed_m,
+            flight_share: self.looks_in_flight as f64 / self.looks.max(1) as f64,
+        };
         (self.paid, self.landings, self.landed_m) = (0.0, 0, 0.0);
+        (self.looks, self.looks_in_flight) = (0, 0);
         landings
     }
 }
 
 impl StepObserver for SwingTracker {
     fn feet(&mut self, feet: &[Foothold; 4]) {
+        self.looks += 1;
+        self.looks_in_flight += usize::from(feet.iter().all(|foot| !foot.contact));
         for (leg, foot) in feet.iter().enumerate() {
             if !foot.contact {
                 self.peak_m[leg] = self.peak_m[leg].max(foot.height);
@@ -246,10 +258,12 @@ mod tests {
         let mut tracker = SwingTracker::new(&on_ground, 0.08);
         for height in [0.04, 0.06, 0.01] {
             tracker.feet(&at(height, false));
-            assert_eq!(tracker.take(), Landings::default());
+            assert_eq!(tracker.take(), Landings { flight_share: 1.0, ..Landings::default() });
         }
+        tracker.feet(&at(0.05, false));
         tracker.feet(&at(0.0, true));
         let landings = tracker.take();
+        close(landings.flight_share, 0.5);
         // four feet: 4 · (0.06 / 0.08 − 1)² = 4 · 0.0625
         close(landings.foot_height, 0.25);
         close(landings.peak_sum_m, 4.0 * 0.06);
