@@ -195,10 +195,11 @@ fn summary(metrics: &IterationMetrics) -> String {
     let percent = |share: Option<f64>| share.map_or("-".into(), |share| format!("{:.0} %", 100.0 * share));
     let faults = if metrics.faults > 0 { format!(", {} PHYSICS FAULTS", metrics.faults) } else { String::new() };
     format!(
-        "reward {:.2}, r_lin {}, falls {}, commands open {}, pushes {}{faults}",
+        "reward {:.2}, r_lin {}, falls {}, in flight {}, commands open {}, pushes {}{faults}",
         metrics.step_reward,
         percent(metrics.walking_linear),
         percent(metrics.fall_share),
+        percent(metrics.flight_share),
         percent(Some(metrics.command_share)),
         percent(metrics.push_share),
     )
