@@ -92,6 +92,7 @@ struct Progress {
     swings: SwingTracker,
     swing_sum_m: f64,
     swing_count: usize,
+    #[serde(default)] // older checkpoints lack it
     flight_sum: f64,
     #[serde(with = "serde_arrays")]
     previous: Reduced,
@@ -331,6 +332,22 @@ mod tests {
             let phase = step as f32 * 0.3 + if matches!(joint / 3, 0 | 3) { 0.0 } else { std::f32::consts::PI };
             0.8 * (phase + (joint % 3) as f32).sin()
         })
+    }
+
+    #[test]
+    fn an_episode_tells_the_share_of_its_time_in_flight() {
+        let mut config = Config::load("compliant").unwrap();
+        config.episode.push_gate = 1.0;
+        config.episode.walking_s = 0.25;
+        // From 0.5 m above the ground, a fall takes 0.32 s: longer than the episode.
+        for (lifted_m, expected) in [(0.0, 0.0), (0.5, 1.0)] {
+            let mut env = LocomotionEnv::new(&config, 1, 0, 1.0).unwrap();
+            env.reset(1.0).unwrap();
+            env.sim_mut().data_mut().positions_mut()[2] += lifted_m;
+            env.sim_mut().refresh().unwrap();
+            let report = (0..15).find_map(|_| env.step(&[0.0; 12]).1).unwrap();
+            assert_eq!((report.end, report.flight_share), (End::TimeLimit, expected));
+        }
     }
 
     #[test]

@@ -39,7 +39,7 @@ pub struct IterationMetrics {
     pub walking_linear: Option<f64>,
     /// Mean peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
-    /// Share of the time in which no foot touches the ground: above about a third the robot hops.
+    /// Share of the time in which no foot touches the ground: a few percent in a walk, much more in hopping.
     pub flight_share: Option<f64>,
     /// Mean terms of Table II per step.
     pub terms: Option<Terms>,
@@ -143,7 +143,7 @@ pub struct EpisodeMeans {
     pub walking_linear: Option<f64>,
     /// Peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
-    /// Share of the time in which no foot touches the ground: above about a third the robot hops.
+    /// Share of the time in which no foot touches the ground: a few percent in a walk, much more in hopping.
     pub flight_share: Option<f64>,
     /// Terms per step.
     pub terms: Option<Terms>,

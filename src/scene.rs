@@ -271,7 +271,8 @@ impl Scene {
 
     /// What may touch, if that is known: a Go1's own parts and a plane.
     fn pairs(&self) -> String {
-        if self.ground != Ground::Flat || self.robot != RobotFile::Embedded || !self.obstacles.is_empty() {
+        let alone = self.obstacles.is_empty() && self.extras.is_empty();
+        if self.ground != Ground::Flat || self.robot != RobotFile::Embedded || !alone {
             return String::new();
         }
         let of_legs = ["hip_collision", "thigh_collision", "calf_collision", "foot"];

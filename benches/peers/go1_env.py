@@ -134,7 +134,8 @@ class Go1VecEnv(VecEnv):
         # where masks are zero.
         text = scene.read_text().replace('collision="predefined"', "").replace("go1.xml", str(scene.parent / "go1.xml"))
         model = mujoco.MjModel.from_xml_string(text)
-        model.geom_contype[:] = model.geom_conaffinity[:] = 0
+        for masks in (model.geom_contype, model.geom_conaffinity, model.body_contype, model.body_conaffinity):
+            masks[:] = 0
         shares = [stretch for stretch in np.array_split(np.arange(count), threads) if len(stretch)]
         self.stretches = [slice(share[0], share[-1] + 1) for share in shares]
         self.physics = [Physics(model, len(share), config) for share in shares]

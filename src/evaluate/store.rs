@@ -18,7 +18,7 @@ use crate::provenance::{GIT_REVISION, MUJOCO_VERSION};
 use crate::scenario::Sensing;
 
 /// To be counted up whenever the same experiment would give other numbers.
-const FORMAT: u32 = 2;
+const FORMAT: u32 = 3;
 
 /// Larger files are not ours.
 const MAX_BYTES: u64 = 1 << 30;

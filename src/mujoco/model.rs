@@ -344,7 +344,8 @@ impl Model {
         self.raw_mut().opt.gravity = gravity;
     }
 
-    /// Sets the sliding friction coefficient of a geometry, and of the pairs that name it: they have their own.
+    /// Sets the sliding friction coefficient of a geometry, and of the pairs that name it: they have their own, whatever
+    /// the priorities of their geometries.
     ///
     /// # Panics
     /// If there is no geometry of this id.

@@ -140,7 +140,10 @@ pub struct SwingTracker {
     paid: f64,
     landed_m: f64,
     landings: usize,
+    // Zero between policy steps, when checkpoints are written.
+    #[serde(skip)]
     looks: usize,
+    #[serde(skip)]
     looks_in_flight: usize,
 }
 

@@ -170,6 +170,8 @@ fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
         (output.stdout, std::fs::read(folder.path().join(csv)).unwrap())
     };
     let plain = play("a.csv", &["--no-record"]);
+    let columns: Vec<usize> = String::from_utf8_lossy(&plain.1).lines().map(|row| row.split(',').count()).collect();
+    assert_eq!(columns, [columns[0]; 121]);
     assert_eq!(plain, play("b.csv", &["--no-record"]));
     if cfg!(feature = "record") {
         assert_eq!(plain, play("c.csv", &["--record", "c.rrd"]));
