@@ -81,7 +81,7 @@ impl Contest {
             let seed_of = |name: &String| stem.strip_prefix(name.as_str())?.strip_prefix("-seed")?.parse::<u64>().ok();
             match names.iter().position(|name| seed_of(name).is_some()) {
                 Some(side) => sides[side].push((seed_of(&names[side]), file)),
-                None => notes.push(format!("{} was left out: its name is not that of either set", file.display())),
+                None => notes.push(format!("{} was left out: its name is not that of either set", name_of(&file))),
             }
         }
         let [a, b] = sides;
@@ -98,10 +98,14 @@ impl Contest {
     pub fn of_paths(paths: [&Path; 2], names: &[String; 2]) -> Result<Self, ContestantError> {
         let side = |index: usize| {
             let path = paths[index];
-            let files = if path.is_file() { vec![path.to_owned()] } else { policy_files(path)? };
-            // A checkpoint in a run's folder is not a policy.
-            let run = files.iter().find(|file| file.file_name().is_some_and(|name| name == "policy.safetensors"));
-            let files = run.map_or_else(|| files.clone(), |policy| vec![policy.clone()]);
+            let files = if path.is_file() {
+                vec![path.to_owned()]
+            } else if path.join("run.json").exists() {
+                // A run's folder: its checkpoint is not a policy.
+                vec![path.join("policy.safetensors")]
+            } else {
+                policy_files(path)?
+            };
             let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
             Side::load(&names[index], path, files, || "*.safetensors or *.yaml".into())
         };
@@ -165,6 +169,11 @@ impl Side {
         members.sort_by_key(|member| member.seed);
         Ok(Side { name: name.to_owned(), members })
     }
+}
+
+/// Without its folder: the same in every report of the same policies.
+fn name_of(file: &Path) -> String {
+    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The number after the last `-seed` of a file's name.

@@ -37,7 +37,7 @@ pub struct Claim {
 impl Claim {
     /// That the first set lies above or below the second.
     pub fn direction(text: &str, paper: &str, quantity: Quantity, expected: Expected, comparison: Comparison) -> Self {
-        let verdict = Verdict::of(comparison.difference, expected);
+        let verdict = Verdict::of(&comparison, expected);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
 
@@ -114,40 +114,45 @@ impl Figure {
     }
 }
 
+/// What stands in a cell without a number.
+pub const NOTHING: &str = "–";
+
 /// A number in its quantity's unit and digits, without the unit.
 pub fn number(value: f64, quantity: Quantity) -> String {
-    let scaled = if quantity.unit == "%" { 100.0 * value } else { value };
-    let text = format!("{scaled:.*}", quantity.digits);
+    let text = format!("{:.*}", quantity.digits, quantity.scale() * value);
     // No minus before a rounded zero.
-    let is_zero = text.trim_start_matches('-').chars().all(|c| c == '0' || c == '.');
+    let is_zero = !text.contains(|c: char| ('1'..='9').contains(&c));
     let text = if is_zero { text.trim_start_matches('-').to_owned() } else { text };
     text.replace('-', "−")
 }
 
-/// Mean ± standard deviation; says so if not all of a set's seeds have the number.
-pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize) -> String {
-    let Some(Spread { mean, sd, seeds }) = spread else { return "–".to_owned() };
+/// Mean ± standard deviation, followed by `unit`; says so if not all of a set's seeds have the number.
+pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize, unit: &str) -> String {
+    let Some(Spread { mean, sd, seeds }) = spread else { return NOTHING.to_owned() };
     let deviation = sd.map_or(String::new(), |sd| format!(" ± {}", number(sd, quantity)));
     let missing = if seeds < members { format!(" ({seeds} of {members} seeds)") } else { String::new() };
-    format!("{}{deviation}{missing}", number(mean, quantity))
+    format!("{}{deviation}{unit}{missing}", number(mean, quantity))
 }
 
-/// A signed number with its interval.
-pub fn estimate(estimate: Option<Estimate>, quantity: Quantity) -> String {
-    let Some(Estimate { value, interval, .. }) = estimate else { return "–".to_owned() };
+/// A signed number with its interval, followed by `unit`; says so if not all of the seeds are in it.
+pub fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: [usize; 2], unit: &str) -> String {
+    let Some(Estimate { value, interval, pairs }) = estimate else { return NOTHING.to_owned() };
     let signed = |value: f64| {
         let text = number(value, quantity);
-        if value > 0.0 && !text.starts_with('−') { format!("+{text}") } else { text }
+        let is_zero = !text.contains(|c: char| ('1'..='9').contains(&c));
+        if value > 0.0 && !is_zero { format!("+{text}") } else { text }
     };
-    match interval {
-        Some([low, high]) => format!("{} [{}, {}]", signed(value), signed(low), signed(high)),
-        None => signed(value),
-    }
+    let interval = interval.map_or(String::new(), |[low, high]| format!(" [{}, {}]", signed(low), signed(high)));
+    let plural = if pairs == 1 { "" } else { "s" };
+    let missing =
+        if members.iter().any(|all| pairs < *all) { format!(" ({pairs} pair{plural})") } else { String::new() };
+    format!("{}{interval}{unit}{missing}", signed(value))
 }
 
-/// A relative change in per cent with its interval.
-pub fn percent(relative: Option<Estimate>) -> String {
-    estimate(relative, Quantity::new("relative", "relative change", "%", 0))
+/// A relative change with its interval, followed by `unit`.
+pub fn percent(relative: Option<Estimate>, unit: &str) -> String {
+    // How many pairs are in it stands beside the difference.
+    estimate(relative, Quantity::new("relative", "relative change", "%", 0), [0, 0], unit)
 }
 
 #[cfg(test)]
@@ -165,16 +170,17 @@ mod tests {
     #[test]
     fn cells_say_how_many_seeds_are_missing() {
         let watts = Quantity::new("power_w", "power", "W", 1);
-        let cell = |seeds, sd| spread(Some(Spread { mean: 140.9, sd, seeds }), watts, 5);
-        assert_eq!(cell(5, Some(17.0)), "140.9 ± 17.0");
-        assert_eq!(cell(1, None), "140.9 (1 of 5 seeds)");
-        assert_eq!(spread(None, watts, 5), "–");
+        let cell = |seeds, sd| spread(Some(Spread { mean: 140.9, sd, seeds }), watts, 5, " W");
+        assert_eq!(cell(5, Some(17.0)), "140.9 ± 17.0 W");
+        assert_eq!(cell(1, None), "140.9 W (1 of 5 seeds)");
+        assert_eq!(spread(None, watts, 5, " W"), "–");
     }
 
     #[test]
     fn estimates_are_signed() {
         let metres = Quantity::new("x", "x", "m", 1);
-        let found = estimate(Some(Estimate { value: 0.5, interval: Some([-0.2, 1.2]), pairs: 5 }), metres);
-        assert_eq!(found, "+0.5 [−0.2, +1.2]");
+        let found = |value, interval, pairs| estimate(Some(Estimate { value, interval, pairs }), metres, [5, 6], "");
+        assert_eq!(found(0.5, Some([-0.2, 1.2]), 6), "+0.5 [−0.2, +1.2]");
+        assert_eq!(found(0.04, None, 5), "0.0 (5 pairs)");
     }
 }

@@ -10,6 +10,9 @@ pub struct Grid {
     pub values: Vec<f64>,
 }
 
+/// Means of tenths: a value that is the level but for rounding counts as above it.
+const ROUNDING: f64 = 1e-9;
+
 /// Coordinates from `-limit` to `limit`.
 pub fn coordinates(limit: f64, points: usize) -> Vec<f64> {
     (0..points).map(|k| limit * (2.0 * k as f64 / (points - 1) as f64 - 1.0)).collect()
@@ -26,8 +29,7 @@ impl Grid {
 
     /// Share of grid points at or above a level: what the paper counts inside its contour.
     pub fn share_at_least(&self, level: f64) -> f64 {
-        // Means of tenths: a value that is the level but for rounding counts.
-        let inside = self.values.iter().filter(|value| **value >= level - 1e-9).count();
+        let inside = self.values.iter().filter(|value| **value >= level - ROUNDING).count();
         inside as f64 / self.values.len().max(1) as f64
     }
 
@@ -47,10 +49,10 @@ impl Grid {
         // Around the cell: corners 0..4 and the edge that follows each.
         let corners = [(row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)];
         let value = |corner: usize| self.at(corners[corner].0, corners[corner].1);
-        let above = |corner: usize| value(corner) >= level;
+        let above = |corner: usize| value(corner) >= level - ROUNDING;
         let crossing = |edge: usize| {
             let (from, to) = (edge, (edge + 1) % 4);
-            let share = (level - value(from)) / (value(to) - value(from));
+            let share = ((level - value(from)) / (value(to) - value(from))).clamp(0.0, 1.0);
             let point = |corner: usize| [self.coordinates[corners[corner].0], self.coordinates[corners[corner].1]];
             let (start, end) = (point(from), point(to));
             [start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])]
@@ -60,7 +62,7 @@ impl Grid {
             [first, second] => vec![[crossing(*first), crossing(*second)]],
             // A saddle: the mean decides which corners belong together.
             [_, _, _, _] => {
-                let centre_above = (0..4).map(value).sum::<f64>() / 4.0 >= level;
+                let centre_above = (0..4).map(value).sum::<f64>() / 4.0 >= level - ROUNDING;
                 let pairs = if centre_above == above(0) { [[0, 1], [2, 3]] } else { [[3, 0], [1, 2]] };
                 pairs.iter().map(|[first, second]| [crossing(*first), crossing(*second)]).collect()
             }

@@ -66,6 +66,11 @@ impl Quantity {
         Quantity { name, label, unit, digits }
     }
 
+    /// From what is kept to what is printed in the unit.
+    pub fn scale(&self) -> f64 {
+        if self.unit == "%" { 100.0 } else { 1.0 }
+    }
+
     /// Label with unit, for axes.
     pub fn axis(&self) -> String {
         if self.unit.is_empty() { self.label.to_owned() } else { format!("{} [{}]", self.label, self.unit) }
@@ -96,8 +101,21 @@ pub struct Measured {
     pub series: Vec<Vec<f32>>,
 }
 
+/// The numbers of an experiment in the protocol, as JSON.
+pub trait Parameters {
+    /// By key.
+    fn parameters(&self) -> serde_json::Value;
+}
+
+impl<T: Serialize> Parameters for T {
+    fn parameters(&self) -> serde_json::Value {
+        // Plain structs of numbers and lists.
+        serde_json::to_value(self).unwrap_or_default()
+    }
+}
+
 /// A table or figure of the paper: what is played, what is measured, what is shown.
-pub trait Experiment: Sync {
+pub trait Experiment: Parameters + Sync {
     /// What it is.
     fn info(&self) -> Info;
 
@@ -123,7 +141,4 @@ pub trait Experiment: Sync {
 
     /// Claims, tables and figures.
     fn findings(&self, results: &Results) -> Findings;
-
-    /// Its numbers in the protocol, for the report.
-    fn parameters(&self) -> serde_json::Value;
 }

@@ -62,7 +62,18 @@ impl Results {
     /// Both sets, each policy by the mean over conditions of its mean over trials.
     pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
         let index = self.index(quantity);
-        Comparison::new(self.means(0, conditions, index), self.means(1, conditions, index))
+        Comparison::new(self.means(0, conditions, index), self.means(1, conditions, index), self.members())
+    }
+
+    /// In how many conditions the first set's number is the larger one, over pairs.
+    pub fn larger_in(&self, conditions: &[usize], quantity: &str) -> usize {
+        let is_larger = |c: &&usize| self.compare(**c, quantity).difference.is_some_and(|found| found.value > 0.0);
+        conditions.iter().filter(is_larger).count()
+    }
+
+    /// Policies of each set.
+    pub fn members(&self) -> [usize; 2] {
+        [0, 1].map(|set| self.sets[set].len())
     }
 
     /// For each seed of a set, the mean over conditions of the mean over trials. A trial that leaves the quantity

@@ -35,8 +35,8 @@ const ERRORS: [OfEstimation; 4] = [
 pub struct SensingFindings {
     /// Names of the sets of policies.
     policies: [String; 2],
-    /// Policies of the smaller set.
-    pub members: usize,
+    /// Policies of each set.
+    members: [usize; 2],
     /// The quantities of the claims, and falls; estimated first.
     pub main: Table,
     /// All quantities, in files alone.
@@ -62,7 +62,7 @@ impl SensingFindings {
         };
         SensingFindings {
             policies: contest.names(),
-            members: contest.sides.iter().map(|side| side.members.len()).min().unwrap_or(0),
+            members: [0, 1].map(|set| contest.sides[set].members.len()),
             main: table(
                 "sensing",
                 "What acting on sensors changes: falls, and the quantities that the paper's claims are about.",
@@ -116,16 +116,15 @@ impl SensingFindings {
         for (quantity, of) in ERRORS {
             let [a, b] = [0, 1].map(|set| errors(&estimated.results.sets[set], of));
             let condition = format!("{} {}", info.id, info.name);
-            let comparison = Comparison::new(a, b);
+            let comparison = Comparison::new(a, b, self.members);
             self.errors.rows.push(Row { condition, quantity, paper: String::new(), comparison });
         }
     }
 
-    /// The tables, each with the names of its two columns and how many policies each has.
-    pub fn tables(&self) -> [(&Table, [String; 2], [usize; 2]); 3] {
+    /// The tables, each with the names of its two columns.
+    pub fn tables(&self) -> [(&Table, [String; 2]); 3] {
         let ways = || NAMES.map(ToOwned::to_owned);
-        let members = [self.members; 2];
-        [(&self.main, ways(), members), (&self.errors, self.policies.clone(), members), (&self.all, ways(), members)]
+        [(&self.main, ways()), (&self.errors, self.policies.clone()), (&self.all, ways())]
     }
 }
 

@@ -4,8 +4,8 @@ A cell of a table is the mean ± standard deviation over seeds, as in the paper.
 difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. Over few pairs a percentile bootstrap
 is too narrow, so that its percentiles are moved outwards to where they would give the interval of Student's t for numbers
 that are normally distributed (the *expanded* percentile interval of T. C. Hesterberg, What Teachers Should Know About the
-Bootstrap, The American Statistician 69, 2015). With fewer than five pairs not even that helps: they have the
-same sign too often by chance, and nothing is decided.
+Bootstrap, The American Statistician 69, 2015). With fewer than five pairs not even that helps: there is no percentile far
+enough out, they have the same sign too often by chance, and so there is no interval and nothing is decided.
 */
 
 use std::collections::BTreeMap;
@@ -22,7 +22,7 @@ const RESAMPLES: usize = 10_000;
 /// Chance that what is estimated lies beyond the interval, on either side.
 const TAIL: f64 = 0.025;
 
-/// Pairs from which on an interval decides: four of the same sign are one chance in eight, five one in sixteen.
+/// Pairs from which on there is an interval: four of the same sign are one chance in eight, five one in sixteen.
 const ENOUGH_PAIRS: usize = 5;
 
 /// One number for each seed that has one.
@@ -57,7 +57,7 @@ impl Spread {
 pub struct Estimate {
     /// From all pairs of seeds.
     pub value: f64,
-    /// Expanded percentile bootstrap; none with fewer than two pairs, or if the number is undefined for a resample.
+    /// Expanded percentile bootstrap; none with fewer than five pairs, or if the number is undefined for a resample.
     pub interval: Option<[f64; 2]>,
     /// Pairs of seeds.
     pub pairs: usize,
@@ -70,6 +70,8 @@ pub struct Comparison {
     pub a: PerSeed,
     /// Second set.
     pub b: PerSeed,
+    /// Policies of each set, with a number or without.
+    pub members: [usize; 2],
     /// Mean of the first set.
     pub a_spread: Option<Spread>,
     /// Mean of the second set.
@@ -82,7 +84,7 @@ pub struct Comparison {
 
 impl Comparison {
     /// Compares seed by seed.
-    pub fn new(a: PerSeed, b: PerSeed) -> Self {
+    pub fn new(a: PerSeed, b: PerSeed, members: [usize; 2]) -> Self {
         let pairs: Vec<[f64; 2]> = a.iter().filter_map(|(seed, a)| Some([*a, *b.get(seed)?])).collect();
         let means = |chosen: &[usize]| {
             let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which]));
@@ -93,7 +95,27 @@ impl Comparison {
         let relative = estimate(pairs.len(), |chosen| {
             means(chosen).filter(|[a, b]| *a > 0.0 && *b > 0.0).map(|[a, b]| a / b - 1.0)
         });
-        Comparison { a_spread: Spread::of(&a), b_spread: Spread::of(&b), difference, relative, a, b }
+        Comparison { a_spread: Spread::of(&a), b_spread: Spread::of(&b), difference, relative, a, b, members }
+    }
+
+    /// The same in another unit; the relative change stays.
+    pub fn scaled(&self, factor: f64) -> Self {
+        let by_seed = |values: &PerSeed| values.iter().map(|(seed, value)| (*seed, factor * value)).collect();
+        let spread = |spread: Option<Spread>| {
+            spread.map(|Spread { mean, sd, seeds }| Spread { mean: factor * mean, sd: sd.map(|sd| factor * sd), seeds })
+        };
+        Comparison {
+            a: by_seed(&self.a),
+            b: by_seed(&self.b),
+            a_spread: spread(self.a_spread),
+            b_spread: spread(self.b_spread),
+            difference: self.difference.map(|Estimate { value, interval, pairs }| Estimate {
+                value: factor * value,
+                interval: interval.map(|ends| ends.map(|end| factor * end)),
+                pairs,
+            }),
+            ..*self
+        }
     }
 }
 
@@ -101,7 +123,8 @@ impl Comparison {
 pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<Estimate> {
     let all: Vec<usize> = (0..pairs).collect();
     let value = statistic(&all)?;
-    let interval = tail(pairs).and_then(|tail| interval(pairs, tail, statistic));
+    let tail = tail(pairs).filter(|_| pairs >= ENOUGH_PAIRS);
+    let interval = tail.and_then(|tail| interval(pairs, tail, statistic));
     Some(Estimate { value, interval, pairs })
 }
 
@@ -156,6 +179,8 @@ pub enum Verdict {
     Opposite,
     /// There are fewer than five pairs of seeds.
     TooFew,
+    /// No seed has a number in both sets, though both sets have numbers.
+    Unpaired,
     /// A number is missing on one side or both.
     Undefined,
     /// A bound that both sets keep.
@@ -165,12 +190,13 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Of a difference.
-    pub fn of(difference: Option<Estimate>, expected: Expected) -> Self {
-        let Some(estimate) = difference else { return Verdict::Undefined };
-        let Some([low, high]) = estimate.interval.filter(|_| estimate.pairs >= ENOUGH_PAIRS) else {
-            return Verdict::TooFew;
+    /// Of a comparison's difference.
+    pub fn of(comparison: &Comparison, expected: Expected) -> Self {
+        let Some(estimate) = comparison.difference else {
+            let both = comparison.a_spread.is_some() && comparison.b_spread.is_some();
+            return if both { Verdict::Unpaired } else { Verdict::Undefined };
         };
+        let Some([low, high]) = estimate.interval else { return Verdict::TooFew };
         match expected {
             Expected::Higher if low > 0.0 => Verdict::AsThePaper,
             Expected::Lower if high < 0.0 => Verdict::AsThePaper,
@@ -196,6 +222,7 @@ impl Verdict {
             Verdict::NoEffect => "no effect shown: the interval holds zero",
             Verdict::Opposite => "opposite effect",
             Verdict::TooFew => "too few pairs of seeds to tell",
+            Verdict::Unpaired => "no seed has the number in both sets",
             Verdict::Undefined => "not defined for one of the sets",
             Verdict::Holds => "holds for both",
             Verdict::Fails => "does not hold for both",
@@ -211,6 +238,11 @@ mod tests {
         values.iter().enumerate().map(|(seed, value)| (seed as u64, *value)).collect()
     }
 
+    /// Two sets without missing numbers.
+    fn comparison(a: &[f64], b: &[f64]) -> Comparison {
+        Comparison::new(per_seed(a), per_seed(b), [a.len(), b.len()])
+    }
+
     #[test]
     fn mean_and_sample_standard_deviation() {
         // mean 4; squares (2² + 0 + 2²) / (3 − 1) = 4
@@ -222,21 +254,25 @@ mod tests {
 
     #[test]
     fn a_constant_shift_has_an_interval_of_no_width() {
-        let comparison = Comparison::new(per_seed(&[1.5, 2.5, 3.5, 4.5, 5.5]), per_seed(&[1.0, 2.0, 3.0, 4.0, 5.0]));
+        let comparison = comparison(&[1.5, 2.5, 3.5, 4.5, 5.5], &[1.0, 2.0, 3.0, 4.0, 5.0]);
         let difference = comparison.difference.unwrap();
         assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
-        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::AsThePaper);
-        assert_eq!(Verdict::of(comparison.difference, Expected::Lower), Verdict::Opposite);
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsThePaper);
+        assert_eq!(Verdict::of(&comparison, Expected::Lower), Verdict::Opposite);
         // 17.5 / 15 − 1
         assert!((comparison.relative.unwrap().value - 1.0 / 6.0).abs() < 1e-12);
+        let percent = comparison.scaled(100.0);
+        assert_eq!((percent.a[&0], percent.b_spread.unwrap().mean), (150.0, 300.0));
+        assert_eq!((percent.difference.unwrap().interval, percent.relative), (Some([50.0, 50.0]), comparison.relative));
     }
 
     #[test]
-    fn two_pairs_resample_to_their_mean_and_themselves_and_decide_nothing() {
-        // Differences 1 and 3: resamples give 1 (1/4), 2 (1/2), 3 (1/4).
-        let comparison = Comparison::new(per_seed(&[2.0, 4.0]), per_seed(&[1.0, 1.0]));
-        assert_eq!(comparison.difference.unwrap().interval, Some([1.0, 3.0]));
-        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::TooFew);
+    fn four_pairs_have_no_interval_and_decide_nothing_and_five_do() {
+        let comparison = comparison(&[2.0, 4.0, 3.0, 3.0], &[1.0; 4]);
+        assert_eq!(comparison.difference.unwrap(), Estimate { value: 2.0, interval: None, pairs: 4 });
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
+        let comparison = self::comparison(&[2.0, 4.0, 3.0, 3.0, 3.0], &[1.0; 5]);
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsThePaper);
     }
 
     #[test]
@@ -268,17 +304,20 @@ mod tests {
     fn only_common_seeds_are_paired_and_one_pair_has_no_interval() {
         let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
         let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
-        let comparison = Comparison::new(a, b);
+        let comparison = Comparison::new(a, b, [2, 2]);
         assert_eq!(comparison.difference, Some(Estimate { value: 3.0, interval: None, pairs: 1 }));
-        assert_eq!(Verdict::of(comparison.difference, Expected::Higher), Verdict::TooFew);
-        let none = Comparison::new(per_seed(&[1.0]), PerSeed::new());
-        assert_eq!(Verdict::of(none.difference, Expected::Higher), Verdict::Undefined);
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
+        let none = Comparison::new(per_seed(&[1.0]), PerSeed::new(), [1, 1]);
+        assert_eq!(Verdict::of(&none, Expected::Higher), Verdict::Undefined);
+        let apart = Comparison::new([(0, 1.0)].into(), [(1, 2.0)].into(), [1, 1]);
+        assert_eq!(Verdict::of(&apart, Expected::Higher), Verdict::Unpaired);
     }
 
     #[test]
     fn a_ratio_that_some_resamples_leave_undefined_has_no_interval() {
-        let comparison = Comparison::new(per_seed(&[1.0, 2.0, 3.0]), per_seed(&[-1.0, 2.0, 2.0]));
+        let comparison = comparison(&[1.0, 2.0, 3.0, 3.0, 3.0], &[-1.0, 2.0, 2.0, 3.0, 3.0]);
         let relative = comparison.relative.unwrap();
-        assert_eq!((relative.value, relative.interval), (1.0, None));
+        // 12 / 9 − 1
+        assert!((relative.value - 1.0 / 3.0).abs() < 1e-12 && relative.interval.is_none(), "{relative:?}");
     }
 }

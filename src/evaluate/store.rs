@@ -1,7 +1,7 @@
 /*! Finished measurements on disk, so that none is made twice.
 
 A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
-policy, its seed, what it acts on, the experiment's parameters, scenarios and quantities, and the versions of MuJoCo and
+policy, its seed, what it acts on, the robot, the experiment's parameters, scenarios and quantities, and the versions of MuJoCo and
 of this format. A new policy or a changed experiment therefore measures only what is new.
 */
 
@@ -16,9 +16,10 @@ use crate::estimate::{EstimatorConfig, SensorNoise, contact};
 use crate::files;
 use crate::provenance::{GIT_REVISION, MUJOCO_VERSION};
 use crate::scenario::Sensing;
+use crate::scene;
 
 /// To be counted up whenever the same experiment would give other numbers.
-const FORMAT: u32 = 3;
+const FORMAT: u32 = 4;
 
 /// Larger files are not ours.
 const MAX_BYTES: u64 = 1 << 30;
@@ -110,6 +111,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
     let mut parts = serde_json::json!({
         "format": FORMAT,
         "mujoco": MUJOCO_VERSION,
+        "robot": files::sha256(&[scene::GO1.as_bytes()]),
         "experiment": experiment.info().name,
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),

@@ -50,9 +50,13 @@ impl End {
         }
     }
 
-    /// 1 for a fall, else 0.
-    pub fn fell(self) -> f64 {
-        f64::from(u8::from(self == End::Fell))
+    /// 1 for a fall, 0 for none; a failure is neither.
+    pub fn fell(self) -> Option<f64> {
+        match self {
+            End::Fell => Some(1.0),
+            End::Upright => Some(0.0),
+            End::Fault => None,
+        }
     }
 }
 

@@ -78,6 +78,12 @@ fn experiment<'a>(summary: &'a Value, name: &str) -> &'a Value {
     summary["experiments"].as_array().unwrap().iter().find(|experiment| experiment["name"] == name).unwrap()
 }
 
+/// A row of an experiment's or of E12's tables.
+fn row<'a>(of: &'a Value, table: &str, condition: &str, quantity: &str) -> &'a Value {
+    let mut rows = of["tables"][table].as_array().unwrap().iter();
+    &rows.find(|row| row["condition"] == condition && row["quantity"] == quantity).unwrap()["ours"]
+}
+
 /// Every kept measurement with the time it was written.
 fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
     let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
@@ -108,7 +114,7 @@ fn two_evaluations_give_the_same_summary_and_a_third_runs_nothing_again() {
     let summary = summary(folder, "one");
     assert_eq!(summary["not_run"], serde_json::json!(["ball-pit", "rubble"]));
     // Seed 0 is the same policy twice: paired trials differ in nothing.
-    let decay = &experiment(&summary, "decay")["numbers"][0]["quantities"]["decay_10_s"];
+    let decay = &row(experiment(&summary, "decay"), "decay", "0.5 m/s to the left", "decay_10_s")["sets"];
     assert!(decay["compliant"]["by_seed"]["0"].is_number());
     assert_eq!(decay["compliant"]["by_seed"]["0"], decay["baseline"]["by_seed"]["0"]);
     assert_eq!(decay["baseline"]["by_seed"]["1"], Value::Null, "a fall has no decay time");
@@ -149,10 +155,11 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
     assert!(notes("walk").contains("falling, seed 0, falls without any disturbance"), "{}", notes("walk"));
     assert!(notes("box").contains("falling fell in every trial"));
     let quantity = |name: &str, quantity: &str, set: &str| {
-        experiment(&summary, name)["numbers"][0]["quantities"][quantity][set]["mean"].clone()
+        row(experiment(&summary, name), name, "", quantity)["sets"][set]["mean"].clone()
     };
-    assert_eq!(quantity("ball-pit", "stuck", "standing"), 1.0);
-    assert_eq!(quantity("ball-pit", "fell", "falling"), 1.0);
+    assert_eq!(quantity("ball-pit", "stuck", "standing"), 100.0);
+    assert_eq!(quantity("ball-pit", "fell", "falling"), 100.0);
+    assert_eq!(quantity("ball-pit", "peak_foot_force_n", "falling"), Value::Null);
     assert_eq!(quantity("box", "box_displacement_m", "falling"), Value::Null);
     let claims = experiment(&summary, "decay")["claims"].to_string();
     assert!(claims.contains("\"verdict\":\"undefined\""), "{claims}");
@@ -249,17 +256,15 @@ fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
     assert_eq!(both["experiments"], plain["experiments"]);
     let sensing = &both["sensing"];
     assert_eq!(sensing["experiments"], serde_json::json!(["walk"]));
-    let row = |rows: &str, condition: &str, quantity: &str| {
-        let mut rows = sensing[rows].as_array().unwrap().iter();
-        rows.find(|row| row["condition"] == condition && row["quantity"] == quantity).unwrap()["ours"].clone()
-    };
-    let power = row("numbers", "E0 walk, standing, compliant", "power_w");
-    let [estimated, truth] = ["estimated", "true state"].map(|way| power[way]["mean"].as_f64().unwrap());
+    let power = row(sensing, "sensing-all", "E0 walk, standing, compliant", "power_w");
+    let [estimated, truth] = ["estimated", "true state"].map(|way| power["sets"][way]["mean"].as_f64().unwrap());
     assert_eq!(estimated, truth, "what a policy sees that heeds nothing changes nothing");
-    assert_eq!(truth, experiment(&plain, "walk")["numbers"][1]["quantities"]["power_w"]["compliant"]["mean"]);
-    assert_eq!(row("numbers", "E0 walk, standing, baseline", "fell")["estimated"]["mean"], 1.0);
-    let velocity = row("errors", "E0 walk", "estimate_velocity_rmse_m_s");
-    assert!(velocity["compliant"]["mean"].as_f64().unwrap() < 0.05, "{velocity}");
+    let plain_power = row(experiment(&plain, "walk"), "walk-commands", "standing", "power_w");
+    assert_eq!(truth, plain_power["sets"]["compliant"]["mean"]);
+    let falls = row(sensing, "sensing-all", "E0 walk, standing, baseline", "fell");
+    assert_eq!(falls["sets"]["estimated"]["mean"], 100.0);
+    let velocity = row(sensing, "sensing-errors", "E0 walk", "estimate_velocity_rmse_m_s");
+    assert!(velocity["sets"]["compliant"]["mean"].as_f64().unwrap() < 0.05, "{velocity}");
     for name in ["sensing", "sensing-all", "sensing-errors"] {
         assert!(folder.join(format!("report/tables/{name}.csv")).exists(), "{name}");
     }
@@ -289,11 +294,21 @@ fn a_missing_seed_is_told_and_left_out_of_differences_only() {
     let summary = summary(folder.path(), "report");
     let notes = summary["notes"].to_string();
     assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
-    let power = &experiment(&summary, "walk")["numbers"][0]["quantities"]["power_w"];
-    assert_eq!(power["compliant"]["by_seed"].as_object().unwrap().len(), 2);
+    let power = row(experiment(&summary, "walk"), "walk", "forward 0.5", "power_w");
+    assert_eq!(power["sets"]["compliant"]["by_seed"].as_object().unwrap().len(), 2);
     assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null, "pairs": 1}));
     let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
     assert!(page.contains("no policy of seed 3"));
+
+    // Another set in the same folder: what was not run with it shows nothing of the first.
+    let figure = folder.path().join("report/figures/walk.png");
+    assert!(figure.exists());
+    falling_policy().save(&folder.path().join("policies/compliant-seed0.safetensors")).unwrap();
+    let output = evaluate(folder.path(), &["table4", "--out", "report"]);
+    assert!(output.status.success() && !figure.exists(), "{}", complaint(&output));
+    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    let command = "evaluate -- walk --policies policies --protocol tiny.yaml --out report";
+    assert!(page.contains(command), "the page tells how to run what is missing");
 }
 
 #[test]

@@ -4,24 +4,8 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use supple::evaluate::protocol::Protocol;
 use supple::scenario::Sensing;
-
-/// The experiments by name, with what they are.
-const EXPERIMENTS: [(&str, &str); 13] = [
-    ("walk", "E0: walking undisturbed"),
-    ("push-grid", "E1, Fig. 2: success over a grid of pushes"),
-    ("decay", "E2, Fig. 3: decay of a sideways push"),
-    ("table4", "E3, Table IV: power and torque of a sideways push"),
-    ("directions", "E4, Fig. 4: decay of pushes from all sides"),
-    ("leash", "E5, Fig. 5: offset under a constant pull"),
-    ("box", "E6, Fig. 6: collision with a box"),
-    ("ball-pit", "E7, Fig. 7a: crossing a ball pit"),
-    ("terrain", "E8, Fig. 7b: uneven terrain"),
-    ("pulley", "E9, Fig. 8a: a weight over a pulley"),
-    ("pendulum", "E10, Fig. 8b: a swinging ball"),
-    ("rubble", "E11a, Fig. 8c: wooden blocks and soft mats"),
-    ("outdoor", "E11b, Fig. 8d: hills of varied friction"),
-];
 
 /// Compare two sets of policies under disturbance, and write a report.
 ///
@@ -68,6 +52,58 @@ pub struct Args {
     pub results: Option<PathBuf>,
 }
 
+impl Args {
+    /// The arguments that decide what a report shows, each quoted for a shell; without the experiments.
+    pub fn options(&self) -> Vec<String> {
+        let path = |path: &PathBuf| path.display().to_string();
+        let sets = match (&self.a, &self.b) {
+            (Some(a), Some(b)) => vec![("--a", path(a)), ("--b", path(b))],
+            _ => vec![("--policies", path(&self.policies))],
+        };
+        let names = (self.names != ["compliant", "baseline"]).then(|| ("--names", self.names.join(",")));
+        let protocol = self.protocol.iter().map(|file| ("--protocol", path(file)));
+        let sensing = (self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".to_owned()));
+        let results = self.results.iter().map(|file| ("--results", path(file)));
+        let quick = self.quick.then(|| "--quick".to_owned());
+        let pairs = sets.into_iter().chain(names).chain(protocol).chain(sensing);
+        let pairs = pairs.chain([("--out", path(&self.out))]).chain(results);
+        let words = pairs.flat_map(|(key, value)| [key.to_owned(), quoted(&value)]);
+        quick.into_iter().chain(words).collect()
+    }
+}
+
+/// For a POSIX shell.
+fn quoted(word: &str) -> String {
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=+:@%".contains(c);
+    if !word.is_empty() && word.chars().all(is_plain) {
+        word.to_owned()
+    } else {
+        format!("'{}'", word.replace('\'', r"'\''"))
+    }
+}
+
+/// The experiments by name, with what they are.
 fn experiments() -> impl TypedValueParser<Value = String> {
-    PossibleValuesParser::new(EXPERIMENTS.map(|(name, help)| PossibleValue::new(name).help(help)))
+    // The protocol inside the program is valid: a test reads it.
+    let protocol = Protocol::full().ok();
+    let infos = protocol.iter().flat_map(|protocol| protocol.experiments().map(|experiment| experiment.info()));
+    let value = |info: supple::evaluate::Info| {
+        PossibleValue::new(info.name).help(format!("{}, {}: {}", info.id, info.paper, info.title))
+    };
+    PossibleValuesParser::new(infos.map(value).collect::<Vec<_>>())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_report_tells_the_arguments_that_decide_what_it_shows() {
+        let options = |arguments: &[&str]| Args::parse_from([&["evaluate"], arguments].concat()).options().join(" ");
+        assert_eq!(options(&["walk", "--again", "--threads", "2"]), "--policies policies --out report");
+        assert_eq!(
+            options(&["--a", "x", "--b", "it's", "--names", "A set,B", "--quick", "--sensing", "estimated"]),
+            r"--quick --a x --b 'it'\''s' --names 'A set,B' --sensing estimated --out report"
+        );
+    }
 }

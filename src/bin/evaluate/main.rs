@@ -11,7 +11,7 @@ use clap::Parser;
 use progress::Progress;
 use supple::evaluate::contestants::Contest;
 use supple::evaluate::protocol::Protocol;
-use supple::evaluate::report::{Report, Section};
+use supple::evaluate::report::{Command, Report, Section};
 use supple::evaluate::runner::{self, Measurement, Settings};
 use supple::evaluate::store::Store;
 use supple::scenario::Sensing;
@@ -44,7 +44,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
             progress.expect(runner::work(experiment, &contest, settings)?);
         }
     }
-    let mut report = Report::new(&contest, name, command());
+    let mut report = Report::new(&contest, name, command(args));
     for experiment in protocol.experiments() {
         let info = experiment.info();
         let mut measure = |settings: &Settings| -> anyhow::Result<Option<Measurement>> {
@@ -77,7 +77,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 /// The protocol and its name in the report.
 fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
     Ok(match &args.protocol {
-        Some(path) => (path.display().to_string(), Protocol::load(path)?),
+        Some(path) => (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), Protocol::load(path)?),
         None if args.quick => ("quick".to_owned(), Protocol::quick()?),
         None => ("full".to_owned(), Protocol::full()?),
     })
@@ -96,8 +96,8 @@ fn contest(args: &Args) -> anyhow::Result<Contest> {
     })
 }
 
-/// The command that makes this report, as one would type it.
-fn command() -> String {
-    let arguments: Vec<String> = std::env::args().skip(1).collect();
-    format!("cargo run --release --bin evaluate -- {}", arguments.join(" ")).trim_end_matches(" -- ").to_owned()
+/// What makes this report.
+fn command(args: &Args) -> Command {
+    let program = "cargo run --release --bin evaluate --".to_owned();
+    Command { program, experiments: args.experiments.clone(), options: args.options() }
 }

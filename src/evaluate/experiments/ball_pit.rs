@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, labels, parameters, truth, value};
+use super::{by_condition, labels, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -66,14 +66,15 @@ impl Experiment for BallPit {
         let when = |edge_m: f64| trace.frames.iter().find(|frame| frame.position[0] > edge_m).map(|f| f.time_s);
         let times = when(pit.distance_m).zip(when(pit.far_edge_m()));
         let crossed = value(&found, "crossed") == Some(1.0);
+        let of_upright = |name: &str| value(&found, name).filter(|_| end == End::Upright);
         let values = vec![
             truth(crossed),
-            Some(end.fell()),
+            end.fell(),
             truth(!crossed && end == End::Upright),
             times.map(|(first, last)| last - first),
-            value(&found, "distance_m"),
-            value(&found, "peak_foot_force_n"),
-            value(&found, "power_w"),
+            of_upright("distance_m"),
+            of_upright("peak_foot_force_n"),
+            of_upright("power_w"),
         ];
         Measured { values, series: Vec::new() }
     }
@@ -95,9 +96,5 @@ impl Experiment for BallPit {
             claim("Their feet hit the balls less hard", "lower", "peak_foot_force_n", Expected::Lower),
         ];
         Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

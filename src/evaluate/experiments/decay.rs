@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{parameters, truth};
+use super::truth;
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::curves::{self, Curve};
@@ -51,7 +51,12 @@ impl Decay {
             .map(|runs| runs.iter().filter(|run| run.series.len() == 2).collect())
             .unwrap_or_default();
         let mut curve = Curve {
-            title: format!("{}, seed {}", results.names[set], seed.map_or("–".into(), |seed| seed.to_string())),
+            title: format!(
+                "{}, seed {}, {} runs",
+                results.names[set],
+                seed.map_or("–".into(), |seed| seed.to_string()),
+                runs.len()
+            ),
             mean: Vec::new(),
             least: Vec::new(),
             largest: Vec::new(),
@@ -109,7 +114,7 @@ impl Experiment for Decay {
 
     fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let mut values = vec![None; QUANTITIES.len()];
-        values[0] = Some(end.fell());
+        values[0] = end.fell();
         let Some(push) = script.pushes.first() else { return Measured { values, series: Vec::new() } };
         if end == End::Upright {
             values[1] = decay_time(trace, push.time_s, push.push.linear, 0.1, STRIDE_S);
@@ -140,7 +145,7 @@ impl Experiment for Decay {
             "decay",
             "Decay of a sideways push of 0.5 m/s.",
             results,
-            &["decay_10_s", "decay_20_s", "carried_m", "undecayed", "fell"],
+            &["decay_10_s", "decay_20_s", "carried_m", "left_before_m_s", "undecayed", "fell"],
         )
         .with_paper("decay_10_s", "+85 %");
         let curves = [self.curve(results, 0), self.curve(results, 1)];
@@ -155,10 +160,10 @@ impl Experiment for Decay {
         let figure = Figure::new(
             "decay",
             format!(
-                "Sideways velocity after a push of 0.5 m/s to the left while walking at 0.5 m/s: mean and min–max band of \
-                 {} runs of one policy. Dotted: ±10 % of the push around the velocity before; dashed: this policy's mean \
+                "Sideways velocity after a push of 0.5 m/s to the left while walking at 0.5 m/s: mean and min–max band over \
+                 the runs of one policy, each until it falls. Dotted: ±10 % of the push around the velocity before; dashed: this policy's mean \
                  decay time. Over all seeds it is {} ({}) and {} ({}).",
-                self.trials, words[0], results.names[0], words[1], results.names[1]
+                words[0], results.names[0], words[1], results.names[1]
             ),
             svg,
         );
@@ -169,9 +174,5 @@ impl Experiment for Decay {
         };
         let claims = THRESHOLDS.map(claim).into();
         Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

@@ -3,13 +3,13 @@
 use serde::{Deserialize, Serialize};
 
 use super::decay::{CARRIED_S, THRESHOLDS};
-use super::{directions, parameters, polar, truth};
+use super::{directions, gait, polar, truth};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::plot;
 use crate::evaluate::plot::polar::Scales;
 use crate::evaluate::results::Results;
-use crate::evaluate::statistics::{Expected, Spread};
+use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
 use crate::scenario::Script;
@@ -42,7 +42,8 @@ impl Directions {
     fn command(&self, index: usize) -> (std::ops::Range<usize>, String) {
         let count = self.directions as usize;
         let command = self.commands_m_s[index];
-        let name = if command == 0.0 { "standing".to_owned() } else { format!("walking at {command} m/s") };
+        let name =
+            if command == 0.0 { gait(command).to_owned() } else { format!("{} at {command} m/s", gait(command)) };
         (index * count..(index + 1) * count, name)
     }
 }
@@ -70,7 +71,7 @@ impl Experiment for Directions {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushAway = defaults("push")?;
         let condition = |command: f64, direction_deg: f64| Condition {
-            label: format!("{}, {direction_deg:.1}°", if command == 0.0 { "standing" } else { "walking" }),
+            label: format!("{}, {direction_deg:.1}°", gait(command)),
             scenario: Scenario::Push(PushAway {
                 direction_deg,
                 task: Task { forward_m_s: command, ..base.task.clone() },
@@ -86,7 +87,7 @@ impl Experiment for Directions {
         let decay = |threshold| decay_time(trace, push?.time_s, push?.push.linear, threshold, STRIDE_S);
         let carried = push.and_then(|push| carried(trace, push.time_s, push.push.linear, CARRIED_S));
         let undecayed = push.and_then(|_| truth(decay(0.1).is_none()));
-        Measured { values: vec![decay(0.1), decay(0.2), carried, undecayed, Some(end.fell())], series: Vec::new() }
+        Measured { values: vec![decay(0.1), decay(0.2), carried, undecayed, end.fell()], series: Vec::new() }
     }
 
     fn findings(&self, results: &Results) -> Findings {
@@ -95,12 +96,7 @@ impl Experiment for Directions {
             let (conditions, name) = self.command(index);
             let all: Vec<usize> = conditions.clone().collect();
             for (quantity, words) in THRESHOLDS {
-                let longer = |condition: &&usize| {
-                    let mean =
-                        |set| Spread::of(&results.per_seed(set, **condition, quantity)).map(|spread| spread.mean);
-                    mean(0).zip(mean(1)).is_some_and(|(a, b)| a > b)
-                };
-                let longer = all.iter().filter(longer).count();
+                let longer = results.larger_in(&all, quantity);
                 let text = format!(
                     "Pushed while {name}, compliant policies take longer in all directions ({words}; here in {longer} of \
                      {}, and the numbers are means over directions)",
@@ -140,9 +136,5 @@ impl Experiment for Directions {
             svg,
         );
         Findings { claims, tables: vec![table, every], figures: vec![figure], notes }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, labels, parameters, truth, value};
+use super::{by_condition, labels, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -119,7 +119,7 @@ impl Experiment for FreeBox {
         let resumed = passed && errors.is_some_and(|[forward, left, _]| forward.hypot(left) < self.resumed_m_s);
         values[5] = truth(passed);
         values[6] = truth(resumed);
-        values[8] = Some(end.fell());
+        values[8] = end.fell();
 
         let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
         // The box is the last body.
@@ -168,9 +168,5 @@ impl Experiment for FreeBox {
             claim("… and resume their course", "resume", "resumed", Expected::Higher),
         ];
         Findings { claims, tables: vec![table], figures: vec![paths, forces], notes: Vec::new() }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

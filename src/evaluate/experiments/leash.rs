@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{directions, parameters, polar};
+use super::{directions, polar};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::plot;
 use crate::evaluate::plot::polar::Scales;
 use crate::evaluate::results::Results;
-use crate::evaluate::statistics::{Expected, Spread};
+use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
 use crate::scenario::catalog::{Leash as Parameters, Scenario, Task, defaults};
@@ -49,7 +49,7 @@ impl Experiment for Leash {
             paper: "Fig. 5",
             method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in directions \
                      all around; the force keeps its direction in the world. The offset is the mean velocity minus the \
-                     command, along the force, over the last 5 s of 8 s of pull. E0 has the undisturbed error.",
+                     command, along the force, over the last seconds of the pull. E0 has the undisturbed error.",
         }
     }
 
@@ -78,7 +78,7 @@ impl Experiment for Leash {
     }
 
     fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let mut values = vec![None, Some(end.fell()), None];
+        let mut values = vec![None, end.fell(), None];
         if let (End::Upright, Some(pull)) = (end, script.pull) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
             values[0] = metrics::offset_along_force(trace, pull.force, from_s, until_s);
@@ -94,15 +94,10 @@ impl Experiment for Leash {
         for (index, force) in self.forces_n.iter().enumerate() {
             let conditions = index * count..(index + 1) * count;
             let all: Vec<usize> = conditions.clone().collect();
-            let larger = |condition: &&usize| {
-                let mean =
-                    |set| Spread::of(&results.per_seed(set, **condition, "offset_m_s")).map(|spread| spread.mean);
-                mean(0).zip(mean(1)).is_some_and(|(a, b)| a > b)
-            };
             let text = format!(
                 "Pulled with {force} N, compliant policies yield more (here: in {} of {count} directions; the numbers are \
                  means over directions)",
-                all.iter().filter(larger).count(),
+                results.larger_in(&all, "offset_m_s"),
             );
             let comparison = results.compare_over(&all, "offset_m_s");
             notes.extend(results.left_out(&all, "offset_m_s").map(|note| format!("{force} N: {note}")));
@@ -137,9 +132,5 @@ impl Experiment for Leash {
             svg,
         );
         Findings { claims, tables: vec![table, every], figures: vec![figure], notes }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

@@ -71,17 +71,12 @@ fn truth(is: bool) -> Option<f64> {
     Some(f64::from(u8::from(is)))
 }
 
-/// A number as it stands in the protocol's JSON.
-fn parameters(of: &impl serde::Serialize) -> serde_json::Value {
-    // Plain structs of numbers and lists.
-    serde_json::to_value(of).unwrap_or_default()
-}
-
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
+    use crate::evaluate::findings::Row;
     use crate::evaluate::plot::png::Renderer;
     use crate::evaluate::protocol::Protocol;
     use crate::evaluate::trial::{End, Sample};
@@ -107,7 +102,23 @@ mod tests {
                 let values = vec![value; experiment.quantities().len()];
                 let sample = Sample { end: End::Upright, values, series: Vec::new(), estimation: None };
                 let findings = experiment.findings(&results(experiment, &sample));
-                assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{}", experiment.info().name);
+                let name = experiment.info().name;
+                assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{name}");
+                // A report takes away by name what is not of its policies.
+                let files = findings.figures.iter().map(|figure| &figure.name);
+                assert!(
+                    files.chain(findings.tables.iter().map(|table| &table.name)).all(|file| file.starts_with(name))
+                );
+                // `summary.json` has every number, for it has every table.
+                for (condition, quantity) in results(experiment, &sample)
+                    .conditions
+                    .iter()
+                    .flat_map(|c| experiment.quantities().iter().map(move |q| (c, q)))
+                {
+                    let has = |row: &Row| row.condition == condition.label && row.quantity.name == quantity.name;
+                    let tables = &findings.tables;
+                    assert!(tables.iter().flat_map(|table| &table.rows).any(has), "{name}: {}", quantity.name);
+                }
                 for figure in &findings.figures {
                     assert!(!figure.svg.contains("NaN") && !figure.svg.contains("inf"), "{}", figure.name);
                     renderer.png(&figure.svg).unwrap();
@@ -134,6 +145,10 @@ mod tests {
                 let measured = measured(experiment, &trace);
                 assert_eq!(measured.values.len(), experiment.quantities().len(), "{}", experiment.info().name);
                 assert!(measured.values.iter().flatten().all(|value| value.is_finite()));
+                for (quantity, value) in experiment.quantities().iter().zip(measured.values) {
+                    let is_share = quantity.unit != "%" || value.is_none_or(|share| (0.0..=1.0).contains(&share));
+                    assert!(is_share, "{}: {} is {value:?}", experiment.info().name, quantity.name);
+                }
             }
         }
     }

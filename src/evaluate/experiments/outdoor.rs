@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, labels, parameters, truth, value};
+use super::{by_condition, labels, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -97,9 +97,5 @@ impl Experiment for Outdoor {
             results.compare_over(&all, "success"),
         );
         Findings { claims: vec![claim], tables: vec![table], figures: vec![figure], notes: Vec::new() }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

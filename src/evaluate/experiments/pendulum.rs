@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::decay::THRESHOLDS;
-use super::{by_condition, gait, labels, parameters, truth, value};
+use super::{by_condition, gait, labels, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -85,7 +85,7 @@ impl Experiment for Pendulum {
         let decay = values[0];
         values[QUANTITIES.len() - 3] = truth(was_hit);
         values[QUANTITIES.len() - 2] = (end == End::Upright && was_hit).then_some(f64::from(u8::from(decay.is_none())));
-        values[QUANTITIES.len() - 1] = Some(end.fell());
+        values[QUANTITIES.len() - 1] = end.fell();
         Measured { values, series: Vec::new() }
     }
 
@@ -121,9 +121,5 @@ impl Experiment for Pendulum {
             }
         }
         Findings { claims, tables: vec![table], figures: vec![figure], notes }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

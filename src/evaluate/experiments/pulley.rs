@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, gait, labels, parameters, value};
+use super::{by_condition, gait, labels, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -77,7 +77,7 @@ impl Experiment for Pulley {
         let found = scenario.metrics(script, trace);
         let of_upright = |quantity: &Quantity| value(&found, quantity.name).filter(|_| end == End::Upright);
         let mut values: Vec<Option<f64>> = QUANTITIES.iter().map(of_upright).collect();
-        values[QUANTITIES.len() - 1] = Some(end.fell());
+        values[QUANTITIES.len() - 1] = end.fell();
         Measured { values, series: Vec::new() }
     }
 
@@ -120,9 +120,5 @@ impl Experiment for Pulley {
             results.compare_over(&all, "fell"),
         ));
         Findings { claims, tables: vec![table], figures: vec![figure], notes }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{parameters, truth};
+use super::truth;
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::grid::{self, Grid};
 use crate::evaluate::plot::heatmap::{self, Map};
 use crate::evaluate::results::Results;
-use crate::evaluate::statistics::{Comparison, Estimate, Expected, PerSeed, Spread, estimate, mean};
+use crate::evaluate::statistics::{Comparison, Expected, PerSeed, Spread, estimate, mean};
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, Info, Measured, Quantity};
 use crate::scenario::Script;
@@ -82,7 +82,8 @@ impl PushGrid {
             a_spread: pooled(0),
             b_spread: pooled(1),
             difference: estimate(common.len(), |chosen| both(chosen).map(|[a, b]| a - b)),
-            relative: None::<Estimate>,
+            relative: None,
+            members: results.members(),
         }
     }
 
@@ -92,7 +93,7 @@ impl PushGrid {
             let seeds = results.sets[set].keys();
             seeds.map(|seed| (*seed, number(&self.success(results, set, &[*seed])))).collect()
         };
-        Comparison::new(by_seed(0), by_seed(1))
+        Comparison::new(by_seed(0), by_seed(1), results.members())
     }
 }
 
@@ -177,7 +178,7 @@ impl Experiment for PushGrid {
             self.success(results, set, &seeds)
         });
         let map = |set: usize| Map {
-            title: format!("{}: {:.0} % of grid points", results.names[set], 100.0 * share(&maps[set])),
+            title: format!("{}: {:.1} % of grid points", results.names[set], 100.0 * share(&maps[set])),
             grid: &maps[set],
         };
         let svg = heatmap::draw(
@@ -196,16 +197,12 @@ impl Experiment for PushGrid {
             svg,
         );
         let claim = Claim::direction(
-            "The 80 % contour of push recovery encloses more of the grid for compliant policies",
+            &format!("The {level:.0} % contour of push recovery encloses more of the grid for compliant policies"),
             "78 / 73 %",
             SHARE,
             Expected::Higher,
             pooled,
         );
         Findings { claims: vec![claim], tables: vec![summary, every], figures: vec![figure], notes: Vec::new() }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

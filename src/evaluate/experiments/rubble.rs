@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, labels, parameters, truth, value};
+use super::{by_condition, labels, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -100,9 +100,5 @@ impl Experiment for Rubble {
             claim("… and get across more often", "crossed"),
         ];
         Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, labels, parameters, truth, value};
+use super::{by_condition, labels, truth, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -119,10 +119,7 @@ impl Experiment for Terrain {
             ),
             claim("Their feet hit the ground less hard", "lower", "peak_foot_force_n", Expected::Lower, &all),
         ];
-        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
+        let notes = results.left_out(&all, "peak_foot_force_n").map(|note| format!("Peak foot force: {note}"));
+        Findings { claims, tables: vec![table], figures: vec![figure], notes: notes.into_iter().collect() }
     }
 }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{by_condition, labels, parameters, value};
+use super::{by_condition, labels, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::dots;
@@ -23,12 +23,12 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("torque_n_m", "torque norm", "N·m", 1),
     Quantity::new("cost_of_transport", "cost of transport", "", 2),
     Quantity::new("stride_frequency_hz", "stride frequency", "Hz", 2),
-    Quantity::new("flight_percent", "time in flight", "%", 0),
+    Quantity::new("flight_share", "time in flight", "%", 0),
     Quantity::new("swing_height_m", "foot height", "m", 3),
 ];
 
-/// Time in flight from which on a gait is called hopping; a trot at this speed has next to none \[%\].
-const HOPPING_PERCENT: f64 = 30.0;
+/// Time in flight from which on a gait is called hopping; a trot at this speed has next to none.
+const HOPPING_SHARE: f64 = 0.3;
 
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -50,14 +50,16 @@ impl Walk {
         for (set, name) in results.names.iter().enumerate() {
             let falls = results.per_seed(set, 0, "fell");
             let errors = results.per_seed(set, 0, "velocity_error_m_s");
-            let flights = results.per_seed(set, 0, "flight_percent");
-            for (seed, share) in flights.iter().filter(|(_, share)| **share > HOPPING_PERCENT) {
-                notes.push(format!("{name}, seed {seed}, hops: {share:.0} % of the time no foot is on the ground."));
+            let flights = results.per_seed(set, 0, "flight_share");
+            for (seed, share) in flights.iter().filter(|(_, share)| **share > HOPPING_SHARE) {
+                let percent = 100.0 * share;
+                notes.push(format!("{name}, seed {seed}, hops: {percent:.0} % of the time no foot is on the ground."));
             }
             for seed in falls.iter().filter(|(_, fell)| **fell > 0.0).map(|(seed, _)| seed) {
                 notes.push(format!("{name}, seed {seed}, falls without any disturbance."));
             }
-            for (seed, error) in errors.iter().filter(|(_, error)| **error > 0.5 * forward.hypot(*left)) {
+            let speed = forward.hypot(*left);
+            for (seed, error) in errors.iter().filter(|(_, error)| speed > 0.0 && **error > 0.5 * speed) {
                 notes.push(format!(
                     "{name}, seed {seed}, does not walk at its command: its velocity error is {error:.2} m/s."
                 ));
@@ -115,14 +117,17 @@ impl Experiment for Walk {
 
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let mut values = vec![None; QUANTITIES.len()];
-        values[0] = Some(end.fell());
+        values[0] = end.fell();
         if end == End::Upright {
             let errors = metrics::velocity_errors(trace, metrics::SETTLE_S, script.duration_s);
             values[1] = metrics::velocity_error(trace, metrics::SETTLE_S, script.duration_s);
             (0..3).for_each(|axis| values[2 + axis] = errors.map(|errors| errors[axis]));
             let found = scenario.metrics(script, trace);
             for (index, quantity) in QUANTITIES.iter().enumerate().skip(5) {
-                values[index] = value(&found, quantity.name);
+                values[index] = match quantity.name {
+                    "flight_share" => value(&found, "flight_percent").map(|percent| 0.01 * percent),
+                    name => value(&found, name),
+                };
             }
         }
         Measured { values, series: Vec::new() }
@@ -156,9 +161,5 @@ impl Experiment for Walk {
             )],
             notes: self.strangers(results),
         }
-    }
-
-    fn parameters(&self) -> serde_json::Value {
-        parameters(self)
     }
 }

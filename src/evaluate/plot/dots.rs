@@ -31,7 +31,7 @@ pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String; 2]
         svg.text([left - 4.0, y + 4.0], label, Text::new(SMALL, Anchor::End));
     }
     for (index, dots) in panels.iter().enumerate() {
-        let scale = if dots.quantity.unit == "%" { 100.0 } else { 1.0 };
+        let scale = dots.quantity.scale();
         let reach = |values: &PerSeed| Spread::of(values).map(|spread| spread.mean + spread.sd.unwrap_or(0.0));
         let rows = || dots.rows.iter().flatten();
         let values = rows().flat_map(|values| values.values().copied()).chain(rows().filter_map(reach));

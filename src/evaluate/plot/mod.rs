@@ -1,7 +1,7 @@
 /*! Figures as SVG, and as PNG rendered from the same SVG.
 
-Blue and orange of Okabe and Ito's palette are told apart by every kind of colour vision; the second method is dashed and
-has square marks besides, for print without colour. Both methods are always drawn on the same scale.
+Blue and orange of Okabe and Ito's palette are told apart by every kind of colour vision; the lines of the second method are
+dashed and its marks square, for print without colour. Both methods are always drawn on the same scale.
 */
 
 pub mod axes;

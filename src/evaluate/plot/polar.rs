@@ -121,9 +121,12 @@ fn draw_set(svg: &mut Svg, centre: [f64; 2], scale: Scale, values: &[Option<Spre
         svg.outline(&middle, LINES[set]);
     }
     // A direction without a number is a gap.
+    let has_gap = all(0.0).is_none();
     for direction in 0..count {
-        let next = point(direction + 1, 0.0).filter(|_| all(0.0).is_none());
-        if let (Some(from), Some(to)) = (point(direction, 0.0), next) {
+        let between = |offset| Some([point(direction, offset)?, point(direction + 1, offset)?]);
+        if let (true, Some([from, to]), Some(outer), Some(inner)) = (has_gap, between(0.0), between(1.0), between(-1.0))
+        {
+            svg.area(&[&[outer[0], outer[1], inner[1], inner[0]]], COLOURS[set], BAND);
             svg.line(from, to, LINES[set]);
         }
         if let Some(at) = point(direction, 0.0) {

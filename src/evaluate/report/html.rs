@@ -26,9 +26,20 @@ const WORDS: &[(&str, &str)] = &[
     ),
     ("power, torque", "Σ|τ·q̇| and ‖τ‖₂ over the twelve joints, averaged at 240 Hz, τ as applied."),
     (
+        "cell",
+        "the mean over the trials of a policy, then mean ± standard deviation over policies. A trial that leaves a \
+      number undefined for one policy of a pair is left out for both. (4 of 5 seeds): the others have no such number.",
+    ),
+    (
+        "difference, interval",
+        "first minus second set, over the pairs of seeds that both have the number (how many, if not all); 95 % \
+      bootstrap over these pairs, expanded for their number. Fewer than five pairs have no interval.",
+    ),
+    (
         "verdict",
-        "effect in the paper's direction: the 95 % interval of the difference lies on the paper's side of zero; \
-      opposite: on the other side; no effect: it holds zero.",
+        "effect in the paper's direction: the interval of the difference lies on the paper's side of zero; opposite: on \
+      the other side; no effect shown: it holds zero; too few pairs to tell: fewer than five. A bound holds if the means \
+      of both sets keep it.",
     ),
 ];
 
@@ -50,7 +61,8 @@ pub fn page(report: &Report) -> String {
     }
     if !report.missing.is_empty() {
         let lines = report.missing.iter().map(|info| {
-            format!("<li>{} {} ({}): <code>evaluate {}</code></li>", info.id, info.title, info.paper, info.name)
+            let command = escaped(&report.command.of(Some(info.name)));
+            format!("<li>{} {} ({}): <code>{command}</code></li>", info.id, info.title, info.paper)
         });
         let _ = write!(body, "<h2>Not run</h2>\n<ul>{}</ul>\n", lines.collect::<String>());
     }
@@ -79,13 +91,14 @@ fn introduction(report: &Report) -> String {
     let notes: String = report.notes.iter().map(|note| format!("<p class=\"note\">{}</p>\n", escaped(note))).collect();
     format!(
         "<nav>{navigation}</nav>\n\
-         <p>Every figure and table of section IV of “Deep Compliant Control for Legged Robots”, measured with {trials} \
-         trials in simulation. Trials are paired: trial <i>k</i> of seed <i>s</i> is the same for both methods. A number \
-         is the mean over the trials of a policy, then mean ± standard deviation over policies of different seeds; \
-         intervals are 95 % bootstrap intervals over pairs of seeds.</p>\n\
+         <p>Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with {trials} trials in \
+         simulation. Trials are paired: trial <i>k</i> of seed <i>s</i> is the same for both methods. A number is the mean \
+         over the trials of a policy, then mean ± standard deviation over policies of different seeds (the share of the \
+         push grid is that of the map of all seeds together); intervals are 95 % bootstrap intervals over pairs of \
+         seeds.</p>\n\
          {notes}<dl><dt>Command</dt><dd><code>{}</code></dd><dt>Protocol</dt><dd>{}</dd>\
          <dt>Time for all trials</dt><dd>{}</dd><dt>Measured by revision</dt><dd>{}</dd></dl>\n",
-        escaped(&report.command),
+        escaped(&report.command.of(None)),
         escaped(&report.protocol),
         duration(wall_s),
         escaped(&revisions.join(", ")),
@@ -97,12 +110,7 @@ fn claims(report: &Report) -> String {
     for section in &report.sections {
         for (index, claim) in section.findings.claims.iter().enumerate() {
             let id = if index == 0 { section.info.id } else { "" };
-            let _ = writeln!(
-                rows,
-                "<tr><td><a href=\"#{}\">{id}</a></td>{}</tr>",
-                section.info.name,
-                claim_row(claim, report)
-            );
+            let _ = writeln!(rows, "<tr><td><a href=\"#{}\">{id}</a></td>{}</tr>", section.info.name, claim_row(claim));
         }
     }
     let head: String =
@@ -110,9 +118,9 @@ fn claims(report: &Report) -> String {
     format!("<h2 id=\"claims\">What the paper claims</h2>\n<table><tr><th></th>{head}</tr>\n{rows}</table>\n")
 }
 
-fn claim_row(claim: &Claim, report: &Report) -> String {
+fn claim_row(claim: &Claim) -> String {
     // Intervals on lines of their own.
-    let cells = claim_cells(claim, report.members).map(|cell| escaped(&cell).replace(" [", "<br>["));
+    let cells = claim_cells(claim).map(|cell| escaped(&cell).replace(" [", "<br>["));
     let [text, paper, a, b, difference, relative, verdict] = cells;
     let class = match claim.verdict {
         Verdict::AsThePaper | Verdict::Holds => "yes",
@@ -171,7 +179,7 @@ fn experiment(section: &Section, report: &Report) -> String {
         );
     }
     for table in section.findings.tables.iter().filter(|table| table.in_page) {
-        text.push_str(&numbers(table, &report.names, report.members));
+        text.push_str(&numbers(table, &report.names));
     }
     text.push_str(&provenance(section, report));
     text.push_str("</section>\n");
@@ -182,14 +190,14 @@ fn experiment(section: &Section, report: &Report) -> String {
 fn sensing(report: &Report) -> String {
     let found = &report.sensing;
     let tables = found.tables();
-    let tables = tables.iter().filter(|(table, ..)| table.in_page);
-    let tables: String = tables.map(|(table, names, members)| numbers(table, names, *members)).collect();
+    let tables = tables.iter().filter(|(table, _)| table.in_page);
+    let tables: String = tables.map(|(table, names)| numbers(table, names)).collect();
     format!(
         "<section id=\"sensing\">\n<h2>E12 Acting on sensors <small>section IV-D</small></h2>\n<p>The same trials, with \
          policies that see no true state: noisy IMU and encoders, a contact network and a Kalman filter at 240 Hz. \
          Differences are estimated minus true state.</p>\n{tables}<details><summary>How it was run</summary><dl>\
          <dt>experiments</dt><dd>{}</dd><dt>contact network</dt><dd><code>{}</code></dd><dt>time for all trials</dt>\
-         <dd>{}</dd><dt>command</dt><dd><code>evaluate --sensing estimated</code></dd></dl></details>\n</section>\n",
+         <dd>{}</dd></dl></details>\n</section>\n",
         escaped(&found.experiments.join(", ")),
         escaped(&found.network),
         duration(found.wall_s),
@@ -197,8 +205,8 @@ fn sensing(report: &Report) -> String {
 }
 
 /// A table without the columns that are empty throughout.
-fn numbers(table: &Table, names: &[String; 2], members: [usize; 2]) -> String {
-    let rows: Vec<[String; 7]> = table.rows.iter().map(|row| cells(row, members)).collect();
+fn numbers(table: &Table, names: &[String; 2]) -> String {
+    let rows: Vec<[String; 7]> = table.rows.iter().map(cells).collect();
     let used: Vec<usize> = (0..7).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
     let titles = columns(names);
     let head: String = used.iter().map(|column| format!("<th>{}</th>", escaped(&titles[*column]))).collect();
@@ -235,12 +243,12 @@ fn provenance(section: &Section, report: &Report) -> String {
     format!(
         "<details><summary>How it was run</summary><dl>\
          <dt>conditions × trials × policies</dt><dd>{} × {} × {}</dd><dt>falls</dt><dd>{}</dd>{parameters}\
-         <dt>time for all trials</dt><dd>{}</dd><dt>command</dt><dd><code>evaluate {}</code></dd></dl></details>\n",
+         <dt>time for all trials</dt><dd>{}</dd><dt>command</dt><dd><code>{}</code></dd></dl></details>\n",
         section.conditions,
         section.trials,
         report.policies.len(),
         falls.join("; "),
         duration(section.wall_s),
-        section.info.name,
+        escaped(&report.command.of(Some(section.info.name))),
     )
 }

@@ -4,16 +4,16 @@ use super::Report;
 use crate::evaluate::findings::{Claim, Row, Table, estimate, percent, spread};
 
 /// Cells of a row: condition, quantity, the paper's numbers, ours.
-pub fn cells(row: &Row, members: [usize; 2]) -> [String; 7] {
+pub fn cells(row: &Row) -> [String; 7] {
     let c = &row.comparison;
     [
         row.condition.clone(),
         row.quantity.axis(),
         row.paper.clone(),
-        spread(c.a_spread, row.quantity, members[0]),
-        spread(c.b_spread, row.quantity, members[1]),
-        estimate(c.difference, row.quantity),
-        if row.quantity.unit == "%" { String::new() } else { percent(c.relative) },
+        spread(c.a_spread, row.quantity, c.members[0], ""),
+        spread(c.b_spread, row.quantity, c.members[1], ""),
+        estimate(c.difference, row.quantity, c.members, ""),
+        if row.quantity.unit == "%" { String::new() } else { percent(c.relative, "") },
     ]
 }
 
@@ -27,25 +27,20 @@ pub fn columns(names: &[String; 2]) -> [String; 7] {
 }
 
 /// Cells of a claim: what the paper says, its numbers, ours, the verdict.
-pub fn claim_cells(claim: &Claim, members: [usize; 2]) -> [String; 7] {
-    let c = &claim.comparison;
-    let unit = claim.quantity.unit;
-    let with_unit = |cell: String| if unit.is_empty() || cell == "–" { cell } else { format!("{cell} {unit}") };
-    let relative = if claim.quantity.unit == "%" { String::new() } else { percent_cell(claim) };
+pub fn claim_cells(claim: &Claim) -> [String; 7] {
+    let (c, quantity) = (&claim.comparison, claim.quantity);
+    let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
+    // The difference of two shares is not a share.
+    let unit_of_difference = unit.replace('%', "points");
     [
         claim.text.clone(),
         claim.paper.clone(),
-        with_unit(spread(c.a_spread, claim.quantity, members[0])),
-        with_unit(spread(c.b_spread, claim.quantity, members[1])),
-        // The difference of two shares is not a share.
-        with_unit(estimate(c.difference, claim.quantity)).replace(" %", " points"),
-        relative,
+        spread(c.a_spread, quantity, c.members[0], &unit),
+        spread(c.b_spread, quantity, c.members[1], &unit),
+        estimate(c.difference, quantity, c.members, &unit_of_difference),
+        if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") },
         claim.verdict.text().to_owned(),
     ]
-}
-
-fn percent_cell(claim: &Claim) -> String {
-    claim.comparison.relative.map_or("–".into(), |relative| format!("{} %", percent(Some(relative))))
 }
 
 /// Titles of these columns.
@@ -62,8 +57,8 @@ pub fn claim_columns(names: &[String; 2]) -> [String; 7] {
 }
 
 /// A table with its caption.
-pub fn table(table: &Table, names: &[String; 2], members: [usize; 2]) -> String {
-    let rows = table.rows.iter().map(|row| cells(row, members).to_vec());
+pub fn table(table: &Table, names: &[String; 2]) -> String {
+    let rows = table.rows.iter().map(|row| cells(row).to_vec());
     format!("{}\n\n{}", table.caption, grid(&columns(names), rows))
 }
 
@@ -71,7 +66,7 @@ pub fn table(table: &Table, names: &[String; 2], members: [usize; 2]) -> String 
 pub fn claims(report: &Report) -> String {
     let rows = report.sections.iter().flat_map(|section| {
         section.findings.claims.iter().map(|claim| {
-            let mut cells = claim_cells(claim, report.members).to_vec();
+            let mut cells = claim_cells(claim).to_vec();
             cells.insert(0, format!("{} {}", section.info.id, section.info.paper));
             cells
         })
@@ -87,9 +82,9 @@ pub fn document(report: &Report) -> String {
     let mut text = format!(
         "# The paper's claims and our numbers\n\n\
          Made by `{}`; not edited by hand. [experiments.md](experiments.md) defines every number. A cell is the mean ± \
-         standard deviation over the seeds of {a} and {b}; intervals are 95 % bootstrap intervals over pairs of seeds. \
-         Protocol: {}.\n\n{}",
-        report.command,
+         standard deviation over the seeds of {a} and {b} (E1: the map of all seeds together); intervals are 95 % bootstrap \
+         intervals over pairs of seeds. Protocol: {}.\n\n{}",
+        report.command.of(None),
         report.protocol,
         claims(report)
     );
@@ -107,8 +102,8 @@ pub fn document(report: &Report) -> String {
     }
     if !report.sensing.experiments.is_empty() {
         text.push_str("\n## E12: acting on sensors\n");
-        for (table, names, members) in report.sensing.tables().iter().filter(|(table, ..)| table.in_page) {
-            text.push_str(&format!("\n{}", self::table(table, names, *members)));
+        for (table, names) in report.sensing.tables().iter().filter(|(table, _)| table.in_page) {
+            text.push_str(&format!("\n{}", self::table(table, names)));
         }
     }
     text.push_str("\n## Policies\n\n");

@@ -61,6 +61,27 @@ pub struct PolicyLine {
     pub revision: String,
 }
 
+/// What makes a report, as one would type it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Command {
+    /// The program.
+    pub program: String,
+    /// The experiments asked for; empty for all.
+    pub experiments: Vec<String>,
+    /// All other arguments, each quoted for a shell.
+    pub options: Vec<String>,
+}
+
+impl Command {
+    /// What runs one experiment, or makes the whole report.
+    pub fn of(&self, experiment: Option<&str>) -> String {
+        let program = std::iter::once(self.program.as_str());
+        let experiments = self.experiments.iter().map(String::as_str).filter(|_| experiment.is_none());
+        let words = program.chain(experiments).chain(experiment).chain(self.options.iter().map(String::as_str));
+        words.collect::<Vec<_>>().join(" ")
+    }
+}
+
 /// One experiment in the report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
@@ -80,8 +101,6 @@ pub struct Section {
     pub wall_s: f64,
     /// Revisions of the programs that measured.
     pub revisions: Vec<String>,
-    /// All conditions and quantities, for `summary.json`.
-    numbers: serde_json::Value,
 }
 
 impl Section {
@@ -112,7 +131,6 @@ impl Section {
             findings,
             wall_s: measurement.wall_s,
             revisions: measurement.revisions.clone(),
-            numbers: summary::numbers(results),
         }
     }
 }
@@ -122,14 +140,12 @@ impl Section {
 pub struct Report {
     /// Names of both sets.
     pub names: [String; 2],
-    /// Policies of each set.
-    pub members: [usize; 2],
     /// All policies.
     pub policies: Vec<PolicyLine>,
     /// `full`, `quick` or a file.
     pub protocol: String,
     /// What makes this report.
-    pub command: String,
+    pub command: Command,
     /// What a reader has to know about the policies.
     pub notes: Vec<String>,
     /// Finished experiments, in order.
@@ -154,10 +170,10 @@ impl PolicyLine {
 
 impl Report {
     /// A report of two sets without experiments yet.
-    pub fn new(contest: &Contest, protocol: String, command: String) -> Self {
+    pub fn new(contest: &Contest, protocol: String, command: Command) -> Self {
         let line = |set: &str, member: &super::contestants::Contestant| PolicyLine {
             set: set.to_owned(),
-            seed: member.seed,
+            seed: origin(member, |origin| origin.seed).unwrap_or(member.seed),
             sha256: member.agent.sha256.clone(),
             config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "from elsewhere".into()),
             samples: origin(member, |origin| origin.samples),
@@ -168,7 +184,6 @@ impl Report {
         };
         Report {
             names: contest.names(),
-            members: [0, 1].map(|side| contest.sides[side].members.len()),
             policies: contest.sides.iter().flat_map(of_side).collect(),
             protocol,
             command,
@@ -188,6 +203,11 @@ impl Report {
         for folder in [&figures, &tables] {
             fs::create_dir_all(folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
         }
+        for info in &self.missing {
+            for folder in [&figures, &tables] {
+                remove_of(info.name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+            }
+        }
         let renderer = Renderer::default();
         for section in &self.sections {
             for figure in &section.findings.figures {
@@ -198,12 +218,12 @@ impl Report {
                 write(&figures.join(format!("{}.png", figure.name)), &png)?;
             }
             for table in &section.findings.tables {
-                write_table(&tables, table, &self.names, self.members)?;
+                write_table(&tables, table, &self.names)?;
             }
         }
         if !self.sensing.experiments.is_empty() {
-            for (table, names, members) in self.sensing.tables() {
-                write_table(&tables, table, &names, members)?;
+            for (table, names) in self.sensing.tables() {
+                write_table(&tables, table, &names)?;
             }
         }
         write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
@@ -221,9 +241,23 @@ impl Report {
     }
 }
 
-fn write_table(folder: &Path, table: &Table, names: &[String; 2], members: [usize; 2]) -> Result<(), ReportError> {
+fn write_table(folder: &Path, table: &Table, names: &[String; 2]) -> Result<(), ReportError> {
     write(&folder.join(format!("{}.csv", table.name)), tables::csv(table, names).as_bytes())?;
-    write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names, members).as_bytes())
+    write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names).as_bytes())
+}
+
+/// Removes an experiment's figures or tables of an earlier report, of other policies: their names begin with its own.
+fn remove_of(experiment: &str, folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        let is_of = stem.strip_prefix(experiment).is_some_and(|rest| rest.is_empty() || rest.starts_with('-'));
+        let is_ours = path.extension().is_some_and(|e| ["svg", "png", "csv", "md"].iter().any(|ours| e == *ours));
+        if is_of && is_ours {
+            fs::remove_file(&path)?;
+        }
+    }
+    Ok(())
 }
 
 fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {

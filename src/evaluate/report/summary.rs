@@ -1,27 +1,11 @@
 //! Every number as JSON, the same bytes for the same evaluation.
 
-use std::collections::BTreeMap;
-
 use serde_json::{Map, Value, json};
 
 use super::{Report, Section};
-use crate::evaluate::findings::{Row, Table};
-use crate::evaluate::results::Results;
-use crate::evaluate::sensing::NAMES;
+use crate::evaluate::Quantity;
+use crate::evaluate::findings::Table;
 use crate::evaluate::statistics::Comparison;
-
-/// All conditions and quantities of an experiment.
-pub fn numbers(results: &Results) -> Value {
-    let of_condition = |condition: usize| {
-        let quantities: BTreeMap<&str, Value> = results
-            .quantities
-            .iter()
-            .map(|quantity| (quantity.name, comparison(&results.names, &results.compare(condition, quantity.name))))
-            .collect();
-        json!({ "condition": results.conditions[condition].label, "quantities": quantities })
-    };
-    Value::Array((0..results.conditions.len()).map(of_condition).collect())
-}
 
 /// The whole summary.
 pub fn json(report: &Report) -> String {
@@ -57,22 +41,23 @@ pub fn json(report: &Report) -> String {
 /// E12: all numbers both ways, and the errors of the estimates.
 fn sensing(report: &Report) -> Value {
     let found = &report.sensing;
-    let rows = |table: &Table, names: &[String; 2]| -> Vec<Value> {
-        let row = |row: &Row| {
-            json!({
-                "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit,
-                "ours": comparison(names, &row.comparison),
-            })
-        };
-        table.rows.iter().map(row).collect()
-    };
-    let ways = NAMES.map(ToOwned::to_owned);
+    let tables = found.tables();
     json!({
         "experiments": found.experiments,
         "contact_network": found.network,
-        "numbers": rows(&found.all, &ways),
-        "errors": rows(&found.errors, &report.names),
+        "tables": tables.iter().map(|(table, names)| self::table(table, names)).collect::<Map<_, _>>(),
     })
+}
+
+/// A table's name and rows.
+fn table(table: &Table, names: &[String; 2]) -> (String, Value) {
+    let row = |row: &crate::evaluate::findings::Row| {
+        json!({
+            "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit, "paper": row.paper,
+            "ours": comparison(names, &row.comparison, row.quantity),
+        })
+    };
+    (table.name.clone(), Value::Array(table.rows.iter().map(row).collect()))
 }
 
 fn experiment(section: &Section, names: &[String; 2]) -> Value {
@@ -84,7 +69,8 @@ fn experiment(section: &Section, names: &[String; 2]) -> Value {
         .map(|claim| {
             json!({
                 "claim": claim.text, "paper": claim.paper, "quantity": claim.quantity.name,
-                "unit": claim.quantity.unit, "verdict": claim.verdict, "ours": comparison(names, &claim.comparison),
+                "unit": claim.quantity.unit, "verdict": claim.verdict,
+                "ours": comparison(names, &claim.comparison, claim.quantity),
             })
         })
         .collect();
@@ -97,23 +83,23 @@ fn experiment(section: &Section, names: &[String; 2]) -> Value {
         "trials": ends,
         "claims": claims,
         "notes": section.findings.notes,
-        "numbers": section.numbers,
+        "tables": section.findings.tables.iter().map(|table| self::table(table, names)).collect::<Map<_, _>>(),
     })
 }
 
-fn comparison(names: &[String; 2], comparison: &Comparison) -> Value {
-    let mut object = Map::new();
+/// In the quantity's unit; a relative change is 0.1 for 10 %.
+fn comparison(names: &[String; 2], comparison: &Comparison, quantity: Quantity) -> Value {
+    let comparison = comparison.scaled(quantity.scale());
+    let mut sets = Map::new();
     let sides = [(&comparison.a, comparison.a_spread), (&comparison.b, comparison.b_spread)];
     for (name, (seeds, spread)) in names.iter().zip(sides) {
         let by_seed: Map<String, Value> = seeds.iter().map(|(seed, value)| (seed.to_string(), json!(value))).collect();
-        object.insert(
+        sets.insert(
             name.clone(),
             json!({ "mean": spread.map(|s| s.mean), "sd": spread.and_then(|s| s.sd), "by_seed": by_seed }),
         );
     }
-    object.insert("difference".into(), json!(comparison.difference));
-    object.insert("relative".into(), json!(comparison.relative));
-    Value::Object(object)
+    json!({ "sets": sets, "difference": comparison.difference, "relative": comparison.relative })
 }
 
 /// Numbers to six significant digits: the rest is not knowledge.

@@ -1,4 +1,4 @@
-//! Tables as CSV: bare numbers, one line for each condition and quantity.
+//! Tables as CSV: bare numbers in the units named beside them, one line for each condition and quantity.
 
 use super::Report;
 use crate::evaluate::findings::Table;
@@ -9,7 +9,7 @@ pub fn csv(table: &Table, names: &[String; 2]) -> String {
     let mut text = format!("condition,quantity,unit,paper,{}\n", header(names));
     for row in &table.rows {
         let cells = [&row.condition, row.quantity.name, row.quantity.unit, &row.paper].map(quoted);
-        text.push_str(&format!("{},{}\n", cells.join(","), numbers(&row.comparison)));
+        text.push_str(&format!("{},{}\n", cells.join(","), numbers(&row.comparison.scaled(row.quantity.scale()))));
     }
     text
 }
@@ -21,7 +21,7 @@ pub fn claims_csv(report: &Report) -> String {
         for claim in &section.findings.claims {
             let quantity = claim.quantity;
             let cells = [section.info.id, &claim.text, &claim.paper, quantity.name, quantity.unit].map(quoted);
-            let numbers = numbers(&claim.comparison);
+            let numbers = numbers(&claim.comparison.scaled(quantity.scale()));
             text.push_str(&format!("{},{numbers},{}\n", cells.join(","), quoted(claim.verdict.text())));
         }
     }
@@ -34,13 +34,13 @@ fn header(names: &[String; 2]) -> String {
         format!("{name}_mean,{name}_sd,{name}_seeds")
     };
     format!(
-        "{},{},difference,difference_low,difference_high,relative,relative_low,relative_high",
+        "{},{},pairs,difference,difference_low,difference_high,relative,relative_low,relative_high",
         of(&names[0]),
         of(&names[1])
     )
 }
 
-/// Shares are 0 to 1 here, whatever their unit in the report.
+/// A relative change is 0.1 for 10 %.
 fn numbers(comparison: &Comparison) -> String {
     let mut cells = Vec::new();
     for spread in [comparison.a_spread, comparison.b_spread] {
@@ -48,6 +48,7 @@ fn numbers(comparison: &Comparison) -> String {
         cells.push(cell(spread.and_then(|spread| spread.sd)));
         cells.push(spread.map_or(0, |spread| spread.seeds).to_string());
     }
+    cells.push(comparison.difference.map_or(0, |difference| difference.pairs).to_string());
     for estimate in [comparison.difference, comparison.relative] {
         let end =
             |index: usize| estimate.and_then(|Estimate { interval, .. }| interval).map(|interval| interval[index]);
