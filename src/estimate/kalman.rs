@@ -9,7 +9,7 @@ world. Input: the site's acceleration `a = R f + g`. Measurements (28), with `Δ
 | 12 | `v` | `v_i`, the site's velocity if foot i rolls without slipping |
 | 4 | `p_i,z` | foot radius: the ground is at height zero |
 
-Four things differ from the MIT code.
+The main differences from the MIT code, whose noises are not these either:
 
 - The state is the IMU's site and not the trunk's origin, since the accelerometer feels the site. The lever arm then
   enters exactly and needs no angular acceleration.
@@ -18,14 +18,15 @@ Four things differ from the MIT code.
 - Contact is a yes or no, not the phase of a gait that MIT turns into a trust. A foot without contact has no velocity and
   height rows, and its position is free, so that at touchdown it is where the joints say.
 - A foot in contact whose `v_i` fits neither the prediction nor another foot slips, or its flag is wrong: its trust
-  falls below one as the misfit grows.
+  falls below one as the misfit grows, and divides the standard deviations of its rows.
+- Position is predicted with the acceleration's `½ a dt²` too; horizontal drift is not held back by anything.
 
 No row and no noise couples x, y and z. The 18-state filter thus is three of six states, and uncorrelated rows can be
 taken one by one: a test compares with the filter in one piece.
 */
 
 use nalgebra::{SMatrix, SVector, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::kinematics::FOOT_RADIUS_M;
 
@@ -33,8 +34,7 @@ use super::kinematics::FOOT_RADIUS_M;
 const FEET: usize = 2;
 
 /// What the filter expects of its inputs, as standard deviations. A walk of density σ spreads by σ √t in time t.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FilterNoise {
     /// Walk of the position beyond what the velocity explains.
     pub position_walk_m_sqrt_s: f64,

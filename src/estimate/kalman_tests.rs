@@ -125,7 +125,7 @@ fn three_filters_row_by_row_are_the_filter_of_18_states_and_28_rows() {
 
 /// A world that obeys the filter's own model: state and measurements are drawn with the noise that it expects.
 #[test]
-fn innovations_are_as_large_as_the_filter_expects() {
+fn innovations_are_as_large_as_the_filter_expects_of_a_walk_with_its_own_noise() {
     let noise = linear();
     let ticks = 4000;
     for seed in 0..5 {

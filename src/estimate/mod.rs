@@ -18,7 +18,7 @@ mod tests;
 mod walker;
 
 use nalgebra::{UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::go1::joint_name;
 use kalman::{FilterNoise, Fit, FootMeasurement, KalmanFilter};
@@ -33,7 +33,7 @@ pub const GRAVITY_M_S2: f64 = 9.81;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SensorFault {
     /// A reading is NaN or infinite.
-    #[error("{reading} reads {found}, expected a finite number; the last good estimate is kept")]
+    #[error("{reading} reads {found}, expected a finite number")]
     NotFinite {
         /// Which one, such as `gyro x` or `rate of FR_thigh`.
         reading: String,
@@ -46,14 +46,20 @@ pub enum SensorFault {
         /// What was given \[s\].
         dt_s: f64,
     },
-    /// A sensor has given nothing for too long, or nothing yet.
+    /// A sensor has given nothing yet.
+    #[error("no reading of the {sensor} yet: an estimator starts with one of IMU and encoders each")]
+    Missing {
+        /// `IMU` or `encoders`.
+        sensor: &'static str,
+    },
+    /// A sensor has given nothing for too long.
     #[error(
         "no reading of the {sensor} for {silent_s:.3} s, at most {limit_s:.3} s can be bridged; start a new estimator when it is back"
     )]
     Silent {
         /// `IMU` or `encoders`.
         sensor: &'static str,
-        /// For how long; infinite if there never was one \[s\].
+        /// For how long \[s\].
         silent_s: f64,
         /// For how long it may be \[s\].
         limit_s: f64,
@@ -61,11 +67,13 @@ pub enum SensorFault {
 }
 
 /// Settings of the [`Estimator`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EstimatorConfig {
-    /// `κ_ref` of the orientation filter. A gyro bias b leaves a tilt of b / κ, a change of speed Δv one of κ Δv / g.
+    /// `κ_ref` of the orientation filter. A gyro bias b leaves a tilt of b / κ until it is learnt, a change of speed Δv one
+    /// of κ Δv / g.
     pub orientation_gain_per_s: f64,
+    /// Time constant of the average of the specific force: about half a period of the Go1's trot \[s\].
+    pub orientation_averaging_s: f64,
     /// For how long a silent sensor is bridged.
     pub max_silence_s: f64,
     /// Noise that the Kalman filter expects.
@@ -75,7 +83,12 @@ pub struct EstimatorConfig {
 impl Default for EstimatorConfig {
     fn default() -> Self {
         // 0.15 °/s / 0.5 /s = 0.3°; 0.5 /s · 0.5 m/s / 9.81 m/s² = 1.5°, which fades in 2 s.
-        EstimatorConfig { orientation_gain_per_s: 0.5, max_silence_s: 0.1, noise: FilterNoise::default() }
+        EstimatorConfig {
+            orientation_gain_per_s: 0.5,
+            orientation_averaging_s: 0.25,
+            max_silence_s: 0.1,
+            noise: FilterNoise::default(),
+        }
     }
 }
 
@@ -90,7 +103,7 @@ pub struct Estimate {
     pub world_from_base: UnitQuaternion<f64>,
     /// Gravity, base frame [m/s²].
     pub gravity_in_base: Vector3<f64>,
-    /// Angular velocity of the trunk, base frame [rad/s].
+    /// Angular velocity of the trunk, base frame [rad/s]: the gyro's, less the bias that is learnt.
     pub angular_velocity_in_base: Vector3<f64>,
     /// Origin of the trunk, gravity-aligned world \[m\].
     pub position: Vector3<f64>,
@@ -160,15 +173,15 @@ impl Estimator {
         encoders: Option<&EncoderReading>,
         contacts: [bool; 4],
     ) -> Result<&Estimate, SensorFault> {
-        let never =
-            |sensor| SensorFault::Silent { sensor, silent_s: f64::INFINITY, limit_s: self.config.max_silence_s };
-        let imu = imu.ok_or(never("IMU"))?;
-        let encoders = encoders.ok_or(never("encoders"))?;
-        let orientation = OrientationFilter::new(self.config.orientation_gain_per_s, &imu.specific_force);
+        let imu = imu.ok_or(SensorFault::Missing { sensor: "IMU" })?;
+        let encoders = encoders.ok_or(SensorFault::Missing { sensor: "encoders" })?;
+        let config = &self.config;
+        let (gain, averaging) = (config.orientation_gain_per_s, config.orientation_averaging_s);
+        let orientation = OrientationFilter::new(gain, averaging, &imu.specific_force);
         let world_from_base = orientation.world_from_base();
-        let feet = measure(imu, encoders, &world_from_base);
+        let feet = measure(&imu.gyro, encoders, &world_from_base);
         let kalman = KalmanFilter::new(self.config.noise, &(world_from_base * IMU_IN_BASE), &feet, contacts);
-        let estimate = summarise(&orientation, &kalman, imu, Fit::default());
+        let estimate = summarise(&orientation, &kalman, &imu.gyro, Fit::default());
         let filters = Filters { orientation, kalman, imu: *imu, imu_silent_s: 0.0, encoders_silent_s: 0.0, estimate };
         Ok(&self.filters.insert(filters).estimate)
     }
@@ -198,36 +211,41 @@ impl Filters {
         self.orientation.update(&self.imu, dt_s, !held);
         let world_from_base = self.orientation.world_from_base();
         let acceleration = world_from_base * self.imu.specific_force - Vector3::new(0.0, 0.0, GRAVITY_M_S2);
-        let feet = encoders.map(|encoders| measure(&self.imu, encoders, &world_from_base));
+        let rate = self.orientation.angular_velocity(&self.imu.gyro);
+        let feet = encoders.map(|encoders| measure(&rate, encoders, &world_from_base));
         let fit = self.kalman.step(&acceleration, held, feet.as_ref(), contacts, dt_s);
-        self.estimate = summarise(&self.orientation, &self.kalman, &self.imu, fit);
+        self.estimate = summarise(&self.orientation, &self.kalman, &rate, fit);
         Ok(())
     }
 }
 
-/// The feet as seen from the IMU's site, world axes.
-fn measure(imu: &ImuReading, encoders: &EncoderReading, world_from_base: &UnitQuaternion<f64>) -> [FootMeasurement; 4] {
+/// The feet as seen from the IMU's site, world axes. `rate` is the trunk's angular velocity, base frame [rad/s].
+fn measure(
+    rate: &Vector3<f64>,
+    encoders: &EncoderReading,
+    world_from_base: &UnitQuaternion<f64>,
+) -> [FootMeasurement; 4] {
     feet(&encoders.angles, &encoders.rates).map(|foot| {
         let offset = foot.position - IMU_IN_BASE;
         FootMeasurement {
             offset: world_from_base * offset,
-            velocity: world_from_base * (foot.velocity + imu.gyro.cross(&offset)),
-            spin: world_from_base * (foot.spin + imu.gyro),
+            velocity: world_from_base * (foot.velocity + rate.cross(&offset)),
+            spin: world_from_base * (foot.spin + rate),
         }
     })
 }
 
-/// From the IMU's site back to the trunk's origin.
-fn summarise(orientation: &OrientationFilter, kalman: &KalmanFilter, imu: &ImuReading, fit: Fit) -> Estimate {
+/// From the IMU's site back to the trunk's origin. `rate` is the trunk's angular velocity, base frame [rad/s].
+fn summarise(orientation: &OrientationFilter, kalman: &KalmanFilter, rate: &Vector3<f64>, fit: Fit) -> Estimate {
     let world_from_base = orientation.world_from_base();
     let base_from_world = world_from_base.inverse();
     let position = kalman.position() - world_from_base * IMU_IN_BASE;
     Estimate {
         height_m: position.z,
-        velocity_in_base: base_from_world * kalman.velocity() - imu.gyro.cross(&IMU_IN_BASE),
+        velocity_in_base: base_from_world * kalman.velocity() - rate.cross(&IMU_IN_BASE),
         world_from_base,
         gravity_in_base: base_from_world * Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
-        angular_velocity_in_base: imu.gyro,
+        angular_velocity_in_base: *rate,
         position,
         feet: std::array::from_fn(|leg| kalman.foot(leg)),
         fit,

@@ -116,22 +116,33 @@ fn a_trot_is_followed() {
 }
 
 #[test]
-fn a_slipping_foot_is_outvoted() {
-    let errors = walk(0.5, 8, 5, |tick, walker| {
-        let slips = (5.05..5.15).contains(&tick.time_s);
-        walker.slip = slips.then_some((0, Vector3::new(-0.5, 0.3, 0.0)));
-    });
-    report("slip", &errors);
-    assert!(errors.worst_velocity(5.0, 5.4) < 0.1, "{}", errors.worst_velocity(5.0, 5.4));
-    assert!(errors.velocity_rmse(5.5) < 0.02);
+fn a_foot_that_slips_moves_the_velocity_by_a_fifth_of_its_slip() {
+    // FR swings from 5.0 to 5.25 s, FL from 5.25 to 5.5 s: each slips while it is one of two feet on the ground.
+    for (leg, from_s) in [(1, 5.05), (0, 5.30)] {
+        for seed in 0..3 {
+            let mut slipped = 0;
+            let errors = walk(0.5, 8, seed, |tick, walker| {
+                let slips = (from_s..from_s + 0.1).contains(&tick.time_s);
+                slipped += u32::from(slips && tick.contacts[leg]);
+                walker.slip = slips.then_some((leg, Vector3::new(-0.5, 0.3, 0.0)));
+            });
+            report("slip", &errors);
+            assert_eq!(slipped, 24);
+            // 0.58 m/s: half of it would be the mean of both feet.
+            let worst = errors.worst_velocity(5.0, 5.6);
+            assert!(worst < 0.2 * 0.583 && worst > 0.03, "{worst}");
+            assert!(errors.velocity_rmse(5.7) < 0.02);
+        }
+    }
 }
 
 #[test]
 fn a_contact_flag_may_be_wrong_for_50_ms() {
-    // FR swings from 5.0 to 5.25 s, FL from 5.25 to 5.5 s. Once the first is said to touch, once the second not to.
-    for (leg, says) in [(0, true), (1, false)] {
+    // FR swings from 5.0 to 5.25 s, FL from 5.25 to 5.5 s. The first is said to touch, in mid-swing or before it lands;
+    // the second not to.
+    for (leg, says, from_s) in [(0, true, 5.1), (0, true, 5.2), (1, false, 5.1)] {
         let errors = walk(0.5, 8, 6, |tick, _| {
-            if (5.1..5.15).contains(&tick.time_s) {
+            if (from_s..from_s + 0.05).contains(&tick.time_s) {
                 assert_ne!(tick.contacts[leg], says);
                 tick.contacts[leg] = says;
             }
@@ -144,16 +155,19 @@ fn a_contact_flag_may_be_wrong_for_50_ms() {
 }
 
 #[test]
-fn silence_of_a_sensor_for_20_ms_is_bridged() {
-    for imu in [true, false] {
+fn silence_of_a_sensor_is_bridged() {
+    // The longest that is taken leaves errors as large as the speed: it is there to come through, not to walk on.
+    for (imu, silent_s, worst_m_s) in [(true, 0.02, 0.15), (false, 0.02, 0.15), (true, 0.095, 0.5), (false, 0.095, 0.5)]
+    {
         let errors = walk(0.5, 8, 7, |tick, _| {
-            if (5.1..5.12).contains(&tick.time_s) {
+            if (5.1..5.1 + silent_s).contains(&tick.time_s) {
                 if imu { tick.imu = None } else { tick.encoders = None }
             }
         });
         report("silence", &errors);
-        assert!(errors.worst_velocity(5.0, 5.4) < 0.15, "{}", errors.worst_velocity(5.0, 5.4));
-        assert!(errors.velocity_rmse(5.5) < 0.02);
+        let worst = errors.worst_velocity(5.0, 5.6);
+        assert!(worst < worst_m_s, "{imu} {silent_s}: {worst}");
+        assert!(errors.velocity_rmse(6.0) < 0.03, "{imu} {silent_s}: {}", errors.velocity_rmse(6.0));
     }
 }
 
@@ -204,7 +218,7 @@ fn nothing_can_start_without_both_sensors() {
     let (_, truth) = standing();
     let mut estimator = Estimator::new(EstimatorConfig::default());
     let fault = estimator.update(Some(&truth.imu), None, truth.contacts, DT_S).unwrap_err();
-    assert!(matches!(fault, SensorFault::Silent { sensor: "encoders", .. }));
+    assert_eq!(fault, SensorFault::Missing { sensor: "encoders" });
     assert!(estimator.estimate().is_none());
 }
 

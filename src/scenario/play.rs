@@ -150,7 +150,11 @@ impl<'a> Rollout<'a> {
         self.step += 1;
         let time_s = self.step as f64 * period_s;
         if let Some(fault) = self.senses.as_mut().map_or(Ok(None), Senses::fault)? {
-            events.push(Event { time_s, kind: EventKind::Disturbance, text: format!("sensors: {fault}") });
+            events.push(Event {
+                time_s,
+                kind: EventKind::Disturbance,
+                text: format!("sensors: {fault}; the last good estimate is kept"),
+            });
         }
 
         let state = self.sim.state();

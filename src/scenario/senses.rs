@@ -1,7 +1,7 @@
 /*! What the controller gets to see: the true state, or what the robot makes of its sensors (section IV-D).
 
 With [`Sensing::Estimated`], noisy IMU and encoders are read after every physics step; the contact network says which
-feet touch, and the filters of [`crate::estimate`] make a state of it. Nothing of the true state reaches the controller.
+feet touch, and the filters of [`crate::estimate`] make a state of it. The controller begins and acts on that alone.
 The motors' own loop keeps acting on the joints as they are, with the calibration offsets that the simulation has.
 
 Pushes change the trunk's velocity in no time. The IMU feels them all the same: it reads the change of velocity since its
@@ -333,9 +333,9 @@ mod tests {
             let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
             assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
             let found = Estimation::of(&trace).unwrap();
-            assert!(found.velocity_rmse_m_s < 0.08, "{found:?}");
+            assert!(found.velocity_rmse_m_s < 0.05, "{found:?}");
             assert!(found.height_rmse_m < 0.01, "{found:?}");
-            assert!(found.contact_f1.unwrap() > 0.9, "{found:?}");
+            assert!(found.contact_f1.unwrap() > 0.95, "{found:?}");
         }
     }
 

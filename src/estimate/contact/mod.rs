@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_network_is_good_on_episodes_that_it_was_not_trained_on() {
+    fn the_shipped_network_states_scores_above_the_aim_and_answers_with_numbers() {
         let network = ContactNetwork::shipped().unwrap();
         assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
         // With any inputs the answer is a number.
