@@ -68,6 +68,20 @@ pub struct Script {
     pub goal: Option<Goal>,
 }
 
+impl Script {
+    /// What was asked for and comes after the end, in words.
+    pub fn too_late(&self) -> Option<String> {
+        let push = self.pushes.first().map(|push| ("push", push.time_s));
+        let pull = self.pull.map(|pull| ("pull", pull.from_s));
+        let release = self.rig.as_ref().map(|rig| ("release of the load", rig.release_s));
+        let (what, at_s) = [push, pull, release].into_iter().flatten().find(|(_, at_s)| *at_s >= self.duration_s)?;
+        Some(format!(
+            "the {what} at {at_s:.2} s would come after the end at {:.2} s: it does not happen",
+            self.duration_s
+        ))
+    }
+}
+
 /// A line across the way.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Goal {

@@ -6,9 +6,11 @@ use std::sync::OnceLock;
 use clap::{FromArgMatches, Subcommand};
 use supple::checkpoint::{Checkpoint, RunState};
 use supple::config::{Config, flat_parameters};
+use supple::estimate::contact::{ContactNetwork, INPUTS};
 use supple::mujoco::{self, Data, Model};
 use supple::onnx;
 use supple::policy::Policy;
+use supple::ppo::Scratch;
 use supple::random::{Purpose, stream};
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scene::{RobotFile, Scene};
@@ -143,6 +145,7 @@ pub static TARGETS: [Target; 5] = [
         run: checkpoint,
     },
     Target { name: "policy", corpus: policies, cache: OnceLock::new(), words: JSON_WORDS, framed: true, run: policy },
+    Target { name: "contact", corpus: contacts, cache: OnceLock::new(), words: JSON_WORDS, framed: true, run: contact },
     Target {
         name: "scenario",
         corpus: scenarios,
@@ -224,6 +227,17 @@ fn policies() -> Vec<Vec<u8>> {
 fn policy(input: &[u8]) -> bool {
     let Ok(policy) = Policy::from_bytes(input, Path::new("fuzz")) else { return false };
     assert!(!policy.metadata_json().is_empty() && !onnx::export(&policy).is_empty());
+    true
+}
+
+fn contacts() -> Vec<Vec<u8>> {
+    vec![ContactNetwork::shipped().expect("a network").to_bytes().expect("bytes")]
+}
+
+fn contact(input: &[u8]) -> bool {
+    let Ok(network) = ContactNetwork::from_bytes(input, Path::new("fuzz")) else { return false };
+    let logits = network.logits(&[0.0; INPUTS], &mut Scratch::default());
+    assert!(logits.iter().all(|logit| logit.is_finite()));
     true
 }
 

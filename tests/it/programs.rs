@@ -144,8 +144,8 @@ fn scenario_prints_one_json_object_and_nothing_else() {
 fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
     let folder = tempfile::tempdir().unwrap();
     standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
+    let walk = ["walk", "--policy", "standing.safetensors", "--duration-s", "1", "--json", "--no-record"];
     let play = |sensing: &str| -> Value {
-        let walk = ["walk", "--policy", "standing.safetensors", "--duration-s", "1", "--json", "--no-record"];
         let output = run("scenario", folder.path(), &[&walk[..], &["--sensing", sensing]].concat());
         assert!(output.status.success(), "{}", complaint(&output));
         serde_json::from_slice(&output.stdout).unwrap()
@@ -156,6 +156,20 @@ fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
     for name in ["estimate_velocity_rmse_m_s", "estimate_height_rmse_m", "estimate_drift_m", "contact_f1"] {
         assert!(estimated["runs"][0]["metrics"][name].is_number(), "{name}: {estimated}");
     }
+    // The estimates stand beside the truth in the CSV, which has none without sensors.
+    let last_row = |sensing: &str| -> Vec<String> {
+        let arguments = [&walk[..], &["--sensing", sensing, "--csv", "t.csv"]].concat();
+        assert!(run("scenario", folder.path(), &arguments).status.success());
+        let text = std::fs::read_to_string(folder.path().join("t.csv")).unwrap();
+        let rows: Vec<&str> = text.lines().collect();
+        let row: Vec<String> = rows[rows.len() - 1].split(',').map(ToOwned::to_owned).collect();
+        assert_eq!(row.len(), rows[0].split(',').count());
+        let column = |name: &str| rows[0].split(',').position(|found| found == name).unwrap();
+        ["height_m", "estimated_height_m"].map(|name| row[column(name)].clone()).into()
+    };
+    let heights: Vec<f64> = last_row("estimated").iter().map(|cell| cell.parse().unwrap()).collect();
+    assert!(heights[0] != heights[1] && (heights[0] - heights[1]).abs() < 0.01, "{heights:?}");
+    assert_eq!(last_row("true")[1], "");
     // A standing robot knows that it stands.
     assert!(estimated["runs"][0]["metrics"]["estimate_velocity_rmse_m_s"].as_f64().unwrap() < 0.05);
 }
@@ -173,8 +187,11 @@ fn train_contact_is_reproducible_and_refuses_bad_input() {
         std::fs::read(folder.path().join(out)).unwrap()
     };
     assert!(train("one.safetensors") == train("two.safetensors"), "the networks differ");
-    let cases: [(&[&str], &str); 2] =
-        [(&["--policy", "nobody"], "there is no policy 'nobody'"), (&["--episodes", "4"], "4 is not in 5..=100000")];
+    let cases: [(&[&str], &str); 3] = [
+        (&["--policy", "nobody"], "there is no policy 'nobody'"),
+        (&["--episodes", "4"], "4 is not in 5..=5000"),
+        (&["--policy", "standing.safetensors", "--out", "nowhere/c.safetensors"], "there is no folder nowhere"),
+    ];
     for (arguments, expected) in cases {
         let output = run("train_contact", folder.path(), arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");

@@ -48,6 +48,29 @@ fn all() -> Vec<Scenario> {
 }
 
 #[test]
+fn what_would_come_after_the_end_is_told() {
+    for (name, change, what) in [
+        ("push", "--at-s=100", Some("the push at 100.")),
+        ("leash", "--at-s=100", Some("the pull at 100.00 s")),
+        ("pulley", "--duration-s=0.5", Some("the release of the load at 2.00 s")),
+        ("push", "--at-s=1", None),
+        ("walk", "--duration-s=1", None),
+    ] {
+        let script = scenario(name, &[change]).script(0, &standing_policy().provenance.config).unwrap();
+        let found = script.too_late();
+        assert_eq!(found.is_some(), what.is_some(), "{name}: {found:?}");
+        assert!(what.is_none_or(|what| found.unwrap().starts_with(what)), "{name}");
+    }
+}
+
+#[test]
+fn an_outdoor_walk_beyond_the_ground_is_refused() {
+    let far = scenario("outdoor", &["--forward-m-s=1", "--duration-s=75"]);
+    let refusal = far.script(0, &standing_policy().provenance.config).unwrap_err().to_string();
+    assert!(refusal.contains("a way of at most 57 m at the command"), "{refusal}");
+}
+
+#[test]
 fn the_same_seed_gives_the_same_trace_bit_for_bit() {
     for scenario in all() {
         assert_eq!(trace(&scenario, 3), trace(&scenario, 3), "{}", scenario.name());

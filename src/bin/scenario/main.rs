@@ -49,6 +49,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
         .iter()
         .map(|(_, agent)| Ok(scenario.script(args.seed, &agent.config)?))
         .collect::<anyhow::Result<_>>()?;
+    if let Some(late) = scripts.first().and_then(Script::too_late) {
+        terminal::note(format_args!("note: {late}"));
+    }
     let mut recording = recording::Recording::start(args, scenario, &robots, &scripts)?;
     let traces = play(args, &robots, &scripts, &mut recording)?;
     let played = robots.iter().zip(&scripts).zip(&traces);

@@ -33,7 +33,7 @@ struct Args {
     #[arg(long = "policy", value_name = "FILE|NAME", default_values = ["compliant", "baseline"])]
     policies: Vec<String>,
     /// Episodes of each policy, a fifth of them held out
-    #[arg(long, value_name = "N", default_value_t = 150, value_parser = clap::value_parser!(u32).range(5..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 150, value_parser = clap::value_parser!(u32).range(5..=5000))]
     episodes: u32,
     /// Seed of episodes, noise and learning
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -58,6 +58,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
             Ok(policy)
         })
         .collect::<anyhow::Result<_>>()?;
+    // Not after minutes of work.
+    let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
+    if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
+        anyhow::bail!("--out {}: there is no folder {}", args.out.display(), folder.display());
+    }
     let noise = SensorNoise::default();
     let (training, held_out) = gather(args, &found, noise)?;
     let all = join(&training);

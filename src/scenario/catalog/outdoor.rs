@@ -47,10 +47,14 @@ pub struct Outdoor {
 }
 
 impl Outdoor {
+    /// How far the command leads \[m\].
+    fn way_m(&self) -> f64 {
+        self.task.forward_m_s.hypot(self.task.left_m_s) * self.task.duration_s
+    }
+
     /// As far as the command leads, and a margin.
     fn half_size_m(&self) -> f64 {
-        let way_m = self.task.forward_m_s.hypot(self.task.left_m_s) * self.task.duration_s;
-        (way_m + MARGIN_M).clamp(HALF_SIZE_M[0], HALF_SIZE_M[1])
+        (self.way_m() + MARGIN_M).clamp(HALF_SIZE_M[0], HALF_SIZE_M[1])
     }
 
     fn patches(&self, seed: u64) -> Patches {
@@ -74,6 +78,10 @@ impl Parameters for Outdoor {
         let most = "the least friction to 10";
         in_range("largest-friction", self.largest_friction, self.least_friction, 10.0, most)?;
         in_range("patch-m", self.patch_m, 0.1, 100.0, "0.1 to 100 m")?;
+        if self.way_m() > HALF_SIZE_M[1] - MARGIN_M {
+            let found = self.task.duration_s.to_string();
+            return Err(ParameterError { name: "duration-s", found, expected: "a way of at most 57 m at the command" });
+        }
         let half_size = [self.half_size_m(); 2];
         let mut hills = terrain::hills(half_size, self.steepest, self.frequency_per_m, seed);
         hills.friction = Some(self.patches(seed));

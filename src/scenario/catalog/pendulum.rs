@@ -139,7 +139,8 @@ impl Parameters for Pendulum {
         in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
         in_range("radius-m", self.radius_m, 0.01, 0.2, "0.01 to 0.2 m")?;
         in_range("string-m", self.string_m, 0.1, 100.0, "0.1 to 100 m")?;
-        in_range("release-height-m", self.release_height_m, 0.0, self.string_m, "0 to the string's length")?;
+        // From lower down it would touch the trunk while it is carried along.
+        in_range("release-height-m", self.release_height_m, 0.02, self.string_m, "0.02 m to the string's length")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
         let rig = self.rig();

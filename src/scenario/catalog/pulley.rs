@@ -1,6 +1,6 @@
 /*! A weight on a rope over a pulley pulls the trunk (E9).
 
-The rope goes from the trunk's centre of mass to a pulley at the trunk's height, from there straight up to a second one
+The rope goes from the trunk's centre of mass to a pulley about as high as the trunk, from there straight up to a second one
 and down to the weight. When the robot goes towards the pulley the weight sinks, when it goes away the weight rises, and
 the rope's force is the weight's `m (g + a)`. Pulleys are points without friction and inertia; the rope passes through
 legs, as one that is tied to a harness on the back would not touch them.

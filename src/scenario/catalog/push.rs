@@ -47,12 +47,11 @@ impl Parameters for PushAway {
         // A push may come at any phase of the gait.
         let phase_s = STRIDE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
         let mut time_s = self.at_s + phase_s;
-        while time_s < script.duration_s {
-            script.pushes.push(TimedPush { time_s, push });
-            if self.every_s <= 0.0 {
-                break;
-            }
+        // The first one also if it would come too late: the script can then say so.
+        script.pushes.push(TimedPush { time_s, push });
+        while self.every_s > 0.0 && time_s + self.every_s.max(0.1) < script.duration_s {
             time_s += self.every_s.max(0.1);
+            script.pushes.push(TimedPush { time_s, push });
         }
         Ok(())
     }
