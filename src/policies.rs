@@ -49,7 +49,7 @@ impl From<PolicyError> for FindError {
 }
 
 /// A policy by path of its file, path of a run's folder, path of the YAML file of one from elsewhere, or name of a
-/// shipped one; `compliant` stands for `compliant-seed0`, `hardware/compliant` for `hardware/compliant-seed0`.
+/// shipped one; `compliant` stands for the least seed's that ships, `compliant-seed0`.
 ///
 /// # Errors
 /// [`FindError`], with the names that there are.
@@ -64,10 +64,17 @@ pub fn find(name: &str) -> Result<Agent, FindError> {
         }
         return Ok(Agent::load(path)?);
     }
-    let first_seed = format!("{name}-seed0");
-    let shipped = EMBEDDED.iter().find(|(known, _)| *known == name || *known == first_seed);
-    let (known, bytes) = shipped.ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
+    let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
+    let shipped = position(&names, name).ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
+    let (known, bytes) = EMBEDDED[shipped];
     Ok(Policy::from_bytes(bytes, Path::new(known))?.into())
+}
+
+/// Which of the names is meant: itself, or the least seed's.
+fn position(names: &[&str], name: &str) -> Option<usize> {
+    let seed = |known: &str| known.strip_prefix(name)?.strip_prefix("-seed")?.parse::<u64>().ok();
+    let of_seeds = names.iter().enumerate().filter_map(|(index, known)| Some((seed(known)?, index)));
+    names.iter().position(|known| *known == name).or_else(|| of_seeds.min().map(|(_, index)| index))
 }
 
 /// As [`find`], for what only works with a policy file of ours.
@@ -83,4 +90,18 @@ fn known() -> String {
         return "(none ships with this build: train one with `cargo run --release --bin train`)".to_owned();
     }
     EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_without_a_seed_means_the_least_seed_that_ships() {
+        let names = ["baseline-seed3", "compliant-seed10", "compliant-seed3", "hardware/compliant-seed5"];
+        assert_eq!(position(&names, "compliant"), Some(2));
+        assert_eq!(position(&names, "compliant-seed10"), Some(1));
+        assert_eq!(position(&names, "hardware/compliant"), Some(3));
+        assert_eq!(position(&names, "compl"), None);
+    }
 }
