@@ -17,7 +17,7 @@ decay: {trials: 2}
 table4: {trials: 2}
 directions: {directions: 3, trials: 1}
 leash: {directions: 3, trials: 1}
-box: {trials: 2}
+box: {frictions: [0.6], trials: 2}
 ball_pit: {trials: 1}
 terrain: {heights_m: [0.05], frequencies_per_m: [0.5], trials: 1}
 pulley: {commands_m_s: [0.0], directions_deg: [90.0], trials: 1}
@@ -155,7 +155,8 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
     assert!(notes("walk").contains("falling, seed 0, falls without any disturbance"), "{}", notes("walk"));
     assert!(notes("box").contains("falling fell in every trial"));
     let quantity = |name: &str, quantity: &str, set: &str| {
-        row(experiment(&summary, name), name, "", quantity)["sets"][set]["mean"].clone()
+        let condition = if name == "box" { "friction 0.6" } else { "" };
+        row(experiment(&summary, name), name, condition, quantity)["sets"][set]["mean"].clone()
     };
     assert_eq!(quantity("ball-pit", "stuck", "standing"), 100.0);
     assert_eq!(quantity("ball-pit", "fell", "falling"), 100.0);
