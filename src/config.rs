@@ -221,6 +221,9 @@ pub struct Reward {
     pub foot_clearance: f64,
     /// `w_h`.
     pub foot_height: f64,
+    /// `w_f`, not in the paper: time in flight.
+    #[serde(default)] // older policy files lack it
+    pub flight: f64,
     /// The 8 in `r_lin` and `r_ang`.
     pub tracking_sharpness: f64,
     /// The 10 in `r_pose` [1/m²].
@@ -402,6 +405,7 @@ impl Config {
         finite("reward.pose", weights.pose)?;
         finite("reward.foot_clearance", weights.foot_clearance)?;
         finite("reward.foot_height", weights.foot_height)?;
+        finite("reward.flight", weights.flight)?;
         finite("reward.tracking_sharpness", weights.tracking_sharpness)?;
         finite("reward.height_sharpness", weights.height_sharpness)?;
         finite("reward.negative_sharpness", weights.negative_sharpness)?;

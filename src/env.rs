@@ -92,8 +92,6 @@ struct Progress {
     swings: SwingTracker,
     swing_sum_m: f64,
     swing_count: usize,
-    #[serde(default)] // older checkpoints lack it
-    flight_sum: f64,
     #[serde(with = "serde_arrays")]
     previous: Reduced,
     #[serde(with = "serde_arrays")]
@@ -210,11 +208,10 @@ impl LocomotionEnv {
 
         let p = &mut self.progress;
         let landings = p.swings.take();
-        let terms = Terms::new(&state, &p.plan.command, &summary, landings.foot_height, &self.config.reward);
+        let terms = Terms::new(&state, &p.plan.command, &summary, &landings, &self.config.reward);
         p.terms.add(&terms);
         p.swing_sum_m += landings.peak_sum_m;
         p.swing_count += landings.count;
-        p.flight_sum += landings.flight_share;
         let mut paid = terms;
         match stage {
             Stage::Walking => p.walking.add(&terms),
@@ -260,7 +257,7 @@ impl LocomotionEnv {
             reward: p.reward,
             terms: p.terms.divided(p.step.max(1) as f64),
             walking_linear: walked.then(|| p.walking.linear_velocity / self.stages.recovery_start as f64),
-            flight_share: p.flight_sum / p.step.max(1) as f64,
+            flight_share: p.terms.flight / p.step.max(1) as f64,
             swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
             fault,
         }
@@ -315,7 +312,6 @@ fn start(
         swings: SwingTracker::default(),
         swing_sum_m: 0.0,
         swing_count: 0,
-        flight_sum: 0.0,
         previous: [0.0; observation::REDUCED_LENGTH],
         current: [0.0; observation::REDUCED_LENGTH],
         last_target: nominal,

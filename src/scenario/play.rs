@@ -160,12 +160,12 @@ impl<'a> Rollout<'a> {
         let state = self.sim.state();
         let config = self.config;
         let mut swings = meter.swings;
-        let foot_height = swings.take().foot_height;
+        let landings = swings.take();
         self.swings = swings;
         if let Some(event) = events.iter().rfind(|event| event.kind == EventKind::Disturbance) {
             self.disturbed = Some((event.time_s, event.text.clone()));
         }
-        let terms = Terms::new(&state, &self.script.command, &summary, foot_height, &config.reward);
+        let terms = Terms::new(&state, &self.script.command, &summary, &landings, &config.reward);
         if let (Some(fall), None) = (summary.fall, self.fallen_since) {
             self.fallen_since = Some(self.step);
             let after = self

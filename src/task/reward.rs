@@ -1,6 +1,9 @@
 /*! The reward: Table II and equations 1 to 3, every term its own function.
 
-`r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl))`
+`r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_f r_f))`
+
+The last term, `r_f`, is not the paper's: its reward does not tell a trot from hopping on all fours, and some runs learn to
+hop. Its weight is zero unless a configuration asks for it.
 
 Readings where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means over
 the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's height is that of its lowest point;
@@ -31,15 +34,18 @@ pub struct Terms {
     pub foot_clearance: f64,
     /// `r_h`.
     pub foot_height: f64,
+    /// `r_f`, share of the step in which no foot touched the ground.
+    #[serde(default)] // older checkpoints lack it
+    pub flight: f64,
 }
 
 impl Terms {
-    /// All terms of a step. `foot_height` comes from the [`SwingTracker`], which needs the past.
+    /// All terms of a step. `landings` come from the [`SwingTracker`], which needs the past.
     pub fn new(
         state: &RobotState,
         command: &Command,
         summary: &StepSummary,
-        foot_height: f64,
+        landings: &Landings,
         config: &Reward,
     ) -> Self {
         Terms {
@@ -49,7 +55,8 @@ impl Terms {
             torque: summary.squared_torque,
             pose: pose(state, config),
             foot_clearance: foot_clearance(&state.feet, config.foot_height_m),
-            foot_height,
+            foot_height: landings.foot_height,
+            flight: landings.flight_share,
         }
     }
 
@@ -61,7 +68,8 @@ impl Terms {
         let negative = weights.energy * self.energy
             + weights.torque * self.torque
             + weights.pose * self.pose
-            + weights.foot_clearance * self.foot_clearance;
+            + weights.foot_clearance * self.foot_clearance
+            + weights.flight * self.flight;
         positive.max(0.0) * (weights.negative_sharpness * negative).exp()
     }
 
@@ -80,13 +88,13 @@ impl Terms {
         self
     }
 
-    /// Names and values in the order of Table II.
-    pub fn fields(&self) -> [(&'static str, f64); 7] {
+    /// Names and values in the order of Table II, and `r_f`.
+    pub fn fields(&self) -> [(&'static str, f64); 8] {
         let mut copy = *self;
         copy.fields_mut().map(|(name, value)| (name, *value))
     }
 
-    fn fields_mut(&mut self) -> [(&'static str, &mut f64); 7] {
+    fn fields_mut(&mut self) -> [(&'static str, &mut f64); 8] {
         [
             ("linear_velocity", &mut self.linear_velocity),
             ("angular_velocity", &mut self.angular_velocity),
@@ -95,6 +103,7 @@ impl Terms {
             ("pose", &mut self.pose),
             ("foot_clearance", &mut self.foot_clearance),
             ("foot_height", &mut self.foot_height),
+            ("flight", &mut self.flight),
         ]
     }
 }
@@ -285,10 +294,14 @@ mod tests {
             pose: 0.05,
             foot_clearance: 0.01,
             foot_height: 0.25,
+            flight: 0.5,
         };
         // r_pos = 0.8·0.9 + 0.5·0.8 − 0.7·0.25 = 0.945
         // r_neg = −0.015·40 − 0.0015·160 − 2·0.05 − 0.1·0.01 = −0.941
         close(terms.total(&weights()), 0.945 * (0.45_f64 * -0.941).exp());
+        // − 2 · 0.5
+        let against_hops = Reward { flight: -2.0, ..weights() };
+        close(terms.total(&against_hops), 0.945 * (0.45_f64 * -1.941).exp());
     }
 
     #[test]
