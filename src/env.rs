@@ -55,8 +55,6 @@ pub struct EpisodeReport {
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
-    /// Share of the time in which no foot touched the ground.
-    pub flight_share: f64,
     /// What led to a physics fault.
     pub fault: Option<Box<Fault>>,
 }
@@ -257,7 +255,6 @@ impl LocomotionEnv {
             reward: p.reward,
             terms: p.terms.divided(p.step.max(1) as f64),
             walking_linear: walked.then(|| p.walking.linear_velocity / self.stages.recovery_start as f64),
-            flight_share: p.terms.flight / p.step.max(1) as f64,
             swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
             fault,
         }
@@ -342,7 +339,7 @@ mod tests {
             env.sim_mut().data_mut().positions_mut()[2] += lifted_m;
             env.sim_mut().refresh().unwrap();
             let report = (0..15).find_map(|_| env.step(&[0.0; 12]).1).unwrap();
-            assert_eq!((report.end, report.flight_share), (End::TimeLimit, expected));
+            assert_eq!((report.end, report.terms.flight), (End::TimeLimit, expected));
         }
     }
 

@@ -39,8 +39,6 @@ pub struct IterationMetrics {
     pub walking_linear: Option<f64>,
     /// Mean peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
-    /// Share of the time in which no foot touches the ground: a few percent in a walk, much more in hopping.
-    pub flight_share: Option<f64>,
     /// Mean terms of Table II per step.
     pub terms: Option<Terms>,
     /// Open share of the command range.
@@ -143,8 +141,6 @@ pub struct EpisodeMeans {
     pub walking_linear: Option<f64>,
     /// Peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
-    /// Share of the time in which no foot touches the ground: a few percent in a walk, much more in hopping.
-    pub flight_share: Option<f64>,
     /// Terms per step.
     pub terms: Option<Terms>,
 }
@@ -168,7 +164,6 @@ impl EpisodeMeans {
             reward: mean(episodes.iter().map(|episode| episode.reward)),
             steps: mean(episodes.iter().map(|episode| episode.steps as f64)),
             walking_linear: mean(walks()),
-            flight_share: mean(episodes.iter().map(|episode| episode.flight_share)),
             swing_height_m: mean(episodes.iter().filter_map(|episode| episode.swing_height_m)),
             terms: (!episodes.is_empty()).then(|| terms.divided(episodes.len() as f64)),
         }
@@ -206,7 +201,6 @@ impl IterationMetrics {
         put("episode/faults", Some(self.faults as f64));
         put("episode/walking_linear", self.walking_linear);
         put("episode/swing_height_m", self.swing_height_m);
-        put("episode/flight_share", self.flight_share);
         put("curriculum/command_share", Some(self.command_share));
         put("curriculum/push_share", self.push_share);
         for (name, value) in self.terms.iter().flat_map(Terms::fields) {

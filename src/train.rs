@@ -202,7 +202,6 @@ impl Trainer {
             episode_steps: means.steps,
             walking_linear: means.walking_linear,
             swing_height_m: means.swing_height_m,
-            flight_share: means.flight_share,
             terms: means.terms,
             command_share: self.commands.share,
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,

@@ -199,7 +199,7 @@ fn summary(metrics: &IterationMetrics) -> String {
         metrics.step_reward,
         percent(metrics.walking_linear),
         percent(metrics.fall_share),
-        percent(metrics.flight_share),
+        percent(metrics.terms.map(|terms| terms.flight)),
         percent(Some(metrics.command_share)),
         percent(metrics.push_share),
     )

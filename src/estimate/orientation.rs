@@ -12,7 +12,7 @@ Two things differ.
   than one with the average.
 - The gyro's bias is learnt from what is left to correct, `b ← b − κ_ref/4 κ ω_corr dt`, `ω = ω_read − b`, as in Mahony,
   Hamel and Pflimlin (2008, "Nonlinear Complementary Filters on the Special Orthogonal Group"). The factor makes it
-  critically damped. Without it a bias leaves a tilt of `b / κ` for good, and the robot drifts aside.
+  critically damped, but for the average. Without it a bias leaves a tilt of `b / κ` for good, and the robot drifts aside.
 
 The world frame is aligned with gravity, as an IMU sees it. Yaw starts at zero and drifts with the gyro: nothing on the
 robot measures it.

@@ -121,9 +121,13 @@ pub const NOTHING: &str = "–";
 pub fn number(value: f64, quantity: Quantity) -> String {
     let text = format!("{:.*}", quantity.digits, quantity.scale() * value);
     // No minus before a rounded zero.
-    let is_zero = !text.contains(|c: char| ('1'..='9').contains(&c));
-    let text = if is_zero { text.trim_start_matches('-').to_owned() } else { text };
+    let text = if is_zero(&text) { text.trim_start_matches('-').to_owned() } else { text };
     text.replace('-', "−")
+}
+
+/// Whether a printed number has no digit but zeros.
+fn is_zero(text: &str) -> bool {
+    !text.contains(|c: char| ('1'..='9').contains(&c))
 }
 
 /// Mean ± standard deviation, followed by `unit`; says so if not all of a set's seeds have the number.
@@ -139,8 +143,7 @@ pub fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: [usize;
     let Some(Estimate { value, interval, pairs }) = estimate else { return NOTHING.to_owned() };
     let signed = |value: f64| {
         let text = number(value, quantity);
-        let is_zero = !text.contains(|c: char| ('1'..='9').contains(&c));
-        if value > 0.0 && !is_zero { format!("+{text}") } else { text }
+        if value > 0.0 && !is_zero(&text) { format!("+{text}") } else { text }
     };
     let interval = interval.map_or(String::new(), |[low, high]| format!(" [{}, {}]", signed(low), signed(high)));
     let plural = if pairs == 1 { "" } else { "s" };

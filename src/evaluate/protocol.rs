@@ -128,24 +128,19 @@ impl Protocol {
         require((2..=101).contains(&points), "push_grid", "points_per_side", points, "2 to 101")?;
         require((0.0..=1.0).contains(&grid.level), "push_grid", "level", grid.level, "0 to 1")?;
         require((0.1..=20.0).contains(&grid.limit_m_s), "push_grid", "limit_m_s", grid.limit_m_s, "0.1 to 20 m/s")?;
-        let (leash, decay) = (&self.leash, &self.decay);
-        let lengths = [
-            ("push_grid", "watch_s", grid.watch_s),
-            ("decay", "shown_before_s", decay.shown_before_s),
-            ("decay", "shown_after_s", decay.shown_after_s),
-            ("table4", "window_s", self.table4.window_s),
-            ("leash", "for_s", leash.for_s),
-            ("leash", "average_s", leash.average_s),
-            ("box", "resumed_s", self.r#box.resumed_s),
-        ];
-        for (section, key, seconds) in lengths {
-            require((0.1..=60.0).contains(&seconds), section, key, seconds, "0.1 to 60 s")?;
-        }
         // What is averaged or shown has to be there.
-        require(leash.average_s <= leash.for_s, "leash", "average_s", leash.average_s, "at most leash.for_s")?;
         let until_push_s = defaults::<PushAway>("push")?.at_s;
-        for (section, key, seconds) in [lengths[1], lengths[3]] {
-            require(seconds <= until_push_s, section, key, seconds, "no more than the time before the push")?;
+        let (some, before_push, of_pull) = ("0.1 to 60 s", "0.1 s to the time before the push", "0.1 s to leash.for_s");
+        for (section, key, seconds, most_s, expected) in [
+            ("push_grid", "watch_s", grid.watch_s, 60.0, some),
+            ("decay", "shown_before_s", self.decay.shown_before_s, until_push_s, before_push),
+            ("decay", "shown_after_s", self.decay.shown_after_s, 60.0, some),
+            ("table4", "window_s", self.table4.window_s, until_push_s, before_push),
+            ("leash", "for_s", self.leash.for_s, 60.0, some),
+            ("leash", "average_s", self.leash.average_s, self.leash.for_s, of_pull),
+            ("box", "resumed_s", self.r#box.resumed_s, 60.0, some),
+        ] {
+            require((0.1..=most_s).contains(&seconds), section, key, seconds, expected)?;
         }
         for (key, directions) in [("directions", self.directions.directions), ("leash", self.leash.directions)] {
             require((3..=360).contains(&directions), key, "directions", directions, "3 to 360")?;
@@ -188,8 +183,8 @@ mod tests {
             ("push_grid: {points_per_side: 1}", "push_grid.points_per_side is 1, expected 2 to 101"),
             ("walk: {commands: []}", "walk is empty, expected at least one condition"),
             ("push_grid: {watch_s: -1}", "push_grid.watch_s is -1, expected 0.1 to 60 s"),
-            ("leash: {for_s: 2, average_s: 5}", "leash.average_s is 5, expected at most leash.for_s"),
-            ("decay: {shown_before_s: 5}", "decay.shown_before_s is 5, expected no more than the time before the push"),
+            ("leash: {for_s: 2, average_s: 5}", "leash.average_s is 5, expected 0.1 s to leash.for_s"),
+            ("decay: {shown_before_s: 5}", "decay.shown_before_s is 5, expected 0.1 s to the time before the push"),
             ("boxes: {trials: 0}", "unknown field `boxes`"),
             ("box: {trial: 0}", "unknown field `trial`"),
             ("box: {trials: many}", "invalid type"),

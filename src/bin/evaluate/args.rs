@@ -74,12 +74,8 @@ impl Args {
 
 /// For a POSIX shell.
 fn quoted(word: &str) -> String {
-    let is_plain = |c: char| c.is_ascii_alphanumeric() || "-_./,=+:@%".contains(c);
-    if !word.is_empty() && word.chars().all(is_plain) {
-        word.to_owned()
-    } else {
-        format!("'{}'", word.replace('\'', r"'\''"))
-    }
+    // An argument has no zero byte, the one thing that cannot be quoted.
+    shlex::try_quote(word).map_or_else(|_| word.to_owned(), Into::into)
 }
 
 /// The experiments by name, with what they are.
@@ -103,7 +99,7 @@ mod tests {
         assert_eq!(options(&["walk", "--again", "--threads", "2"]), "--policies policies --out report");
         assert_eq!(
             options(&["--a", "x", "--b", "it's", "--names", "A set,B", "--quick", "--sensing", "estimated"]),
-            r"--quick --a x --b 'it'\''s' --names 'A set,B' --sensing estimated --out report"
+            "--quick --a x --b \"it's\" --names 'A set,B' --sensing estimated --out report"
         );
     }
 }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::Metric;
-use supple::trace::{Sensed, Trace};
+use supple::trace::Trace;
 
 /// A finished rollout.
 pub struct Outcome<'a> {
@@ -77,7 +77,7 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
         "policy,time_s,x_m,y_m,height_m,roll_rad,pitch_rad,yaw_rad,forward_m_s,left_m_s,yaw_rad_s,\
          command_forward_m_s,command_left_m_s,command_yaw_rad_s,power_w,torque_n_m,reward,peak_foot_force_n,\
          peak_obstacle_force_n,rope_force_n,foot_fr_up_n,foot_fl_up_n,foot_rr_up_n,foot_rl_up_n,\
-         estimated_x_m,estimated_y_m,estimated_height_m,base_x_m_s,base_y_m_s,base_z_m_s,estimated_base_x_m_s,\
+         base_x_m_s,base_y_m_s,base_z_m_s,estimated_x_m,estimated_y_m,estimated_height_m,estimated_base_x_m_s,\
          estimated_base_y_m_s,estimated_base_z_m_s"
     )?;
     for outcome in outcomes {
@@ -107,15 +107,16 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
                 frame.foot_forces[1][2],
                 frame.foot_forces[2][2],
                 frame.foot_forces[3][2],
+                frame.velocity[0],
+                frame.velocity[1],
+                frame.velocity[2],
             ];
             // Empty where the robot acts on its true state.
-            let estimated = |of: fn(&Sensed) -> f64| frame.sensed.as_ref().map_or(String::new(), |s| of(s).to_string());
-            let velocity = frame.velocity.map(|value| value.to_string());
-            let row: Vec<String> = (numbers.iter().map(f64::to_string))
-                .chain([estimated(|s| s.position[0]), estimated(|s| s.position[1]), estimated(|s| s.height_m)])
-                .chain(velocity)
-                .chain([0, 1, 2].map(|axis| frame.sensed.map_or(String::new(), |s| s.velocity[axis].to_string())))
-                .collect();
+            let estimated: [String; 6] = frame.sensed.map_or_else(Default::default, |sensed| {
+                let ([x, y, _], [u, v, w]) = (sensed.position, sensed.velocity);
+                [x, y, sensed.height_m, u, v, w].map(|value| value.to_string())
+            });
+            let row: Vec<String> = numbers.iter().map(f64::to_string).chain(estimated).collect();
             writeln!(file, "{},{}", outcome.policy, row.join(","))?;
         }
     }

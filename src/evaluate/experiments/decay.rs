@@ -161,8 +161,8 @@ impl Experiment for Decay {
             "decay",
             format!(
                 "Sideways velocity after a push of 0.5 m/s to the left while walking at 0.5 m/s: mean and min–max band over \
-                 the runs of one policy, each until it falls. Dotted: ±10 % of the push around the velocity before; dashed: this policy's mean \
-                 decay time. Over all seeds it is {} ({}) and {} ({}).",
+                 the runs of one policy, each until it falls. Dotted: ±10 % of the push around the velocity before; \
+                 dashed: this policy's mean decay time. Over all seeds it is {} ({}) and {} ({}).",
                 words[0], results.names[0], words[1], results.names[1]
             ),
             svg,

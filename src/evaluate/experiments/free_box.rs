@@ -84,8 +84,8 @@ impl Experiment for FreeBox {
             title: "Collision with a box",
             paper: "Fig. 6",
             method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, which the \
-                     paper does not state. The cube is offset sideways by an amount drawn for each trial. Contact forces are the sum over all contacts \
-                     between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
+                     paper does not state. The cube is offset sideways by an amount drawn for each trial. Contact forces are \
+                     the sum over all contacts between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
                      it ends beyond the box's far side, and has resumed its course when it then walks at its command.",
         }
     }

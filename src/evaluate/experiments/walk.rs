@@ -124,11 +124,9 @@ impl Experiment for Walk {
             (0..3).for_each(|axis| values[2 + axis] = errors.map(|errors| errors[axis]));
             let found = scenario.metrics(script, trace);
             for (index, quantity) in QUANTITIES.iter().enumerate().skip(5) {
-                values[index] = match quantity.name {
-                    "flight_share" => value(&found, "flight_percent").map(|percent| 0.01 * percent),
-                    name => value(&found, name),
-                };
+                values[index] = value(&found, quantity.name);
             }
+            values[9] = metrics::flight_share(trace, metrics::SETTLE_S, script.duration_s);
         }
         Measured { values, series: Vec::new() }
     }

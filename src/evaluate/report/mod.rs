@@ -203,9 +203,10 @@ impl Report {
         for folder in [&figures, &tables] {
             fs::create_dir_all(folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
         }
-        for info in &self.missing {
+        let no_sensing = self.sensing.experiments.is_empty().then_some("sensing");
+        for name in self.missing.iter().map(|info| info.name).chain(no_sensing) {
             for folder in [&figures, &tables] {
-                remove_of(info.name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+                remove_of(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
             }
         }
         let renderer = Renderer::default();
