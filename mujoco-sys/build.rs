@@ -28,8 +28,12 @@ fn main() {
     let bindings = bindgen::Builder::default()
         .header("src/shim.h")
         .clang_arg(format!("-I{}", include.display()))
-        .allowlist_function("supple_.*|mj_(deleteModel|deleteData|deleteVFS|defaultVFS|makeEmptyFileVFS|findFileVFS|freeLastXML|name2id|id2name|version)")
-        .allowlist_type("mjModel|mjData|mjVFS|mjContact|mjtObj_|mjtWarning_|mjtGeom_|mjtJoint_|mjtConstraint_|mjtTrn_|mjtBias_")
+        .allowlist_function(
+            "supple_.*|mj_(deleteModel|deleteData|deleteVFS|defaultVFS|freeLastXML|name2id|id2name|version)",
+        )
+        .allowlist_type(
+            "mjModel|mjData|mjVFS|mjContact|mjtObj_|mjtWarning_|mjtGeom_|mjtJoint_|mjtConstraint_|mjtTrn_|mjtBias_",
+        )
         .allowlist_var("mjVERSION_HEADER|mjNGAIN|mjNIMP|SUPPLE_ERROR_SIZE")
         .default_enum_style(bindgen::EnumVariation::Consts)
         .prepend_enum_name(false)

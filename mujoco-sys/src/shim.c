@@ -1,6 +1,8 @@
 // MuJoCo reports fatal errors through a global handler that must not return: the default one waits
 // for a key and exits the process. Here the handler jumps back to the guarded call that is running on
-// this thread. Only frames of MuJoCo's C engine lie in between, which hold nothing to unwind.
+// this thread. Only frames of MuJoCo's C engine lie in between, which hold nothing to unwind, but for
+// mj_loadXML: its compiler is C++ and catches errors itself, its reader holds a lock. An error that comes
+// from there (memory has run out) leaves the lock held, and no other file can be read.
 
 #include "shim.h"
 
@@ -46,6 +48,23 @@ void supple_init(void) {
     catch_point = NULL;      \
     return 0;                \
   } while (0)
+
+static int add_file(mjVFS* vfs, const char* name, const char* text, int size) {
+  int code = mj_makeEmptyFileVFS(vfs, name, size);
+  if (code != 0) {
+    return code;
+  }
+  int index = mj_findFileVFS(vfs, name);
+  if (index < 0) {
+    mju_error("MuJoCo does not find the file that it has just added");
+  }
+  memcpy(vfs->filedata[index], text, size);
+  return 0;
+}
+
+int supple_add_file(mjVFS* vfs, const char* name, const char* text, int size, int* code, char* error) {
+  GUARDED(*code = add_file(vfs, name, text, size));
+}
 
 int supple_load_xml(mjModel** out, const char* filename, const mjVFS* vfs, char* error) {
   *out = NULL;

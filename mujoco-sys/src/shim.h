@@ -12,6 +12,8 @@
 // Installs the error and warning handlers. Call once, before any other call and any thread.
 void supple_init(void);
 
+// Adds `size` bytes of text to a virtual file system. `*code` is what mj_makeEmptyFileVFS returns: 0 if all went well.
+int supple_add_file(mjVFS* vfs, const char* name, const char* text, int size, int* code, char* error);
 int supple_load_xml(mjModel** out, const char* filename, const mjVFS* vfs, char* error);
 int supple_copy_model(mjModel** out, const mjModel* source, char* error);
 int supple_make_data(mjData** out, const mjModel* m, char* error);

@@ -23,8 +23,8 @@ pub struct Contact {
 
 /// An owned `mjData` and its [`Model`]: one independent simulation.
 ///
-/// Owning the model makes it impossible to step data with a model of another size, and lets every environment have
-/// its own gravity and friction (a model without meshes is a few ten kilobytes).
+/// Owning the model, and lending it to be read only, makes it impossible to step data with a model of another size, and
+/// lets every environment have its own gravity and friction (a model without meshes is a few ten kilobytes).
 #[derive(Debug)]
 pub struct Data {
     raw: NonNull<sys::mjData>,
@@ -84,8 +84,6 @@ fields! {
     body_positions = xpos[|m| 3 * m.count(Kind::Body)];
     /// Body orientations (w, x, y, z), shape (nbody, 4).
     body_quaternions = xquat[|m| 4 * m.count(Kind::Body)];
-    /// Centres of mass of the bodies, world frame, shape (nbody, 3). \[m\]
-    body_centres_of_mass = xipos[|m| 3 * m.count(Kind::Body)];
     /// Geometry centres, world frame, shape (ngeom, 3). \[m\]
     geom_positions = geom_xpos[|m| 3 * m.count(Kind::Geom)];
     /// Sites, world frame, shape (nsite, 3). \[m\]
@@ -114,9 +112,31 @@ impl Data {
         &self.model
     }
 
-    /// The model, to change gravity, friction or terrain.
-    pub fn model_mut(&mut self) -> &mut Model {
-        &mut self.model
+    /// See [`Model::set_gravity`].
+    pub fn set_gravity(&mut self, gravity: [f64; 3]) {
+        self.model.set_gravity(gravity);
+    }
+
+    /// See [`Model::set_sliding_friction`].
+    ///
+    /// # Panics
+    /// If there is no geometry of this id.
+    pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
+        self.model.set_sliding_friction(geom, friction);
+    }
+
+    /// See [`Model::set_longest_tendon`].
+    ///
+    /// # Panics
+    /// If there is no tendon of this id.
+    pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
+        self.model.set_longest_tendon(tendon, length_m);
+    }
+
+    /// Makes the contact buffer smaller.
+    #[cfg(test)]
+    pub(crate) fn limit_contacts(&mut self, contacts: i32) {
+        self.model.limit_contacts(contacts);
     }
 
     fn raw(&self) -> &sys::mjData {

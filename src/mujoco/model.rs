@@ -1,13 +1,13 @@
-//! A compiled model: names, sizes, constants, and the two parameters an episode may change (gravity, friction).
+//! A compiled model: names, sizes, constants, and the parameters an episode may change (gravity, friction, ropes, terrain).
 
 use std::ffi::{CStr, CString};
-use std::path::Path;
 use std::ptr::NonNull;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use mujoco_sys as sys;
 
 use super::error::{Error, Result};
-use super::{EMPTY_MESSAGE, check, initialise, sizes, text};
+use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of};
 
 /// Kinds of named elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -176,28 +176,6 @@ impl Drop for Model {
 }
 
 impl Model {
-    /// Loads an MJCF file.
-    ///
-    /// # Errors
-    /// [`Error::Load`] with MuJoCo's message if the file is missing or invalid.
-    pub fn from_file(path: &Path) -> Result<Self> {
-        initialise()?;
-        let what = path.display().to_string();
-        Self::check_file(path)?;
-        let file = CString::new(what.clone())
-            .map_err(|_| Error::Load { what: what.clone(), message: "the path holds a zero byte".into() })?;
-        load(&what, &file, std::ptr::null())
-    }
-
-    /// Refuses an MJCF file with sizes beyond reason, which MuJoCo would take at their word.
-    ///
-    /// # Errors
-    /// [`Error::Load`] with the attribute. A file that cannot be read is for MuJoCo to complain about.
-    pub fn check_file(path: &Path) -> Result<()> {
-        let text = std::fs::read_to_string(path).unwrap_or_default();
-        sizes::check(&text).map_err(|message| Error::Load { what: path.display().to_string(), message })
-    }
-
     /// Compiles MJCF held in memory: `(name, text)` pairs, the main file first, then those it includes.
     ///
     /// # Errors
@@ -215,16 +193,16 @@ impl Model {
             sizes::check(text).map_err(failed)?;
             let size = i32::try_from(text.len()).map_err(|_| failed(format!("{name} is larger than 2 GiB")))?;
             let c_name = CString::new(name).map_err(|_| failed(format!("the name '{name}' holds a zero byte")))?;
-            // SAFETY: `vfs` and the name are valid; MuJoCo copies the name and allocates `size` bytes.
-            let code = unsafe { sys::mj_makeEmptyFileVFS(&mut *vfs, c_name.as_ptr(), size) };
-            // SAFETY: as above.
-            let index = unsafe { sys::mj_findFileVFS(&*vfs, c_name.as_ptr()) };
-            if code != 0 || index < 0 {
-                return Err(failed(format!("MuJoCo's virtual file system refuses '{name}' (code {code})")));
+            let (mut code, mut message) = (0, EMPTY_MESSAGE);
+            let (bytes, error) = (text.as_ptr().cast(), message.as_mut_ptr());
+            // SAFETY: `vfs`, the name and `size` bytes of text are valid, and copied; the shim catches errors.
+            let caught = unsafe { sys::supple_add_file(&mut *vfs, c_name.as_ptr(), bytes, size, &mut code, error) };
+            match (caught, code) {
+                (0, 0) => Ok(c_name),
+                (0, 1) => Err(failed(format!("there are too many files, at '{name}'"))),
+                (0, _) => Err(failed(format!("'{name}' is there twice"))),
+                _ => Err(failed(format!("'{name}': {}", text_of(&message)))),
             }
-            // SAFETY: MuJoCo has just allocated exactly `text.len()` bytes for this file.
-            unsafe { std::ptr::copy_nonoverlapping(text.as_ptr(), vfs.filedata[index as usize].cast(), text.len()) };
-            Ok(c_name)
         };
         let added: Result<Vec<CString>> = files.iter().map(|(name, text)| add(name, text)).collect();
         let model = added.and_then(|names| match names.first() {
@@ -308,9 +286,11 @@ impl Model {
     /// # Errors
     /// [`Error::Name`], which lists the names there are.
     pub fn id(&self, kind: Kind, name: &str) -> Result<usize> {
-        let c_name = CString::new(name).unwrap_or_default();
-        // SAFETY: model and name are valid.
-        let id = unsafe { sys::mj_name2id(self.as_ptr(), kind.raw(), c_name.as_ptr()) };
+        // No element's name holds a zero byte.
+        let id = CString::new(name).map_or(-1, |name| {
+            // SAFETY: model and name are valid.
+            unsafe { sys::mj_name2id(self.as_ptr(), kind.raw(), name.as_ptr()) }
+        });
         usize::try_from(id).map_err(|_| Error::Name {
             kind: kind.word(),
             name: name.to_owned(),
@@ -492,13 +472,13 @@ impl Model {
         // SAFETY: model and name are valid.
         let id = unsafe { sys::mj_name2id(self.as_ptr(), sys::mjOBJ_KEY as i32, c_name.as_ptr()) };
         self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq)
-            .chunks(self.nq())
+            .chunks(self.nq().max(1))
             .nth(usize::try_from(id).ok()?)
     }
 
     /// Positions of the first keyframe, shape (nq).
     pub fn first_keyframe(&self) -> Option<&[f64]> {
-        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq).chunks(self.nq()).next()
+        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq).chunks(self.nq().max(1)).next()
     }
 
     /// Positions that the file puts everything at, shape (nq).
@@ -509,6 +489,14 @@ impl Model {
     /// Mass of every body, shape (nbody). \[kg\]
     pub fn body_mass(&self) -> &[f64] {
         self.slice(self.raw().body_mass, self.raw().nbody)
+    }
+
+    /// Centre of mass of a body in its own frame \[m\].
+    ///
+    /// # Panics
+    /// If there is no body of this id.
+    pub fn body_centre_of_mass(&self, body: usize) -> [f64; 3] {
+        row(self.slice(self.raw().body_ipos, 3 * self.raw().nbody), body)
     }
 
     /// Body to which each body is attached, shape (nbody).
@@ -615,13 +603,20 @@ fn row<T: Copy, const N: usize>(values: &[T], index: usize) -> [T; N] {
 }
 
 fn load(what: &str, file: &CStr, vfs: *const sys::mjVFS) -> Result<Model> {
+    /// Whether MuJoCo's reader was left in the middle, with its lock held: to wait for it would be forever.
+    static LOCKED: AtomicBool = AtomicBool::new(false);
+    let failed = |message: String| Error::Load { what: what.to_owned(), message };
+    if LOCKED.load(Ordering::Acquire) {
+        return Err(failed("its reader ran out of memory before; start the program again".into()));
+    }
     let (mut model, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
-    // SAFETY: file name and vfs are valid (or null); the shim catches errors.
-    let failed = unsafe { sys::supple_load_xml(&mut model, file.as_ptr(), vfs, message.as_mut_ptr()) };
+    // SAFETY: file name and vfs are valid; the shim catches errors.
+    let caught = unsafe { sys::supple_load_xml(&mut model, file.as_ptr(), vfs, message.as_mut_ptr()) };
+    if caught != 0 {
+        LOCKED.store(true, Ordering::Release);
+        return Err(failed(text_of(&message)));
+    }
     // SAFETY: MuJoCo keeps the last parsed XML in a global; free it, nobody else uses it.
     unsafe { sys::mj_freeLastXML() };
-    match NonNull::new(model) {
-        Some(model) if failed == 0 => Ok(Model(model)),
-        _ => Err(Error::Load { what: what.to_owned(), message: text(&message) }),
-    }
+    NonNull::new(model).map(Model).ok_or_else(|| failed(text_of(&message)))
 }

@@ -7,8 +7,8 @@ sees the text. A guard against accidents: it reads attributes, not XML.
 
 /// Attributes, and the largest product of the numbers in one.
 const LIMITS: [(&str, f64); 10] = [
-    ("nrow", 16_384.0),
-    ("ncol", 16_384.0),
+    ("nrow", 4_096.0),
+    ("ncol", 4_096.0),
     ("width", 16_384.0),
     ("height", 16_384.0),
     ("count", 100_000.0),
@@ -60,7 +60,7 @@ mod tests {
     #[test]
     fn sizes_beyond_reason_are_refused_by_name_and_others_pass() {
         let refused = check(r#"<hfield name="g" nrow="2147483641e400" ncol="5"/>"#).unwrap_err();
-        assert_eq!(refused, "nrow is '2147483641e400', expected at most 16384");
+        assert_eq!(refused, "nrow is '2147483641e400', expected at most 4096");
         assert!(check("<composite type='cloth' count = '1000 1000 1'/>").is_err());
         for fine in [
             r#"<hfield nrow="300" ncol="600"/>"#,

@@ -136,8 +136,18 @@ fn a_broken_model_is_refused_with_mujocos_words() {
     let error = Model::from_xml(&[("broken.xml", "<mujoco><worldbody><geom size='0'/></worldbody></mujoco>")]);
     let error = error.unwrap_err().to_string();
     assert!(error.contains("broken.xml") && error.contains("size"), "{error}");
-    let missing = Model::from_file(std::path::Path::new("/nowhere/robot.xml")).unwrap_err().to_string();
-    assert!(missing.contains("/nowhere/robot.xml"), "{missing}");
+    // What MuJoCo itself would end the process for.
+    let long = "x".repeat(2000);
+    for (files, expected) in [
+        (vec![("empty.xml", "")], "empty.xml"),
+        (vec![("", "<mujoco/>")], "''"),
+        (vec![("folder/", "<mujoco/>")], "folder/"),
+        (vec![(long.as_str(), "<mujoco/>")], "xxx"),
+        (vec![("a.xml", "<mujoco/>"), ("a.xml", "<mujoco/>")], "'a.xml' is there twice"),
+    ] {
+        let error = Model::from_xml(&files).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
 }
 
 #[test]
