@@ -4,9 +4,16 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
+/// What makes the program behave as it does, but for the policies, which are named by their own hashes.
+const PROGRAM: &[&str] = &["build.rs", "Cargo.toml", "Cargo.lock", "mujoco-sys", "src", "models", "configs"];
+
 fn main() {
-    println!("cargo::rerun-if-changed=.git/HEAD");
-    println!("cargo::rerun-if-changed=.git/logs/HEAD");
+    for path in PROGRAM {
+        println!("cargo::rerun-if-changed={path}");
+    }
+    for path in ["HEAD", "logs/HEAD"].iter().filter_map(|name| git(&["rev-parse", "--git-path", name])) {
+        println!("cargo::rerun-if-changed={path}");
+    }
     println!("cargo::rustc-env=SUPPLE_GIT_REVISION={}", git_revision().unwrap_or_else(|| "unknown".into()));
     let mujoco = std::env::var("DEP_MUJOCO_VERSION").unwrap_or_else(|_| "unknown".into());
     println!("cargo::rustc-env=SUPPLE_MUJOCO_VERSION={mujoco}");
@@ -44,7 +51,14 @@ fn policies_in(folder: &Path, prefix: &str, files: &mut Vec<(String, PathBuf)>) 
     }
 }
 
+/// The commit, with `-dirty` if the program's files differ from it.
 fn git_revision() -> Option<String> {
-    let output = Command::new("git").args(["describe", "--always", "--dirty", "--abbrev=12"]).output().ok()?;
+    let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
+    let changed = git(&[&["status", "--porcelain", "--"], PROGRAM].concat())?;
+    Some(if changed.is_empty() { commit } else { format!("{commit}-dirty") })
+}
+
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git").args(arguments).output().ok()?;
     output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
 }

@@ -1,8 +1,9 @@
 //! Files that are whole or not there: atomic replacement, checksums, bounded reading.
 
+use std::ffi::OsString;
 use std::fs::{self, File};
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
@@ -12,7 +13,7 @@ use sha2::{Digest, Sha256};
 /// # Errors
 /// The system's; the old content is untouched then.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let temporary = path.with_extension("tmp");
+    let temporary = temporary(path)?;
     let written = File::create(&temporary).and_then(|mut file| {
         file.write_all(bytes)?;
         file.sync_all()
@@ -23,6 +24,17 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
         return Err(error);
     }
     sync_folder(path)
+}
+
+/// The hidden file beside `path` in which its new content is gathered.
+fn temporary(path: &Path) -> io::Result<PathBuf> {
+    let Some(name) = path.file_name() else {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it names no file"));
+    };
+    let mut hidden = OsString::from(".");
+    hidden.push(name);
+    hidden.push(".tmp");
+    Ok(path.with_file_name(hidden))
 }
 
 /// Makes renames in the folder of `path` durable.
@@ -66,7 +78,7 @@ mod tests {
         let path = folder.path().join("kept");
         write_atomically(&path, b"old").unwrap();
         // The temporary file cannot be created: a folder has its name.
-        fs::create_dir(path.with_extension("tmp")).unwrap();
+        fs::create_dir(temporary(&path).unwrap()).unwrap();
         assert!(write_atomically(&path, b"new").is_err());
         assert_eq!(fs::read(&path).unwrap(), b"old");
     }
