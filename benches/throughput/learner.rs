@@ -8,14 +8,14 @@ f32 products of 1024 by candle, whose `gemm` uses all cores.
 use candle_core::{Device, Tensor};
 use rand::seq::SliceRandom;
 use serde::Serialize;
-use supple::config::{Config, Ppo};
+use supple::config::Config;
 use supple::env::LocomotionEnv;
 use supple::go1::JOINT_COUNT;
 use supple::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, Mlp};
 use supple::random::{Purpose, stream};
 use supple::rollout::{Collection, Rollout};
-use supple::task::Normaliser;
 use supple::task::observation::LENGTH;
+use supple::task::{Curriculum, Normaliser};
 
 use crate::stopwatch::{Effort, median, timed};
 
@@ -81,7 +81,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
             order
         })
         .collect();
-    let settings = hyperparameters(ppo);
+    let settings = Hyperparameters::from(ppo);
     let start = LearnerState::new(network.clone(), &settings);
     let sample_passes = (effort.epochs * rollout.len()) as f64;
     let update_s = |threads| -> anyhow::Result<f64> {
@@ -123,33 +123,14 @@ fn rollout(config: &Config, network: &ActorCritic, threads: usize, effort: &Effo
         seed: 0,
         iteration: 0,
         steps: config.ppo.batch_size / effort.environments,
-        command_share: config.command.initial_share,
+        curriculum: Curriculum::new(&config.command),
         threads,
     };
-    let environment = |index| LocomotionEnv::new(config, 0, index as u64, collection.command_share);
+    let environment = |index| LocomotionEnv::new(config, 0, index as u64, collection.curriculum);
     let mut environments = (0..effort.environments).map(environment).collect::<Result<Vec<_>, _>>()?;
     Ok(collection.collect(&mut environments)?)
 }
 
-/// As training sets them.
-fn hyperparameters(ppo: &Ppo) -> Hyperparameters {
-    Hyperparameters {
-        minibatch_size: ppo.minibatch_size,
-        clip_range: ppo.clip_range,
-        value_coefficient: ppo.value_coefficient,
-        entropy_coefficient: ppo.entropy_coefficient,
-        max_gradient_norm: ppo.max_gradient_norm,
-        learning_rate: ppo.initial_learning_rate,
-        learning_rate_min: ppo.min_learning_rate,
-        learning_rate_max: ppo.max_learning_rate,
-        desired_kl: Some(ppo.desired_kl),
-        adam_beta1: 0.9,
-        adam_beta2: 0.999,
-        adam_epsilon: ppo.adam_epsilon,
-    }
-}
-
-/// Two for each weight and direction: forward, gradient of the weights, and but for the first layer of the inputs.
 fn flop_per_sample_pass(network: &ActorCritic) -> f64 {
     let of_mlp = |mlp: &Mlp| {
         let weights = mlp.layers.iter().map(|layer| layer.weight.len());

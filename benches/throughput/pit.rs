@@ -103,8 +103,10 @@ fn scenario(duration_s: f64) -> anyhow::Result<Scenario> {
 
 fn play(scenario: &Scenario, policy: &Policy, path: &std::path::Path) -> anyhow::Result<Play> {
     let script = scenario.script(0, &policy.provenance.config)?;
-    let mut rollout =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), cfg!(feature = "record"))?;
+    let mut rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()))?;
+    if cfg!(feature = "record") {
+        rollout = rollout.with_bodies();
+    }
     let mut recording = Recording::new(&script, path)?;
     let mut play = Play { elapsed_s: 0.0, frames_s: Vec::new(), distance_m: 0.0, contacts: [0; 2], fault: None };
     let started = Instant::now();

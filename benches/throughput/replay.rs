@@ -21,13 +21,10 @@ use supple::random::{Purpose, stream};
 use supple::scene::{RobotFile, Scene};
 use supple::sim::{Conditions, Push, Sim, StepObserver};
 use supple::task::observation::LENGTH;
-use supple::task::{Normaliser, Stages};
+use supple::task::{Curriculum, Normaliser, Stages};
 
 /// Standard deviation of the actions' noise, as of a policy after some million samples.
 const NOISE: f32 = 0.2;
-
-/// All commands are open.
-const COMMAND_SHARE: f64 = 1.0;
 
 /// Where a simulation stands, as MuJoCo needs it. Positions as they were before they were normalised.
 #[derive(Debug, Clone, Deserialize)]
@@ -44,8 +41,8 @@ impl Start {
     }
 
     fn put(&self, data: &mut Data, ground: usize) {
-        data.model_mut().set_gravity(self.conditions.gravity);
-        data.model_mut().set_sliding_friction(ground, self.conditions.friction);
+        data.set_gravity(self.conditions.gravity);
+        data.set_sliding_friction(ground, self.conditions.friction);
         data.positions_mut().copy_from_slice(&self.positions);
         data.velocities_mut().copy_from_slice(&self.velocities);
         data.warm_start_mut().copy_from_slice(&self.warm_start);
@@ -80,7 +77,7 @@ impl Replay {
         warm_up: usize,
         steps: usize,
     ) -> anyhow::Result<Self> {
-        let mut env = LocomotionEnv::new(config, 0, index, COMMAND_SHARE)?;
+        let mut env = LocomotionEnv::new(config, 0, index, Curriculum::complete())?;
         let scene = Scene::flat(RobotFile::from_name(&config.robot.model), config.simulation.timestep_s());
         let mut twin = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let recovery_start = Stages::new(&config.episode, &config.simulation).recovery_start;
@@ -122,7 +119,7 @@ impl Replay {
             }
             age += 1;
             if outcome.end.is_some() {
-                env.reset(COMMAND_SHARE)?;
+                env.reset(Curriculum::complete())?;
                 age = 0;
             }
         }
@@ -173,7 +170,7 @@ impl Replay {
         let (outcome, report) = self.env.step(&self.actions[step]);
         std::hint::black_box((outcome, report));
         if outcome.end.is_some() {
-            self.env.reset(COMMAND_SHARE)?;
+            self.env.reset(Curriculum::complete())?;
         }
         Ok(())
     }

@@ -14,6 +14,9 @@ use crate::files;
 /// Larger files are not policies.
 pub const MAX_BYTES: u64 = 32 << 20;
 
+/// Versions of the operator set whose meaning is that of `operators`.
+const OPERATOR_SETS: std::ops::RangeInclusive<i64> = 7..=22;
+
 /// Operators of one network.
 const MAX_NODES: usize = 2000;
 
@@ -90,6 +93,15 @@ impl Network {
     fn read(bytes: &[u8]) -> Result<Self, String> {
         wire::check(bytes)?;
         let model = Model::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?;
+        let versions = model.opset_import.iter().filter(|set| matches!(set.domain.as_str(), "" | "ai.onnx"));
+        let version =
+            versions.map(|set| set.version).max().ok_or("it does not say which operator set it is made of")?;
+        if !OPERATOR_SETS.contains(&version) {
+            let (first, last) = (OPERATOR_SETS.start(), OPERATOR_SETS.end());
+            return Err(format!(
+                "its operator set is {version}, expected {first} to {last}; export it with another one"
+            ));
+        }
         let graph = model.graph.ok_or("it has no graph")?;
         if graph.node.len() > MAX_NODES {
             return Err(format!("it has {} operators, at most {MAX_NODES} are expected", graph.node.len()));

@@ -213,6 +213,9 @@ impl Call<'_> {
     }
 
     fn batch_normalization(&self) -> Result<Tensor> {
+        if self.int("training_mode", 0) != 0 {
+            return Err("it is in training mode: export the network in evaluation mode".into());
+        }
         let x = self.input(0)?;
         let [scale, bias, mean, variance] = [1, 2, 3, 4].map(|index| self.input(index));
         let (scale, bias, mean, variance) = (scale?, bias?, mean?, variance?);

@@ -2,11 +2,10 @@
 PPO's per-sample arithmetic and its settings.
 */
 
-use serde::{Deserialize, Serialize};
+use crate::config::Ppo;
 
 /// Settings of the learner; the number of epochs is that of the permutations given to each update.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Hyperparameters {
     /// Samples per gradient step.
     pub minibatch_size: usize,
@@ -24,8 +23,8 @@ pub struct Hyperparameters {
     pub learning_rate_min: f64,
     /// The adaptive learning rate never goes above.
     pub learning_rate_max: f64,
-    /// The learning rate follows the divergence of the policy from that of the rollout; `None` keeps it fixed.
-    pub desired_kl: Option<f64>,
+    /// The learning rate follows the divergence of the policy from that of the rollout, and aims at this one.
+    pub desired_kl: f64,
     /// Adam's decay of the first moment.
     pub adam_beta1: f64,
     /// Adam's decay of the second moment.
@@ -34,15 +33,37 @@ pub struct Hyperparameters {
     pub adam_epsilon: f64,
 }
 
+impl From<&Ppo> for Hyperparameters {
+    fn from(ppo: &Ppo) -> Self {
+        Hyperparameters {
+            minibatch_size: ppo.minibatch_size,
+            clip_range: ppo.clip_range,
+            value_coefficient: ppo.value_coefficient,
+            entropy_coefficient: ppo.entropy_coefficient,
+            max_gradient_norm: ppo.max_gradient_norm,
+            learning_rate: ppo.initial_learning_rate,
+            learning_rate_min: ppo.min_learning_rate,
+            learning_rate_max: ppo.max_learning_rate,
+            desired_kl: ppo.desired_kl,
+            // Adam's own, which neither the paper nor Stable-Baselines3 changes.
+            adam_beta1: 0.9,
+            adam_beta2: 0.999,
+            adam_epsilon: ppo.adam_epsilon,
+        }
+    }
+}
+
 impl Hyperparameters {
     /// The learning rate for a step at which the policy is `kl` away from the rollout's (Rudin et al., 2022): lower by
     /// 1.5 above twice the desired divergence, higher by 1.5 below half of it. As in rsl_rl, a divergence of exactly
     /// zero (the first minibatch of an update) says nothing and changes nothing.
     pub fn adapted_learning_rate(&self, learning_rate: f64, kl: f64) -> f64 {
-        match self.desired_kl {
-            Some(desired) if kl > 2.0 * desired => (learning_rate / 1.5).max(self.learning_rate_min),
-            Some(desired) if kl > 0.0 && kl < 0.5 * desired => (learning_rate * 1.5).min(self.learning_rate_max),
-            _ => learning_rate,
+        if kl > 2.0 * self.desired_kl {
+            (learning_rate / 1.5).max(self.learning_rate_min)
+        } else if kl > 0.0 && kl < 0.5 * self.desired_kl {
+            (learning_rate * 1.5).min(self.learning_rate_max)
+        } else {
+            learning_rate
         }
     }
 }
@@ -171,7 +192,7 @@ pub(super) mod tests {
         learning_rate: 1e-3,
         learning_rate_min: 1e-5,
         learning_rate_max: 1e-2,
-        desired_kl: Some(0.02),
+        desired_kl: 0.02,
         adam_beta1: 0.9,
         adam_beta2: 0.999,
         adam_epsilon: 1e-5,
@@ -224,7 +245,5 @@ pub(super) mod tests {
         assert_eq!(rate(1.2e-5, 1.0), 1e-5);
         assert_eq!(rate(9e-3, 1e-6), 1e-2);
         assert_eq!(rate(2e-3, 0.0), 2e-3);
-        let fixed = Hyperparameters { desired_kl: None, ..SETTINGS };
-        assert_eq!(fixed.adapted_learning_rate(2e-3, 1.0), 2e-3);
     }
 }

@@ -130,7 +130,7 @@ fn reference_update(
         let gradients: Vec<_> = reference.gradient(&loss.total).unwrap().iter().map(numbers).collect();
 
         let kl = scalar(&loss.kl);
-        let desired = settings.desired_kl.unwrap();
+        let desired = settings.desired_kl;
         if kl > 2.0 * desired {
             rate = settings.learning_rate_min.max(rate / 1.5);
         } else if kl > 0.0 && kl < desired / 2.0 {
@@ -159,7 +159,7 @@ fn reference_update(
         statistics.kl += kl;
         statistics.gradient_norm += total_norm;
         statistics.max_gradient_norm = statistics.max_gradient_norm.max(total_norm);
-        statistics.learning_rate = rate;
+        statistics.learning_rate += rate;
     }
     let n = f64::from(count);
     for sum in [
@@ -168,6 +168,7 @@ fn reference_update(
         &mut statistics.entropy,
         &mut statistics.kl,
         &mut statistics.gradient_norm,
+        &mut statistics.learning_rate,
     ] {
         *sum /= n;
     }

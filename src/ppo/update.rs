@@ -27,7 +27,7 @@ pub struct UpdateStatistics {
     pub gradient_norm: f64,
     /// Largest joint norm before clipping.
     pub max_gradient_norm: f64,
-    /// Of the last minibatch.
+    /// Learning rate.
     pub learning_rate: f64,
 }
 
@@ -82,8 +82,7 @@ pub struct Progress {
 impl Progress {
     /// At the start of an update.
     pub fn new(steps: u64, learning_rate: f64) -> Self {
-        let statistics = UpdateStatistics { learning_rate, ..UpdateStatistics::default() };
-        Self { steps, learning_rate, statistics, step: None, fault: None }
+        Self { steps, learning_rate, statistics: UpdateStatistics::default(), step: None, fault: None }
     }
 
     /// Decides on the step of `minibatch`, of which an update has `count`, from its statistics.
@@ -117,7 +116,7 @@ impl UpdateStatistics {
         self.max_ratio = self.max_ratio.max(minibatch.max_ratio);
         self.gradient_norm += share * minibatch.gradient_norm;
         self.max_gradient_norm = self.max_gradient_norm.max(minibatch.max_gradient_norm);
-        self.learning_rate = minibatch.learning_rate;
+        self.learning_rate += share * minibatch.learning_rate;
     }
 }
 

@@ -1,29 +1,31 @@
 /*! Training configuration: YAML in, checked types out.
 
-Every number of the paper's section III, Table II and Table III is a key of `configs/compliant.yaml`; nothing has a
-default in code. A file may name another one as its `base` and state only what differs: the baseline is one key away
-from the compliant policy, and reads so. This module is the only one that knows YAML.
+Every number of the paper's section III, Table II and Table III is a key of `configs/compliant.yaml`; but for Adam's two
+decay rates, nothing has a default in code. A file may name another one as its `base` and state only what differs: the
+baseline is one key away from the compliant policy, and reads so. This module is the only one that knows YAML.
 */
+
+mod check;
+mod yaml;
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use serde_yaml::Value;
 
+pub use check::ValueError;
+pub use yaml::{flat_parameters, layered};
+use yaml::{merged, parse};
+
 /// The configurations inside the binary: name and text.
 pub const EMBEDDED: &[(&str, &str)] = &[
-    ("compliant", include_str!("../configs/compliant.yaml")),
-    ("baseline", include_str!("../configs/baseline.yaml")),
-    ("fast", include_str!("../configs/fast.yaml")),
-    ("fast-baseline", include_str!("../configs/fast-baseline.yaml")),
-    ("hardware", include_str!("../configs/hardware.yaml")),
-    ("hardware-baseline", include_str!("../configs/hardware-baseline.yaml")),
+    ("compliant", include_str!("../../configs/compliant.yaml")),
+    ("baseline", include_str!("../../configs/baseline.yaml")),
+    ("fast", include_str!("../../configs/fast.yaml")),
+    ("fast-baseline", include_str!("../../configs/fast-baseline.yaml")),
+    ("hardware", include_str!("../../configs/hardware.yaml")),
+    ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
 ];
-
-/// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
-const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
-/// Longest stage of an episode \[s\].
-const MAX_STAGE_S: f64 = 3600.0;
 
 /// How deep `base` may be nested.
 const MAX_BASES: usize = 8;
@@ -50,14 +52,12 @@ pub enum ConfigError {
         message: String,
     },
     /// A value outside its range.
-    #[error("config key {key} is {found}, expected {expected}")]
+    #[error("config {name}: {error}")]
     Value {
-        /// Dotted key.
-        key: &'static str,
-        /// What was found.
-        found: String,
-        /// What would be valid.
-        expected: String,
+        /// File or embedded name.
+        name: String,
+        /// Which one.
+        error: ValueError,
     },
 }
 
@@ -191,7 +191,7 @@ pub struct Episode {
     pub post_recovery_s: f64,
     /// Whether tracking rewards are replaced in the recovery stage; false is the baseline.
     pub recovery_stage: bool,
-    /// Mean `r_lin` of the walking stage below which the episode ends without a push.
+    /// Mean `r_lin` of an iteration's walking stages above which episodes go on to the push, from then on.
     pub push_gate: f64,
     /// Largest push along forward and left [m/s].
     pub push_speed_m_s: f64,
@@ -335,7 +335,7 @@ impl Config {
     fn from_value(name: &str, value: Value) -> Result<Self, ConfigError> {
         let config: Config = serde_yaml::from_value(value)
             .map_err(|error| ConfigError::Parse { name: name.to_owned(), message: error.to_string() })?;
-        config.check()?;
+        config.check().map_err(|error| ConfigError::Value { name: name.to_owned(), error })?;
         Ok(config)
     }
 
@@ -343,229 +343,6 @@ impl Config {
     pub fn to_yaml(&self) -> String {
         // Plain structs of numbers and strings: serialising them cannot fail.
         serde_yaml::to_string(self).unwrap_or_default()
-    }
-
-    /// Checks every value's range: for configurations that come from elsewhere than YAML.
-    ///
-    /// # Errors
-    /// [`ConfigError::Value`] that names the key.
-    pub fn check(&self) -> Result<(), ConfigError> {
-        let s = &self.simulation;
-        let rate = (1..=1000).contains(&s.policy_rate_hz);
-        require(rate, "simulation.policy_rate_hz", s.policy_rate_hz, "1 to 1000 Hz")?;
-        require(
-            (1..=MAX_PHYSICS_RATE_HZ).contains(&s.physics_rate_hz)
-                && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
-            "simulation.physics_rate_hz",
-            s.physics_rate_hz,
-            &format!(
-                "a multiple of policy_rate_hz ({} Hz) up to {MAX_PHYSICS_RATE_HZ}, such as {}",
-                s.policy_rate_hz,
-                4 * s.policy_rate_hz
-            ),
-        )?;
-        require((0.0..=1.0).contains(&s.latency_s), "simulation.latency_s", s.latency_s, "0 to 1 s")?;
-        not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;
-        not_negative("simulation.kd_n_m_s_per_rad", s.kd_n_m_s_per_rad)?;
-
-        let angles = self.action.nominal_pose_rad.iter().all(|angle| angle.is_finite());
-        require(angles, "action.nominal_pose_rad", format!("{:?}", self.action.nominal_pose_rad), "finite angles")?;
-        positive("action.scale_rad", self.action.scale_rad)?;
-        let o = &self.observation;
-        positive("observation.height_scale", o.height_scale)?;
-        positive("observation.gravity_scale", o.gravity_scale)?;
-        positive("observation.joint_angle_scale", o.joint_angle_scale)?;
-        positive("observation.velocity_scale", o.velocity_scale)?;
-        positive("observation.angular_velocity_scale", o.angular_velocity_scale)?;
-        positive("observation.joint_rate_scale", o.joint_rate_scale)?;
-
-        let c = &self.command;
-        not_negative("command.forward_m_s", c.forward_m_s)?;
-        not_negative("command.left_m_s", c.left_m_s)?;
-        not_negative("command.yaw_rad_s", c.yaw_rad_s)?;
-        share("command.initial_share", c.initial_share)?;
-        share("command.share_step", c.share_step)?;
-        share("command.share_gate", c.share_gate)?;
-
-        let e = &self.episode;
-        let period = s.policy_period_s();
-        require(
-            (period..=MAX_STAGE_S).contains(&e.walking_s),
-            "episode.walking_s",
-            e.walking_s,
-            "at least one policy step and at most an hour",
-        )?;
-        let stage = 0.0..=MAX_STAGE_S;
-        require(stage.contains(&e.recovery_s), "episode.recovery_s", e.recovery_s, "0 to 3600 s")?;
-        require(stage.contains(&e.post_recovery_s), "episode.post_recovery_s", e.post_recovery_s, "0 to 3600 s")?;
-        share("episode.push_gate", e.push_gate)?;
-        not_negative("episode.push_speed_m_s", e.push_speed_m_s)?;
-        not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
-        share("episode.slope", e.slope)?;
-        not_negative("episode.min_height_m", e.min_height_m)?;
-        let weights = &self.reward;
-        finite("reward.linear_velocity", weights.linear_velocity)?;
-        finite("reward.angular_velocity", weights.angular_velocity)?;
-        finite("reward.energy", weights.energy)?;
-        finite("reward.torque", weights.torque)?;
-        finite("reward.pose", weights.pose)?;
-        finite("reward.foot_clearance", weights.foot_clearance)?;
-        finite("reward.foot_height", weights.foot_height)?;
-        finite("reward.flight", weights.flight)?;
-        finite("reward.tracking_sharpness", weights.tracking_sharpness)?;
-        finite("reward.height_sharpness", weights.height_sharpness)?;
-        finite("reward.negative_sharpness", weights.negative_sharpness)?;
-        positive("reward.base_height_m", self.reward.base_height_m)?;
-        positive("reward.foot_height_m", self.reward.foot_height_m)?;
-
-        let r = &self.randomisation;
-        let [low, high] = r.friction;
-        require(
-            0.0 < low && low <= high && high.is_finite(),
-            "randomisation.friction",
-            format!("{:?}", r.friction),
-            "[low, high] with 0 < low <= high",
-        )?;
-        not_negative("randomisation.joint_offset_sd_rad", r.joint_offset_sd_rad)?;
-        positive("randomisation.default_friction", r.default_friction)?;
-
-        let p = &self.ppo;
-        require(
-            p.environments > 0 && p.batch_size > 0 && p.batch_size.is_multiple_of(p.environments),
-            "ppo.environments",
-            p.environments,
-            &format!("a divisor of ppo.batch_size ({})", p.batch_size),
-        )?;
-        require(
-            p.minibatch_size > 1 && p.minibatch_size <= p.batch_size,
-            "ppo.minibatch_size",
-            p.minibatch_size,
-            &format!("2 to ppo.batch_size ({})", p.batch_size),
-        )?;
-        require(p.epochs > 0, "ppo.epochs", p.epochs, "at least 1")?;
-        let upright = self.action.nominal_pose_rad[0] == 0.0;
-        require(!p.mirror || upright, "ppo.mirror", p.mirror, "false, unless the hip of action.nominal_pose_rad is 0")?;
-        let widths = !p.hidden_layers.is_empty() && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
-        require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), "one or more widths from 1 to 4096")?;
-        positive("ppo.clip_range", p.clip_range)?;
-        not_negative("ppo.entropy_coefficient", p.entropy_coefficient)?;
-        share("ppo.discount", p.discount)?;
-        share("ppo.gae_lambda", p.gae_lambda)?;
-        positive("ppo.desired_kl", p.desired_kl)?;
-        finite("ppo.initial_log_std", p.initial_log_std)?;
-        not_negative("ppo.value_coefficient", p.value_coefficient)?;
-        positive("ppo.max_gradient_norm", p.max_gradient_norm)?;
-        positive("ppo.adam_epsilon", p.adam_epsilon)?;
-        positive("ppo.min_learning_rate", p.min_learning_rate)?;
-        positive("ppo.max_learning_rate", p.max_learning_rate)?;
-        require(
-            (p.min_learning_rate..=p.max_learning_rate).contains(&p.initial_learning_rate),
-            "ppo.initial_learning_rate",
-            p.initial_learning_rate,
-            "between min_learning_rate and max_learning_rate",
-        )?;
-        require(self.run.checkpoint_every > 0, "run.checkpoint_every", self.run.checkpoint_every, "at least 1")
-    }
-}
-
-/// A flat YAML mapping as names and values in text, for files that stand for command-line flags.
-///
-/// # Errors
-/// [`ConfigError::Parse`] if it is anything but a mapping of names to numbers, texts or truth values.
-pub fn flat_parameters(name: &str, text: &str) -> Result<Vec<(String, String)>, ConfigError> {
-    let problem = |message: String| ConfigError::Parse { name: name.to_owned(), message };
-    let value = parse(name, text)?;
-    let mapping = value.as_mapping().ok_or_else(|| problem("expected lines of the form `name: value`".into()))?;
-    let entry = |(key, value): (&Value, &Value)| {
-        let key = key.as_str().ok_or_else(|| problem(format!("{key:?} is not a name")))?;
-        match value {
-            Value::Number(number) => Ok((key.to_owned(), number.to_string())),
-            Value::String(text) => Ok((key.to_owned(), text.clone())),
-            Value::Bool(truth) => Ok((key.to_owned(), truth.to_string())),
-            _ => Err(problem(format!("{key} must be a number, a text or true or false"))),
-        }
-    };
-    mapping.iter().map(entry).collect()
-}
-
-/// YAML texts laid over one another, later ones over earlier ones, as a checked type.
-///
-/// # Errors
-/// [`ConfigError::Parse`] with the name and the reason.
-pub fn layered<T: serde::de::DeserializeOwned>(name: &str, layers: &[&str]) -> Result<T, ConfigError> {
-    let mut whole = Value::Mapping(serde_yaml::Mapping::new());
-    for text in layers {
-        overlay(&mut whole, parse(name, text)?);
-    }
-    serde_yaml::from_value(whole)
-        .map_err(|error| ConfigError::Parse { name: name.to_owned(), message: error.to_string() })
-}
-
-fn require(valid: bool, key: &'static str, found: impl ToString, expected: &str) -> Result<(), ConfigError> {
-    if valid {
-        Ok(())
-    } else {
-        Err(ConfigError::Value { key, found: found.to_string(), expected: expected.to_owned() })
-    }
-}
-
-fn positive(key: &'static str, value: f64) -> Result<(), ConfigError> {
-    require(value > 0.0 && value.is_finite(), key, value, "a positive number")
-}
-
-fn not_negative(key: &'static str, value: f64) -> Result<(), ConfigError> {
-    require(value >= 0.0 && value.is_finite(), key, value, "a number not below zero")
-}
-
-fn finite(key: &'static str, value: f64) -> Result<(), ConfigError> {
-    require(value.is_finite(), key, value, "a finite number")
-}
-
-fn share(key: &'static str, value: f64) -> Result<(), ConfigError> {
-    require((0.0..=1.0).contains(&value), key, value, "0 to 1")
-}
-
-fn parse(name: &str, text: &str) -> Result<Value, ConfigError> {
-    serde_yaml::from_str(text).map_err(|error| ConfigError::Parse { name: name.to_owned(), message: error.to_string() })
-}
-
-/// Reads a configuration and lays it over its base. `folder` is where relative paths start.
-fn merged(name_or_path: &str, folder: &Path, bases_left: usize) -> Result<Value, ConfigError> {
-    let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
-    let path = folder.join(name_or_path);
-    let text = match embedded {
-        Some((_, text)) => (*text).to_owned(),
-        None => std::fs::read_to_string(&path).map_err(|source| ConfigError::Read {
-            path: path.clone(),
-            source,
-            known: EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "),
-        })?,
-    };
-    let mut value = parse(name_or_path, &text)?;
-    let base = value.as_mapping_mut().and_then(|mapping| mapping.remove("base"));
-    let Some(base) = base else { return Ok(value) };
-    let problem = |message: &str| ConfigError::Parse { name: name_or_path.to_owned(), message: message.to_owned() };
-    let base = base.as_str().ok_or_else(|| problem("`base` must be a config's name or path"))?;
-    if bases_left == 0 {
-        return Err(problem("`base` is nested too deep: does a config name itself?"));
-    }
-    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1)?;
-    overlay(&mut whole, value);
-    Ok(whole)
-}
-
-/// Replaces in `base` what `change` states; mappings are merged key by key.
-fn overlay(base: &mut Value, change: Value) {
-    match (base, change) {
-        (Value::Mapping(base), Value::Mapping(change)) => {
-            for (key, value) in change {
-                match base.get_mut(&key) {
-                    Some(slot) => overlay(slot, value),
-                    None => drop(base.insert(key, value)),
-                }
-            }
-        }
-        (slot, change) => *slot = change,
     }
 }
 
@@ -610,19 +387,24 @@ mod tests {
             (
                 "walking_s: 2.0",
                 "walking_s: -1",
-                "config key episode.walking_s is -1, expected at least one policy step and at most an hour",
+                "config test: episode.walking_s is -1, expected at least one policy step and at most an hour",
             ),
             (
                 "policy_rate_hz: 60",
                 "policy_rate_hz: 70",
-                "config key simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz) up to 20000, such as 280",
+                "config test: simulation.physics_rate_hz is 240, expected a multiple of policy_rate_hz (70 Hz) up to 20000, such as 280",
             ),
             (
                 "environments: 64",
                 "environments: 60",
-                "config key ppo.environments is 60, expected a divisor of ppo.batch_size (8192)",
+                "config test: ppo.environments is 60, expected a divisor of ppo.batch_size (8192)",
             ),
-            ("scale_rad: 0.3", "scale_rad: .nan", "config key action.scale_rad is NaN, expected a positive number"),
+            ("scale_rad: 0.3", "scale_rad: .nan", "config test: action.scale_rad is NaN, expected a positive number"),
+            (
+                "energy: -0.015",
+                "energy: 0.015",
+                "config test: reward.energy is 0.015, expected a number not above zero: what is weighted is a cost",
+            ),
         ];
         for (from, to, message) in cases {
             assert_eq!(changed(from, to).unwrap_err().to_string(), message);
@@ -634,7 +416,7 @@ mod tests {
         let mut config = Config::load("fast").unwrap();
         config.action.nominal_pose_rad[0] = 0.1;
         let error = config.check().unwrap_err().to_string();
-        let expected = "config key ppo.mirror is true, expected false, unless the hip of action.nominal_pose_rad is 0";
+        let expected = "ppo.mirror is true, expected false, unless the hip of action.nominal_pose_rad is 0";
         assert_eq!(error, expected);
     }
 

@@ -1,0 +1,180 @@
+//! The ranges of a configuration's values.
+
+use super::Config;
+use crate::ppo::LOG_STD_RANGE;
+
+/// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
+const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
+
+/// Longest stage of an episode \[s\].
+const MAX_STAGE_S: f64 = 3600.0;
+
+/// Samples of an iteration, of which memory has to hold some hundred numbers each.
+const MAX_BATCH_SIZE: usize = 1 << 22;
+
+/// Each has its own order of the samples in memory.
+const MAX_EPOCHS: usize = 1000;
+
+/// A value outside its range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{key} is {found}, expected {expected}")]
+pub struct ValueError {
+    /// Dotted key.
+    pub key: &'static str,
+    /// What was found.
+    pub found: String,
+    /// What would be valid.
+    pub expected: String,
+}
+
+impl Config {
+    /// Checks the range of every value: for configurations that come from elsewhere than YAML.
+    ///
+    /// # Errors
+    /// [`ValueError`] that names the key.
+    pub fn check(&self) -> Result<(), ValueError> {
+        let s = &self.simulation;
+        let rate = (1..=1000).contains(&s.policy_rate_hz);
+        require(rate, "simulation.policy_rate_hz", s.policy_rate_hz, "1 to 1000 Hz")?;
+        require(
+            (1..=MAX_PHYSICS_RATE_HZ).contains(&s.physics_rate_hz)
+                && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
+            "simulation.physics_rate_hz",
+            s.physics_rate_hz,
+            &format!(
+                "a multiple of policy_rate_hz ({} Hz) up to {MAX_PHYSICS_RATE_HZ}, such as {}",
+                s.policy_rate_hz,
+                4 * s.policy_rate_hz
+            ),
+        )?;
+        require((0.0..=1.0).contains(&s.latency_s), "simulation.latency_s", s.latency_s, "0 to 1 s")?;
+        not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;
+        not_negative("simulation.kd_n_m_s_per_rad", s.kd_n_m_s_per_rad)?;
+
+        let angles = self.action.nominal_pose_rad.iter().all(|angle| angle.is_finite());
+        require(angles, "action.nominal_pose_rad", format!("{:?}", self.action.nominal_pose_rad), "finite angles")?;
+        positive("action.scale_rad", self.action.scale_rad)?;
+        let o = &self.observation;
+        positive("observation.height_scale", o.height_scale)?;
+        positive("observation.gravity_scale", o.gravity_scale)?;
+        positive("observation.joint_angle_scale", o.joint_angle_scale)?;
+        positive("observation.velocity_scale", o.velocity_scale)?;
+        positive("observation.angular_velocity_scale", o.angular_velocity_scale)?;
+        positive("observation.joint_rate_scale", o.joint_rate_scale)?;
+
+        let c = &self.command;
+        not_negative("command.forward_m_s", c.forward_m_s)?;
+        not_negative("command.left_m_s", c.left_m_s)?;
+        not_negative("command.yaw_rad_s", c.yaw_rad_s)?;
+        share("command.initial_share", c.initial_share)?;
+        share("command.share_step", c.share_step)?;
+        share("command.share_gate", c.share_gate)?;
+
+        let e = &self.episode;
+        let period = s.policy_period_s();
+        require(
+            (period..=MAX_STAGE_S).contains(&e.walking_s),
+            "episode.walking_s",
+            e.walking_s,
+            "at least one policy step and at most an hour",
+        )?;
+        let stage = 0.0..=MAX_STAGE_S;
+        require(stage.contains(&e.recovery_s), "episode.recovery_s", e.recovery_s, "0 to 3600 s")?;
+        require(stage.contains(&e.post_recovery_s), "episode.post_recovery_s", e.post_recovery_s, "0 to 3600 s")?;
+        share("episode.push_gate", e.push_gate)?;
+        not_negative("episode.push_speed_m_s", e.push_speed_m_s)?;
+        not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
+        share("episode.slope", e.slope)?;
+        not_negative("episode.min_height_m", e.min_height_m)?;
+        let weights = &self.reward;
+        not_negative("reward.linear_velocity", weights.linear_velocity)?;
+        not_negative("reward.angular_velocity", weights.angular_velocity)?;
+        not_positive("reward.energy", weights.energy)?;
+        not_positive("reward.torque", weights.torque)?;
+        not_positive("reward.pose", weights.pose)?;
+        not_positive("reward.foot_clearance", weights.foot_clearance)?;
+        not_positive("reward.foot_height", weights.foot_height)?;
+        not_positive("reward.flight", weights.flight)?;
+        not_negative("reward.tracking_sharpness", weights.tracking_sharpness)?;
+        not_negative("reward.height_sharpness", weights.height_sharpness)?;
+        not_negative("reward.negative_sharpness", weights.negative_sharpness)?;
+        positive("reward.base_height_m", self.reward.base_height_m)?;
+        positive("reward.foot_height_m", self.reward.foot_height_m)?;
+
+        let r = &self.randomisation;
+        let [low, high] = r.friction;
+        require(
+            0.0 < low && low <= high && high.is_finite(),
+            "randomisation.friction",
+            format!("{:?}", r.friction),
+            "[low, high] with 0 < low <= high",
+        )?;
+        not_negative("randomisation.joint_offset_sd_rad", r.joint_offset_sd_rad)?;
+        positive("randomisation.default_friction", r.default_friction)?;
+
+        let p = &self.ppo;
+        require(
+            (1..=MAX_BATCH_SIZE).contains(&p.batch_size),
+            "ppo.batch_size",
+            p.batch_size,
+            &format!("1 to {MAX_BATCH_SIZE}"),
+        )?;
+        require(
+            p.environments > 0 && p.batch_size.is_multiple_of(p.environments),
+            "ppo.environments",
+            p.environments,
+            &format!("a divisor of ppo.batch_size ({})", p.batch_size),
+        )?;
+        require(
+            p.minibatch_size > 1 && p.batch_size.is_multiple_of(p.minibatch_size),
+            "ppo.minibatch_size",
+            p.minibatch_size,
+            &format!("a divisor of ppo.batch_size ({}) above 1", p.batch_size),
+        )?;
+        require((1..=MAX_EPOCHS).contains(&p.epochs), "ppo.epochs", p.epochs, &format!("1 to {MAX_EPOCHS}"))?;
+        let upright = self.action.nominal_pose_rad[0] == 0.0;
+        require(!p.mirror || upright, "ppo.mirror", p.mirror, "false, unless the hip of action.nominal_pose_rad is 0")?;
+        let widths = !p.hidden_layers.is_empty() && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
+        require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), "one or more widths from 1 to 4096")?;
+        positive("ppo.clip_range", p.clip_range)?;
+        not_negative("ppo.entropy_coefficient", p.entropy_coefficient)?;
+        share("ppo.discount", p.discount)?;
+        share("ppo.gae_lambda", p.gae_lambda)?;
+        positive("ppo.desired_kl", p.desired_kl)?;
+        let [low, high] = LOG_STD_RANGE.map(f64::from);
+        let log_std = (low..=high).contains(&p.initial_log_std);
+        require(log_std, "ppo.initial_log_std", p.initial_log_std, &format!("{low} to {high}"))?;
+        not_negative("ppo.value_coefficient", p.value_coefficient)?;
+        positive("ppo.max_gradient_norm", p.max_gradient_norm)?;
+        positive("ppo.adam_epsilon", p.adam_epsilon)?;
+        positive("ppo.min_learning_rate", p.min_learning_rate)?;
+        positive("ppo.max_learning_rate", p.max_learning_rate)?;
+        require(
+            (p.min_learning_rate..=p.max_learning_rate).contains(&p.initial_learning_rate),
+            "ppo.initial_learning_rate",
+            p.initial_learning_rate,
+            "between min_learning_rate and max_learning_rate",
+        )?;
+        require(self.run.checkpoint_every > 0, "run.checkpoint_every", self.run.checkpoint_every, "at least 1")
+    }
+}
+
+fn require(valid: bool, key: &'static str, found: impl ToString, expected: &str) -> Result<(), ValueError> {
+    if valid { Ok(()) } else { Err(ValueError { key, found: found.to_string(), expected: expected.to_owned() }) }
+}
+
+fn positive(key: &'static str, value: f64) -> Result<(), ValueError> {
+    require(value > 0.0 && value.is_finite(), key, value, "a positive number")
+}
+
+fn not_negative(key: &'static str, value: f64) -> Result<(), ValueError> {
+    require(value >= 0.0 && value.is_finite(), key, value, "a number not below zero")
+}
+
+fn not_positive(key: &'static str, value: f64) -> Result<(), ValueError> {
+    require(value <= 0.0 && value.is_finite(), key, value, "a number not above zero: what is weighted is a cost")
+}
+
+fn share(key: &'static str, value: f64) -> Result<(), ValueError> {
+    require((0.0..=1.0).contains(&value), key, value, "0 to 1")
+}
