@@ -64,8 +64,10 @@ pub struct Sensed {
 pub struct Frame {
     /// Simulation time \[s\].
     pub time_s: f64,
-    /// Every body of the model, in the model's order; body 0 is the world.
+    /// Every body of the model, in the model's order; body 0 is the world. Empty if they were not asked for.
     pub bodies: Vec<Pose>,
+    /// The body from which the way to the script's goal is measured, if there is a goal.
+    pub goal: Option<Pose>,
     /// What the policy was asked to do.
     pub command: Command,
     /// Trunk velocity (forward, left, up), base frame [m/s].
@@ -160,6 +162,21 @@ impl Trace {
     /// The first fall, if there was one.
     pub fn fall(&self) -> Option<&Event> {
         self.events.iter().find(|event| event.kind == EventKind::Fall)
+    }
+
+    /// What failed, if physics or sensors did and ended the rollout.
+    pub fn fault(&self) -> Option<&Event> {
+        self.events.iter().find(|event| event.kind == EventKind::Fault)
+    }
+
+    /// What happened up to a time.
+    pub fn until(&self, time_s: f64) -> Trace {
+        let until_s = time_s + 0.5 * self.period_s;
+        Trace {
+            frames: self.frames.iter().filter(|frame| frame.time_s < until_s).cloned().collect(),
+            events: self.events.iter().filter(|event| event.time_s < until_s).cloned().collect(),
+            ..*self
+        }
     }
 
     /// Whether the robot got to the script's goal on its feet.

@@ -131,11 +131,6 @@ pub trait Experiment: Parameters + Sync {
     /// None with the scenario files inside the program.
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError>;
 
-    /// Whether traces need the poses of obstacles.
-    fn needs_bodies(&self) -> bool {
-        false
-    }
-
     /// Reads a trace of a trial's scenario.
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured;
 

@@ -16,7 +16,7 @@ use crate::estimate::{EstimatorConfig, SensorNoise, contact};
 use crate::files;
 use crate::provenance::{GIT_REVISION, MUJOCO_VERSION};
 use crate::scenario::Sensing;
-use crate::scene;
+use crate::scene::RobotFile;
 
 /// To be counted up whenever the same experiment would give other numbers.
 const FORMAT: u32 = 4;
@@ -111,7 +111,8 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
     let mut parts = serde_json::json!({
         "format": FORMAT,
         "mujoco": MUJOCO_VERSION,
-        "robot": files::sha256(&[scene::GO1.as_bytes()]),
+        // One that cannot be read fails in its first trial, with the reason.
+        "robot": RobotFile::from_name(&contestant.agent.config.robot.model).sha256().unwrap_or_default(),
         "experiment": experiment.info().name,
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),

@@ -126,7 +126,7 @@ pub fn play(
     let mut script = scenario.script(seed, &agent.config)?;
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
-    let rollout = Rollout::new(&script, &agent.config, agent.controller(), experiment.needs_bodies())?;
+    let rollout = Rollout::new(&script, &agent.config, agent.controller())?;
     let trace = rollout.with_sensing(sensing, seed)?.trace();
     let end = End::of(&trace);
     let Measured { values, series } = experiment.measure(&scenario, &script, &trace, end);

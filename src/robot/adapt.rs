@@ -7,6 +7,7 @@ use super::names::{Description, foot};
 use super::xml::Element;
 use crate::go1::{JOINT_COUNT, Joints, LEGS, TORQUE_LIMITS, joint_name};
 use crate::mujoco::{Data, GeomContact, Kind, Model};
+use crate::scenario::rig::HARNESS;
 
 /// Class of what the file's top-level defaults were; those of a scene must not be changed by a robot.
 const MAIN_CLASS: &str = "robot_defaults";
@@ -53,6 +54,11 @@ pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Robo
     let mut id = survey.trunk;
     survey.change(&mut trunk, &mut id);
     trunk.set("name", "trunk");
+    let mut harness = Element { name: "site".into(), attributes: Vec::new(), children: Vec::new() };
+    harness.set("name", HARNESS);
+    harness.set("pos", survey.model.body_centre_of_mass(survey.trunk).map(|value| value.to_string()).join(" "));
+    harness.set("group", 4);
+    trunk.children.push(harness);
     let world = Element { name: "worldbody".into(), attributes: Vec::new(), children: vec![trunk] };
     world.write(&mut mjcf);
     survey.motors().write(&mut mjcf);

@@ -15,6 +15,9 @@ pub const SETTLE_S: f64 = 2.0;
 /// A foot counts as touching from this force on \[N\].
 const CONTACT_N: f64 = 1.0;
 
+/// Unit of what is so (1) or not (0).
+pub const TRUTH: &str = "yes/no";
+
 /// A named number with its unit; `None` if the trace does not define it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Metric {
@@ -127,7 +130,7 @@ pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, av
     };
     // The average reaches half its length beyond the last frame it can be formed for.
     let last = error.len().checked_sub(half + 1)?;
-    let first = error.iter().position(|(time_s, _)| *time_s > 0.0)?;
+    let first = error.iter().position(|(time_s, _)| *time_s > 0.0).filter(|first| *first <= last)?;
     match (first..=last).rev().find(|index| smoothed(*index).abs() > threshold * size) {
         Some(index) => (index < last).then(|| error[index].0),
         None => Some(0.0),
@@ -251,6 +254,8 @@ pub(crate) mod tests {
         let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.2 } else { 0.0 }, 0.0]);
         assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S), None);
         assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.5, STRIDE_S), Some(0.0));
+        // A push so late that no average can be formed after it.
+        assert_eq!(decay_time(&trace, 4.9, [0.0, 0.5], 0.1, STRIDE_S), None);
     }
 
     #[test]

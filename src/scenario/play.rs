@@ -46,14 +46,15 @@ pub struct Rollout<'a> {
     pulling: bool,
     fallen_since: Option<usize>,
     rig: Option<RigState>,
-    /// The body from which the way to the goal is measured; none once it is reached.
+    /// The body from which the way to the goal is measured.
     goal_from: Option<usize>,
+    reached_goal: bool,
     swings: SwingTracker,
 }
 
 impl<'a> Rollout<'a> {
     /// Sets the scene. `config` has the rates, gains and latency that the robot runs with, and the reward that frames
-    /// are rated by; `with_bodies` keeps every body's pose in the frames, which recordings need and metrics do not.
+    /// are rated by.
     ///
     /// # Errors
     /// A fault of MuJoCo, such as a scene that does not compile.
@@ -61,7 +62,6 @@ impl<'a> Rollout<'a> {
         script: &'a Script,
         config: &'a Config,
         mut controller: Box<dyn Controller + 'a>,
-        with_bodies: bool,
     ) -> mujoco::Result<Self> {
         let mut sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m)?;
         sim.reset(script.conditions, &controller.rest())?;
@@ -73,7 +73,7 @@ impl<'a> Rollout<'a> {
             config,
             controller,
             senses: None,
-            with_bodies,
+            with_bodies: false,
             step: 0,
             pushes_done: 0,
             shown_push: None,
@@ -82,10 +82,17 @@ impl<'a> Rollout<'a> {
             fallen_since: None,
             rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
             goal_from: goal_body(script, &sim)?,
+            reached_goal: false,
             swings: SwingTracker::new(&state.feet, config.reward.foot_height_m),
             state,
             sim,
         })
+    }
+
+    /// Keeps the pose of every body in the frames: recordings need them, metrics do not.
+    pub fn with_bodies(mut self) -> Self {
+        self.with_bodies = true;
+        self
     }
 
     /// Decides what the controller acts on, before the first step; the sensors' noise is drawn from `seed`. Without this
@@ -190,6 +197,7 @@ impl<'a> Rollout<'a> {
         let frame = Frame {
             time_s,
             bodies: if self.with_bodies { poses(data) } else { Vec::new() },
+            goal: self.goal_from.map(|body| pose(data, body)),
             command: self.script.command,
             velocity: state.velocity_in_base.into(),
             velocity_in_heading: state.velocity_in_heading().into(),
@@ -261,8 +269,8 @@ impl<'a> Rollout<'a> {
     /// Tells once that the robot is where it was to get, on its feet.
     fn look_for_goal(&mut self, state: &RobotState, time_s: f64, events: &mut Vec<Event>) {
         let (Some(goal), Some(from), None) = (&self.script.goal, self.goal_from, self.fallen_since) else { return };
-        if state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m {
-            self.goal_from = None;
+        if !self.reached_goal && state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m {
+            self.reached_goal = true;
             events.push(Event { time_s, kind: EventKind::Success, text: goal.text.to_owned() });
         }
     }
@@ -350,13 +358,13 @@ impl StepObserver for Meter<'_> {
         let (mut feet, mut obstacles) = ([[0.0; 3]; 4], [0.0; 3]);
         for contact in data.contacts() {
             let [first, second] = contact.geoms;
-            let on_second = data.contact_force(contact.index);
             // The robot's share: forces are given on the second geometry.
             let (geom, other, sign) = match (robot.is_part(first), robot.is_part(second)) {
                 (true, false) => (first, second, -1.0),
                 (false, true) => (second, first, 1.0),
                 _ => continue,
             };
+            let on_second = data.contact_force(contact.index);
             if let Some(leg) = robot.feet().iter().position(|foot| *foot == geom) {
                 (0..3).for_each(|k| feet[leg][k] += sign * on_second[k]);
             }
@@ -391,11 +399,12 @@ fn array<const N: usize>(values: &[f64]) -> [f64; N] {
 }
 
 fn poses(data: &Data) -> Vec<Pose> {
-    let (positions, quaternions) = (data.body_positions(), data.body_quaternions());
-    (0..data.model().count(Kind::Body))
-        .map(|body| Pose {
-            position: array::<3>(&positions[3 * body..]).map(|value| value as f32),
-            quaternion: array::<4>(&quaternions[4 * body..]).map(|value| value as f32),
-        })
-        .collect()
+    (0..data.model().count(Kind::Body)).map(|body| pose(data, body)).collect()
+}
+
+fn pose(data: &Data, body: usize) -> Pose {
+    Pose {
+        position: array::<3>(&data.body_positions()[3 * body..]).map(|value| value as f32),
+        quaternion: array::<4>(&data.body_quaternions()[4 * body..]).map(|value| value as f32),
+    }
 }

@@ -216,7 +216,7 @@ impl RigState {
     /// Sets the rope's length and the force that bears the load.
     fn set_rope(&self, sim: &mut Sim, longest_m: f64, bearing_n: f64) -> mujoco::Result<()> {
         let data: &mut Data = sim.data_mut();
-        data.model_mut().set_longest_tendon(self.tendon, longest_m);
+        data.set_longest_tendon(self.tendon, longest_m);
         data.applied_forces_mut()[6 * self.load + 2] = bearing_n;
         sim.refresh()
     }
@@ -274,7 +274,7 @@ mod tests {
 </mujoco>"#
         );
         let mut data = Data::new(Model::from_xml(&[("rope.xml", &xml)]).unwrap()).unwrap();
-        data.model_mut().set_longest_tendon(0, 5.0);
+        data.set_longest_tendon(0, 5.0);
         data
     }
 
@@ -314,7 +314,7 @@ mod tests {
     #[test]
     fn a_slack_rope_does_nothing() {
         let mut data = block_and_weight();
-        data.model_mut().set_longest_tendon(0, 6.0);
+        data.set_longest_tendon(0, 6.0);
         for _ in 0..60 {
             data.step1().unwrap();
             data.step2().unwrap();
@@ -342,7 +342,7 @@ mod tests {
                 z = 1.0 + height_m,
             );
             let mut data = Data::new(Model::from_xml(&[("ball.xml", &xml)]).unwrap()).unwrap();
-            data.model_mut().set_longest_tendon(0, 1.0);
+            data.set_longest_tendon(0, 1.0);
             while data.positions()[0] > 0.0 {
                 data.step1().unwrap();
                 data.step2().unwrap();

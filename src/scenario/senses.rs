@@ -289,7 +289,7 @@ mod tests {
 
     fn play(script: &Script, config: &Config, seed: u64) -> (Vec<RobotState>, Trace) {
         let mut witness = Witness::default();
-        let rollout = Rollout::new(script, config, Box::new(&mut witness), false).unwrap();
+        let rollout = Rollout::new(script, config, Box::new(&mut witness)).unwrap();
         let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
         (witness.seen, trace)
     }
@@ -329,7 +329,7 @@ mod tests {
         let agent = policies::find("compliant").unwrap();
         let (script, _) = walk(3.0);
         for seed in 0..3 {
-            let rollout = Rollout::new(&script, &agent.config, agent.controller(), false).unwrap();
+            let rollout = Rollout::new(&script, &agent.config, agent.controller()).unwrap();
             let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
             assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
             let found = Estimation::of(&trace).unwrap();
@@ -402,7 +402,7 @@ mod tests {
     fn broken_sensors_end_a_rollout_with_an_event_that_names_them() {
         let (script, config) = walk(2.0);
         let mut witness = Witness::default();
-        let rollout = Rollout::new(&script, &config, Box::new(&mut witness), false).unwrap();
+        let rollout = Rollout::new(&script, &config, Box::new(&mut witness)).unwrap();
         let mut rollout = rollout.with_sensing(Sensing::Estimated, 0).unwrap();
         let broken = Sensors::new(broken(), &mut stream(0, Purpose::Sensor, 0, 0));
         rollout.senses.as_mut().unwrap().sensors = broken;
@@ -421,7 +421,7 @@ mod tests {
         let mut config = Config::load("compliant").unwrap();
         config.simulation.physics_rate_hz = 480;
         let mut witness = Witness::default();
-        let rollout = Rollout::new(&script, &config, Box::new(&mut witness), false).unwrap();
+        let rollout = Rollout::new(&script, &config, Box::new(&mut witness)).unwrap();
         let refusal = rollout.with_sensing(Sensing::Estimated, 0).err().unwrap().to_string();
         assert!(refusal.contains("the physics run at 480 Hz"), "{refusal}");
     }

@@ -84,7 +84,7 @@ fn a_checkpoint_that_cannot_be_written_leaves_the_one_before_and_the_run_can_be_
     let words = complaint(&output);
     assert!(words.contains("File too large") && words.lines().count() == 1, "{words}");
     if folder.path().join("run").exists() {
-        assert!(words.contains("go on from it with: train --resume run"), "{words}");
+        assert!(words.contains("train --resume run"), "{words}");
         let output = run("train", folder.path(), &["--resume", "run", "--samples", "5120"]);
         assert!(output.status.success(), "{}", complaint(&output));
     } else {
@@ -115,7 +115,7 @@ fn sigterm_finishes_the_iteration_as_ctrl_c_does() {
     send("-TERM", &child);
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success());
-    assert!(complaint(&output).contains("go on with: train --resume run"), "{}", complaint(&output));
+    assert!(complaint(&output).contains("train --resume run"), "{}", complaint(&output));
     assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1"]).status.success());
 }
 

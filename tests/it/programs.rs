@@ -121,7 +121,7 @@ fn ctrl_c_finishes_the_iteration_and_says_how_to_go_on_and_nobody_else_trains_th
     assert!(interrupt.success());
     let output = child.wait_with_output().unwrap();
     assert!(output.status.success());
-    assert!(complaint(&output).contains("go on with: train --resume run"), "{}", complaint(&output));
+    assert!(complaint(&output).contains("train --resume run"), "{}", complaint(&output));
     assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1"]).status.success());
 }
 

@@ -32,7 +32,8 @@ fn trace(scenario: &Scenario, seed: u64) -> Trace {
 fn trace_with(scenario: &Scenario, seed: u64, sensing: Sensing) -> Trace {
     let policy = standing_policy();
     let script = scenario.script(seed, &policy.provenance.config).unwrap();
-    let rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), true).unwrap();
+    let rollout =
+        Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller())).unwrap().with_bodies();
     rollout.with_sensing(sensing, seed).unwrap().trace()
 }
 
@@ -263,7 +264,7 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once() {
         .unwrap();
     script.goal.as_mut().unwrap().ahead_m = -1.0;
     let policy = standing_policy();
-    let trace = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller()), false).unwrap().trace();
+    let trace = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller())).unwrap().trace();
     let reached: Vec<_> = trace.events.iter().filter(|event| event.kind == EventKind::Success).collect();
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");

@@ -27,7 +27,7 @@ fn robot(name: &str) -> PathBuf {
 fn walk(agent: &Agent, duration_s: f64) -> Trace {
     let task = Task { duration_s, ..defaults::<Walk>("walk").unwrap().task };
     let script = Scenario::Walk(Walk { task }).script(0, &agent.config).unwrap();
-    Rollout::new(&script, &agent.config, agent.controller(), false).unwrap().trace()
+    Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace()
 }
 
 /// An example from `examples/policies` with a network of the right shape from the fixtures.

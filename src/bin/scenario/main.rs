@@ -59,6 +59,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         .map(|(((name, agent), script), trace)| Outcome {
             policy: name,
             sha256: agent.sha256.clone(),
+            robot: &agent.config.robot.model,
             metrics: metrics(args.sensing, scenario, script, trace),
             trace,
         })
@@ -72,7 +73,12 @@ fn run(args: &Args) -> anyhow::Result<()> {
     } else {
         terminal::print(output::summary(scenario, &outcomes))?;
     }
-    recording.finish(args, scenario, &robots, &scripts, &traces)
+    recording.finish(args, scenario, &robots, &scripts, &traces)?;
+    let failed = outcomes.iter().find_map(|outcome| Some((outcome.policy, outcome.trace.fault()?)));
+    if let Some((policy, fault)) = failed {
+        anyhow::bail!("{policy}: the simulation failed after {:.2} s: {}", fault.time_s, fault.text);
+    }
+    Ok(())
 }
 
 /// The scenario's numbers, and those of the estimates if there are any.
@@ -114,7 +120,7 @@ fn play(
 ) -> anyhow::Result<Vec<Trace>> {
     let mut rollouts = Vec::new();
     for ((_, agent), script) in robots.iter().zip(scripts) {
-        let rollout = Rollout::new(script, &agent.config, agent.controller(), true)?;
+        let rollout = Rollout::new(script, &agent.config, agent.controller())?.with_bodies();
         rollouts.push(rollout.with_sensing(args.sensing, args.seed)?);
     }
     let mut traces: Vec<Trace> = rollouts.iter().map(Rollout::empty_trace).collect();

@@ -3,6 +3,7 @@
 use supple::agent::Agent;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::{Played, Script};
+use supple::terminal;
 use supple::trace::Trace;
 
 use crate::args::Args;
@@ -12,8 +13,11 @@ pub struct Recording;
 
 impl Recording {
     pub fn start(args: &Args, _: &Scenario, _: &[(String, Agent)], _: &[Script]) -> anyhow::Result<Self> {
-        if args.record.is_some() || args.connect.is_some() || args.on_fall.is_some() {
+        if args.record.is_some() || args.connect.is_some() || args.serve.is_some() || args.on_fall.is_some() {
             anyhow::bail!("this program was built without recordings; build it with --features record");
+        }
+        if !args.no_record {
+            terminal::note("note: this program was built without recordings (feature `record`)");
         }
         Ok(Recording)
     }

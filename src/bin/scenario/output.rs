@@ -4,9 +4,10 @@ use std::io::{self, Write};
 use std::path::Path;
 
 use serde_json::{Value, json};
+use supple::provenance::GIT_REVISION;
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
-use supple::scenario::metrics::Metric;
+use supple::scenario::metrics::{self, Metric};
 use supple::trace::Trace;
 
 /// A finished rollout.
@@ -15,6 +16,8 @@ pub struct Outcome<'a> {
     pub policy: &'a str,
     /// Its identity.
     pub sha256: String,
+    /// Name or file of the robot.
+    pub robot: &'a str,
     /// What happened.
     pub trace: &'a Trace,
     /// The scenario's numbers.
@@ -32,7 +35,7 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
         if values.iter().all(Option::is_none) {
             continue;
         }
-        let is_truth = unit.is_empty() && label != "cost of transport";
+        let is_truth = unit == metrics::TRUTH;
         let cell = |value: &Option<f64>| match value {
             None => format!("{:>16}", "-"),
             Some(truth) if is_truth => format!("{:>16}", if *truth > 0.5 { "yes" } else { "no" }),
@@ -56,15 +59,21 @@ pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Out
         json!({
             "policy": outcome.policy,
             "sha256": outcome.sha256,
+            "robot": outcome.robot,
             "metrics": metrics,
             "events": outcome.trace.events,
         })
     };
+    let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
+    let units: serde_json::Map<String, Value> =
+        metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
     json!({
         "scenario": scenario.name(),
+        "revision": GIT_REVISION,
         "seed": seed,
         "sensing": sensing,
         "parameters": scenario,
+        "units": units,
         "runs": outcomes.iter().map(run).collect::<Vec<_>>(),
     })
 }

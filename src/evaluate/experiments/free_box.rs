@@ -107,10 +107,6 @@ impl Experiment for FreeBox {
         Ok(self.frictions.iter().map(condition).collect())
     }
 
-    fn needs_bodies(&self) -> bool {
-        true
-    }
-
     fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let mut values = vec![None; QUANTITIES.len()];
         let found = scenario.metrics(script, trace);
@@ -128,8 +124,7 @@ impl Experiment for FreeBox {
         values[8] = end.fell();
 
         let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
-        // The box is the last body.
-        let poses: Vec<&Pose> = trace.frames.iter().filter_map(|frame| frame.bodies.last()).collect();
+        let poses: Vec<Pose> = trace.frames.iter().filter_map(|frame| frame.goal).collect();
         let series = match (poses.first(), poses.last()) {
             (Some(first), Some(last)) => vec![path(0), path(1), flat_pose(first), flat_pose(last)],
             _ => Vec::new(),

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric};
+use super::{ParameterError, Parameters, Task, in_range, truth};
 use crate::scenario::metrics::Metric;
 use crate::scenario::{Goal, Script};
 use crate::scene::Buffers;
@@ -87,6 +87,6 @@ impl Parameters for BallPit {
     }
 
     fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
-        found.push(metric("crossed", "got across", Some(f64::from(u8::from(trace.reached_goal()))), ""));
+        found.push(truth("crossed", "got across", Some(trace.reached_goal())));
     }
 }

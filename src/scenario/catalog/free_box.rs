@@ -4,7 +4,7 @@ use clap::Args;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric};
+use super::{ParameterError, Parameters, Task, in_range, metric, truth};
 use crate::random::{Purpose, stream};
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::{Goal, Script};
@@ -70,8 +70,7 @@ impl Parameters for FreeBox {
         let contact_s: f64 = frames().map(|frame| frame.obstacle_contact_s).sum();
         let impulse: f64 = frames().map(|frame| frame.obstacle_impulse_n_s).sum();
         let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n);
-        // The box is the last body.
-        let place = |frame: &Frame| frame.bodies.last().map(|pose| pose.position);
+        let place = |frame: &Frame| frame.goal.map(|pose| pose.position);
         let moved = trace
             .frames
             .first()
@@ -86,8 +85,8 @@ impl Parameters for FreeBox {
         found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
         let passed = trace.frames.last().and_then(|last| {
             let box_x = f64::from(place(last)?[0]);
-            Some(f64::from(u8::from(last.position[0] > box_x + 0.5 * self.size_m)))
+            Some(last.position[0] > box_x + 0.5 * self.size_m)
         });
-        found.push(metric("passed", "got past", passed, ""));
+        found.push(truth("passed", "got past", passed));
     }
 }

@@ -96,13 +96,6 @@ pub struct Task {
     pub duration_s: f64,
 }
 
-impl Task {
-    /// Whether the robot is asked to stay where it is.
-    pub fn is_standing(&self) -> bool {
-        [self.forward_m_s, self.left_m_s, self.yaw_rad_s] == [0.0; 3]
-    }
-}
-
 /// What a scenario's parameters do.
 trait Parameters {
     /// What is asked of the policy.
@@ -215,7 +208,7 @@ impl Scenario {
         let settled_s = metrics::SETTLE_S.min(0.5 * end_s);
         let mut found = vec![
             metric("duration_s", "simulated", Some(end_s), "s"),
-            metric("fell", "fell", Some(f64::from(u8::from(trace.fall().is_some()))), ""),
+            truth("fell", "fell", trace.fall().map(|_| true).or(trace.fault().is_none().then_some(false))),
             metric("fall_time_s", "fell after", trace.fall().map(|fall| fall.time_s), "s"),
         ];
         let errors = metrics::velocity_errors(trace, settled_s, end_s);
@@ -253,6 +246,10 @@ impl Scenario {
 
 fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'static str) -> Metric {
     Metric { name, label, value, unit }
+}
+
+fn truth(name: &'static str, label: &'static str, value: Option<bool>) -> Metric {
+    Metric { name, label, value: value.map(|truth| f64::from(u8::from(truth))), unit: metrics::TRUTH }
 }
 
 fn in_range(name: &'static str, found: f64, low: f64, high: f64, expected: &'static str) -> Result<(), ParameterError> {

@@ -41,7 +41,9 @@ impl Parameters for PushAway {
         in_range("push-m-s", self.push_m_s, 0.0, 20.0, "0 to 20 m/s")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
-        in_range("every-s", self.every_s, 0.0, 3600.0, "0 to 3600 s, 0 for a single push")?;
+        if self.every_s != 0.0 {
+            in_range("every-s", self.every_s, 0.1, 3600.0, "0.1 to 3600 s, or 0 for a single push")?;
+        }
         let angle = self.direction_deg.to_radians();
         let push = Push { linear: [self.push_m_s * angle.cos(), self.push_m_s * angle.sin()], angular: [0.0; 3] };
         // A push may come at any phase of the gait.
@@ -49,8 +51,8 @@ impl Parameters for PushAway {
         let mut time_s = self.at_s + phase_s;
         // The first one also if it would come too late: the script can then say so.
         script.pushes.push(TimedPush { time_s, push });
-        while self.every_s > 0.0 && time_s + self.every_s.max(0.1) < script.duration_s {
-            time_s += self.every_s.max(0.1);
+        while self.every_s > 0.0 && time_s + self.every_s < script.duration_s {
+            time_s += self.every_s;
             script.pushes.push(TimedPush { time_s, push });
         }
         Ok(())
@@ -58,6 +60,9 @@ impl Parameters for PushAway {
 
     fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         let Some(first) = script.pushes.first() else { return };
+        // The numbers are those of the first push, as long as it is the only one.
+        let alone = script.pushes.get(1).map(|second| trace.until(second.time_s));
+        let trace = alone.as_ref().unwrap_or(trace);
         let at_s = first.time_s;
         let before = metrics::window(trace, at_s - 1.0, at_s);
         let after = metrics::window(trace, at_s, at_s + 1.0);

@@ -14,7 +14,7 @@ use clap::Args;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric};
+use super::{ParameterError, Parameters, Task, in_range, metric, truth};
 use crate::random::{Purpose, stream};
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::{Goal, Script};
@@ -163,16 +163,18 @@ impl Parameters for Rubble {
         let (mats, blocks) = self.pieces(seed)?;
         let mut obstacles = String::new();
         for (index, Piece { centre: [x, y], half: [a, b, c], yaw }) in mats.iter().enumerate() {
+            let turned = about_up(*yaw);
             // Writing into a String cannot fail.
             let _ = writeln!(
                 obstacles,
-                r#"    <geom name="mat_{index}" type="box" pos="{x:.4} {y:.4} {c}" size="{a} {b} {c}" euler="0 0 {yaw:.4}" priority="2" friction="0.8 0.005 0.0001" {MAT_CONTACT} rgba="0.16 0.42 0.60 1"/>"#
+                r#"    <geom name="mat_{index}" type="box" pos="{x:.4} {y:.4} {c}" size="{a} {b} {c}" quat="{turned}" priority="2" friction="0.8 0.005 0.0001" {MAT_CONTACT} rgba="0.16 0.42 0.60 1"/>"#
             );
         }
         for (index, Piece { centre: [x, y], half: [a, b, c], yaw }) in blocks.iter().enumerate() {
+            let turned = about_up(*yaw);
             let _ = writeln!(
                 obstacles,
-                r#"    <body name="block_{index}" pos="{x:.4} {y:.4} {c:.5}" euler="0 0 {yaw:.4}"><freejoint name="block_{index}"/><geom name="block_{index}" type="box" size="{a:.5} {b:.5} {c:.5}" density="{WOOD_KG_M3}" priority="1" friction="0.5 0.005 0.0001" rgba="{rgba}"/></body>"#,
+                r#"    <body name="block_{index}" pos="{x:.4} {y:.4} {c:.5}" quat="{turned}"><freejoint name="block_{index}"/><geom name="block_{index}" type="box" size="{a:.5} {b:.5} {c:.5}" density="{WOOD_KG_M3}" priority="1" friction="0.5 0.005 0.0001" rgba="{rgba}"/></body>"#,
                 rgba = ["0.76 0.57 0.36 1", "0.66 0.47 0.28 1", "0.82 0.66 0.46 1"][index % 3],
             );
         }
@@ -187,10 +189,16 @@ impl Parameters for Rubble {
     }
 
     fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
-        found.push(metric("crossed", "got across", Some(f64::from(u8::from(trace.reached_goal()))), ""));
+        found.push(truth("crossed", "got across", Some(trace.reached_goal())));
         let peak = metrics::largest(trace.frames.iter(), |frame| frame.peak_obstacle_force_n);
         found.push(metric("peak_contact_force_n", "peak force on blocks and mats", peak, "N"));
     }
+}
+
+/// A turn about the up axis, as MJCF's `quat`: its angles are in the units that the robot's file has chosen.
+fn about_up(yaw: f64) -> String {
+    let (sin, cos) = (0.5 * yaw).sin_cos();
+    format!("{cos:.6} 0 0 {sin:.6}")
 }
 
 #[cfg(test)]
