@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::env::EnvState;
 use crate::files;
 use crate::ppo::{ActorCritic, LearnerState};
-use crate::task::CommandCurriculum;
+use crate::task::Curriculum;
 use crate::tensors::{self, Tensor};
 
 /// File of the newest checkpoint in a run's folder.
@@ -70,6 +70,10 @@ pub struct RunState {
     pub config_name: String,
     /// The configuration.
     pub config: Config,
+    /// Git revision of the program that wrote this.
+    pub git_revision: String,
+    /// Identity of the robot that it is trained with.
+    pub robot_sha256: String,
     /// The seed.
     pub seed: u64,
     /// Iterations done.
@@ -78,8 +82,8 @@ pub struct RunState {
     pub samples: u64,
     /// Wall-clock time spent training, over all sessions \[s\].
     pub elapsed_s: f64,
-    /// The command curriculum.
-    pub commands: CommandCurriculum,
+    /// How far the curriculum has got.
+    pub curriculum: Curriculum,
     /// Every environment, in the middle of its episode.
     pub environments: Vec<EnvState>,
 }

@@ -15,7 +15,7 @@ use crate::random::{Purpose, stream};
 use crate::scene::{RobotFile, Scene};
 use crate::sim::{Sim, SimState};
 use crate::task::observation::{self, Observation, Reduced};
-use crate::task::{Command, EpisodePlan, Stage, Stages, SwingTracker, Terms};
+use crate::task::{Command, Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
 
 /// How an episode ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,9 +23,9 @@ use crate::task::{Command, EpisodePlan, Stage, Stages, SwingTracker, Terms};
 pub enum End {
     /// The robot collapsed: the return ends here.
     Fall,
-    /// Time was up, or the push gate stayed shut: the value of the last state continues the return.
+    /// Time was up, or there are no pushes yet: the value of the last state continues the return.
     TimeLimit,
-    /// The physics failed: the episode is dropped and counted.
+    /// The physics failed: the step teaches nothing, and is counted.
     Fault,
 }
 
@@ -49,7 +49,7 @@ pub struct EpisodeReport {
     pub pushed: bool,
     /// Sum of rewards.
     pub reward: f64,
-    /// Mean terms over all steps, as measured (never replaced).
+    /// Sums of the terms over all steps, as measured (never replaced).
     pub terms: Terms,
     /// Mean `r_lin` of the walking stage, if the episode went through the whole of it.
     pub walking_linear: Option<f64>,
@@ -123,14 +123,14 @@ impl LocomotionEnv {
     ///
     /// # Errors
     /// A fault of MuJoCo, or a model that lacks a part of the robot.
-    pub fn new(config: &Config, seed: u64, index: u64, command_share: f64) -> mujoco::Result<Self> {
+    pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> mujoco::Result<Self> {
         let scene = Scene::flat(RobotFile::from_name(&config.robot.model), config.simulation.timestep_s());
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = same_in_every_leg(config.action.nominal_pose_rad);
         let cut = stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start);
         let mut env = LocomotionEnv {
-            progress: start(config, seed, index, 0, command_share, cut, nominal),
+            progress: start(config, seed, index, 0, curriculum, cut, nominal),
             config: config.clone(),
             stages,
             nominal,
@@ -151,10 +151,10 @@ impl LocomotionEnv {
     ///
     /// # Errors
     /// A fault of MuJoCo.
-    pub fn reset(&mut self, command_share: f64) -> mujoco::Result<()> {
+    pub fn reset(&mut self, curriculum: Curriculum) -> mujoco::Result<()> {
         let episode = self.progress.episode + 1;
         let cut = usize::MAX;
-        self.progress = start(&self.config, self.seed, self.index, episode, command_share, cut, self.nominal);
+        self.progress = start(&self.config, self.seed, self.index, episode, curriculum, cut, self.nominal);
         self.begin()
     }
 
@@ -198,8 +198,11 @@ impl LocomotionEnv {
         self.last_second.note(self.sim.data().positions(), self.sim.data().velocities(), &target);
         let stage = self.stages.at(self.progress.step);
         if self.progress.step == self.stages.recovery_start {
-            self.sim.push(&self.progress.plan.push)?;
-            self.progress.pushed = true;
+            // Without a push the episode ended with the step before.
+            if let Some(push) = &self.progress.plan.push {
+                self.sim.push(push)?;
+                self.progress.pushed = true;
+            }
         }
         let summary = self.sim.step(&target, &mut self.progress.swings)?;
         let state = self.sim.state();
@@ -234,11 +237,10 @@ impl LocomotionEnv {
 
     fn end(&self, fell: bool) -> Option<End> {
         let p = &self.progress;
-        let gate_shut = p.step == self.stages.recovery_start
-            && p.walking.linear_velocity / (self.stages.recovery_start as f64) < self.config.episode.push_gate;
+        let last = if p.plan.push.is_some() { self.stages.end } else { self.stages.recovery_start };
         if fell {
             Some(End::Fall)
-        } else if gate_shut || p.step >= self.stages.end || p.step >= p.cut {
+        } else if p.step >= last.min(p.cut) {
             Some(End::TimeLimit)
         } else {
             None
@@ -253,7 +255,7 @@ impl LocomotionEnv {
             steps: p.step,
             pushed: p.pushed,
             reward: p.reward,
-            terms: p.terms.divided(p.step.max(1) as f64),
+            terms: p.terms,
             walking_linear: walked.then(|| p.walking.linear_velocity / self.stages.recovery_start as f64),
             swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
             fault,
@@ -292,11 +294,11 @@ fn start(
     seed: u64,
     index: u64,
     episode: u64,
-    command_share: f64,
+    curriculum: Curriculum,
     cut: usize,
     nominal: Joints,
 ) -> Progress {
-    let plan = EpisodePlan::draw(config, command_share, &mut stream(seed, Purpose::Episode, index, episode));
+    let plan = EpisodePlan::draw(config, curriculum, &mut stream(seed, Purpose::Episode, index, episode));
     Progress {
         plan,
         step: 0,
@@ -330,26 +332,24 @@ mod tests {
     #[test]
     fn an_episode_tells_the_share_of_its_time_in_flight() {
         let mut config = Config::load("compliant").unwrap();
-        config.episode.push_gate = 1.0;
         config.episode.walking_s = 0.25;
         // From 0.5 m above the ground, a fall takes 0.32 s: longer than the episode.
         for (lifted_m, expected) in [(0.0, 0.0), (0.5, 1.0)] {
-            let mut env = LocomotionEnv::new(&config, 1, 0, 1.0).unwrap();
-            env.reset(1.0).unwrap();
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            env.reset(Curriculum::new(&config.command)).unwrap();
             env.sim_mut().data_mut().positions_mut()[2] += lifted_m;
             env.sim_mut().refresh().unwrap();
             let report = (0..15).find_map(|_| env.step(&[0.0; 12]).1).unwrap();
-            assert_eq!((report.end, report.terms.flight), (End::TimeLimit, expected));
+            assert_eq!((report.end, report.terms.flight), (End::TimeLimit, 15.0 * expected));
         }
     }
 
     #[test]
     fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
         let mut config = Config::load("compliant").unwrap();
-        config.episode.push_gate = 0.0;
         config.episode.walking_s = 0.5;
-        let mut env = LocomotionEnv::new(&config, 1, 0, 1.0).unwrap();
-        let mut other = LocomotionEnv::new(&config, 1, 5, 1.0).unwrap();
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
         for step in 0..200 {
             let json = serde_json::to_string(&env.save()).unwrap();
             other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
@@ -358,7 +358,7 @@ mod tests {
             assert_eq!((outcome, report), other.step(&action(step)), "step {step}");
             assert_eq!(env.observation(), other.observation(), "step {step}");
             if outcome.end.is_some() {
-                env.reset(1.0).unwrap();
+                env.reset(Curriculum::complete()).unwrap();
             }
         }
     }

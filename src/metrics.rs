@@ -29,7 +29,7 @@ pub struct IterationMetrics {
     pub fall_share: Option<f64>,
     /// Falls over episodes, of those that were pushed.
     pub pushed_fall_share: Option<f64>,
-    /// Share of completed walking stages whose mean `r_lin` passed the push gate.
+    /// Pushed episodes over completed walking stages.
     pub push_share: Option<f64>,
     /// Mean sum of rewards of an episode.
     pub episode_reward: Option<f64>,
@@ -73,7 +73,7 @@ pub struct LearnerMetrics {
     pub gradient_norm: f64,
     /// Largest norm of the joint gradient before clipping.
     pub max_gradient_norm: f64,
-    /// Learning rate of the last gradient step.
+    /// Learning rate.
     pub learning_rate: f64,
 }
 
@@ -131,6 +131,8 @@ pub struct EpisodeMeans {
     pub fall_share: Option<f64>,
     /// Falls over pushed episodes.
     pub pushed_fall_share: Option<f64>,
+    /// Completed walking stages.
+    pub walks: usize,
     /// Pushed episodes over completed walking stages.
     pub push_share: Option<f64>,
     /// Sum of rewards.
@@ -146,26 +148,28 @@ pub struct EpisodeMeans {
 }
 
 impl EpisodeMeans {
-    /// Of a rollout's finished episodes. `push_gate` is the mean `r_lin` from which an episode is pushed.
-    pub fn new(episodes: &[EpisodeReport], push_gate: f64) -> Self {
+    /// Of a rollout's finished episodes.
+    pub fn new(episodes: &[EpisodeReport]) -> Self {
         let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
         let pushed = || episodes.iter().filter(|episode| episode.pushed);
         let walks = || episodes.iter().filter_map(|episode| episode.walking_linear);
         let share = |part: usize, whole: usize| (whole > 0).then(|| part as f64 / whole as f64);
         let mut terms = Terms::default();
         episodes.iter().for_each(|episode| terms.add(&episode.terms));
+        let steps: usize = episodes.iter().map(|episode| episode.steps).sum();
         EpisodeMeans {
             episodes: episodes.len(),
             falls: count(End::Fall),
             faults: count(End::Fault),
             fall_share: share(count(End::Fall), episodes.len()),
             pushed_fall_share: share(pushed().filter(|episode| episode.end == End::Fall).count(), pushed().count()),
-            push_share: share(walks().filter(|mean| *mean >= push_gate).count(), walks().count()),
+            walks: walks().count(),
+            push_share: share(pushed().count(), walks().count()),
             reward: mean(episodes.iter().map(|episode| episode.reward)),
             steps: mean(episodes.iter().map(|episode| episode.steps as f64)),
             walking_linear: mean(walks()),
             swing_height_m: mean(episodes.iter().filter_map(|episode| episode.swing_height_m)),
-            terms: (!episodes.is_empty()).then(|| terms.divided(episodes.len() as f64)),
+            terms: (steps > 0).then(|| terms.divided(steps as f64)),
         }
     }
 }

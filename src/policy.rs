@@ -332,8 +332,9 @@ impl Metadata {
         if self.simulation != config.simulation {
             return Err("its simulation differs from that of the configuration it was trained with".into());
         }
-        if self.usage.as_ref().is_some_and(|usage| *usage != Usage::new(&config.robot.model)) {
-            return Err("its description of how to use it is not that of a policy of this format".into());
+        if let Some(named) = self.usage.as_ref().map(|usage| usage.observation_elements.len()).filter(|n| *n != LENGTH)
+        {
+            return Err(format!("its description names {named} numbers of the observation, expected {LENGTH}"));
         }
         config.check().map_err(|error| error.to_string())
     }

@@ -12,8 +12,8 @@ use crate::env::{End, EpisodeReport, LocomotionEnv};
 use crate::mujoco;
 use crate::ppo::{ActorCritic, DiagonalGaussian, PackedMlp, Scratch};
 use crate::random::{Purpose, stream};
-use crate::task::Normaliser;
 use crate::task::observation::LENGTH;
+use crate::task::{Curriculum, Normaliser};
 
 /// A batch of `n = environments · steps` samples.
 #[derive(Debug, Clone, Default)]
@@ -54,8 +54,8 @@ pub struct Collection<'a> {
     pub iteration: u64,
     /// Steps of each environment.
     pub steps: usize,
-    /// Open share of the command range for episodes that start now.
-    pub command_share: f64,
+    /// For episodes that start now.
+    pub curriculum: Curriculum,
     /// Worker threads.
     pub threads: usize,
 }
@@ -153,7 +153,7 @@ impl Collection<'_> {
                     continued.push(row);
                 }
                 if outcome.end.is_some() {
-                    env.reset(self.command_share)?;
+                    env.reset(self.curriculum)?;
                 }
             }
         }
@@ -190,7 +190,8 @@ impl Rollout {
     /// Generalised advantage estimation: advantages and returns (`advantage + value`), shape (n) each.
     ///
     /// `δ_t = r_t + γ V(s_{t+1}) − V(s_t)`, `A_t = δ_t + γ λ A_{t+1}`, where a fall has `V(s_{t+1}) = 0`, a time limit
-    /// the value of its final observation, and neither lets `A_{t+1}` of the next episode in.
+    /// the value of its final observation, and neither lets `A_{t+1}` of the next episode in. The step in which physics
+    /// failed has no next state and teaches nothing: `A_t = 0`.
     pub fn advantages(&self, discount: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let (mut advantages, mut returns) = (vec![0.0; self.len()], vec![0.0; self.len()]);
         for first in (0..self.len()).step_by(self.steps.max(1)) {
@@ -200,8 +201,11 @@ impl Rollout {
                 let next = if self.ends[row].is_some() || last { self.bootstraps[row] } else { self.values[row + 1] };
                 let value = f64::from(self.values[row]);
                 let delta = f64::from(self.rewards[row]) + discount * f64::from(next) - value;
-                let carried = if self.ends[row].is_some() { 0.0 } else { advantage };
-                advantage = delta + discount * lambda * carried;
+                advantage = match self.ends[row] {
+                    None => delta + discount * lambda * advantage,
+                    Some(End::Fall | End::TimeLimit) => delta,
+                    Some(End::Fault) => 0.0,
+                };
                 advantages[row] = advantage as f32;
                 returns[row] = (advantage + value) as f32;
             }
@@ -254,17 +258,34 @@ mod tests {
         close(&advantages, [-0.5, -6.0, -7.0]);
     }
 
+    #[test]
+    fn a_step_in_which_physics_failed_teaches_nothing_and_the_ones_before_it_go_by_its_value() {
+        // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
+        let (advantages, returns) = rollout([None, Some(End::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [1.0, 0.0, -7.0]);
+        close(&returns, [11.0, 20.0, 23.0]);
+    }
+
     fn collect(threads: usize, disturb: impl Fn(&mut [LocomotionEnv])) -> Rollout {
         let config = crate::config::Config::load("compliant").unwrap();
         let mut rng = stream(2, Purpose::Weights, 0, 0);
         let network = ActorCritic::orthogonal(LENGTH, &[16], 12, -1.0, &mut rng);
-        let mut envs: Vec<_> = (0..5).map(|index| LocomotionEnv::new(&config, 2, index, 1.0).unwrap()).collect();
+        let mut envs: Vec<_> =
+            (0..5).map(|index| LocomotionEnv::new(&config, 2, index, Curriculum::complete()).unwrap()).collect();
         disturb(&mut envs);
         let normaliser = Normaliser::new(&config);
         let (network, normaliser) = (&network, &normaliser);
-        Collection { network, normaliser, seed: 2, iteration: 0, steps: 60, command_share: 1.0, threads }
-            .collect(&mut envs)
-            .unwrap()
+        Collection {
+            network,
+            normaliser,
+            seed: 2,
+            iteration: 0,
+            steps: 60,
+            curriculum: Curriculum::complete(),
+            threads,
+        }
+        .collect(&mut envs)
+        .unwrap()
     }
 
     /// Breaks four of the five environments, each in another way.
@@ -274,7 +295,7 @@ mod tests {
         // A robot that is shot into the ground.
         envs[2].sim_mut().data_mut().velocities_mut()[2] = -1e8;
         // A robot that lies in the ground, with more contacts than there is room for.
-        envs[3].sim_mut().data_mut().model_mut().limit_contacts(8);
+        envs[3].sim_mut().data_mut().limit_contacts(8);
         envs[3].sim_mut().data_mut().positions_mut()[2] = 0.0;
         // An error raised inside MuJoCo, on one worker's thread.
         envs[4].sim_mut().data_mut().exhaust_stack();

@@ -38,6 +38,9 @@ const MAX_FAULTS: usize = 20;
 /// File of the policy of the newest checkpoint.
 const POLICY: &str = "policy.safetensors";
 
+/// File of the configuration.
+const CONFIG: &str = "config.yaml";
+
 /// File that the process which trains in a folder holds locked.
 const LOCK: &str = "lock";
 
@@ -104,7 +107,7 @@ impl RunFolder {
             "command": std::env::args().collect::<Vec<_>>().join(" "),
         });
         let fill = || {
-            let (run, config) = (staged.join("run.json"), staged.join("config.yaml"));
+            let (run, config) = (staged.join("run.json"), staged.join(CONFIG));
             files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
             files::write_atomically(&config, trainer.config().to_yaml().as_bytes()).map_err(at(&config))?;
             trainer.checkpoint().save(&staged)?;
@@ -222,6 +225,16 @@ impl RunFolder {
         self.metrics.sync_data().map_err(metrics)?;
         trainer.checkpoint().save(&self.path)?;
         self.save_policy(trainer)
+    }
+
+    /// Writes the configuration, of which a resumption may have changed the number of samples.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk; the older file is untouched then.
+    pub fn save_config(&self, trainer: &Trainer) -> Result<(), RunError> {
+        let path = self.path.join(CONFIG);
+        files::write_atomically(&path, trainer.config().to_yaml().as_bytes())
+            .map_err(|source| RunError::Io { path, source })
     }
 
     /// Writes the policy alone. A run that was killed between the two files of [`RunFolder::save`] has an old one.

@@ -14,9 +14,13 @@ not look for them among all bodies: the same contacts, a quarter more steps per 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
+use crate::files;
 use crate::go1::LEGS;
 use crate::mujoco::{Error, Kind, Model, Result};
-use crate::robot::Robot;
+use crate::robot::{Robot, RobotError};
+
+/// Name of the robot inside the binary.
+pub const GO1_NAME: &str = "go1";
 
 /// The Go1 of `models/go1.xml`.
 pub const GO1: &str = include_str!("../models/go1.xml");
@@ -37,9 +41,21 @@ pub enum RobotFile {
 }
 
 impl RobotFile {
-    /// `go1` is the embedded model, anything else a path.
+    /// [`GO1_NAME`] is the embedded model, anything else a path.
     pub fn from_name(name: &str) -> Self {
-        if name == "go1" { RobotFile::Embedded } else { RobotFile::Path(name.into()) }
+        if name == GO1_NAME { RobotFile::Embedded } else { RobotFile::Path(name.into()) }
+    }
+
+    /// Identity of the robot: SHA-256 of the MJCF that goes into scenes.
+    ///
+    /// # Errors
+    /// What does not fit in a robot from elsewhere.
+    pub fn sha256(&self) -> std::result::Result<String, RobotError> {
+        let mjcf = match self {
+            RobotFile::Embedded => GO1.to_owned(),
+            RobotFile::Path(path) => Robot::load(path)?.mjcf,
+        };
+        Ok(files::sha256(&[mjcf.as_bytes()]))
     }
 }
 

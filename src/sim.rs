@@ -155,7 +155,7 @@ impl Sim {
         for foot in self.robot.feet() {
             let place = &self.data.geom_positions()[3 * foot..];
             let friction = patches.at(place[0], place[1]);
-            self.data.model_mut().set_sliding_friction(foot, friction);
+            self.data.set_sliding_friction(foot, friction);
         }
     }
 
@@ -168,8 +168,8 @@ impl Sim {
     }
 
     fn apply(&mut self, conditions: Conditions) {
-        self.data.model_mut().set_gravity(conditions.gravity);
-        self.data.model_mut().set_sliding_friction(self.robot.ground(), conditions.friction);
+        self.data.set_gravity(conditions.gravity);
+        self.data.set_sliding_friction(self.robot.ground(), conditions.friction);
         self.conditions = conditions;
     }
 

@@ -8,7 +8,7 @@ use std::time::Instant;
 use rand::seq::SliceRandom;
 
 use crate::checkpoint::{Checkpoint, RunState};
-use crate::config::{Config, Ppo};
+use crate::config::{Config, ValueError};
 use crate::env::{End, Fault, LocomotionEnv};
 use crate::go1::JOINT_COUNT;
 use crate::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
@@ -18,13 +18,21 @@ use crate::policy::{Policy, Provenance};
 use crate::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, Samples, UpdateFault};
 use crate::provenance;
 use crate::random::{Purpose, stream};
+use crate::robot::RobotError;
 use crate::rollout::{Collection, Rollout};
+use crate::scene::RobotFile;
 use crate::task::observation::LENGTH;
-use crate::task::{CommandCurriculum, Normaliser};
+use crate::task::{Curriculum, Normaliser};
 
 /// Why training stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ValueError),
+    /// The robot's file.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
     /// An environment could not be set up.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
@@ -50,12 +58,13 @@ pub enum TrainError {
 pub struct Trainer {
     config_name: String,
     config: Config,
+    robot_sha256: String,
     normaliser: Normaliser,
     seed: u64,
     threads: usize,
     learner: Learner,
     environments: Vec<LocomotionEnv>,
-    commands: CommandCurriculum,
+    curriculum: Curriculum,
     iteration: u64,
     samples: u64,
     elapsed_s: f64,
@@ -67,24 +76,26 @@ impl Trainer {
     /// A new run.
     ///
     /// # Errors
-    /// If the robot's model cannot be simulated.
+    /// If a value of the configuration is out of its range, or the robot's model cannot be simulated.
     pub fn new(config_name: &str, config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
+        config.check()?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
         let ppo = &config.ppo;
         let log_std = ppo.initial_log_std as f32;
         let network = ActorCritic::orthogonal(LENGTH, &ppo.hidden_layers, JOINT_COUNT, log_std, &mut rng);
-        let settings = hyperparameters(ppo);
+        let settings = Hyperparameters::from(ppo);
         let learner = Learner::new(&LearnerState::new(network, &settings), settings, threads);
-        let commands = CommandCurriculum::new(&config.command);
+        let curriculum = Curriculum::new(&config.command);
         Ok(Trainer {
-            environments: environments(&config, seed, commands.share)?,
+            environments: environments(&config, seed, curriculum)?,
             normaliser: Normaliser::new(&config),
             config_name: config_name.to_owned(),
+            robot_sha256: robot_sha256(&config)?,
             config,
             seed,
             threads,
             learner,
-            commands,
+            curriculum,
             iteration: 0,
             samples: 0,
             elapsed_s: 0.0,
@@ -109,7 +120,12 @@ impl Trainer {
         if [&learner.first_moment, &learner.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
-        let mut environments = environments(&run.config, run.seed, run.commands.share)?;
+        let robot_sha256 = robot_sha256(&run.config)?;
+        if robot_sha256 != run.robot_sha256 {
+            let problem = format!("the robot {} has changed since; put it back, or start anew", run.config.robot.model);
+            return Err(TrainError::Checkpoint(problem));
+        }
+        let mut environments = environments(&run.config, run.seed, run.curriculum)?;
         let (inputs, outputs) = (learner.parameters.policy.inputs(), learner.parameters.policy.outputs());
         if (inputs, outputs) != (LENGTH, JOINT_COUNT) {
             let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {LENGTH} to {JOINT_COUNT}");
@@ -120,13 +136,14 @@ impl Trainer {
         }
         Ok(Trainer {
             normaliser: Normaliser::new(&run.config),
-            learner: Learner::new(&learner, hyperparameters(&run.config.ppo), threads),
+            learner: Learner::new(&learner, Hyperparameters::from(&run.config.ppo), threads),
             config_name: run.config_name,
             config: run.config,
+            robot_sha256,
             seed: run.seed,
             threads,
             environments,
-            commands: run.commands,
+            curriculum: run.curriculum,
             iteration: run.iteration,
             samples: run.samples,
             elapsed_s: run.elapsed_s,
@@ -148,7 +165,7 @@ impl Trainer {
             seed: self.seed,
             iteration: self.iteration,
             steps: ppo.steps(),
-            command_share: self.commands.share,
+            curriculum: self.curriculum,
             threads: self.threads,
         };
         let rollout = collection.collect(&mut self.environments)?;
@@ -181,8 +198,11 @@ impl Trainer {
             fault: Box::new(fault),
         })?;
 
-        let means = EpisodeMeans::new(&rollout.episodes, self.config.episode.push_gate);
-        self.commands.update(means.walking_linear, &self.config.command);
+        let means = EpisodeMeans::new(&rollout.episodes);
+        // The few that walk among many that fall are no measure.
+        if let Some(mean) = means.walking_linear.filter(|_| 2 * means.walks >= means.episodes) {
+            self.curriculum.update(mean, &self.config);
+        }
         self.iteration += 1;
         self.samples += rollout.len() as u64;
         let whole = started.elapsed();
@@ -203,7 +223,7 @@ impl Trainer {
             walking_linear: means.walking_linear,
             swing_height_m: means.swing_height_m,
             terms: means.terms,
-            command_share: self.commands.share,
+            command_share: self.curriculum.command_share,
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
             explained_variance: explained_variance(&rollout, &returns),
             learner: statistics.into(),
@@ -221,11 +241,13 @@ impl Trainer {
         let run = RunState {
             config_name: self.config_name.clone(),
             config: self.config.clone(),
+            git_revision: provenance::GIT_REVISION.to_owned(),
+            robot_sha256: self.robot_sha256.clone(),
             seed: self.seed,
             iteration: self.iteration,
             samples: self.samples,
             elapsed_s: self.elapsed_s,
-            commands: self.commands,
+            curriculum: self.curriculum,
             environments: self.environments.iter().map(LocomotionEnv::save).collect(),
         };
         Checkpoint { run, learner: self.learner.state() }
@@ -270,25 +292,12 @@ impl Trainer {
     }
 }
 
-fn hyperparameters(ppo: &Ppo) -> Hyperparameters {
-    Hyperparameters {
-        minibatch_size: ppo.minibatch_size,
-        clip_range: ppo.clip_range,
-        value_coefficient: ppo.value_coefficient,
-        entropy_coefficient: ppo.entropy_coefficient,
-        max_gradient_norm: ppo.max_gradient_norm,
-        learning_rate: ppo.initial_learning_rate,
-        learning_rate_min: ppo.min_learning_rate,
-        learning_rate_max: ppo.max_learning_rate,
-        desired_kl: Some(ppo.desired_kl),
-        adam_beta1: 0.9,
-        adam_beta2: 0.999,
-        adam_epsilon: ppo.adam_epsilon,
-    }
+fn robot_sha256(config: &Config) -> Result<String, RobotError> {
+    RobotFile::from_name(&config.robot.model).sha256()
 }
 
-fn environments(config: &Config, seed: u64, command_share: f64) -> mujoco::Result<Vec<LocomotionEnv>> {
-    (0..config.ppo.environments).map(|index| LocomotionEnv::new(config, seed, index as u64, command_share)).collect()
+fn environments(config: &Config, seed: u64, curriculum: Curriculum) -> mujoco::Result<Vec<LocomotionEnv>> {
+    (0..config.ppo.environments).map(|index| LocomotionEnv::new(config, seed, index as u64, curriculum)).collect()
 }
 
 /// The samples of the minibatch in which an update failed.

@@ -1,6 +1,6 @@
 //! `train`: the method of section III, from an empty policy or a checkpoint.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,6 +12,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use supple::config::Config;
 use supple::env::Fault;
 use supple::metrics::IterationMetrics;
+use supple::provenance::GIT_REVISION;
 use supple::run::RunFolder;
 use supple::terminal;
 use supple::train::{TrainError, Trainer};
@@ -63,22 +64,35 @@ fn run(args: Args) -> anyhow::Result<()> {
     };
     let total = trainer.config().run.samples;
     let mut saved = trainer.iteration();
-    train(&mut trainer, &mut folder, total, &stop, &mut saved).with_context(|| {
-        let path = folder.path().display();
-        if folder.path().exists() {
-            format!("stopped; the checkpoint of iteration {saved} is whole, go on from it with: train --resume {path}")
-        } else {
-            format!("stopped; somebody has removed {path}, and the run with it")
-        }
-    })?;
+    let outcome = train(&mut trainer, &mut folder, total, &stop, &mut saved);
     let path = folder.path().display();
+    if let Err(error) = outcome {
+        let way_on = if !folder.path().exists() {
+            format!("somebody has removed {path}, and the run with it")
+        } else if matches!(error.downcast_ref(), Some(TrainError::Learner { .. })) {
+            "to go on from its checkpoint would be the same again: start anew with another --seed, or with a \
+             configuration that learns more carefully (a lower ppo.max_learning_rate or ppo.desired_kl)"
+                .to_owned()
+        } else {
+            format!("the checkpoint of iteration {saved} is whole, go on from it with: {}", resuming(folder.path()))
+        };
+        return Err(error.context(format!("stopped; {way_on}")));
+    }
     if trainer.samples() < total {
         let samples = trainer.samples();
-        terminal::note(format_args!("stopped after {samples} samples; go on with: train --resume {path}"));
+        terminal::note(format_args!("stopped after {samples} samples; go on with: {}", resuming(folder.path())));
     } else {
         terminal::note(format_args!("done: {} samples; the policy is {path}/policy.safetensors", trainer.samples()));
     }
     Ok(())
+}
+
+/// The command that goes on with a run, to be pasted.
+fn resuming(folder: &Path) -> String {
+    let program = std::env::args().next().unwrap_or_else(|| "train".into());
+    let words = [program.as_str(), "--resume", &folder.to_string_lossy()].map(str::to_owned);
+    // Fails only for a zero byte, which no path holds.
+    shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
 }
 
 /// Iterates until `total` samples are collected or `stop` is set; `saved` is the iteration of the newest checkpoint.
@@ -161,7 +175,7 @@ fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     let name = args.config.as_deref().unwrap_or("compliant");
     let mut config = Config::load(name)?;
     config.run.samples = args.samples.unwrap_or(config.run.samples);
-    let stem = std::path::Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy());
+    let stem = Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy());
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| format!("runs/{stem}-seed{seed}").into());
     let trainer = Trainer::new(&stem, config, seed, threads)?;
@@ -169,14 +183,22 @@ fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     Ok((trainer, folder))
 }
 
-fn resume(path: &std::path::Path, samples: Option<u64>, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
+fn resume(path: &Path, samples: Option<u64>, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     let (folder, mut checkpoint, passed_over) = RunFolder::resume(path)?;
     let planned = &mut checkpoint.run.config.run.samples;
     *planned = samples.unwrap_or(*planned);
     if let Some(reason) = passed_over {
         terminal::note(format_args!("warning: {reason}; going on from the checkpoint before it"));
     }
+    let begun_by = checkpoint.run.git_revision.clone();
+    if begun_by != GIT_REVISION {
+        terminal::note(format_args!(
+            "note: the checkpoint was written by revision {begun_by}, this program is {GIT_REVISION}: what follows may \
+             differ from what that one would have done"
+        ));
+    }
     let trainer = Trainer::resume(checkpoint, threads)?;
+    folder.save_config(&trainer)?;
     folder.save_policy(&trainer)?;
     Ok((trainer, folder))
 }

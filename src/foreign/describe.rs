@@ -6,6 +6,14 @@ use crate::go1::{JOINT_COUNT, joint_name};
 use crate::policy::Policy;
 use crate::task::observation::{LAYOUT, Quantity};
 
+/// What the first line of such a file says.
+const OURS: &str = "is a policy of Supple:";
+
+/// Whether a YAML file is one that [`describe`] made.
+pub fn is_described_by_us(text: &str) -> bool {
+    text.lines().next().is_some_and(|line| line.starts_with("# ") && line.contains(OURS))
+}
+
 /// The YAML file for the ONNX file `onnx` that the policy was exported to.
 pub fn describe(policy: &Policy, onnx: &str) -> String {
     let simulation = &policy.provenance.config.simulation;
@@ -14,7 +22,7 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
     // Writing into a String cannot fail.
     let _ = write!(
         text,
-        "# {onnx} is a policy of Supple: {} samples, config {}, seed {}. It scales what it sees itself.\n\
+        "# {onnx} {OURS} {} samples, config {}, seed {}. It scales what it sees itself.\n\
          onnx: {}\n\
          simulation:\n  physics_rate_hz: {}\n  policy_rate_hz: {}\n  kp_n_m_per_rad: {:?}\n  kd_n_m_s_per_rad: {:?}\n  \
          latency_s: {:?}\n\

@@ -13,7 +13,7 @@ mod spec;
 use std::path::{Path, PathBuf};
 
 pub use controller::ForeignController;
-pub use describe::describe;
+pub use describe::{describe, is_described_by_us};
 pub use spec::{Block, Quantity};
 
 use crate::config::{Config, ConfigError};

@@ -76,18 +76,18 @@ pub struct EpisodePlan {
     pub command: Command,
     /// Slope, friction, encoder offsets.
     pub conditions: Conditions,
-    /// The push at the start of the recovery stage.
-    pub push: Push,
+    /// The push at the start of the recovery stage; the episode ends after the walking stage without one.
+    pub push: Option<Push>,
 }
 
 impl EpisodePlan {
-    /// Draws an episode; `command_share` is the open share of the command range.
-    pub fn draw(config: &Config, command_share: f64, rng: &mut impl Rng) -> Self {
+    /// Draws an episode.
+    pub fn draw(config: &Config, curriculum: Curriculum, rng: &mut impl Rng) -> Self {
         let mut within = |range: f64| range * rng.random_range(-1.0..=1.0);
         let command = Command {
-            forward: within(config.command.forward_m_s * command_share),
-            left: within(config.command.left_m_s * command_share),
-            yaw: within(config.command.yaw_rad_s * command_share),
+            forward: within(config.command.forward_m_s * curriculum.command_share),
+            left: within(config.command.left_m_s * curriculum.command_share),
+            yaw: within(config.command.yaw_rad_s * curriculum.command_share),
         };
         let episode = &config.episode;
         let push = Push {
@@ -107,7 +107,8 @@ impl EpisodePlan {
             friction: if randomisation.enabled { friction } else { randomisation.default_friction },
             joint_offsets: if randomisation.enabled { joint_offsets } else { [0.0; JOINT_COUNT] },
         };
-        EpisodePlan { command, conditions, push }
+        // Drawn in any case, too.
+        EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push) }
     }
 }
 
@@ -117,24 +118,32 @@ pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
     [-GRAVITY * tilt.sin() * uphill.cos(), -GRAVITY * tilt.sin() * uphill.sin(), -GRAVITY * tilt.cos()]
 }
 
-/// Opens the command range as walking gets better.
+/// What episodes ask for gets harder as walking gets better (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct CommandCurriculum {
-    /// Open share of the range, 0 to 1.
-    pub share: f64,
+pub struct Curriculum {
+    /// Open share of the command range, 0 to 1.
+    pub command_share: f64,
+    /// Whether episodes go on to the push and what follows it. Once they do, they always do.
+    pub pushes: bool,
 }
 
-impl CommandCurriculum {
-    /// Starts at the configured share.
+impl Curriculum {
+    /// A part of the command range, and no pushes.
     pub fn new(range: &CommandRange) -> Self {
-        CommandCurriculum { share: range.initial_share }
+        Curriculum { command_share: range.initial_share, pushes: false }
     }
 
-    /// Takes the mean `r_lin` of the walking stages that ended in an iteration, if any did.
-    pub fn update(&mut self, mean_linear_reward: Option<f64>, range: &CommandRange) {
-        if mean_linear_reward.is_some_and(|mean| mean > range.share_gate) {
-            self.share = (self.share + range.share_step).min(1.0);
+    /// Everything that a configuration asks for.
+    pub fn complete() -> Self {
+        Curriculum { command_share: 1.0, pushes: true }
+    }
+
+    /// Takes the mean `r_lin` of the walking stages of an iteration.
+    pub fn update(&mut self, mean_linear_reward: f64, config: &Config) {
+        if mean_linear_reward > config.command.share_gate {
+            self.command_share = (self.command_share + config.command.share_step).min(1.0);
         }
+        self.pushes |= mean_linear_reward > config.episode.push_gate;
     }
 }
 
@@ -168,15 +177,16 @@ mod tests {
     #[test]
     fn drawn_episodes_stay_within_their_ranges_and_fill_them() {
         let config = config();
+        let half = Curriculum { command_share: 0.5, pushes: true };
         let plans: Vec<EpisodePlan> =
-            (0..2000).map(|k| EpisodePlan::draw(&config, 0.5, &mut stream(3, Purpose::Episode, 0, k))).collect();
+            (0..2000).map(|k| EpisodePlan::draw(&config, half, &mut stream(3, Purpose::Episode, 0, k))).collect();
         let largest = |of: fn(&EpisodePlan) -> f64| plans.iter().map(|plan| of(plan).abs()).fold(0.0, f64::max);
         let near = |value: f64, limit: f64| value <= limit && value > 0.98 * limit;
         assert!(near(largest(|plan| plan.command.forward), 0.5));
         assert!(near(largest(|plan| plan.command.left), 0.25));
         assert!(near(largest(|plan| plan.command.yaw), 0.25));
-        assert!(near(largest(|plan| plan.push.linear[1]), 1.0));
-        assert!(near(largest(|plan| plan.push.angular[2]), 1.0));
+        assert!(near(largest(|plan| plan.push.unwrap().linear[1]), 1.0));
+        assert!(near(largest(|plan| plan.push.unwrap().angular[2]), 1.0));
         assert!(near(largest(|plan| plan.conditions.gravity[0]), 0.977));
         assert!(plans.iter().all(|plan| plan.conditions.friction == 0.8));
     }
@@ -185,7 +195,7 @@ mod tests {
     fn randomisation_changes_friction_and_offsets_only() {
         let (off, mut on) = (config(), config());
         on.randomisation.enabled = true;
-        let draw = |config| EpisodePlan::draw(config, 1.0, &mut stream(1, Purpose::Episode, 2, 3));
+        let draw = |config| EpisodePlan::draw(config, Curriculum::complete(), &mut stream(1, Purpose::Episode, 2, 3));
         let (off, on) = (draw(&off), draw(&on));
         assert_eq!((off.command, off.push, off.conditions.gravity), (on.command, on.push, on.conditions.gravity));
         assert!(on.conditions.joint_offsets.iter().all(|offset| *offset != 0.0 && offset.abs() < 0.06));
@@ -193,15 +203,28 @@ mod tests {
     }
 
     #[test]
-    fn command_range_opens_only_above_the_gate_and_stops_at_one() {
-        let range = config().command;
-        let mut curriculum = CommandCurriculum::new(&range);
-        curriculum.update(Some(0.69), &range);
-        curriculum.update(None, &range);
-        assert_eq!(curriculum.share, 0.5);
+    fn command_range_opens_only_above_its_gate_and_stops_at_one() {
+        let config = config();
+        let mut curriculum = Curriculum::new(&config.command);
+        curriculum.update(0.69, &config);
+        assert_eq!(curriculum.command_share, 0.5);
         for _ in 0..100 {
-            curriculum.update(Some(0.71), &range);
+            curriculum.update(0.71, &config);
         }
-        assert_eq!(curriculum.share, 1.0);
+        assert_eq!(curriculum.command_share, 1.0);
+    }
+
+    #[test]
+    fn pushes_begin_above_their_gate_and_stay_on_below_it() {
+        let config = config();
+        let mut curriculum = Curriculum::new(&config.command);
+        let push = |curriculum| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, 0, 0)).push;
+        curriculum.update(0.84, &config);
+        assert_eq!(push(curriculum), None);
+        curriculum.update(0.86, &config);
+        let first = push(curriculum);
+        assert!(first.is_some());
+        curriculum.update(0.5, &config);
+        assert_eq!(push(curriculum), first);
     }
 }

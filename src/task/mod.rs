@@ -7,6 +7,6 @@ pub mod episode;
 pub mod observation;
 pub mod reward;
 
-pub use episode::{Command, CommandCurriculum, EpisodePlan, Stage, Stages};
+pub use episode::{Command, Curriculum, EpisodePlan, Stage, Stages};
 pub use observation::Normaliser;
 pub use reward::{SwingTracker, Terms};

@@ -82,23 +82,28 @@ fn curve_table(curve: &[IterationMetrics]) -> String {
         let Some(last) = stretch.last() else { continue };
         let mean = |of: fn(&IterationMetrics) -> Option<f64>| {
             let values: Vec<f64> = stretch.iter().filter_map(of).collect();
-            values.iter().sum::<f64>() / values.len() as f64
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
         text.push_str(&format!(
-            "| {:.1} M | {:.1} min | {:.3} | {:.1} % | {:.1} % | {:.0} % | {:.0} % | {:.0} mm | {:.2} | {:.2} |\n",
+            "| {:.1} M | {:.1} min | {} | {} | {} | {} | {:.0} % | {} | {} | {} |\n",
             last.samples as f64 / 1e6,
             last.time.elapsed_s / 60.0,
-            mean(|iteration| iteration.walking_linear),
-            100.0 * mean(|iteration| iteration.fall_share),
-            100.0 * mean(|iteration| iteration.pushed_fall_share),
-            100.0 * mean(|iteration| iteration.push_share),
+            cell(mean(|iteration| iteration.walking_linear), 1.0, 3, ""),
+            cell(mean(|iteration| iteration.fall_share), 100.0, 1, " %"),
+            cell(mean(|iteration| iteration.pushed_fall_share), 100.0, 1, " %"),
+            cell(mean(|iteration| iteration.push_share), 100.0, 0, " %"),
             100.0 * last.command_share,
-            1e3 * mean(|iteration| iteration.swing_height_m),
-            mean(|iteration| Some(iteration.action_std)),
-            mean(|iteration| Some(iteration.step_reward)),
+            cell(mean(|iteration| iteration.swing_height_m), 1e3, 0, " mm"),
+            cell(mean(|iteration| Some(iteration.action_std)), 1.0, 2, ""),
+            cell(mean(|iteration| Some(iteration.step_reward)), 1.0, 2, ""),
         ));
     }
     text
+}
+
+/// A number times a factor, or a dash.
+fn cell(value: Option<f64>, factor: f64, decimals: usize, unit: &str) -> String {
+    value.map_or("–".to_owned(), |value| format!("{:.decimals$}{unit}", factor * value))
 }
 
 fn walking_table(policy: &Policy) -> anyhow::Result<String> {
@@ -112,13 +117,10 @@ fn walking_table(policy: &Policy) -> anyhow::Result<String> {
         let scenario = Scenario::Walk(Walk { task });
         let config = &policy.provenance.config;
         let script = scenario.script(0, config)?;
-        let trace = Rollout::new(&script, config, Box::new(policy.controller()), false)?.trace();
+        let trace = Rollout::new(&script, config, Box::new(policy.controller()))?.trace();
         let found = scenario.metrics(&script, &trace);
         let number = |name: &str| found.iter().find(|metric| metric.name == name).and_then(|metric| metric.value);
-        let cell = |name: &str, factor: f64, decimals: usize, unit: &str| match number(name) {
-            Some(value) => format!("{:.decimals$}{unit}", factor * value),
-            None => "–".to_owned(),
-        };
+        let cell = |name: &str, factor, decimals, unit| cell(number(name), factor, decimals, unit);
         let fell = trace.fall().map_or("no".to_owned(), |fall| format!("after {:.1} s", fall.time_s));
         table.push_str(&format!(
             "| {forward_m_s} m/s, {left_m_s} m/s, {yaw_rad_s} rad/s | {} | {} | {} | {} | {} | {} | {} | {} | {fell} |\n",

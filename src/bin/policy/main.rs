@@ -88,10 +88,23 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Card { run, name } => terminal::print(card::card(&run, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
             let (policy, name) = (policies::find_ours(&policy)?, out.file_name().unwrap_or_default());
-            write(&out, &onnx::export(&policy))?;
             // What `scenario` needs to run the network again, and what tells others how to use it.
-            write(&out.with_extension("yaml"), foreign::describe(&policy, &name.to_string_lossy()).as_bytes())?;
+            let description = out.with_extension("yaml");
+            spare(&out, &description)?;
+            write(&out, &onnx::export(&policy))?;
+            write(&description, foreign::describe(&policy, &name.to_string_lossy()).as_bytes())?;
         }
+    }
+    Ok(())
+}
+
+/// Refuses to write over a description that somebody has made by hand, or over the network with its description.
+fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
+    let (out, yaml) = (network.display(), description.display());
+    anyhow::ensure!(network != description, "--out {out} is where the description goes: name it {out}.onnx or so");
+    if let Ok(text) = std::fs::read_to_string(description) {
+        let ours = foreign::is_described_by_us(&text);
+        anyhow::ensure!(ours, "{yaml} was not written by `policy export`: choose another --out, or move it away");
     }
     Ok(())
 }

@@ -11,8 +11,7 @@ use supple::random::{Purpose, stream};
 use supple::scenario::Controller;
 use supple::scene::{RobotFile, Scene};
 use supple::sim::{Sim, StepObserver};
-use supple::task::Command;
-use supple::task::episode::EpisodePlan;
+use supple::task::{Command, Curriculum, EpisodePlan};
 
 /// Length of an episode without a fall \[s\].
 const EPISODE_S: f64 = 6.0;
@@ -32,7 +31,7 @@ pub fn episode(policy: &Policy, noise: SensorNoise, seed: u64, which: [u64; 2]) 
     let mut config = policy.provenance.config.clone();
     config.randomisation.enabled = true;
     let mut rng = stream(seed, Purpose::Episode, which[0], which[1]);
-    let mut plan = EpisodePlan::draw(&config, 1.0, &mut rng);
+    let mut plan = EpisodePlan::draw(&config, Curriculum::complete(), &mut rng);
     if which[0] % STANDING == STANDING - 1 {
         plan.command = Command::default();
     }
@@ -54,8 +53,8 @@ pub fn episode(policy: &Policy, noise: SensorNoise, seed: u64, which: [u64; 2]) 
         samples: Samples::default(),
     };
     for step in 0..simulation.policy_steps(EPISODE_S) {
-        if step == push_step {
-            sim.push(&plan.push)?;
+        if let (true, Some(push)) = (step == push_step, &plan.push) {
+            sim.push(push)?;
         }
         tap.target = controller.joint_targets(&sim.state(), &plan.command);
         if sim.step(&tap.target.clone(), &mut tap)?.fall.is_some() {
