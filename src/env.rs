@@ -15,7 +15,7 @@ use crate::random::{Purpose, stream};
 use crate::scene::{RobotFile, Scene};
 use crate::sim::{Sim, SimState};
 use crate::task::observation::{self, Observation, Reduced};
-use crate::task::{Command, Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
+use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
 
 /// How an episode ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -260,11 +260,6 @@ impl LocomotionEnv {
             swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
             fault,
         }
-    }
-
-    /// The command of this episode.
-    pub fn command(&self) -> Command {
-        self.progress.plan.command
     }
 
     /// The simulation, to look at or to disturb.

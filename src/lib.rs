@@ -1,7 +1,8 @@
 /*! Supple trains and studies compliant legged locomotion: a Unitree Go1 that yields when pushed, pulled or blocked.
 
-It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. Data flow one way, and so do the
-modules: [`config`] → [`scene`] → [`mujoco`] → [`sim`] → [`env`](mod@env) → [`rollout`] → [`ppo`] → [`checkpoint`] → [`policy`].
+It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. In training, data flow one way: [`config`]
+→ [`scene`] → [`mujoco`] → [`sim`] → [`env`](mod@env) → [`rollout`] → [`ppo`] → [`checkpoint`] → [`policy`]; in a study,
+[`policies`] → [`agent`] → [`scenario`] → [`trace`] → [`record`] or [`evaluate`].
 */
 
 pub mod agent;

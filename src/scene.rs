@@ -219,7 +219,7 @@ impl Scene {
         }
     }
 
-    /// Compiles the scene to be stepped: without geometries that are only looked at, which halves the cost of a step
+    /// Compiles the scene to be stepped: without geometries that are only looked at, which nearly halves the cost of a step
     /// and changes no physics.
     ///
     /// # Errors

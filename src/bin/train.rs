@@ -27,9 +27,9 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Configuration: compliant, baseline, fast, fast-baseline, hardware, hardware-baseline, or a YAML file [default:
-    /// compliant]
-    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, or a YAML file; with
+    /// --resume, what the run has to be of [default: fast]
+    #[arg(long, value_name = "FILE")]
     config: Option<String>,
     /// Seed of everything random in the run [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "resume")]
@@ -59,7 +59,7 @@ fn run(args: Args) -> anyhow::Result<()> {
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or(cores, usize::from);
     let (mut trainer, mut folder) = match &args.resume {
-        Some(path) => resume(path, args.samples, threads)?,
+        Some(path) => resume(path, &args, threads)?,
         None => start(&args, threads)?,
     };
     let total = trainer.config().run.samples;
@@ -172,7 +172,7 @@ fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
 }
 
 fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
-    let name = args.config.as_deref().unwrap_or("compliant");
+    let name = args.config.as_deref().unwrap_or("fast");
     let mut config = Config::load(name)?;
     config.run.samples = args.samples.unwrap_or(config.run.samples);
     let stem = Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy());
@@ -183,10 +183,15 @@ fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     Ok((trainer, folder))
 }
 
-fn resume(path: &Path, samples: Option<u64>, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
+fn resume(path: &Path, args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     let (folder, mut checkpoint, passed_over) = RunFolder::resume(path)?;
+    if let Some(name) = &args.config {
+        let differences = checkpoint.run.config.differences(&Config::load(name)?);
+        let (path, keys) = (path.display(), differences.join("; "));
+        anyhow::ensure!(differences.is_empty(), "{path} was not begun with {name}: {keys}; start anew with --out");
+    }
     let planned = &mut checkpoint.run.config.run.samples;
-    *planned = samples.unwrap_or(*planned);
+    *planned = args.samples.unwrap_or(*planned);
     if let Some(reason) = passed_over {
         terminal::note(format_args!("warning: {reason}; going on from the checkpoint before it"));
     }

@@ -339,6 +339,15 @@ impl Config {
         Ok(config)
     }
 
+    /// Keys in which this configuration and another one differ, with both values; the length of the run is not looked at.
+    pub fn differences(&self, other: &Config) -> Vec<String> {
+        let [mut ours, mut theirs] = [self, other].map(|config| parse("", &config.to_yaml()).unwrap_or_default());
+        for value in [&mut ours, &mut theirs] {
+            value.as_mapping_mut().map(|keys| keys.remove("run"));
+        }
+        yaml::differences(&ours, &theirs)
+    }
+
     /// The complete configuration as YAML.
     pub fn to_yaml(&self) -> String {
         // Plain structs of numbers and strings: serialising them cannot fail.
@@ -418,6 +427,13 @@ mod tests {
         let error = config.check().unwrap_err().to_string();
         let expected = "ppo.mirror is true, expected false, unless the hip of action.nominal_pose_rad is 0";
         assert_eq!(error, expected);
+    }
+
+    #[test]
+    fn the_baseline_differs_in_one_key_and_the_length_of_a_run_is_none() {
+        let (mut compliant, baseline) = (Config::load("compliant").unwrap(), Config::load("baseline").unwrap());
+        compliant.run.samples = 1;
+        assert_eq!(compliant.differences(&baseline), ["episode.recovery_stage: true and false"]);
     }
 
     #[test]

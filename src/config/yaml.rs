@@ -81,6 +81,25 @@ fn resolve_robot(value: &mut Value, file: &Path) {
     }
 }
 
+/// Dotted keys at which two mappings of the same type differ, with both values.
+pub(super) fn differences(first: &Value, second: &Value) -> Vec<String> {
+    let (Some(ours), Some(theirs)) = (first.as_mapping(), second.as_mapping()) else {
+        let text = |value: &Value| serde_yaml::to_string(value).unwrap_or_default().trim().replace('\n', " ");
+        return if first == second { Vec::new() } else { vec![format!(": {} and {}", text(first), text(second))] };
+    };
+    let missing = Value::Null;
+    let keys = ours.keys().chain(theirs.keys().filter(|key| !ours.contains_key(*key)));
+    keys.flat_map(|key| {
+        let [a, b] = [ours, theirs].map(|keys| keys.get(key).unwrap_or(&missing));
+        let below = differences(a, b).into_iter();
+        below.map(|text| {
+            let dot = if text.starts_with(':') { "" } else { "." };
+            format!("{}{dot}{text}", key.as_str().unwrap_or_default())
+        })
+    })
+    .collect()
+}
+
 /// Replaces in `base` what `change` states; mappings are merged key by key.
 fn overlay(base: &mut Value, change: Value) {
     match (base, change) {

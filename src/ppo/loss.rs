@@ -54,7 +54,7 @@ impl From<&Ppo> for Hyperparameters {
 }
 
 impl Hyperparameters {
-    /// The learning rate for a step at which the policy is `kl` away from the rollout's (Rudin et al., 2022): lower by
+    /// The learning rate for a step at which the policy is `kl` away from the rollout's (Rudin et al., 2021): lower by
     /// 1.5 above twice the desired divergence, higher by 1.5 below half of it. As in rsl_rl, a divergence of exactly
     /// zero (the first minibatch of an update) says nothing and changes nothing.
     pub fn adapted_learning_rate(&self, learning_rate: f64, kl: f64) -> f64 {

@@ -5,7 +5,8 @@ Proximal policy optimisation on the CPU.
 products on all cores; [`PackedMlp`] evaluates one network during rollouts, with the same bits.
 
 The semantics are those of Stable-Baselines3 (advantages normalised per minibatch, unclipped value loss, joint
-gradient-norm clip, Adam) with the adaptive learning rate of Rudin et al. (2022) ahead of every step.
+gradient-norm clip, Adam) with the adaptive learning rate of Rudin et al. ("Learning to walk in minutes using
+massively parallel deep reinforcement learning", CoRL 2021) ahead of every step.
 */
 
 mod block;

@@ -1,6 +1,6 @@
 /*! The learning task of section III as pure functions: what the policy sees, what it is paid, how an episode unfolds.
 
-Nothing here touches MuJoCo; everything takes values and returns values.
+Everything takes values and returns values; only the swing tracker looks on while physics steps.
 */
 
 pub mod episode;

@@ -213,6 +213,8 @@ fn a_gradient_that_is_not_finite_stops_the_run_with_what_led_there_and_a_whole_c
     assert_eq!(output.status.code(), Some(2));
     let words = complaint(&output);
     assert!(words.contains("training failed; what led there is in run/fault.json"), "{words}");
+    // Resuming would do the same again.
+    assert!(words.contains("start anew with another --seed") && !words.contains("--resume run"), "{words}");
     assert_eq!(words.lines().count(), 1);
     let read = |name: &str| std::fs::read_to_string(folder.path().join("run").join(name)).unwrap();
     let told: serde_json::Value = serde_json::from_str(&read("fault.json")).unwrap();

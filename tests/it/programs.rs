@@ -39,6 +39,41 @@ fn a_resumed_run_gives_the_bits_of_an_uninterrupted_one() {
 }
 
 #[test]
+fn a_run_and_its_policy_are_of_one_configuration_and_another_one_is_told_by_its_keys() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = std::fs::read_to_string(small_config_file(folder.path())).unwrap();
+    std::fs::write(folder.path().join("other.yaml"), small.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
+    let arguments = ["--config", "small.yaml", "--samples", "256", "--out", "run"];
+    assert!(run("train", folder.path(), &arguments).status.success());
+    let cases: [(&str, &[&str], Option<&str>); 5] = [
+        (
+            "train",
+            &["--resume", "run", "--config", "other.yaml"],
+            Some("run was not begun with other.yaml: ppo.epochs: 2 and 3"),
+        ),
+        ("train", &["--resume", "run", "--config", "small.yaml", "--samples", "512"], None),
+        (
+            "policy",
+            &["verify", "run", "--config", "other.yaml"],
+            Some("run does not come from other.yaml: ppo.epochs: 2 and 3"),
+        ),
+        (
+            "policy",
+            &["verify", "run", "--samples", "513"],
+            Some("run has learnt from 512 samples, expected 513 or more"),
+        ),
+        ("policy", &["verify", "run", "--config", "small.yaml", "--samples", "512"], None),
+    ];
+    for (program, arguments, expected) in cases {
+        let output = run(program, folder.path(), arguments);
+        assert_eq!(output.status.success(), expected.is_none(), "{arguments:?}: {}", complaint(&output));
+        assert!(complaint(&output).contains(expected.unwrap_or("")), "{arguments:?}: {}", complaint(&output));
+    }
+    // What a resumption changes stands in the run's own configuration, too.
+    assert!(std::fs::read_to_string(folder.path().join("run/config.yaml")).unwrap().contains("samples: 512"));
+}
+
+#[test]
 fn a_damaged_checkpoint_falls_back_to_the_one_before() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
+use supple::config::Config;
 use supple::policies;
 use supple::policy::Policy;
 use supple::ppo::Scratch;
@@ -36,6 +37,12 @@ enum Command {
     Verify {
         /// Policy file, run folder, or name of a shipped policy
         policy: String,
+        /// Configuration that it has to come from
+        #[arg(long, value_name = "FILE")]
+        config: Option<String>,
+        /// Samples that it has to have learnt from at least
+        #[arg(long, value_name = "N", default_value_t = 0)]
+        samples: u64,
     },
     /// Print joint targets (rad) for observations given on standard input, each a line of 83 numbers in a JSON array
     Run {
@@ -79,9 +86,16 @@ fn run(command: Command) -> anyhow::Result<()> {
             terminal::print(format_args!("{}\n", policies::find_ours(&policy)?.metadata_json()))?
         }
         Command::Show { policy, json: false } => terminal::print(description(&policies::find_ours(&policy)?))?,
-        Command::Verify { policy } => {
+        Command::Verify { policy: name, config, samples } => {
             // Reading a policy checks everything in it, the golden pairs included.
-            let sha256 = policies::find_ours(&policy)?.sha256();
+            let policy = policies::find_ours(&name)?;
+            let (found, sha256) = (&policy.provenance, policy.sha256());
+            if let Some(config) = config {
+                let keys = found.config.differences(&Config::load(&config)?).join("; ");
+                anyhow::ensure!(keys.is_empty(), "{name} does not come from {config}: {keys}");
+            }
+            let learnt = found.samples;
+            anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");
             terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
         Command::Run { policy } => answer(&policies::find_ours(&policy)?)?,

@@ -142,7 +142,7 @@ impl Experiment for Walk {
         let table = Table { name: "walk".into(), caption, rows: of_first, in_page: true };
         let panels = ["velocity_error_m_s", "power_w"].map(|name| by_condition(results, name));
         let claim = Claim::bound(
-            "Walking undisturbed at 0.5 m/s, both keep the velocity error below 0.05 m/s",
+            &format!("Walking undisturbed ({first}), both keep the velocity error below {} m/s", self.error_bound_m_s),
             "< 0.05 / < 0.05 m/s",
             results.quantity("velocity_error_m_s"),
             self.error_bound_m_s,
