@@ -175,6 +175,9 @@ impl LocomotionEnv {
     }
 
     /// One policy step with an action of shape (12).
+    ///
+    /// # Panics
+    /// If the action is shorter.
     pub fn step(&mut self, action: &[f32]) -> (Step, Option<EpisodeReport>) {
         match self.try_step(action) {
             Ok((step, report)) => (step, report),
