@@ -54,6 +54,8 @@ pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Robo
     let mut id = survey.trunk;
     survey.change(&mut trunk, &mut id);
     trunk.set("name", "trunk");
+    // Where ropes are tied to.
+    trunk.children.retain(|child| child.name != "site" || child.get("name") != Some(HARNESS));
     let mut harness = Element { name: "site".into(), attributes: Vec::new(), children: Vec::new() };
     harness.set("name", HARNESS);
     harness.set("pos", survey.model.body_centre_of_mass(survey.trunk).map(|value| value.to_string()).join(" "));

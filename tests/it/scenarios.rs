@@ -11,7 +11,7 @@ use supple::trace::{EventKind, Trace};
 use crate::support::standing_policy;
 
 /// A scenario from its defaults and a few changes, as the program would build it.
-fn scenario(name: &str, changes: &[&str]) -> Scenario {
+pub fn scenario(name: &str, changes: &[&str]) -> Scenario {
     let (_, text) = DEFAULTS.iter().find(|(known, _)| *known == name).unwrap();
     let mut line = vec!["scenario".to_owned(), name.to_owned()];
     for (key, value) in flat_parameters(name, text).unwrap() {
@@ -38,7 +38,7 @@ fn trace_with(scenario: &Scenario, seed: u64, sensing: Sensing) -> Trace {
 }
 
 /// Every scenario, cut short.
-fn all() -> Vec<Scenario> {
+pub fn all() -> Vec<Scenario> {
     DEFAULTS
         .iter()
         .map(|(name, _)| match *name {

@@ -14,6 +14,7 @@ use supple::scene::{RobotFile, Scene};
 use supple::trace::Trace;
 use supple::{onnx, policies};
 
+use crate::scenarios;
 use crate::support::{complaint, run, standing_policy};
 
 fn repository(path: &str) -> PathBuf {
@@ -231,6 +232,34 @@ fn another_robot_stands_and_its_names_do_not_matter() {
     // One starts folded as its keyframe, the other upright as its description says; both come to the same stand.
     let height = |trace: &Trace| trace.frames.last().unwrap().height_m;
     assert!((height(&usual) - height(&renamed)).abs() < 0.005, "{} {}", height(&usual), height(&renamed));
+}
+
+#[test]
+fn every_scenario_plays_on_another_robot() {
+    let path = robot("quadruped.xml");
+    let mut agent: Agent = standing_policy().into();
+    agent.run_on(path.to_str().unwrap(), &Robot::load(&path).unwrap());
+    for scenario in scenarios::all() {
+        let script = scenario.script(0, &agent.config).unwrap();
+        let trace = Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace();
+        assert!(trace.fault().is_none() && trace.frames.len() > 30, "{}: {:?}", scenario.name(), trace.events);
+    }
+}
+
+#[test]
+fn the_angles_of_a_robots_file_turn_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
+    let xml = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{}\"", robot("assets").display()));
+    let mats = ["radian", "degree"].map(|unit| {
+        let path = folder.path().join(format!("{unit}.xml"));
+        std::fs::write(&path, xml.replacen("angle=\"radian\"", &format!("angle=\"{unit}\""), 1)).unwrap();
+        let mut config = Config::load("compliant").unwrap();
+        config.robot.model = path.to_str().unwrap().to_owned();
+        let model = scenarios::scenario("rubble", &[]).script(0, &config).unwrap().scene.compile().unwrap();
+        model.geom(model.id(Kind::Geom, "mat_0").unwrap()).quaternion
+    });
+    assert!(mats[0] == mats[1] && mats[0][3].abs() > 0.1, "{mats:?}");
 }
 
 #[test]
