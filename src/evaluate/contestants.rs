@@ -1,5 +1,6 @@
 //! The two sets of policies that are compared, read from folders.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::agent::{Agent, AgentError, is_description};
@@ -137,6 +138,13 @@ impl Contest {
                 ));
             }
         }
+        let keys = unlike(&sides);
+        if !keys.is_empty() {
+            notes.push(format!(
+                "the policies were not trained alike: their configurations differ in {}",
+                keys.join(", ")
+            ));
+        }
         Contest { sides, notes }
     }
 
@@ -169,6 +177,16 @@ impl Side {
         members.sort_by_key(|member| member.seed);
         Ok(Side { name: name.to_owned(), members })
     }
+}
+
+/// Keys beside the recovery stage's, which is what is compared, in which configurations of policies of ours differ.
+fn unlike(sides: &[Side; 2]) -> Vec<String> {
+    let members = sides.iter().flat_map(|side| &side.members);
+    let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
+    let Some(first) = configs.next() else { return Vec::new() };
+    let keys = configs.flat_map(|config| first.differences(config));
+    let keys: BTreeSet<String> = keys.filter_map(|text| Some(text.split_once(": ")?.0.to_owned())).collect();
+    keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
 }
 
 /// Without its folder: the same in every report of the same policies.

@@ -282,11 +282,14 @@ fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
 }
 
 #[test]
-fn a_missing_seed_is_told_and_left_out_of_differences_only() {
+fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of_differences_only() {
+    let mut baseline = standing_policy();
+    baseline.provenance.config.episode.recovery_stage = false;
+    baseline.provenance.config.ppo.epochs = 7;
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
         ("compliant-seed3.safetensors", standing_policy()),
-        ("baseline-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", baseline),
         ("other.safetensors", standing_policy()),
     ]);
     let output = evaluate(folder.path(), &["walk", "--out", "report"]);
@@ -295,6 +298,7 @@ fn a_missing_seed_is_told_and_left_out_of_differences_only() {
     let summary = summary(folder.path(), "report");
     let notes = summary["notes"].to_string();
     assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
+    assert!(notes.contains("not trained alike: their configurations differ in ppo.epochs\""), "{notes}");
     let power = row(experiment(&summary, "walk"), "walk", "forward 0.5", "power_w");
     assert_eq!(power["sets"]["compliant"]["by_seed"].as_object().unwrap().len(), 2);
     assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null, "pairs": 1}));
