@@ -151,6 +151,8 @@ class Go1VecEnv(VecEnv):
         self.age, self.cut = np.zeros(count, dtype=int), self.random.integers(1, self.recovery + 1, count)
         self.command, self.gravity = np.zeros((count, 3)), np.zeros((count, 3))
         self.push_linear, self.push_angular = np.zeros((count, 2)), np.zeros((count, 3))
+        # Whether pushes have begun, and whether each episode has one.
+        self.pushes, self.has_push = False, np.zeros(count, dtype=bool)
         # Sums of r_lin and r_ang over the walking stage.
         self.walking, self.episode_reward = np.zeros((count, 2)), np.zeros(count)
         self.walked = []
@@ -169,6 +171,7 @@ class Go1VecEnv(VecEnv):
         self.command[which] = self.command_share * widest * random.uniform(-1, 1, (count, 3))
         episode = self.config["episode"]
         self.push_linear[which] = episode["push_speed_m_s"] * random.uniform(-1, 1, (count, 2))
+        self.has_push[which] = self.pushes
         self.push_angular[which] = episode["push_rate_rad_s"] * random.uniform(-1, 1, (count, 3))
         tilt = np.arctan(episode["slope"] * random.uniform(0, 1, count))
         uphill = random.uniform(-np.pi, np.pi, count)
@@ -201,8 +204,8 @@ class Go1VecEnv(VecEnv):
         self.previous, self.current, self.last_target = self.current, self.reduced(), target
 
         mean_walking = self.walking[:, 0] / self.recovery
-        gate_shut = (self.age == self.recovery) & (mean_walking < self.config["episode"]["push_gate"])
-        out_of_time = gate_shut | (self.age >= self.last) | (self.age >= self.cut)
+        walk_alone = (self.age == self.recovery) & ~self.has_push
+        out_of_time = walk_alone | (self.age >= self.last) | (self.age >= self.cut)
         done = fell | out_of_time
         observation = self.observation()
         infos = [{} for _ in range(self.num_envs)]
@@ -267,11 +270,13 @@ class Go1VecEnv(VecEnv):
     def joined(self, name):
         return np.concatenate([getattr(physics, name) for physics in self.physics])
 
-    def widen_commands(self):
-        """The command curriculum, at the end of an iteration."""
+    def advance_curriculum(self):
+        """The curriculum of commands and pushes, at the end of an iteration."""
         ranges = self.config["command"]
-        if self.walked and np.mean(self.walked) > ranges["share_gate"]:
-            self.command_share = min(1.0, self.command_share + ranges["share_step"])
+        if self.walked:
+            if np.mean(self.walked) > ranges["share_gate"]:
+                self.command_share = min(1.0, self.command_share + ranges["share_step"])
+            self.pushes = self.pushes or np.mean(self.walked) > self.config["episode"]["push_gate"]
         self.walked = []
 
     def close(self):
