@@ -46,7 +46,7 @@ class Curriculum(BaseCallback):
         return True
 
     def _on_rollout_end(self):
-        self.training_env.widen_commands()
+        self.training_env.advance_curriculum()
 
 
 def ppo(env, config, epochs):
