@@ -250,6 +250,15 @@ fn policy_program_shows_verifies_and_exports() {
     for name in ["observation", "joint_target", "Gemm", "Elu"] {
         assert!(onnx.windows(name.len()).any(|window| window == name.as_bytes()), "{name}");
     }
+    // Its own description is written again; one made by hand is not, nor is the network written to its place.
+    assert!(run("policy", folder.path(), &arguments).status.success());
+    std::fs::write(folder.path().join("p.yaml"), "onnx: mine.onnx\n").unwrap();
+    for (out, expected) in [("p.onnx", "p.yaml was not written by"), ("q.yaml", "is where the description goes")] {
+        let output = run("policy", folder.path(), &["export", "p.safetensors", "--format", "onnx", "--out", out]);
+        assert_eq!(output.status.code(), Some(2));
+        assert!(complaint(&output).contains(expected), "{}", complaint(&output));
+    }
+    assert_eq!(std::fs::read_to_string(folder.path().join("p.yaml")).unwrap(), "onnx: mine.onnx\n");
 }
 
 #[test]
@@ -260,18 +269,23 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
     let bytes = policy.to_bytes().unwrap();
     std::fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() / 2]).unwrap();
     std::fs::write(folder.path().join("odd.yaml"), "push_m_ss: 1\n").unwrap();
+    std::fs::write(folder.path().join("hard.yaml"), "push_m_s: 30\n").unwrap();
     let mut other = standing_policy();
     other.actor.layers[1].bias.pop();
     let rows = other.actor.layers[1].weight.len() - other.actor.layers[1].inputs();
     other.actor.layers[1].weight.truncate(8 * 11.min(rows));
     std::fs::write(folder.path().join("other.safetensors"), other.to_bytes().unwrap()).unwrap();
-    let cases: [(&[&str], &str); 8] = [
+    let cases: [(&[&str], &str); 9] = [
         (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
         (&["push", "--policy", "cut.safetensors"], "was it cut off"),
         (&["push", "--policy", "other.safetensors"], "11 outputs, expected 12"),
         (&["push", "--policy", "standing.safetensors", "--push-m-s", "-1"], "--push-m-s is -1, expected 0 to 20 m/s"),
         (&["box", "--policy", "standing.safetensors", "--mass-kg", "0"], "--mass-kg is 0, expected 0.001"),
         (&["push", "--policy", "standing.safetensors", "--params", "odd.yaml"], "no parameter 'push_m_ss'"),
+        (
+            &["push", "--policy", "standing.safetensors", "--params", "hard.yaml"],
+            "with the parameters of hard.yaml: --push-m-s is 30, expected 0 to 20 m/s",
+        ),
         (&["walk", "--policy", "standing.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
         (
             &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],

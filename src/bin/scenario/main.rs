@@ -48,7 +48,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let scripts: Vec<Script> = robots
         .iter()
         .map(|(_, agent)| Ok(scenario.script(args.seed, &agent.config)?))
-        .collect::<anyhow::Result<_>>()?;
+        .collect::<anyhow::Result<_>>()
+        .map_err(|error| match &args.params {
+            Some(file) => error.context(format!("with the parameters of {}", file.display())),
+            None => error,
+        })?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
         terminal::note(format_args!("note: {late}"));
     }

@@ -173,9 +173,16 @@ impl Experiment for Decay {
             Claim::direction(&text, "+85 %", results.quantity(quantity), Expected::Higher, comparison)
         };
         let mut claims: Vec<Claim> = THRESHOLDS.map(claim).into();
-        let text = "After a sideways push, compliant policies are carried farther by it (neither threshold nor average)";
+        let text =
+            "After a sideways push, compliant policies are carried farther by it (neither threshold nor average)";
         let comparison = results.compare(0, "carried_m");
-        claims.push(Claim::direction(text, "+85 % in time", results.quantity("carried_m"), Expected::Higher, comparison));
+        claims.push(Claim::direction(
+            text,
+            "+85 % in time",
+            results.quantity("carried_m"),
+            Expected::Higher,
+            comparison,
+        ));
         Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
     }
 }
