@@ -16,6 +16,9 @@ pub const JOINT_COUNT: usize = 12;
 /// One number for each joint: legs FR, FL, RR, RL, in each hip, thigh, calf (Unitree's order).
 pub type Joints = [f64; JOINT_COUNT];
 
+/// Name of the site at the trunk's centre of mass, to which ropes are tied.
+pub const HARNESS: &str = "harness";
+
 /// Legs in Unitree's order.
 pub const LEGS: [&str; 4] = ["FR", "FL", "RR", "RL"];
 

@@ -12,7 +12,7 @@ use rand_distr::StandardNormal;
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{Config, Simulation};
+use crate::config::{Config, GO1_NAME, Simulation};
 use crate::files;
 use crate::go1::{JOINT_COUNT, JOINT_LIMITS, Joints, TORQUE_LIMITS, joint_name, same_in_every_leg};
 use crate::ppo::{ActorCritic, Layer, Mlp, PackedMlp, Scratch};
@@ -104,7 +104,7 @@ pub struct Usage {
 impl Usage {
     /// For a robot of this name.
     fn new(model: &str) -> Self {
-        let go1 = model == "go1";
+        let go1 = model == GO1_NAME;
         Usage {
             observation_elements: LAYOUT.iter().flat_map(|block| element_names(block.quantity, block.age)).collect(),
             network_input: "(observation - normaliser.offset) * normaliser.scale".into(),

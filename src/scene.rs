@@ -14,13 +14,11 @@ not look for them among all bodies: the same contacts, a quarter more steps per 
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
+use crate::config::GO1_NAME;
 use crate::files;
 use crate::go1::LEGS;
 use crate::mujoco::{Error, Kind, Model, Result};
 use crate::robot::{Robot, RobotError};
-
-/// Name of the robot inside the binary.
-pub const GO1_NAME: &str = "go1";
 
 /// The Go1 of `models/go1.xml`.
 pub const GO1: &str = include_str!("../models/go1.xml");

@@ -131,6 +131,7 @@ fn rollout(config: &Config, network: &ActorCritic, threads: usize, effort: &Effo
     Ok(collection.collect(&mut environments)?)
 }
 
+/// Two for each weight and direction: forward, gradient of the weights, and but for the first layer of the inputs.
 fn flop_per_sample_pass(network: &ActorCritic) -> f64 {
     let of_mlp = |mlp: &Mlp| {
         let weights = mlp.layers.iter().map(|layer| layer.weight.len());

@@ -90,9 +90,9 @@ fn run(args: Args) -> anyhow::Result<()> {
 /// The command that goes on with a run, to be pasted.
 fn resuming(folder: &Path) -> String {
     let program = std::env::args().next().unwrap_or_else(|| "train".into());
-    let words = [program.as_str(), "--resume", &folder.to_string_lossy()].map(str::to_owned);
+    let folder = folder.to_string_lossy();
     // Fails only for a zero byte, which no path holds.
-    shlex::try_join(words.iter().map(String::as_str)).unwrap_or_else(|_| words.join(" "))
+    shlex::try_join([program.as_str(), "--resume", &folder]).unwrap_or_default()
 }
 
 /// Iterates until `total` samples are collected or `stop` is set; `saved` is the iteration of the newest checkpoint.
@@ -186,9 +186,9 @@ fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
 fn resume(path: &Path, args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     let (folder, mut checkpoint, passed_over) = RunFolder::resume(path)?;
     if let Some(name) = &args.config {
-        let differences = checkpoint.run.config.differences(&Config::load(name)?);
-        let (path, keys) = (path.display(), differences.join("; "));
-        anyhow::ensure!(differences.is_empty(), "{path} was not begun with {name}: {keys}; start anew with --out");
+        let differs =
+            |keys| anyhow::anyhow!("{} was not begun with {name}: {keys}; start anew with --out", path.display());
+        checkpoint.run.config.check_same(&Config::load(name)?).map_err(differs)?;
     }
     let planned = &mut checkpoint.run.config.run.samples;
     *planned = args.samples.unwrap_or(*planned);

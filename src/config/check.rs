@@ -1,7 +1,6 @@
 //! The ranges of a configuration's values.
 
-use super::Config;
-use crate::ppo::LOG_STD_RANGE;
+use super::{Config, LOG_STD_RANGE};
 
 /// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
 const MAX_PHYSICS_RATE_HZ: u32 = 20_000;

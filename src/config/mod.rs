@@ -8,6 +8,7 @@ baseline is one key away from the compliant policy, and reads so. This module is
 mod check;
 mod yaml;
 
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -26,6 +27,13 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("hardware", include_str!("../../configs/hardware.yaml")),
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
 ];
+
+/// Name of the robot inside the binary.
+pub const GO1_NAME: &str = "go1";
+
+/// `ln σ` is kept within this range, far from where training goes: below it, log-densities lose their precision, above
+/// it, actions are nothing but noise.
+pub const LOG_STD_RANGE: [f32; 2] = [-7.0, 2.0];
 
 /// How deep `base` may be nested.
 const MAX_BASES: usize = 8;
@@ -315,7 +323,32 @@ pub struct Run {
     pub checkpoint_every: u64,
 }
 
+/// A key in which two configurations differ.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Difference {
+    /// Dotted key.
+    pub key: String,
+    /// Its value in the one and in the other, as YAML.
+    pub values: [String; 2],
+}
+
+impl fmt::Display for Difference {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [ours, theirs] = &self.values;
+        write!(f, "{}: {ours} and {theirs}", self.key)
+    }
+}
+
 impl Config {
+    /// Checks that this is the same as another configuration but for the length of the run.
+    ///
+    /// # Errors
+    /// In words: the keys in which they differ, with both values.
+    pub fn check_same(&self, other: &Config) -> Result<(), String> {
+        let differences: Vec<String> = self.differences(other).iter().map(Difference::to_string).collect();
+        if differences.is_empty() { Ok(()) } else { Err(differences.join("; ")) }
+    }
+
     /// Loads an embedded configuration by name, or a file.
     ///
     /// # Errors
@@ -339,13 +372,12 @@ impl Config {
         Ok(config)
     }
 
-    /// Keys in which this configuration and another one differ, with both values; the length of the run is not looked at.
-    pub fn differences(&self, other: &Config) -> Vec<String> {
-        let [mut ours, mut theirs] = [self, other].map(|config| parse("", &config.to_yaml()).unwrap_or_default());
-        for value in [&mut ours, &mut theirs] {
-            value.as_mapping_mut().map(|keys| keys.remove("run"));
-        }
-        yaml::differences(&ours, &theirs)
+    /// Where this configuration and another one differ. The length of the run is not looked at.
+    pub fn differences(&self, other: &Config) -> Vec<Difference> {
+        let other = Config { run: self.run.clone(), ..other.clone() };
+        // Plain structs of numbers and strings: serialising them cannot fail.
+        let [ours, theirs] = [self, &other].map(|config| serde_yaml::to_value(config).unwrap_or_default());
+        yaml::differences("", &ours, &theirs)
     }
 
     /// The complete configuration as YAML.
@@ -433,7 +465,7 @@ mod tests {
     fn the_baseline_differs_in_one_key_and_the_length_of_a_run_is_none() {
         let (mut compliant, baseline) = (Config::load("compliant").unwrap(), Config::load("baseline").unwrap());
         compliant.run.samples = 1;
-        assert_eq!(compliant.differences(&baseline), ["episode.recovery_stage: true and false"]);
+        assert_eq!(compliant.check_same(&baseline).unwrap_err(), "episode.recovery_stage: true and false");
     }
 
     #[test]

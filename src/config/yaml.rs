@@ -4,8 +4,7 @@ use std::path::Path;
 
 use serde_yaml::Value;
 
-use super::{ConfigError, EMBEDDED};
-use crate::scene::GO1_NAME;
+use super::{ConfigError, Difference, EMBEDDED, GO1_NAME};
 
 /// A flat YAML mapping as names and values in text, for files that stand for command-line flags.
 ///
@@ -81,21 +80,18 @@ fn resolve_robot(value: &mut Value, file: &Path) {
     }
 }
 
-/// Dotted keys at which two mappings of the same type differ, with both values.
-pub(super) fn differences(first: &Value, second: &Value) -> Vec<String> {
+/// Where two mappings differ, below a dotted key.
+pub(super) fn differences(key: &str, first: &Value, second: &Value) -> Vec<Difference> {
     let (Some(ours), Some(theirs)) = (first.as_mapping(), second.as_mapping()) else {
         let text = |value: &Value| serde_yaml::to_string(value).unwrap_or_default().trim().replace('\n', " ");
-        return if first == second { Vec::new() } else { vec![format!(": {} and {}", text(first), text(second))] };
+        let difference = || Difference { key: key.to_owned(), values: [text(first), text(second)] };
+        return (first != second).then(difference).into_iter().collect();
     };
-    let missing = Value::Null;
     let keys = ours.keys().chain(theirs.keys().filter(|key| !ours.contains_key(*key)));
-    keys.flat_map(|key| {
-        let [a, b] = [ours, theirs].map(|keys| keys.get(key).unwrap_or(&missing));
-        let below = differences(a, b).into_iter();
-        below.map(|text| {
-            let dot = if text.starts_with(':') { "" } else { "." };
-            format!("{}{dot}{text}", key.as_str().unwrap_or_default())
-        })
+    keys.flat_map(|part| {
+        let [a, b] = [ours, theirs].map(|keys| keys.get(part).unwrap_or(&Value::Null));
+        let dot = if key.is_empty() { "" } else { "." };
+        differences(&format!("{key}{dot}{}", part.as_str().unwrap_or_default()), a, b)
     })
     .collect()
 }

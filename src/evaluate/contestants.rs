@@ -185,7 +185,7 @@ fn unlike(sides: &[Side; 2]) -> Vec<String> {
     let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
     let Some(first) = configs.next() else { return Vec::new() };
     let keys = configs.flat_map(|config| first.differences(config));
-    let keys: BTreeSet<String> = keys.filter_map(|text| Some(text.split_once(": ")?.0.to_owned())).collect();
+    let keys: BTreeSet<String> = keys.map(|difference| difference.key).collect();
     keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
 }
 

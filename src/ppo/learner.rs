@@ -26,10 +26,7 @@ use super::panel::{Panel, panel_starts, unpack};
 use super::team::{Member, Team};
 use super::update::{Progress, check};
 use super::{ActorCritic, Batch, DiagonalGaussian, Hyperparameters, KlDivergence, UpdateFault, UpdateStatistics};
-
-/// `ln σ` is kept within this range, far from where training goes: below it, log-densities lose their precision, above
-/// it, actions are nothing but noise.
-pub const LOG_STD_RANGE: [f32; 2] = [-7.0, 2.0];
+use crate::config::LOG_STD_RANGE;
 
 /// Everything that an update depends on besides its batch; what a checkpoint has to keep.
 #[derive(Debug, Clone, PartialEq)]

@@ -25,7 +25,7 @@ mod tests;
 mod update;
 
 pub use gaussian::{DiagonalGaussian, KlDivergence};
-pub use learner::{LOG_STD_RANGE, Learner, LearnerState};
+pub use learner::{Learner, LearnerState};
 pub use loss::{Batch, Hyperparameters, Samples};
 pub use network::{ActorCritic, Layer, Mlp, TensorError};
 pub use packed::{PackedMlp, Scratch};

@@ -11,6 +11,7 @@ use super::loss::tests::SETTINGS;
 use super::reference::Reference;
 use super::team::Team;
 use super::*;
+use crate::config::LOG_STD_RANGE;
 
 impl Samples {
     /// From a policy somewhat away from the one to be trained.

@@ -5,9 +5,8 @@ use std::path::Path;
 use super::Robot;
 use super::names::{Description, foot};
 use super::xml::Element;
-use crate::go1::{JOINT_COUNT, Joints, LEGS, TORQUE_LIMITS, joint_name};
+use crate::go1::{HARNESS, JOINT_COUNT, Joints, LEGS, TORQUE_LIMITS, joint_name};
 use crate::mujoco::{Data, GeomContact, Kind, Model};
-use crate::scenario::rig::HARNESS;
 
 /// Class of what the file's top-level defaults were; those of a scene must not be changed by a robot.
 const MAIN_CLASS: &str = "robot_defaults";

@@ -16,9 +16,6 @@ use crate::sim::Sim;
 use crate::task::Command;
 use crate::trace::{Event, EventKind, Rope};
 
-/// Name of the site on the trunk at which ropes are tied.
-pub const HARNESS: &str = "harness";
-
 /// Name of the tendon that is the rope.
 pub const ROPE: &str = "rope";
 

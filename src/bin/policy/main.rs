@@ -91,8 +91,8 @@ fn run(command: Command) -> anyhow::Result<()> {
             let policy = policies::find_ours(&name)?;
             let (found, sha256) = (&policy.provenance, policy.sha256());
             if let Some(config) = config {
-                let keys = found.config.differences(&Config::load(&config)?).join("; ");
-                anyhow::ensure!(keys.is_empty(), "{name} does not come from {config}: {keys}");
+                let differs = |keys| anyhow::anyhow!("{name} does not come from {config}: {keys}");
+                found.config.check_same(&Config::load(&config)?).map_err(differs)?;
             }
             let learnt = found.samples;
             anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");

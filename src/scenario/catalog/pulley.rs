@@ -10,8 +10,9 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric};
+use crate::go1::HARNESS;
 use crate::scenario::metrics::{self, Metric};
-use crate::scenario::rig::{HARNESS, ROPE, ROPE_LIMIT, Words};
+use crate::scenario::rig::{ROPE, ROPE_LIMIT, Words};
 use crate::scenario::{Rig, Script};
 use crate::scene::Buffers;
 use crate::trace::{Frame, Trace};
