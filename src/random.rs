@@ -32,6 +32,8 @@ pub enum Purpose {
     Bootstrap = 9,
     /// Samples that are learnt from in the mirror. Counters: iteration, epoch.
     Mirror = 10,
+    /// What a scenario's encoders are off by.
+    Offsets = 11,
 }
 
 /// The generator of a stream.

@@ -18,7 +18,8 @@ The main differences from the MIT code, whose noises are not these either:
 - Contact is a yes or no, not the phase of a gait that MIT turns into a trust. A foot without contact has no velocity and
   height rows, and its position is free, so that at touchdown it is where the joints say.
 - A foot in contact whose `v_i` fits neither the prediction nor another foot slips, or its flag is wrong: its trust
-  falls below one as the misfit grows, and divides the standard deviations of its rows.
+  falls below one as the misfit grows, divides the standard deviations of its rows, and weighs the variances of a foot
+  that stands and of one that swings, whose sum lets it go: a trust of 0.99 is enough to free its position.
 - Position is predicted with the acceleration's `½ a dt²` too; horizontal drift is not held back by anything.
 
 No row and no noise couples x, y and z. The 18-state filter thus is three of six states, and uncorrelated rows can be

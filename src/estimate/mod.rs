@@ -20,7 +20,6 @@ mod walker;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
-use crate::go1::joint_name;
 use kalman::{FilterNoise, Fit, FootMeasurement, KalmanFilter};
 use kinematics::{IMU_IN_BASE, feet};
 use orientation::OrientationFilter;
@@ -40,8 +39,8 @@ pub enum SensorFault {
         /// What it read.
         found: f64,
     },
-    /// The time since the last reading makes no sense.
-    #[error("the time since the last reading is {dt_s} s, expected a positive number")]
+    /// The time since the last tick makes no sense.
+    #[error("the time since the last tick is {dt_s} s, expected a positive number")]
     Timestep {
         /// What was given \[s\].
         dt_s: f64,
@@ -144,7 +143,7 @@ impl Estimator {
         self.filters.as_ref().map(|filters| &filters.estimate)
     }
 
-    /// Takes the readings of a tick, `dt_s` \[s\] after the last one; `None` for a sensor that gave nothing. The first
+    /// Takes the readings of a tick, `dt_s` \[s\] after the last tick; `None` for a sensor that gave nothing. The first
     /// call should find the robot at rest: up is where the accelerometer points.
     ///
     /// # Errors
@@ -197,13 +196,17 @@ impl Filters {
         dt_s: f64,
     ) -> Result<(), SensorFault> {
         let limit_s = config.max_silence_s;
-        // A silence beyond the limit never ends: what happened in it is unknown.
-        let silence = |present: bool, before: f64| if present && before <= limit_s { 0.0 } else { before + dt_s };
-        self.imu_silent_s = silence(imu.is_some(), self.imu_silent_s);
-        self.encoders_silent_s = silence(encoders.is_some(), self.encoders_silent_s);
-        for (sensor, silent_s) in [("IMU", self.imu_silent_s), ("encoders", self.encoders_silent_s)] {
-            if silent_s > limit_s {
-                return Err(SensorFault::Silent { sensor, silent_s, limit_s });
+        let [imu_silent_s, encoders_silent_s] = [&mut self.imu_silent_s, &mut self.encoders_silent_s];
+        let sensors = [("IMU", imu.is_some(), imu_silent_s), ("encoders", encoders.is_some(), encoders_silent_s)];
+        for (sensor, reads, silent_s) in sensors {
+            // Up to a reading that ends it. A silence beyond the limit never ends: what happened in it is unknown.
+            *silent_s += dt_s;
+            // Sums of ticks are off by rounding.
+            if *silent_s > limit_s + 1e-9 {
+                return Err(SensorFault::Silent { sensor, silent_s: *silent_s, limit_s });
+            }
+            if reads {
+                *silent_s = 0.0;
             }
         }
         let held = imu.is_none();
@@ -257,24 +260,6 @@ fn check(imu: Option<&ImuReading>, encoders: Option<&EncoderReading>, dt_s: f64)
     if !(dt_s.is_finite() && dt_s > 0.0) {
         return Err(SensorFault::Timestep { dt_s });
     }
-    let refuse = |reading: String, found: f64| Err(SensorFault::NotFinite { reading, found });
-    if let Some(imu) = imu {
-        for (name, vector) in [("gyro", imu.gyro), ("accelerometer", imu.specific_force)] {
-            for (axis, value) in ["x", "y", "z"].iter().zip(vector.iter()) {
-                if !value.is_finite() {
-                    return refuse(format!("{name} {axis}"), *value);
-                }
-            }
-        }
-    }
-    if let Some(encoders) = encoders {
-        for (name, joints) in [("angle", &encoders.angles), ("rate", &encoders.rates)] {
-            for (joint, value) in joints.iter().enumerate() {
-                if !value.is_finite() {
-                    return refuse(format!("{name} of {}", joint_name(joint)), *value);
-                }
-            }
-        }
-    }
-    Ok(())
+    imu.map_or(Ok(()), ImuReading::check)?;
+    encoders.map_or(Ok(()), EncoderReading::check)
 }

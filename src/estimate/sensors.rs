@@ -13,8 +13,9 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
+use super::SensorFault;
 use super::kinematics::IMU_IN_BASE;
-use crate::go1::Joints;
+use crate::go1::{Joints, joint_name};
 
 /// A reading of the IMU.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,6 +40,21 @@ impl EncoderReading {
     pub fn exact(angles: &Joints, rates: Joints, offsets: &Joints) -> Self {
         EncoderReading { angles: std::array::from_fn(|joint| angles[joint] + offsets[joint]), rates }
     }
+
+    /// Whether these are numbers.
+    ///
+    /// # Errors
+    /// [`SensorFault::NotFinite`] for the first that is not.
+    pub fn check(&self) -> Result<(), SensorFault> {
+        let of = |name, joints: &Joints| finite(joints, |joint| format!("{name} of {}", joint_name(joint)));
+        of("angle", &self.angles)?;
+        of("rate", &self.rates)
+    }
+}
+
+fn finite(values: &[f64], name: impl Fn(usize) -> String) -> Result<(), SensorFault> {
+    let bad = values.iter().enumerate().find(|(_, value)| !value.is_finite());
+    bad.map_or(Ok(()), |(index, found)| Err(SensorFault::NotFinite { reading: name(index), found: *found }))
 }
 
 /// How the trunk moves, for [`ImuReading::exact`].
@@ -61,6 +77,17 @@ impl ImuReading {
         let of_origin = motion.world_from_base.inverse() * (motion.acceleration - gravity);
         let of_arm = motion.angular_acceleration.cross(&arm) + rate.cross(&rate.cross(&arm));
         ImuReading { gyro: rate, specific_force: of_origin + of_arm }
+    }
+
+    /// Whether these are numbers.
+    ///
+    /// # Errors
+    /// [`SensorFault::NotFinite`] for the first that is not.
+    pub fn check(&self) -> Result<(), SensorFault> {
+        let of =
+            |name, vector: &Vector3<f64>| finite(vector.as_slice(), |axis| format!("{name} {}", ["x", "y", "z"][axis]));
+        of("gyro", &self.gyro)?;
+        of("accelerometer", &self.specific_force)
     }
 }
 
@@ -212,30 +239,62 @@ mod tests {
     }
 
     #[test]
-    fn a_bias_is_drawn_once_and_stays() {
+    fn biases_are_drawn_once_and_stay_and_have_the_sizes_they_are_given() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let noise = SensorNoise {
             gyro_density_rad_s_sqrt_hz: 0.0,
             accelerometer_density_m_s2_sqrt_hz: 0.0,
             ..SensorNoise::default()
         };
-        let sensors = Sensors::new(noise, &mut rng);
         let exact = ImuReading { gyro: Vector3::zeros(), specific_force: Vector3::zeros() };
-        let first = sensors.imu(&exact, DT_S, &mut rng);
-        assert!(first.gyro.norm() > 0.0 && first.specific_force.norm() > 0.0);
-        assert_eq!(first, sensors.imu(&exact, DT_S, &mut rng));
+        let (mut gyro, mut accelerometer, count) = (0.0, 0.0, 4000);
+        for _ in 0..count {
+            let sensors = Sensors::new(noise, &mut rng);
+            let first = sensors.imu(&exact, DT_S, &mut rng);
+            assert_eq!(first, sensors.imu(&exact, DT_S, &mut rng));
+            gyro += first.gyro.norm_squared();
+            accelerometer += first.specific_force.norm_squared();
+        }
+        // 0.15 °/s = 0.002618 rad/s; 5 mg = 0.04905 m/s².
+        let sd = |squares: f64| (squares / f64::from(3 * count)).sqrt();
+        assert!((sd(gyro) / 0.002_618 - 1.0).abs() < 0.03, "{}", sd(gyro));
+        assert!((sd(accelerometer) / 0.049_05 - 1.0).abs() < 0.03, "{}", sd(accelerometer));
     }
 
     #[test]
-    fn encoders_without_noise_are_off_by_half_a_step_at_most() {
+    fn encoders_read_whole_steps_and_the_nearest_ones() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let noise = SensorNoise { angle_rad: 0.0, rate_rad_s: 0.0, ..SensorNoise::default() };
-        let reading = Sensors::new(noise, &mut rng).encoders(&still(), DT_S, &mut rng);
-        // 2π / 6.33 / 32768 / 2 = 1.51e-5 rad; at the calf two thirds of it.
+        let moving = EncoderReading { rates: [0.33; JOINT_COUNT], ..still() };
+        let reading = Sensors::new(noise, &mut rng).encoders(&moving, DT_S, &mut rng);
         for joint in 0..JOINT_COUNT {
-            let bound = if joint % 3 == 2 { 1.01e-5 } else { 1.52e-5 };
-            assert!((reading.angles[joint] - 0.7).abs() <= bound);
+            // One turn of the rotor is 2π / 6.33 of hip and thigh and 2π / 9.495 of the calf.
+            let turn = TAU / if joint % 3 == 2 { 9.495 } else { 6.33 };
+            for (read, exact, steps) in [(reading.angles[joint], 0.7, 32768.0), (reading.rates[joint], 0.33, 256.0)] {
+                let counted = read * steps / turn;
+                assert!((counted - counted.round()).abs() < 1e-6, "{counted} steps");
+                assert!((read - exact).abs() <= 0.5 * turn / steps + 1e-12, "{read}");
+            }
         }
+        // 0.7 rad is 23108.503 steps of a hip and 0.33 rad/s 85.11: the nearest are 23109 and 85.
+        assert!((reading.angles[0] - 23109.0 * TAU / 6.33 / 32768.0).abs() < 1e-12, "{}", reading.angles[0]);
+        assert!((reading.rates[0] - 85.0 * TAU / 6.33 / 256.0).abs() < 1e-12, "{}", reading.rates[0]);
+    }
+
+    #[test]
+    fn encoder_noise_has_the_sizes_it_is_given() {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        let noise = SensorNoise { angle_steps_per_turn: 1e9, rate_steps_per_turn_s: 1e9, ..SensorNoise::default() };
+        let mut sensors = Sensors::new(noise, &mut rng);
+        let (mut angle, mut rate, count) = (0.0, 0.0, 2000);
+        for _ in 0..count {
+            let reading = sensors.encoders(&still(), DT_S, &mut rng);
+            angle += reading.angles.iter().map(|angle| (angle - 0.7).powi(2)).sum::<f64>();
+            rate += reading.rates.iter().map(|rate| rate.powi(2)).sum::<f64>();
+        }
+        let sd = |squares: f64| (squares / f64::from(12 * count)).sqrt();
+        assert!((sd(angle) / 0.0014 - 1.0).abs() < 0.03, "{}", sd(angle));
+        assert!((sd(rate) / 0.03 - 1.0).abs() < 0.03, "{}", sd(rate));
     }
 
     #[test]

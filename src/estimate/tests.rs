@@ -214,6 +214,14 @@ fn silence_for_too_long_is_a_fault_that_stays() {
 }
 
 #[test]
+fn too_long_a_time_between_two_good_ticks_is_a_silence_too() {
+    let (mut estimator, truth) = standing();
+    let mut step = |dt_s| estimator.update(Some(&truth.imu), Some(&truth.encoders), truth.contacts, dt_s).copied();
+    step(0.1).unwrap();
+    assert!(matches!(step(0.11), Err(SensorFault::Silent { .. })));
+}
+
+#[test]
 fn nothing_can_start_without_both_sensors() {
     let (_, truth) = standing();
     let mut estimator = Estimator::new(EstimatorConfig::default());

@@ -58,15 +58,10 @@ impl<'a> Rollout<'a> {
     ///
     /// # Errors
     /// A fault of MuJoCo, such as a scene that does not compile.
-    pub fn new(
-        script: &'a Script,
-        config: &'a Config,
-        mut controller: Box<dyn Controller + 'a>,
-    ) -> mujoco::Result<Self> {
+    pub fn new(script: &'a Script, config: &'a Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
         let mut sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m)?;
         sim.reset(script.conditions, &controller.rest())?;
         let state = sim.state();
-        controller.begin(&state);
         Ok(Rollout {
             steps: config.simulation.policy_steps(script.duration_s),
             script,
@@ -114,7 +109,6 @@ impl<'a> Rollout<'a> {
     pub fn with_senses(mut self, network: ContactNetwork, noise: SensorNoise, seed: u64) -> Result<Self, SensingError> {
         let rest = self.controller.rest();
         let senses = Senses::new(network, noise, seed, &self.sim, &self.script.conditions, &rest)?;
-        self.controller.begin(&senses.state());
         self.senses = Some(senses);
         Ok(self)
     }
@@ -146,7 +140,11 @@ impl<'a> Rollout<'a> {
         self.disturb(time_s, events)?;
 
         let known = self.senses.as_ref().map(Senses::state);
-        let target = self.controller.joint_targets(known.as_ref().unwrap_or(&self.state), &self.script.command);
+        let known = known.as_ref().unwrap_or(&self.state);
+        if self.step == 0 {
+            self.controller.begin(known);
+        }
+        let target = self.controller.joint_targets(known, &self.script.command);
         if let Some(senses) = &mut self.senses {
             senses.act(&target);
         }
@@ -160,7 +158,7 @@ impl<'a> Rollout<'a> {
             events.push(Event {
                 time_s,
                 kind: EventKind::Disturbance,
-                text: format!("sensors: {fault}; the last good estimate is kept"),
+                text: format!("sensors: {fault}; the others bridge it"),
             });
         }
 

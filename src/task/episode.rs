@@ -198,8 +198,24 @@ mod tests {
         let draw = |config| EpisodePlan::draw(config, Curriculum::complete(), &mut stream(1, Purpose::Episode, 2, 3));
         let (off, on) = (draw(&off), draw(&on));
         assert_eq!((off.command, off.push, off.conditions.gravity), (on.command, on.push, on.conditions.gravity));
-        assert!(on.conditions.joint_offsets.iter().all(|offset| *offset != 0.0 && offset.abs() < 0.06));
-        assert!((0.5..=1.2).contains(&on.conditions.friction));
+        assert_ne!((on.conditions.friction, on.conditions.joint_offsets), (0.8, [0.0; JOINT_COUNT]));
+    }
+
+    #[test]
+    fn randomised_friction_fills_its_range_and_offsets_have_their_standard_deviation() {
+        let mut config = config();
+        config.randomisation.enabled = true;
+        let drawn: Vec<Conditions> = (0..2000)
+            .map(|k| {
+                EpisodePlan::draw(&config, Curriculum::complete(), &mut stream(1, Purpose::Episode, 0, k)).conditions
+            })
+            .collect();
+        let frictions = || drawn.iter().map(|conditions| conditions.friction);
+        let [least, most] = [frictions().fold(f64::INFINITY, f64::min), frictions().fold(0.0, f64::max)];
+        assert!((0.5..0.51).contains(&least) && (1.19..=1.2).contains(&most), "{least} {most}");
+        let squares: f64 = drawn.iter().flat_map(|c| c.joint_offsets).map(|offset| offset * offset).sum();
+        let sd = (squares / (2000.0 * JOINT_COUNT as f64)).sqrt();
+        assert!((sd / 0.01 - 1.0).abs() < 0.02, "{sd}");
     }
 
     #[test]

@@ -4,11 +4,11 @@ use std::collections::HashSet;
 
 use rand::RngExt;
 use supple::config::Config;
-use supple::go1::{JOINT_COUNT, JOINT_LIMITS, TORQUE_LIMITS, joint_name, same_in_every_leg};
-use supple::mujoco::{Kind, Model};
+use supple::go1::{Go1, JOINT_COUNT, JOINT_LIMITS, Joints, TORQUE_LIMITS, joint_name, same_in_every_leg};
+use supple::mujoco::{Data, Kind, Model};
 use supple::random::{Purpose, stream};
 use supple::scene::{RobotFile, Scene};
-use supple::sim::{Conditions, Sim};
+use supple::sim::{Conditions, Sim, StepObserver};
 
 fn scene() -> Scene {
     Scene::flat(RobotFile::Embedded, 1.0 / 240.0)
@@ -78,6 +78,39 @@ fn the_robot_stands_where_the_model_says_under_kp_40_and_kd_1() {
         assert!((before - after).abs() < 0.003, "{before} {after}");
     }
     assert!(end.feet.iter().all(|foot| foot.contact && foot.height.abs() < 0.003));
+}
+
+/// Torques of the first physics step \[N·m\].
+#[derive(Default)]
+struct First(Option<Joints>);
+
+impl StepObserver for First {
+    fn forces(&mut self, _: &Data, _: &Go1, torques: &Joints) {
+        self.0.get_or_insert(*torques);
+    }
+}
+
+#[test]
+fn encoders_that_are_off_mislead_the_state_and_the_motors_by_the_same_angle() {
+    let config = Config::load("compliant").unwrap();
+    let target = same_in_every_leg([0.0, 0.72, -1.44]);
+    let [exact, off] = [0.0, 0.01].map(|offset| {
+        let mut sim = Sim::new(&scene(), &config.simulation, 0.2).unwrap();
+        let mut joint_offsets = [0.0; 12];
+        joint_offsets[4] = offset;
+        sim.reset(Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, joint_offsets }, &target).unwrap();
+        let (read, real) = (sim.state().joint_angles, sim.robot().joint_angles(sim.data()));
+        let mut first = First::default();
+        sim.step(&target, &mut first).unwrap();
+        (read, real, first.0.unwrap())
+    });
+    assert_eq!((exact.0, exact.1), (off.1, off.1));
+    for joint in 0..JOINT_COUNT {
+        let offset = if joint == 4 { 0.01 } else { 0.0 };
+        assert!((off.0[joint] - off.1[joint] - offset).abs() < 1e-15);
+        // 40 N·m/rad · 0.01 rad
+        assert!((off.2[joint] - exact.2[joint] + 40.0 * offset).abs() < 1e-12, "{} {}", off.2[joint], exact.2[joint]);
+    }
 }
 
 #[test]

@@ -224,7 +224,7 @@ fn train_contact_is_reproducible_and_refuses_bad_input() {
     assert!(train("one.safetensors") == train("two.safetensors"), "the networks differ");
     let cases: [(&[&str], &str); 3] = [
         (&["--policy", "nobody"], "there is no policy 'nobody'"),
-        (&["--episodes", "4"], "4 is not in 5..=5000"),
+        (&["--episodes", "4"], "4 is not in 5..=1000"),
         (&["--policy", "standing.safetensors", "--out", "nowhere/c.safetensors"], "there is no folder nowhere"),
     ];
     for (arguments, expected) in cases {

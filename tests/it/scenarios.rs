@@ -65,6 +65,27 @@ fn what_would_come_after_the_end_is_told() {
 }
 
 #[test]
+fn encoders_are_off_by_what_the_seed_draws_if_asked() {
+    let config = standing_policy().provenance.config;
+    let offsets =
+        |changes: &[&str], seed| scenario("walk", changes).script(seed, &config).unwrap().conditions.joint_offsets;
+    assert_eq!(offsets(&[], 1), [0.0; 12]);
+    let asked = ["--joint-offset-sd-rad=0.01"];
+    assert_eq!(offsets(&asked, 1), offsets(&asked, 1));
+    assert_ne!(offsets(&asked, 1), offsets(&asked, 2));
+    assert!(offsets(&asked, 1).iter().all(|offset| *offset != 0.0 && offset.abs() < 0.05));
+}
+
+#[test]
+fn loads_on_ropes_are_not_aimed_at_robots_that_turn() {
+    let config = standing_policy().provenance.config;
+    for name in ["pulley", "pendulum"] {
+        let refusal = scenario(name, &["--yaw-rad-s=0.5"]).script(0, &config).unwrap_err().to_string();
+        assert!(refusal.starts_with("--yaw-rad-s is 0.5, expected 0"), "{refusal}");
+    }
+}
+
+#[test]
 fn an_outdoor_walk_beyond_the_ground_is_refused() {
     let far = scenario("outdoor", &["--forward-m-s=1", "--duration-s=75"]);
     let refusal = far.script(0, &standing_policy().provenance.config).unwrap_err().to_string();

@@ -9,6 +9,7 @@ use anyhow::Context;
 use args::Args;
 use clap::Parser;
 use progress::Progress;
+use supple::estimate::contact::ContactNetwork;
 use supple::evaluate::contestants::Contest;
 use supple::evaluate::protocol::Protocol;
 use supple::evaluate::report::{Command, Report, Section};
@@ -23,7 +24,14 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
-    let contest = contest(args)?;
+    let mut contest = contest(args)?;
+    if args.sensing == Sensing::Estimated {
+        let members = || contest.sides.iter().flat_map(|side| &side.members);
+        let names: Vec<String> = members().map(|member| member.file.display().to_string()).collect();
+        let policies = names.iter().zip(members()).map(|(name, member)| (name.as_str(), member.agent.sha256.as_str()));
+        let unfamiliar = ContactNetwork::shipped()?.unfamiliar(policies);
+        contest.notes.extend(unfamiliar);
+    }
     contest.notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);

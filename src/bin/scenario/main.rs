@@ -17,6 +17,7 @@ use clap::CommandFactory;
 use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
 use supple::agent::Agent;
+use supple::estimate::contact::ContactNetwork;
 use supple::policies;
 use supple::robot::Robot;
 use supple::scenario::catalog::Scenario;
@@ -55,6 +56,11 @@ fn run(args: &Args) -> anyhow::Result<()> {
         })?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
         terminal::note(format_args!("note: {late}"));
+    }
+    if args.sensing == Sensing::Estimated {
+        let policies = robots.iter().map(|(name, agent)| (name.as_str(), agent.sha256.as_str()));
+        let unfamiliar = ContactNetwork::shipped()?.unfamiliar(policies);
+        unfamiliar.iter().for_each(|what| terminal::note(format_args!("note: {what}")));
     }
     let mut recording = recording::Recording::start(args, scenario, &robots, &scripts)?;
     let traces = play(args, &robots, &scripts, &mut recording)?;

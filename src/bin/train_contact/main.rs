@@ -29,11 +29,12 @@ const HELD_OUT: u32 = 5;
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times
-    #[arg(long = "policy", value_name = "FILE|NAME", default_values = ["compliant", "baseline"])]
+    /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times [default: all
+    /// that ship]
+    #[arg(long = "policy", value_name = "FILE|NAME")]
     policies: Vec<String>,
     /// Episodes of each policy, a fifth of them held out
-    #[arg(long, value_name = "N", default_value_t = 150, value_parser = clap::value_parser!(u32).range(5..=5000))]
+    #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(5..=1000))]
     episodes: u32,
     /// Seed of episodes, noise and learning
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -48,8 +49,12 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
-    let found: Vec<Policy> = args
-        .policies
+    let names = match &args.policies[..] {
+        [] => policies::EMBEDDED.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        named => named.to_vec(),
+    };
+    anyhow::ensure!(!names.is_empty(), "no policy ships with this build: give one with --policy");
+    let found: Vec<Policy> = names
         .iter()
         .map(|name| {
             let policy = policies::find_ours(name)?;
@@ -64,7 +69,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         anyhow::bail!("--out {}: there is no folder {}", args.out.display(), folder.display());
     }
     let noise = SensorNoise::default();
-    let (training, held_out) = gather(args, &found, noise)?;
+    let (training, held_out) = gather(args, &names, &found, noise)?;
     let all = join(&training);
     terminal::note(format_args!("{} ticks of {} episodes to learn from", all.labels.len() / 4, training.len()));
 
@@ -81,7 +86,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         learnt.offset,
         learnt.scale,
         ContactProvenance {
-            policies: sources(args, &found),
+            policies: sources(&names, &found),
             seed: args.seed,
             training_episodes: training.len(),
             training_samples: all.labels.len() / 4,
@@ -96,7 +101,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     terminal::print(format_args!(
         "held out: {} episodes, {} ticks\n",
         held_out.len(),
-        join(&held_out).labels.len() / 4
+        held_out.iter().map(|samples| samples.labels.len() / 4).sum::<usize>()
     ))?;
     terminal::print(format_args!("foot  precision  recall      F1\n"))?;
     for (leg, score) in LEGS.iter().zip(&network.provenance.held_out) {
@@ -108,10 +113,15 @@ fn run(args: &Args) -> anyhow::Result<()> {
 }
 
 /// Episodes of all policies: to learn from, and held out.
-fn gather(args: &Args, policies: &[Policy], noise: SensorNoise) -> anyhow::Result<(Vec<Samples>, Vec<Samples>)> {
+fn gather(
+    args: &Args,
+    names: &[String],
+    policies: &[Policy],
+    noise: SensorNoise,
+) -> anyhow::Result<(Vec<Samples>, Vec<Samples>)> {
     let bar = bar("walking", policies.len() as u64 * u64::from(args.episodes));
     let (mut training, mut held_out) = (Vec::new(), Vec::new());
-    for (index, (policy, name)) in policies.iter().zip(&args.policies).enumerate() {
+    for (index, (policy, name)) in policies.iter().zip(names).enumerate() {
         for episode in 0..args.episodes {
             let samples = gather::episode(policy, noise, args.seed, [u64::from(episode), index as u64])
                 .with_context(|| format!("episode {episode} of {name}"))?;
@@ -133,9 +143,9 @@ fn join(episodes: &[Samples]) -> Samples {
     all
 }
 
-fn sources(args: &Args, policies: &[Policy]) -> Vec<PolicySource> {
+fn sources(names: &[String], policies: &[Policy]) -> Vec<PolicySource> {
     let source = |(name, policy): (&String, &Policy)| PolicySource { name: name.clone(), sha256: policy.sha256() };
-    args.policies.iter().zip(policies).map(source).collect()
+    names.iter().zip(policies).map(source).collect()
 }
 
 /// Scores of each foot, with the network as it is used.

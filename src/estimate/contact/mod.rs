@@ -108,6 +108,19 @@ impl ContactNetwork {
         Self::from_bytes(SHIPPED, std::path::Path::new("models/contact.safetensors"))
     }
 
+    /// What to know before policies act on this network, of each its name and SHA-256: whose gait it was not trained on.
+    pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (&'a str, &'a str)>) -> Option<String> {
+        let known = |sha256: &str| self.provenance.policies.iter().any(|policy| policy.sha256 == sha256);
+        let strangers: Vec<&str> =
+            policies.into_iter().filter(|(_, sha256)| !known(sha256)).map(|(name, _)| name).collect();
+        (!strangers.is_empty()).then(|| {
+            format!(
+                "the contact network was not trained on how {} walks and may miss contacts; train_contact trains one",
+                strangers.join(", ")
+            )
+        })
+    }
+
     /// Logit of contact for each foot, in the order of [`crate::go1::LEGS`], from what a [`History`] holds.
     pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
         let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);

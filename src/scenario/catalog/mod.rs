@@ -17,13 +17,15 @@ mod terrain;
 mod walk;
 
 use clap::{Args, Subcommand};
+use rand::RngExt;
+use rand_distr::StandardNormal;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::Script;
 use super::metrics::{self, Metric};
 use crate::config::{Config, ConfigError, layered};
-use crate::go1::JOINT_COUNT;
+use crate::random::{Purpose, stream};
 use crate::scene::{RobotFile, Scene};
 use crate::sim::Conditions;
 use crate::task::Command;
@@ -94,6 +96,9 @@ pub struct Task {
     /// Length of the rollout (s)
     #[arg(long)]
     pub duration_s: f64,
+    /// What the encoders are off by, as a standard deviation; drawn from the seed (rad)
+    #[arg(long)]
+    pub joint_offset_sd_rad: f64,
 }
 
 /// What a scenario's parameters do.
@@ -183,12 +188,14 @@ impl Scenario {
         in_range("left-m-s", task.left_m_s, -5.0, 5.0, "-5 to 5 m/s")?;
         in_range("yaw-rad-s", task.yaw_rad_s, -10.0, 10.0, "-10 to 10 rad/s")?;
         in_range("duration-s", task.duration_s, 0.1, 3600.0, "0.1 to 3600 s")?;
+        in_range("joint-offset-sd-rad", task.joint_offset_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
+        let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
             scene: Scene::flat(RobotFile::from_name(&config.robot.model), config.simulation.timestep_s()),
             conditions: Conditions {
                 gravity: [0.0, 0.0, -GRAVITY],
                 friction: config.randomisation.default_friction,
-                joint_offsets: [0.0; JOINT_COUNT],
+                joint_offsets: std::array::from_fn(|_| task.joint_offset_sd_rad * rng.sample::<f64, _>(StandardNormal)),
             },
             command: Command { forward: task.forward_m_s, left: task.left_m_s, yaw: task.yaw_rad_s },
             duration_s: task.duration_s,
@@ -250,6 +257,11 @@ fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'s
 
 fn truth(name: &'static str, label: &'static str, value: Option<bool>) -> Metric {
     Metric { name, label, value: value.map(|truth| f64::from(u8::from(truth))), unit: metrics::TRUTH }
+}
+
+/// Loads on ropes are aimed at where a straight walk leads.
+fn no_turn(task: &Task) -> Result<(), ParameterError> {
+    in_range("yaw-rad-s", task.yaw_rad_s, 0.0, 0.0, "0: the load is aimed at where a straight walk leads")
 }
 
 fn in_range(name: &'static str, found: f64, low: f64, high: f64, expected: &'static str) -> Result<(), ParameterError> {

@@ -12,7 +12,7 @@ use clap::Args;
 use serde::{Deserialize, Serialize};
 
 use super::pulley::rope;
-use super::{ParameterError, Parameters, Task, in_range, metric};
+use super::{ParameterError, Parameters, Task, in_range, metric, no_turn};
 use crate::scenario::metrics::{self, Metric, STRIDE_S};
 use crate::scenario::rig::Words;
 use crate::scenario::{Rig, Script};
@@ -136,6 +136,7 @@ impl Parameters for Pendulum {
     }
 
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        no_turn(&self.task)?;
         in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
         in_range("radius-m", self.radius_m, 0.01, 0.2, "0.01 to 0.2 m")?;
         in_range("string-m", self.string_m, 0.1, 100.0, "0.1 to 100 m")?;

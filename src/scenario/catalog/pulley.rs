@@ -9,7 +9,7 @@ legs, as one that is tied to a harness on the back would not touch them.
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric};
+use super::{ParameterError, Parameters, Task, in_range, metric, no_turn};
 use crate::go1::HARNESS;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::rig::{ROPE, ROPE_LIMIT, Words};
@@ -119,6 +119,7 @@ impl Parameters for Pulley {
     }
 
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        no_turn(&self.task)?;
         in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
         in_range("height-m", self.height_m, 0.05, 10.0, "0.05 to 10 m")?;
