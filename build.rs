@@ -7,6 +7,10 @@ use std::process::Command;
 /// What makes the program behave as it does, but for the policies, which are named by their own hashes.
 const PROGRAM: &[&str] = &["build.rs", "Cargo.toml", "Cargo.lock", "mujoco-sys", "src", "models", "configs"];
 
+/// What of it makes no difference to what is measured.
+const UNMEASURED: &[&str] =
+    &["src/bin", "src/record", "src/evaluate/plot", "src/evaluate/report", "models/contact.safetensors"];
+
 fn main() {
     for path in PROGRAM {
         println!("cargo::rerun-if-changed={path}");
@@ -15,6 +19,7 @@ fn main() {
         println!("cargo::rerun-if-changed={path}");
     }
     println!("cargo::rustc-env=SUPPLE_GIT_REVISION={}", git_revision().unwrap_or_else(|| "unknown".into()));
+    println!("cargo::rustc-env=SUPPLE_MEASURES={:016x}", hash_of_measures());
     let mujoco = std::env::var("DEP_MUJOCO_VERSION").unwrap_or_else(|_| "unknown".into());
     println!("cargo::rustc-env=SUPPLE_MUJOCO_VERSION={mujoco}");
     println!("cargo::rerun-if-changed=policies");
@@ -49,6 +54,32 @@ fn policies_in(folder: &Path, prefix: &str, files: &mut Vec<(String, PathBuf)>) 
             files.push((name, path));
         }
     }
+}
+
+/// FNV-1a over paths and contents of what a measurement depends on.
+fn hash_of_measures() -> u64 {
+    let mut files = Vec::new();
+    PROGRAM.iter().for_each(|path| files_in(Path::new(path), &mut files));
+    files.sort();
+    let mut hash = 0xcbf2_9ce4_8422_2325_u64;
+    for file in files {
+        let path = file.to_string_lossy().into_owned().into_bytes();
+        for byte in path.into_iter().chain(std::fs::read(&file).unwrap_or_default()) {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+    hash
+}
+
+fn files_in(path: &Path, files: &mut Vec<PathBuf>) {
+    if UNMEASURED.iter().any(|unmeasured| path.starts_with(unmeasured)) {
+        return;
+    }
+    if !path.is_dir() {
+        return files.push(path.to_owned());
+    }
+    let entries = std::fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
+    entries.for_each(|entry| files_in(&entry.path(), files));
 }
 
 /// The commit, with `-dirty` if the program's files differ from it.

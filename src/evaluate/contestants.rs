@@ -138,10 +138,25 @@ impl Contest {
                 ));
             }
         }
+        for side in &sides {
+            for (index, member) in side.members.iter().enumerate() {
+                let is_same = |other: &&Contestant| other.agent.sha256 == member.agent.sha256;
+                if let Some(twin) = side.members[..index].iter().find(is_same) {
+                    let (name, [a, b]) = (&side.name, [twin.seed, member.seed]);
+                    notes.push(format!("{name}, seeds {a} and {b}, are one policy: they are no two samples of {name}"));
+                }
+                let trained = member.agent.policy().map(|policy| policy.provenance.seed);
+                if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
+                    let (name, seed) = (&side.name, member.seed);
+                    notes.push(format!("{name}, seed {seed}, was trained with seed {trained}"));
+                }
+            }
+        }
         let keys = unlike(&sides);
         if !keys.is_empty() {
             notes.push(format!(
-                "the policies were not trained alike: their configurations differ in {}",
+                "the policies were not trained alike, and each is tried with its own rates, gains, latency, friction and \
+                 height of a fall: their configurations differ in {}",
                 keys.join(", ")
             ));
         }

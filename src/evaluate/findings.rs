@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::Quantity;
 use super::results::Results;
-use super::statistics::{Comparison, Estimate, Expected, Spread, Verdict};
+use super::statistics::{Comparison, Estimate, Expected, Spread, Trials, Verdict};
 
 /// Everything that an experiment shows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -138,8 +138,17 @@ pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize, unit: 
     format!("{}{deviation}{unit}{missing}", number(mean, quantity))
 }
 
+/// The difference of a comparison, followed by `unit`; says so if not all of the seeds or trials are in it.
+pub fn difference(comparison: &Comparison, quantity: Quantity, unit: &str) -> String {
+    let text = estimate(comparison.difference, quantity, comparison.members, unit);
+    match comparison.trials.filter(|trials| trials.used < trials.of) {
+        Some(Trials { used, of }) => format!("{text} ({used} of {of} trials)"),
+        None => text,
+    }
+}
+
 /// A signed number with its interval, followed by `unit`; says so if not all of the seeds are in it.
-pub fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: [usize; 2], unit: &str) -> String {
+fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: [usize; 2], unit: &str) -> String {
     let Some(Estimate { value, interval, pairs }) = estimate else { return NOTHING.to_owned() };
     let signed = |value: f64| {
         let text = number(value, quantity);

@@ -80,7 +80,7 @@ impl Quantity {
 /// Share of trials in which the robot fell.
 pub const FELL: Quantity = Quantity::new("fell", "falls", "%", 0);
 
-/// Share of trials without a fall in which the push had not decayed to 10 % at the end, and that have no decay time.
+/// Share of trials without a fall in which the push had not decayed to 10 % at the end: their decay time is that end.
 pub const UNDECAYED: Quantity = Quantity::new("undecayed", "not decayed at the end", "%", 0);
 
 /// One setting of what an experiment varies.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::statistics::{Comparison, PerSeed, mean};
+use super::statistics::{Comparison, PerSeed, Trials, mean};
 use super::trial::{End, Sample};
 use super::{Condition, Quantity};
 
@@ -63,12 +63,16 @@ impl Results {
     pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
         let index = self.index(quantity);
         Comparison::new(self.means(0, conditions, index), self.means(1, conditions, index), self.members())
+            .with_trials(self.trials(conditions, index))
     }
 
-    /// In how many conditions the first set's number is the larger one, over pairs.
-    pub fn larger_in(&self, conditions: &[usize], quantity: &str) -> usize {
-        let is_larger = |c: &&usize| self.compare(**c, quantity).difference.is_some_and(|found| found.value > 0.0);
-        conditions.iter().filter(is_larger).count()
+    /// In how many of directions the first set's number is the larger one, over pairs, in words; of those in which there
+    /// are pairs.
+    pub fn larger_in(&self, directions: &[usize], quantity: &str) -> String {
+        let differences: Vec<f64> =
+            directions.iter().filter_map(|c| Some(self.compare(*c, quantity).difference?.value)).collect();
+        let larger = differences.iter().filter(|difference| **difference > 0.0).count();
+        format!("{larger} of {} directions", differences.len())
     }
 
     /// Policies of each set.
@@ -89,21 +93,19 @@ impl Results {
         self.sets[set].iter().filter_map(of_seed).collect()
     }
 
-    /// How many conditions of pairs [`Results::compare_over`] leaves out as a whole, in words; none if there is none.
-    pub fn left_out(&self, conditions: &[usize], quantity: &str) -> Option<String> {
-        let (index, seeds) = (self.index(quantity), self.common_seeds());
-        let shared = |seed: &u64| {
-            let (policy, partner) = (&self.sets[0][seed], &self.sets[1][seed]);
-            conditions.iter().filter(|c| mean_of(policy, Some(partner), **c, index).is_some()).count()
-        };
-        let (all, used) = (seeds.len() * conditions.len(), seeds.iter().map(shared).sum::<usize>());
-        (used < all).then(|| {
-            format!(
-                "{} of {all} conditions of pairs are left out of the means: there is no trial there in which both policies \
-                 have a number.",
-                all - used
-            )
-        })
+    /// Pairs of trials in which both policies have a number, of all over the seeds that both sets have.
+    fn trials(&self, conditions: &[usize], quantity: usize) -> Trials {
+        let mut trials = Trials { used: 0, of: 0 };
+        for seed in self.common_seeds() {
+            for condition in conditions {
+                let [a, b] = [0, 1].map(|set| self.sets[set][&seed].get(*condition).into_iter().flatten());
+                for (a, b) in a.zip(b) {
+                    trials.of += 1;
+                    trials.used += usize::from(a.values[quantity].is_some() && b.values[quantity].is_some());
+                }
+            }
+        }
+        trials
     }
 
     /// Seeds that both sets have.
@@ -176,8 +178,8 @@ mod tests {
         let comparison = results.compare_over(&[0, 1], "decay_10_s");
         assert_eq!((comparison.a[&0], comparison.b[&0]), (1.0, 2.0));
         assert_eq!((comparison.a[&1], comparison.b[&1]), (4.0, 4.0));
-        assert!(results.left_out(&[0, 1], "decay_10_s").unwrap().starts_with("1 of 4 conditions"));
-        assert_eq!(results.left_out(&[0], "decay_10_s"), None);
+        assert_eq!(comparison.trials, Some(Trials { used: 3, of: 4 }));
+        assert_eq!(results.larger_in(&[0, 1], "decay_10_s"), "0 of 2 directions");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use super::contestants::Contest;
 use super::findings::{Row, Table};
-use super::results::{PolicyResult, Results};
+use super::results::{Ends, PolicyResult, Results};
 use super::runner::Measurement;
 use super::statistics::{Comparison, PerSeed, mean};
 use super::{Experiment, FELL, Quantity};
@@ -43,6 +43,8 @@ pub struct SensingFindings {
     pub all: Table,
     /// Errors of the estimates, by set of policies.
     pub errors: Table,
+    /// What a reader has to know about the numbers.
+    pub notes: Vec<String>,
     /// What was run.
     pub experiments: Vec<&'static str>,
     /// Identity of the contact network.
@@ -60,6 +62,12 @@ impl SensingFindings {
             rows: Vec::new(),
             in_page,
         };
+        let members = || contest.sides.iter().flat_map(|side| side.members.iter().map(move |member| (side, member)));
+        let names: Vec<String> = members().map(|(side, member)| format!("{}-seed{}", side.name, member.seed)).collect();
+        let policies =
+            names.iter().zip(members()).map(|(name, (_, member))| (name.as_str(), member.agent.sha256.as_str()));
+        // Trials have been played with it, or there is nothing to tell.
+        let network = ContactNetwork::shipped().ok();
         SensingFindings {
             policies: contest.names(),
             members: [0, 1].map(|set| contest.sides[set].members.len()),
@@ -75,9 +83,9 @@ impl SensingFindings {
                  the base frame, height of the base, horizontal position at the end, contacts of all feet.",
                 true,
             ),
+            notes: network.iter().filter_map(|network| network.unfamiliar(policies.clone())).collect(),
             experiments: Vec::new(),
-            // Trials have been played with it.
-            network: ContactNetwork::shipped().map_or(String::new(), |network| network.checksum()),
+            network: network.as_ref().map_or(String::new(), ContactNetwork::checksum),
             wall_s: 0.0,
         }
     }
@@ -95,6 +103,15 @@ impl SensingFindings {
                 sets: [estimated.results.sets[set].clone(), truth.results.sets[set].clone()],
             };
             let findings = experiment.findings(&results);
+            let of = format!("{} {}, {}", info.id, info.name, self.policies[set]);
+            let ends = results.ends(0);
+            if ends.faults > 0 {
+                let Ends { faults, trials, .. } = ends;
+                self.notes.push(format!(
+                    "{of}: sensors or physics failed in {faults} of {trials} trials on estimates; they have no numbers."
+                ));
+            }
+            self.notes.extend(findings.notes.iter().map(|note| format!("{of}: {note}")));
             let is_main = |quantity: Quantity| {
                 quantity == FELL || findings.claims.iter().any(|claim| claim.quantity.name == quantity.name)
             };

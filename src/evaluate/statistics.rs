@@ -63,6 +63,15 @@ pub struct Estimate {
     pub pairs: usize,
 }
 
+/// How many pairs of trials are in a comparison.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Trials {
+    /// Those in which both policies have the number.
+    pub used: usize,
+    /// All that were played.
+    pub of: usize,
+}
+
 /// One quantity of two sets of policies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
@@ -80,6 +89,8 @@ pub struct Comparison {
     pub difference: Option<Estimate>,
     /// First over second, minus one, over the same seeds; none unless both are positive.
     pub relative: Option<Estimate>,
+    /// Over the same seeds; none of what is not a mean over trials.
+    pub trials: Option<Trials>,
 }
 
 impl Comparison {
@@ -95,7 +106,14 @@ impl Comparison {
         let relative = estimate(pairs.len(), |chosen| {
             means(chosen).filter(|[a, b]| *a > 0.0 && *b > 0.0).map(|[a, b]| a / b - 1.0)
         });
-        Comparison { a_spread: Spread::of(&a), b_spread: Spread::of(&b), difference, relative, a, b, members }
+        let (a_spread, b_spread) = (Spread::of(&a), Spread::of(&b));
+        Comparison { a_spread, b_spread, difference, relative, a, b, members, trials: None }
+    }
+
+    /// Says how many trials the numbers are means of.
+    pub fn with_trials(mut self, trials: Trials) -> Self {
+        self.trials = (trials.of > 0).then_some(trials);
+        self
     }
 
     /// The same in another unit; the relative change stays.
@@ -206,12 +224,16 @@ impl Verdict {
         }
     }
 
-    /// Of a bound that both sets have to keep.
+    /// Of a bound that the means of both sets have to keep. A policy without the number, most often because it fell,
+    /// does not keep it.
     pub fn below(bound: f64, comparison: &Comparison) -> Self {
+        let seeds = |spread: Option<Spread>| spread.map_or(0, |spread| spread.seeds);
+        let is_whole = [comparison.a_spread, comparison.b_spread].map(seeds) == comparison.members
+            && comparison.trials.is_none_or(|trials| trials.used == trials.of);
         match (comparison.a_spread, comparison.b_spread) {
-            (Some(a), Some(b)) if a.mean < bound && b.mean < bound => Verdict::Holds,
-            (Some(_), Some(_)) => Verdict::Fails,
-            _ => Verdict::Undefined,
+            (Some(a), Some(b)) if is_whole && a.mean < bound && b.mean < bound => Verdict::Holds,
+            (None, None) => Verdict::Undefined,
+            _ => Verdict::Fails,
         }
     }
 
@@ -295,7 +317,7 @@ mod tests {
 
     #[test]
     fn five_pairs_without_an_effect_rarely_have_one_and_would_more_often_with_plain_percentiles() {
-        // One in sixteen by the signs alone, and one in seven.
+        // One in thirteen, of which one in sixteen by the signs alone; and one in seven.
         let (expanded, plain) = (false_alarms(tail(5).unwrap()), false_alarms(TAIL));
         assert!(expanded < 0.1 && plain > 0.1, "{expanded} {plain}");
     }
@@ -311,6 +333,17 @@ mod tests {
         assert_eq!(Verdict::of(&none, Expected::Higher), Verdict::Undefined);
         let apart = Comparison::new([(0, 1.0)].into(), [(1, 2.0)].into(), [1, 1]);
         assert_eq!(Verdict::of(&apart, Expected::Higher), Verdict::Unpaired);
+    }
+
+    #[test]
+    fn a_bound_is_kept_by_all_policies_in_all_trials_or_not_at_all() {
+        let kept = comparison(&[0.02, 0.04], &[0.03, 0.04]);
+        assert_eq!(Verdict::below(0.05, &kept), Verdict::Holds);
+        assert_eq!(Verdict::below(0.035, &kept), Verdict::Fails);
+        assert_eq!(Verdict::below(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
+        let one_fell = Comparison::new(per_seed(&[0.02]), per_seed(&[0.02, 0.03]), [2, 2]);
+        assert_eq!(Verdict::below(0.05, &one_fell), Verdict::Fails);
+        assert_eq!(Verdict::below(0.05, &Comparison::new(PerSeed::new(), PerSeed::new(), [2, 2])), Verdict::Undefined);
     }
 
     #[test]

@@ -1,8 +1,9 @@
 /*! Finished measurements on disk, so that none is made twice.
 
 A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
-policy, its seed, what it acts on, the robot, the experiment's parameters, scenarios and quantities, and the versions of MuJoCo and
-of this format. A new policy or a changed experiment therefore measures only what is new.
+policy, its seed, what it acts on, the robot, the experiment's parameters and scenarios, and the sources of this program
+(but for those that only show what was measured). A new policy or a changed protocol therefore measures only what is
+new, and a report never mixes what different programs measured.
 */
 
 use std::path::{Path, PathBuf};
@@ -14,12 +15,9 @@ use super::results::PolicyResult;
 use super::{Condition, Experiment};
 use crate::estimate::{EstimatorConfig, SensorNoise, contact};
 use crate::files;
-use crate::provenance::{GIT_REVISION, MUJOCO_VERSION};
+use crate::provenance::{GIT_REVISION, MEASURES};
 use crate::scenario::Sensing;
 use crate::scene::RobotFile;
-
-/// To be counted up whenever the same experiment would give other numbers.
-const FORMAT: u32 = 4;
 
 /// Larger files are not ours.
 const MAX_BYTES: u64 = 1 << 30;
@@ -107,17 +105,14 @@ fn checksum(samples: &PolicyResult) -> String {
 
 /// Hash of everything that decides what an experiment measures with a policy.
 pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant, sensing: Sensing) -> String {
-    let quantities: Vec<&str> = experiment.quantities().iter().map(|quantity| quantity.name).collect();
     let mut parts = serde_json::json!({
-        "format": FORMAT,
-        "mujoco": MUJOCO_VERSION,
+        "program": MEASURES,
         // One that cannot be read fails in its first trial, with the reason.
         "robot": RobotFile::from_name(&contestant.agent.config.robot.model).sha256().unwrap_or_default(),
         "experiment": experiment.info().name,
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),
         "conditions": conditions,
-        "quantities": quantities,
         "policy": contestant.agent.sha256,
         "seed": contestant.seed,
     });

@@ -115,13 +115,21 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     (!peaks.is_empty()).then(|| peaks.iter().sum::<f64>() / peaks.len() as f64)
 }
 
-/// How long a velocity disturbance lasts \[s\].
+/// How long a velocity disturbance lasts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Decay {
+    /// From the push to the last time at which it exceeds the threshold \[s\].
+    pub time_s: f64,
+    /// If not, it still exceeds the threshold at the end of the trace, and lasts longer than this.
+    pub is_over: bool,
+}
+
+/// How long a velocity disturbance lasts.
 ///
 /// `e(t)` is the velocity along the push minus its mean over the last second before the push, smoothed by a centred
-/// moving average of `average_s`. The decay time is the last time after the push at which `|e|` exceeds `threshold`
-/// times the push's size. None after a fall, if `|e|` still exceeds it at the end, or if the trace does not reach around the
-/// push.
-pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average_s: f64) -> Option<f64> {
+/// moving average of `average_s`. It lasts until the last time after the push at which `|e|` exceeds `threshold`
+/// times the push's size. None after a fall, or if the trace does not reach around the push.
+pub fn decay(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average_s: f64) -> Option<Decay> {
     let (error, size) = push_error(trace, push_s, push)?;
     let half = (0.5 * average_s / trace.period_s).round() as usize;
     let smoothed = |index: usize| {
@@ -131,10 +139,10 @@ pub fn decay_time(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, av
     // The average reaches half its length beyond the last frame it can be formed for.
     let last = error.len().checked_sub(half + 1)?;
     let first = error.iter().position(|(time_s, _)| *time_s > 0.0).filter(|first| *first <= last)?;
-    match (first..=last).rev().find(|index| smoothed(*index).abs() > threshold * size) {
-        Some(index) => (index < last).then(|| error[index].0),
-        None => Some(0.0),
-    }
+    Some(match (first..=last).rev().find(|index| smoothed(*index).abs() > threshold * size) {
+        Some(index) => Decay { time_s: error[index].0, is_over: index < last },
+        None => Decay { time_s: 0.0, is_over: true },
+    })
 }
 
 /// How far a push carries the robot along its direction, beside where it would have walked: the integral of `e(t)` over
@@ -230,8 +238,8 @@ pub(crate) mod tests {
     fn a_decaying_exponential_has_its_analytic_decay_time() {
         // e(t) = 0.5 exp(−t / 0.2) falls to 10 % at t = 0.2 ln 10 = 0.4605 s.
         let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.5 * (-(t - 2.0) / 0.2).exp() } else { 0.0 }, 0.0]);
-        let found = decay_time(&trace, 2.0, [0.0, 0.5], 0.1, 0.0).unwrap();
-        assert!((found - 0.4605).abs() <= 1.0 / 60.0, "{found}");
+        let found = decay(&trace, 2.0, [0.0, 0.5], 0.1, 0.0).unwrap();
+        assert!((found.time_s - 0.4605).abs() <= 1.0 / 60.0 && found.is_over, "{found:?}");
     }
 
     #[test]
@@ -246,23 +254,25 @@ pub(crate) mod tests {
     #[test]
     fn an_oscillating_gait_without_a_push_effect_has_decay_time_zero() {
         let trace = synthetic(5.0, |t| [0.5, 0.1 * (std::f64::consts::TAU * t / STRIDE_S).sin(), 0.0]);
-        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S), Some(0.0));
+        assert_eq!(decay(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S), Some(Decay { time_s: 0.0, is_over: true }));
     }
 
     #[test]
-    fn what_has_not_decayed_at_the_end_has_no_decay_time() {
+    fn what_has_not_decayed_at_the_end_lasts_until_there_at_least() {
         let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.2 } else { 0.0 }, 0.0]);
-        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S), None);
-        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.5, STRIDE_S), Some(0.0));
+        // The average of 0.4 s can be formed up to 4.8 s: 2.8 s after the push.
+        let found = decay(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S).unwrap();
+        assert!((found.time_s - 2.8).abs() < 1e-9 && !found.is_over, "{found:?}");
+        assert!(decay(&trace, 2.0, [0.0, 0.5], 0.5, STRIDE_S).unwrap().is_over);
         // A push so late that no average can be formed after it.
-        assert_eq!(decay_time(&trace, 4.9, [0.0, 0.5], 0.1, STRIDE_S), None);
+        assert_eq!(decay(&trace, 4.9, [0.0, 0.5], 0.1, STRIDE_S), None);
     }
 
     #[test]
     fn a_fall_has_no_decay_time() {
         let mut trace = synthetic(5.0, |_| [0.0; 3]);
         trace.events.push(Event { time_s: 2.5, kind: EventKind::Fall, text: String::new() });
-        assert_eq!(decay_time(&trace, 2.0, [0.0, 0.5], 0.1, 0.0), None);
+        assert_eq!(decay(&trace, 2.0, [0.0, 0.5], 0.1, 0.0), None);
     }
 
     #[test]

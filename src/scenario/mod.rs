@@ -89,6 +89,8 @@ pub struct Goal {
     pub from: Option<&'static str>,
     /// The trunk is there when it is this far ahead (world frame, x) \[m\].
     pub ahead_m: f64,
+    /// Half the line's width (y, both ways from the start): who passes beside its ends has gone round \[m\].
+    pub half_width_m: f64,
     /// What to say then.
     pub text: &'static str,
 }

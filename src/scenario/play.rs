@@ -48,7 +48,7 @@ pub struct Rollout<'a> {
     rig: Option<RigState>,
     /// The body from which the way to the goal is measured.
     goal_from: Option<usize>,
-    reached_goal: bool,
+    passed_goal: bool,
     swings: SwingTracker,
 }
 
@@ -77,7 +77,7 @@ impl<'a> Rollout<'a> {
             fallen_since: None,
             rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
             goal_from: goal_body(script, &sim)?,
-            reached_goal: false,
+            passed_goal: false,
             swings: SwingTracker::new(&state.feet, config.reward.foot_height_m),
             state,
             sim,
@@ -267,9 +267,11 @@ impl<'a> Rollout<'a> {
     /// Tells once that the robot is where it was to get, on its feet.
     fn look_for_goal(&mut self, state: &RobotState, time_s: f64, events: &mut Vec<Event>) {
         let (Some(goal), Some(from), None) = (&self.script.goal, self.goal_from, self.fallen_since) else { return };
-        if !self.reached_goal && state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m {
-            self.reached_goal = true;
-            events.push(Event { time_s, kind: EventKind::Success, text: goal.text.to_owned() });
+        if !self.passed_goal && state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m {
+            self.passed_goal = true;
+            if state.position.y.abs() < goal.half_width_m {
+                events.push(Event { time_s, kind: EventKind::Success, text: goal.text.to_owned() });
+            }
         }
     }
 

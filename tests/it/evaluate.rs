@@ -151,8 +151,9 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
 
     let summary = summary(folder, "report");
     let notes = |name: &str| experiment(&summary, name)["notes"].to_string();
-    assert!(notes("walk").contains("standing, seed 0, does not walk at its command: its velocity error is 0.50 m/s"));
-    assert!(notes("walk").contains("falling, seed 0, falls without any disturbance"), "{}", notes("walk"));
+    let of_all = summary["notes"].to_string();
+    assert!(of_all.contains("standing, seed 0, does not walk at its command: its velocity error is 0.50 m/s"));
+    assert!(of_all.contains("falling, seed 0, falls without any disturbance"), "{of_all}");
     assert!(notes("box").contains("falling fell in every trial"));
     let quantity = |name: &str, quantity: &str, set: &str| {
         let condition = if name == "box" { "friction 0.6" } else { "" };
@@ -162,6 +163,11 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
     assert_eq!(quantity("ball-pit", "fell", "falling"), 100.0);
     assert_eq!(quantity("ball-pit", "peak_foot_force_n", "falling"), Value::Null);
     assert_eq!(quantity("box", "box_displacement_m", "falling"), Value::Null);
+    assert_eq!(
+        quantity("box", "box_displacement_m", "standing"),
+        Value::Null,
+        "who never meets a box does not spare it"
+    );
     let claims = experiment(&summary, "decay")["claims"].to_string();
     assert!(claims.contains("\"verdict\":\"undefined\""), "{claims}");
 
@@ -298,7 +304,9 @@ fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of
     let summary = summary(folder.path(), "report");
     let notes = summary["notes"].to_string();
     assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
-    assert!(notes.contains("not trained alike: their configurations differ in ppo.epochs\""), "{notes}");
+    assert!(notes.contains("not trained alike") && notes.contains("configurations differ in ppo.epochs\""), "{notes}");
+    assert!(notes.contains("compliant, seeds 0 and 3, are one policy"), "{notes}");
+    assert!(notes.contains("compliant, seed 3, was trained with seed 0"), "{notes}");
     let power = row(experiment(&summary, "walk"), "walk", "forward 0.5", "power_w");
     assert_eq!(power["sets"]["compliant"]["by_seed"].as_object().unwrap().len(), 2);
     assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null, "pairs": 1}));

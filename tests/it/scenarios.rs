@@ -290,3 +290,17 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once() {
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");
 }
+
+#[test]
+fn who_passes_beside_an_obstacle_has_not_crossed_it() {
+    let policy = standing_policy();
+    let mut script = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"])
+        .script(0, &policy.provenance.config)
+        .unwrap();
+    let goal = script.goal.as_mut().unwrap();
+    assert_eq!(goal.half_width_m, 1.2);
+    // As if the robot had gone round.
+    (goal.ahead_m, goal.half_width_m) = (-1.0, 0.0);
+    let trace = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller())).unwrap().trace();
+    assert!(!trace.reached_goal());
+}

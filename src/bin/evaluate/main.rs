@@ -9,7 +9,6 @@ use anyhow::Context;
 use args::Args;
 use clap::Parser;
 use progress::Progress;
-use supple::estimate::contact::ContactNetwork;
 use supple::evaluate::contestants::Contest;
 use supple::evaluate::protocol::Protocol;
 use supple::evaluate::report::{Command, Report, Section};
@@ -24,15 +23,10 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
-    let mut contest = contest(args)?;
-    if args.sensing == Sensing::Estimated {
-        let members = || contest.sides.iter().flat_map(|side| &side.members);
-        let names: Vec<String> = members().map(|member| member.file.display().to_string()).collect();
-        let policies = names.iter().zip(members()).map(|(name, member)| (name.as_str(), member.agent.sha256.as_str()));
-        let unfamiliar = ContactNetwork::shipped()?.unfamiliar(policies);
-        contest.notes.extend(unfamiliar);
-    }
-    contest.notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
+    let contest = contest(args)?;
+    let mut report = Report::new(&contest, name, command(args));
+    let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
+    contest.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let settings = Settings {
@@ -52,7 +46,6 @@ fn run(args: &Args) -> anyhow::Result<()> {
             progress.expect(runner::work(experiment, &contest, settings)?);
         }
     }
-    let mut report = Report::new(&contest, name, command(args));
     for experiment in protocol.experiments() {
         let info = experiment.info();
         let mut measure = |settings: &Settings| -> anyhow::Result<Option<Measurement>> {
@@ -69,7 +62,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
             report.sensing.add(experiment, truth, estimated);
         }
         match truth {
-            Some(measurement) => report.sections.push(Section::new(experiment, &measurement)),
+            Some(measurement) => report.add(Section::new(experiment, &measurement)),
             None => report.missing.push(info),
         }
     }

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::truth;
+use super::{truth, undecayed};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::curves::{self, Curve};
@@ -11,7 +11,7 @@ use crate::evaluate::statistics::{Expected, Spread};
 use crate::evaluate::trial::{End, Sample};
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
 use crate::scenario::catalog::{PushAway, Scenario, defaults};
-use crate::scenario::metrics::{STRIDE_S, carried, decay_time};
+use crate::scenario::metrics::STRIDE_S;
 use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 
@@ -94,7 +94,7 @@ impl Experiment for Decay {
             method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
                      push minus its mean over the last second before, smoothed by a centred moving average of one \
                      stride (0.4 s). Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
-                     the push; a fall has none, nor has what lasts to the end. Beside it, without threshold and average: how far the push carries \
+                     the push; a fall has none, and what lasts to the end counts as lasting until there. Beside it, without threshold and average: how far the push carries \
                      the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
         }
     }
@@ -117,10 +117,12 @@ impl Experiment for Decay {
         values[0] = end.fell();
         let Some(push) = script.pushes.first() else { return Measured { values, series: Vec::new() } };
         if end == End::Upright {
-            values[1] = decay_time(trace, push.time_s, push.push.linear, 0.1, STRIDE_S);
-            values[2] = decay_time(trace, push.time_s, push.push.linear, 0.2, STRIDE_S);
-            values[5] = truth(values[1].is_none());
-            values[3] = carried(trace, push.time_s, push.push.linear, CARRIED_S);
+            let [to_10, to_20] =
+                [0.1, 0.2].map(|to| metrics::decay(trace, push.time_s, push.push.linear, to, STRIDE_S));
+            values[1] = to_10.map(|decay| decay.time_s);
+            values[2] = to_20.map(|decay| decay.time_s);
+            values[5] = to_10.and_then(|decay| truth(!decay.is_over));
+            values[3] = metrics::carried(trace, push.time_s, push.push.linear, CARRIED_S);
             let before = metrics::window(trace, push.time_s - 1.0, push.time_s);
             values[4] = metrics::mean(before, |frame| frame.velocity_in_heading[1]);
         }
@@ -183,6 +185,7 @@ impl Experiment for Decay {
             Expected::Higher,
             comparison,
         ));
-        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+        let notes = undecayed(results, &[0]).into_iter().collect();
+        Findings { claims, tables: vec![table], figures: vec![figure], notes }
     }
 }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::decay::{CARRIED_S, THRESHOLDS};
-use super::{directions, gait, polar, truth};
+use super::{directions, gait, polar, truth, undecayed};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
 use crate::evaluate::plot;
@@ -12,9 +12,9 @@ use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
-use crate::scenario::Script;
 use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
-use crate::scenario::metrics::{STRIDE_S, carried, decay_time};
+use crate::scenario::metrics::STRIDE_S;
+use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 
 const QUANTITIES: &[Quantity] = &[
@@ -84,10 +84,17 @@ impl Experiment for Directions {
 
     fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let push = script.pushes.first().filter(|_| end == End::Upright);
-        let decay = |threshold| decay_time(trace, push?.time_s, push?.push.linear, threshold, STRIDE_S);
-        let carried = push.and_then(|push| carried(trace, push.time_s, push.push.linear, CARRIED_S));
-        let undecayed = push.and_then(|_| truth(decay(0.1).is_none()));
-        Measured { values: vec![decay(0.1), decay(0.2), carried, undecayed, end.fell()], series: Vec::new() }
+        let decay = |threshold| metrics::decay(trace, push?.time_s, push?.push.linear, threshold, STRIDE_S);
+        let [to_10, to_20] = [0.1, 0.2].map(decay);
+        let carried = push.and_then(|push| metrics::carried(trace, push.time_s, push.push.linear, CARRIED_S));
+        let values = vec![
+            to_10.map(|decay| decay.time_s),
+            to_20.map(|decay| decay.time_s),
+            carried,
+            to_10.and_then(|decay| truth(!decay.is_over)),
+            end.fell(),
+        ];
+        Measured { values, series: Vec::new() }
     }
 
     fn findings(&self, results: &Results) -> Findings {
@@ -96,17 +103,16 @@ impl Experiment for Directions {
             let (conditions, name) = self.command(index);
             let all: Vec<usize> = conditions.clone().collect();
             for (quantity, words) in THRESHOLDS {
-                let longer = results.larger_in(&all, quantity);
                 let text = format!(
-                    "Pushed while {name}, compliant policies take longer in all directions ({words}; here in {longer} of \
-                     {}, and the numbers are means over directions)",
-                    all.len()
+                    "Pushed while {name}, compliant policies take longer in all directions ({words}; here in {}, and the \
+                     numbers are means over directions)",
+                    results.larger_in(&all, quantity)
                 );
                 let comparison = results.compare_over(&all, quantity);
-                notes.extend(results.left_out(&all, quantity).map(|note| format!("{name}, {words}: {note}")));
                 let quantity = results.quantity(quantity);
                 claims.push(Claim::direction(&text, "longer", quantity, Expected::Higher, comparison));
             }
+            notes.extend(undecayed(results, &all).map(|note| format!("{name}: {note}")));
             for quantity in QUANTITIES {
                 rows.push(Row {
                     condition: name.clone(),
@@ -132,7 +138,7 @@ impl Experiment for Directions {
         let figure = Figure::new(
             "directions",
             "Decay time of a push of 0.5 m/s by the direction it pushes to: mean and ± standard deviation over seeds. \
-             Trials with a fall, or in which it lasts to the end, have no decay time. The two plots differ in scale.",
+             Trials with a fall have no decay time. The two plots differ in scale.",
             svg,
         );
         Findings { claims, tables: vec![table, every], figures: vec![figure], notes }

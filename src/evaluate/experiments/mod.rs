@@ -28,11 +28,13 @@ pub use table4::Table4;
 pub use terrain::Terrain;
 pub use walk::Walk;
 
+use super::UNDECAYED;
 use super::plot::dots::Dots;
 use super::plot::polar::Polar;
 use super::results::Results;
 use super::statistics::Spread;
 use crate::scenario::metrics::Metric;
+use crate::trace::Trace;
 
 /// A scenario's metric by name.
 fn value(metrics: &[Metric], name: &str) -> Option<f64> {
@@ -61,9 +63,32 @@ fn labels(results: &Results) -> Vec<String> {
     results.conditions.iter().map(|condition| condition.label.clone()).collect()
 }
 
+/// When the trunk passes two lines across the way (world frame, x), if it passes both \[s\].
+fn crossing(trace: &Trace, first_m: f64, last_m: f64) -> Option<[f64; 2]> {
+    let when = |line_m: f64| Some(trace.frames.iter().find(|frame| frame.position[0] > line_m)?.time_s);
+    Some([when(first_m)?, when(last_m)?])
+}
+
 /// What a robot does at a forward command.
 fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
+}
+
+/// In how many trials the push had not decayed by the end, in words; none if it always had.
+fn undecayed(results: &Results, conditions: &[usize]) -> Option<String> {
+    let index = results.index(UNDECAYED.name);
+    let of_set = |set: usize| {
+        let policies = results.sets[set].values();
+        let trials = policies.flat_map(|policy| conditions.iter().filter_map(|c| policy.get(*c))).flatten();
+        let found: Vec<f64> = trials.filter_map(|sample| sample.values[index]).collect();
+        let lasting = found.iter().filter(|is_lasting| **is_lasting > 0.0).count();
+        (lasting > 0).then(|| format!("in {lasting} of {} trials of {}", found.len(), results.names[set]))
+    };
+    let words: Vec<String> = [0, 1].into_iter().filter_map(of_set).collect();
+    (!words.is_empty()).then(|| {
+        let words = words.join(" and ");
+        format!("{words} the push had not decayed to 10 % by the end: it counts as lasting until there.")
+    })
 }
 
 /// 1 for yes, 0 for no.
@@ -82,7 +107,7 @@ mod tests {
     use crate::evaluate::trial::{End, Sample};
     use crate::evaluate::{Experiment, Measured};
     use crate::scenario::metrics::tests::synthetic;
-    use crate::trace::{Event, EventKind, Trace};
+    use crate::trace::{Event, EventKind, Pose};
 
     /// Results of two seeds in which every trial gave the same.
     fn results(experiment: &dyn Experiment, sample: &Sample) -> Results {
@@ -172,6 +197,42 @@ mod tests {
         assert!((values[0] - 80.0).abs() < 1.0 && (values[1] - 135.0).abs() < 1.0, "{values:?}");
         assert!((values[2] - 25.0).abs() < 0.1 && (values[3] - 26.0).abs() < 0.1, "{values:?}");
         assert_eq!(values[4], 0.0);
+    }
+
+    #[test]
+    fn a_course_is_resumed_in_the_direction_of_the_start_only() {
+        let protocol = Protocol::full().unwrap();
+        let resumed = |yaw: f64| {
+            let mut trace = synthetic(20.0, |_| [0.4, 0.0, 0.0]);
+            for frame in &mut trace.frames {
+                frame.position = [0.4 * frame.time_s, 0.0, 0.3];
+                frame.goal = Some(Pose { position: [1.5, 1.0, 0.25], quaternion: [1.0, 0.0, 0.0, 0.0] });
+                frame.obstacle_contact_s = 0.01;
+                frame.roll_pitch_yaw[2] = yaw;
+            }
+            let values = measured(&protocol.r#box, &trace).values;
+            assert_eq!((values[0], values[5]), (Some(0.0), Some(1.0)));
+            values[6]
+        };
+        // Walking off at 60° to its course, it is 0.4 m/s away from its command.
+        assert_eq!((resumed(0.0), resumed(60.0_f64.to_radians())), (Some(1.0), Some(0.0)));
+    }
+
+    #[test]
+    fn a_fall_after_the_second_changes_neither_power_nor_torque() {
+        let protocol = Protocol::full().unwrap();
+        // The push comes at 3.0 to 3.4 s.
+        let power = |end_s: f64| {
+            let mut trace = synthetic(end_s, |_| [0.5, 0.0, 0.0]);
+            trace.frames.iter_mut().for_each(|frame| frame.power_w = 20.0);
+            trace.events.push(Event { time_s: end_s, kind: EventKind::Fall, text: String::new() });
+            let values = measured(&protocol.table4, &trace).values;
+            [values[0], values[1]]
+        };
+        let near = |found: Option<f64>| found.is_some_and(|found| (found - 20.0).abs() < 1e-9);
+        assert!(power(4.6).into_iter().all(near));
+        let [before, after] = power(3.6);
+        assert!(near(before) && after.is_none());
     }
 
     #[test]

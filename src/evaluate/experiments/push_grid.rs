@@ -83,6 +83,7 @@ impl PushGrid {
             b_spread: pooled(1),
             difference: estimate(common.len(), |chosen| both(chosen).map(|[a, b]| a - b)),
             relative: None,
+            trials: None,
             members: results.members(),
         }
     }

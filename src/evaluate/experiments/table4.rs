@@ -11,7 +11,7 @@ use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
 use crate::scenario::catalog::{PushAway, Scenario, defaults};
 use crate::scenario::{Script, metrics};
-use crate::trace::Trace;
+use crate::trace::{Frame, Trace};
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_before_w", "power before push", "W", 1),
@@ -44,8 +44,8 @@ impl Experiment for Table4 {
             title: "Power and torque of a sideways push",
             paper: "Table IV",
             method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
-                     torque actually applied, averaged over as long before and after the push. A trial with a fall \
-                     counts as a fall only.",
+                     torque actually applied, averaged over as long before and after the push. A time that a fall \
+                     cuts short has no average.",
         }
     }
 
@@ -65,13 +65,19 @@ impl Experiment for Table4 {
     fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
         let mut values = vec![None; QUANTITIES.len()];
         values[4] = end.fell();
-        if let (End::Upright, Some(push)) = (end, script.pushes.first()) {
-            let before = metrics::window(trace, push.time_s - self.window_s, push.time_s);
-            let after = metrics::window(trace, push.time_s, push.time_s + self.window_s);
-            values[0] = metrics::mean(before.clone(), |frame| frame.power_w);
-            values[1] = metrics::mean(after.clone(), |frame| frame.power_w);
-            values[2] = metrics::mean(before, |frame| frame.torque_n_m);
-            values[3] = metrics::mean(after, |frame| frame.torque_n_m);
+        if let Some(push) = script.pushes.first() {
+            // A trace ends with a fall.
+            let reaches = |time_s: f64| trace.frames.last().is_some_and(|f| f.time_s + 0.5 * trace.period_s > time_s);
+            let window = |from_s: f64| {
+                let until_s = from_s + self.window_s;
+                reaches(until_s).then(|| metrics::window(trace, from_s, until_s))
+            };
+            let [before, after] = [push.time_s - self.window_s, push.time_s].map(window);
+            let of = |quantity: fn(&Frame) -> f64| {
+                [before.clone(), after.clone()].map(|frames| metrics::mean(frames?, quantity))
+            };
+            [values[0], values[1]] = of(|frame| frame.power_w);
+            [values[2], values[3]] = of(|frame| frame.torque_n_m);
         }
         Measured { values, series: Vec::new() }
     }

@@ -58,8 +58,7 @@ struct Scale {
 impl Scale {
     fn of(panels: &[Polar]) -> Self {
         let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
-        // A band may reach below zero only where a mean does.
-        let ends = spreads.flat_map(|spread| [spread.mean, spread.mean + spread.sd.unwrap_or(0.0)]);
+        let ends = spreads.flat_map(|spread| [-1.0, 1.0].map(|sign| spread.mean + sign * spread.sd.unwrap_or(0.0)));
         let (low, high) = ends.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
         Scale { low: 1.02 * low, high: if high > low { 1.02 * high } else { 1.0 } }
     }

@@ -88,7 +88,7 @@ fn introduction(report: &Report) -> String {
             format!("<a href=\"#{}\">{} {}</a> ", section.info.name, section.info.id, escaped(section.info.title))
         })
         .collect();
-    let notes: String = report.notes.iter().map(|note| format!("<p class=\"note\">{}</p>\n", escaped(note))).collect();
+    let notes = notes(&report.notes);
     format!(
         "<nav>{navigation}</nav>\n\
          <p>Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with {trials} trials in \
@@ -166,9 +166,7 @@ fn experiment(section: &Section, report: &Report) -> String {
         escaped(info.paper),
         escaped(info.method)
     );
-    for note in &section.findings.notes {
-        let _ = writeln!(text, "<p class=\"note\">{}</p>", escaped(note));
-    }
+    text.push_str(&notes(&section.findings.notes));
     for figure in &section.findings.figures {
         let _ = write!(
             text,
@@ -192,16 +190,21 @@ fn sensing(report: &Report) -> String {
     let tables = found.tables();
     let tables = tables.iter().filter(|(table, _)| table.in_page);
     let tables: String = tables.map(|(table, names)| numbers(table, names)).collect();
+    let notes = notes(&found.notes);
     format!(
         "<section id=\"sensing\">\n<h2>E12 Acting on sensors <small>section IV-D</small></h2>\n<p>The same trials, with \
          policies that see no true state: noisy IMU and encoders, a contact network and a Kalman filter at 240 Hz. \
-         Differences are estimated minus true state.</p>\n{tables}<details><summary>How it was run</summary><dl>\
+         Differences are estimated minus true state.</p>\n{notes}{tables}<details><summary>How it was run</summary><dl>\
          <dt>experiments</dt><dd>{}</dd><dt>contact network</dt><dd><code>{}</code></dd><dt>time for all trials</dt>\
          <dd>{}</dd></dl></details>\n</section>\n",
         escaped(&found.experiments.join(", ")),
         escaped(&found.network),
         duration(found.wall_s),
     )
+}
+
+fn notes(notes: &[String]) -> String {
+    notes.iter().map(|note| format!("<p class=\"note\">{}</p>\n", escaped(note))).collect()
 }
 
 /// A table without the columns that are empty throughout.

@@ -1,7 +1,7 @@
 //! Tables as Markdown, and the document of all claims.
 
 use super::Report;
-use crate::evaluate::findings::{Claim, Row, Table, estimate, percent, spread};
+use crate::evaluate::findings::{Claim, Row, Table, difference, percent, spread};
 
 /// Cells of a row: condition, quantity, the paper's numbers, ours.
 pub fn cells(row: &Row) -> [String; 7] {
@@ -12,7 +12,7 @@ pub fn cells(row: &Row) -> [String; 7] {
         row.paper.clone(),
         spread(c.a_spread, row.quantity, c.members[0], ""),
         spread(c.b_spread, row.quantity, c.members[1], ""),
-        estimate(c.difference, row.quantity, c.members, ""),
+        difference(c, row.quantity, ""),
         if row.quantity.unit == "%" { String::new() } else { percent(c.relative, "") },
     ]
 }
@@ -37,7 +37,7 @@ pub fn claim_cells(claim: &Claim) -> [String; 7] {
         claim.paper.clone(),
         spread(c.a_spread, quantity, c.members[0], &unit),
         spread(c.b_spread, quantity, c.members[1], &unit),
-        estimate(c.difference, quantity, c.members, &unit_of_difference),
+        difference(c, quantity, &unit_of_difference),
         if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") },
         claim.verdict.text().to_owned(),
     ]
@@ -102,6 +102,10 @@ pub fn document(report: &Report) -> String {
     }
     if !report.sensing.experiments.is_empty() {
         text.push_str("\n## E12: acting on sensors\n");
+        let notes: String = report.sensing.notes.iter().map(|note| format!("- {note}\n")).collect();
+        if !notes.is_empty() {
+            text.push_str(&format!("\n{notes}"));
+        }
         for (table, names) in report.sensing.tables().iter().filter(|(table, _)| table.in_page) {
             text.push_str(&format!("\n{}", self::table(table, names)));
         }

@@ -49,7 +49,7 @@ pub enum ReportError {
 pub struct PolicyLine {
     /// Name of its set.
     pub set: String,
-    /// Seed of its training.
+    /// By which it is paired.
     pub seed: u64,
     /// Identity.
     pub sha256: String,
@@ -173,7 +173,7 @@ impl Report {
     pub fn new(contest: &Contest, protocol: String, command: Command) -> Self {
         let line = |set: &str, member: &super::contestants::Contestant| PolicyLine {
             set: set.to_owned(),
-            seed: origin(member, |origin| origin.seed).unwrap_or(member.seed),
+            seed: member.seed,
             sha256: member.agent.sha256.clone(),
             config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "from elsewhere".into()),
             samples: origin(member, |origin| origin.samples),
@@ -192,6 +192,14 @@ impl Report {
             missing: Vec::new(),
             sensing: SensingFindings::new(contest),
         }
+    }
+
+    /// Adds a finished experiment. What undisturbed walking tells of the policies is to be known of all the others, too.
+    pub fn add(&mut self, mut section: Section) {
+        if section.info.number == 0 {
+            self.notes.append(&mut section.findings.notes);
+        }
+        self.sections.push(section);
     }
 
     /// Writes everything into a folder.

@@ -44,6 +44,7 @@ fn sensing(report: &Report) -> Value {
     let tables = found.tables();
     json!({
         "experiments": found.experiments,
+        "notes": found.notes,
         "contact_network": found.network,
         "tables": tables.iter().map(|(table, names)| self::table(table, names)).collect::<Map<_, _>>(),
     })
@@ -99,7 +100,10 @@ fn comparison(names: &[String; 2], comparison: &Comparison, quantity: Quantity) 
             json!({ "mean": spread.map(|s| s.mean), "sd": spread.and_then(|s| s.sd), "by_seed": by_seed }),
         );
     }
-    json!({ "sets": sets, "difference": comparison.difference, "relative": comparison.relative })
+    json!({
+        "sets": sets, "difference": comparison.difference, "relative": comparison.relative,
+        "trials": comparison.trials,
+    })
 }
 
 /// Numbers to six significant digits: the rest is not knowledge.

@@ -34,7 +34,7 @@ fn header(names: &[String; 2]) -> String {
         format!("{name}_mean,{name}_sd,{name}_seeds")
     };
     format!(
-        "{},{},pairs,difference,difference_low,difference_high,relative,relative_low,relative_high",
+        "{},{},pairs,trials_used,trials,difference,difference_low,difference_high,relative,relative_low,relative_high",
         of(&names[0]),
         of(&names[1])
     )
@@ -49,6 +49,9 @@ fn numbers(comparison: &Comparison) -> String {
         cells.push(spread.map_or(0, |spread| spread.seeds).to_string());
     }
     cells.push(comparison.difference.map_or(0, |difference| difference.pairs).to_string());
+    for count in [comparison.trials.map(|trials| trials.used), comparison.trials.map(|trials| trials.of)] {
+        cells.push(count.map_or(String::new(), |count| count.to_string()));
+    }
     for estimate in [comparison.difference, comparison.relative] {
         let end =
             |index: usize| estimate.and_then(|Estimate { interval, .. }| interval).map(|interval| interval[index]);

@@ -76,7 +76,13 @@ impl Parameters for BallPit {
                     [(row + 2 * column) as usize % 4],
             );
         }
-        script.goal = Some(Goal { from: None, ahead_m: self.far_edge_m(), text: "got across the balls" });
+        script.goal = Some(Goal {
+            from: None,
+            ahead_m: self.far_edge_m(),
+            // Nobody aims at a single ball.
+            half_width_m: (0.5 * f64::from(side) * pitch).max(0.5),
+            text: "got across the balls",
+        });
         script.scene.obstacles = balls;
         // Conjugate gradients: Newton's method would need a stack of half a gigabyte.
         script.scene.solver = r#"solver="CG" iterations="20""#;

@@ -60,7 +60,12 @@ impl Parameters for FreeBox {
             mass = self.mass_kg,
             friction = self.friction,
         );
-        script.goal = Some(Goal { from: Some("box"), ahead_m: 0.5 * self.size_m, text: "got past the box" });
+        script.goal = Some(Goal {
+            from: Some("box"),
+            ahead_m: 0.5 * self.size_m,
+            half_width_m: f64::INFINITY,
+            text: "got past the box",
+        });
         script.scene.buffers = Buffers { contacts: 100, rows: 500, stack: 200_000 };
         Ok(())
     }

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::pulley::rope;
 use super::{ParameterError, Parameters, Task, in_range, metric, no_turn};
-use crate::scenario::metrics::{self, Metric, STRIDE_S};
+use crate::scenario::metrics::{self, Decay, Metric, STRIDE_S};
 use crate::scenario::rig::Words;
 use crate::scenario::{Rig, Script};
 use crate::scene::Buffers;
@@ -92,9 +92,9 @@ impl Pendulum {
         Some(Impact { time_s, push: [change * ahead, change * left] })
     }
 
-    /// How long the velocity change of an impact lasts \[s\], as that of a push.
-    pub fn decay_time(&self, trace: &Trace, impact: &Impact, threshold: f64) -> Option<f64> {
-        metrics::decay_time(trace, impact.time_s, impact.push, threshold, STRIDE_S)
+    /// How long the velocity change of an impact lasts, as that of a push.
+    pub fn decay(&self, trace: &Trace, impact: &Impact, threshold: f64) -> Option<Decay> {
+        metrics::decay(trace, impact.time_s, impact.push, threshold, STRIDE_S)
     }
 
     fn rig(&self) -> Rig {
@@ -177,15 +177,22 @@ impl Parameters for Pendulum {
             let time_s = impact.map(|impact| impact.time_s);
             time_s.map(|time_s| metrics::window(trace, time_s, time_s + IMPULSE_S))
         };
-        let decay = |threshold| impact.and_then(|impact| self.decay_time(trace, &impact, threshold));
+        let decay = |threshold| {
+            let decay = impact.and_then(|impact| self.decay(trace, &impact, threshold));
+            decay.filter(|decay| decay.is_over).map(|decay| decay.time_s)
+        };
         let [ahead, left] = self.direction();
         let push = impact.map(|impact| impact.push[0] * ahead + impact.push[1] * left);
-        let impulse = after().map(|frames| frames.map(|frame| frame.obstacle_impulse_n_s).sum());
+        // A fall before the second is over ends the trace, and with it the sum.
+        let is_whole = impact
+            .zip(trace.frames.last())
+            .is_some_and(|(impact, last)| last.time_s + 0.5 * trace.period_s > impact.time_s + IMPULSE_S);
+        let impulse = after().filter(|_| is_whole).map(|frames| frames.map(|frame| frame.obstacle_impulse_n_s).sum());
         found.push(metric("impact_time_s", "hit at", impact.map(|impact| impact.time_s), "s"));
         found.push(metric("push_m_s", "velocity change by the hit", push, "m/s"));
         found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
         found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
-        let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n);
+        let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n).filter(|_| impact.is_some());
         found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
         found.push(metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s"));
     }
