@@ -83,6 +83,10 @@ pub const FELL: Quantity = Quantity::new("fell", "falls", "%", 0);
 /// Share of trials without a fall in which the push had not decayed to 10 % at the end: their decay time is that end.
 pub const UNDECAYED: Quantity = Quantity::new("undecayed", "not decayed at the end", "%", 0);
 
+/// Decay time of a push at a robot that stands, with a shorter average than elsewhere.
+pub const BRIEFLY_AVERAGED: Quantity =
+    Quantity::new("decay_10_averaged_0_1_s", "decay to 10 %, averaged over 0.1 s", "s", 2);
+
 /// One setting of what an experiment varies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Condition {

@@ -9,6 +9,9 @@ use crate::trace::{Frame, Trace};
 /// Length of the moving average in decay times: one stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
 
+/// A shorter one, for robots that stand \[s\].
+pub const BRIEF_S: f64 = 0.1;
+
 /// From here on a robot that started at rest walks as it will \[s\].
 pub const SETTLE_S: f64 = 2.0;
 

@@ -11,10 +11,11 @@ use crate::evaluate::plot::polar::Scales;
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
+use crate::evaluate::{BRIEFLY_AVERAGED, Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
 use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
-use crate::scenario::metrics::STRIDE_S;
+use crate::scenario::metrics::{BRIEF_S, STRIDE_S};
 use crate::scenario::{Script, metrics};
+use crate::task::Command;
 use crate::trace::Trace;
 
 const QUANTITIES: &[Quantity] = &[
@@ -23,6 +24,7 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("carried_m", "carried by the push within 2 s", "m", 3),
     UNDECAYED,
     FELL,
+    BRIEFLY_AVERAGED,
 ];
 
 /// Its numbers in the protocol.
@@ -93,6 +95,9 @@ impl Experiment for Directions {
             carried,
             to_10.and_then(|decay| truth(!decay.is_over)),
             end.fell(),
+            push.filter(|_| script.command == Command::default())
+                .and_then(|push| metrics::decay(trace, push.time_s, push.push.linear, 0.1, BRIEF_S))
+                .map(|decay| decay.time_s),
         ];
         Measured { values, series: Vec::new() }
     }
@@ -113,7 +118,8 @@ impl Experiment for Directions {
                 claims.push(Claim::direction(&text, "longer", quantity, Expected::Higher, comparison));
             }
             notes.extend(undecayed(results, &all).map(|note| format!("{name}: {note}")));
-            for quantity in QUANTITIES {
+            let is_standing = self.commands_m_s[index] == 0.0;
+            for quantity in QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED) {
                 rows.push(Row {
                     condition: name.clone(),
                     quantity: *quantity,
