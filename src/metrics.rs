@@ -66,8 +66,7 @@ pub struct LearnerMetrics {
     pub kl: f64,
     /// Share of samples outside the clip range.
     pub clip_share: f64,
-    /// Largest probability ratio of a sample. 0 in files of versions that did not measure it.
-    #[serde(default)]
+    /// Largest probability ratio of a sample.
     pub max_ratio: f64,
     /// Norm of the joint gradient before clipping.
     pub gradient_norm: f64,

@@ -146,9 +146,7 @@ struct Metadata {
     scale_rad: f64,
     simulation: Simulation,
     provenance: Provenance,
-    /// The first files of this format lack it.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    usage: Option<Usage>,
+    usage: Usage,
 }
 
 /// A trained policy with what is needed to use it.
@@ -164,8 +162,8 @@ pub struct Policy {
     pub scale_rad: f64,
     /// Where it came from; rates, gains and latency are those of its configuration.
     pub provenance: Provenance,
-    /// For other programs; none if the file it was read from has none.
-    pub usage: Option<Usage>,
+    /// For other programs.
+    pub usage: Usage,
     packed: PackedMlp,
 }
 
@@ -179,7 +177,7 @@ impl Policy {
             normaliser: Normaliser::new(config),
             nominal_pose: same_in_every_leg(config.action.nominal_pose_rad),
             scale_rad: config.action.scale_rad,
-            usage: Some(Usage::new(&config.robot.model)),
+            usage: Usage::new(&config.robot.model),
             provenance,
         }
     }
@@ -332,8 +330,8 @@ impl Metadata {
         if self.simulation != config.simulation {
             return Err("its simulation differs from that of the configuration it was trained with".into());
         }
-        if let Some(named) = self.usage.as_ref().map(|usage| usage.observation_elements.len()).filter(|n| *n != LENGTH)
-        {
+        let named = self.usage.observation_elements.len();
+        if named != LENGTH {
             return Err(format!("its description names {named} numbers of the observation, expected {LENGTH}"));
         }
         config.check().map_err(|error| error.to_string())
@@ -414,7 +412,7 @@ mod tests {
 
     #[test]
     fn every_number_of_the_observation_has_a_name_and_a_unit() {
-        let names = policy().usage.unwrap().observation_elements;
+        let names = policy().usage.observation_elements;
         assert_eq!(names.len(), LENGTH);
         assert_eq!(names[0], "previous base height [m]");
         assert_eq!(names[34], "previous FR_hip target [rad]");

@@ -230,8 +230,6 @@ pub struct Reward {
     /// `w_h`.
     pub foot_height: f64,
     /// `w_f`, not in the paper: time in flight.
-    // Policy files from before it keep their bytes, which are their identity.
-    #[serde(default, skip_serializing_if = "is_zero")]
     pub flight: f64,
     /// The 8 in `r_lin` and `r_ang`.
     pub tracking_sharpness: f64,
@@ -243,11 +241,6 @@ pub struct Reward {
     pub base_height_m: f64,
     /// `p_des` \[m\].
     pub foot_height_m: f64,
-}
-
-/// Whether a key may be left out of a file.
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 /// Section IV-D.

@@ -35,7 +35,6 @@ pub struct Terms {
     /// `r_h`.
     pub foot_height: f64,
     /// `r_f`, share of the step in which no foot touched the ground: a few percent in a walk, much more in hopping.
-    #[serde(default)] // older checkpoints lack it
     pub flight: f64,
 }
 

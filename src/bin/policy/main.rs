@@ -182,10 +182,9 @@ fn description(policy: &Policy) -> String {
     text.push_str("\njoints            nominal [rad]  range [rad]         largest torque [N m]\n");
     for (joint, angle) in policy.nominal_pose.iter().enumerate() {
         let name = supple::go1::joint_name(joint);
-        let usage = policy.usage.as_ref();
-        let range = usage.and_then(|usage| usage.joint_limits_rad).map(|limits| limits[joint]);
+        let range = policy.usage.joint_limits_rad.map(|limits| limits[joint]);
         let range = range.map_or_else(|| "-".into(), |[low, high]| format!("{low:+.3} to {high:+.3}"));
-        let torque = usage.and_then(|usage| usage.torque_limits_n_m).map(|limits| limits[joint]);
+        let torque = policy.usage.torque_limits_n_m.map(|limits| limits[joint]);
         let torque = torque.map_or_else(|| "-".into(), |torque| torque.to_string());
         text.push_str(&format!("  {joint:2}  {name:12}{angle:+.4}        {range:20}{torque}\n"));
     }
