@@ -58,7 +58,12 @@ struct Scale {
 impl Scale {
     fn of(panels: &[Polar]) -> Self {
         let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
-        let ends = spreads.flat_map(|spread| [-1.0, 1.0].map(|sign| spread.mean + sign * spread.sd.unwrap_or(0.0)));
+        // A band reaches below zero only where means do: a time that varies much is not negative for that.
+        let is_signed = spreads.clone().any(|spread| spread.mean < 0.0);
+        let ends = spreads.flat_map(|spread| {
+            let sd = spread.sd.unwrap_or(0.0);
+            [if is_signed { spread.mean - sd } else { spread.mean }, spread.mean + sd]
+        });
         let (low, high) = ends.fold((0.0_f64, 0.0_f64), |(low, high), value| (low.min(value), high.max(value)));
         Scale { low: 1.02 * low, high: if high > low { 1.02 * high } else { 1.0 } }
     }
