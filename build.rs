@@ -32,28 +32,18 @@ fn main() {
 /// An array expression of (name, bytes), by name: `compliant-seed0`, `hardware/compliant-seed0`.
 fn embedded_policies(folder: &Path) -> String {
     let mut files = Vec::new();
-    policies_in(folder, "", &mut files);
-    files.sort();
+    files_in(folder, &mut files);
+    files.retain(|file| file.extension().is_some_and(|extension| extension == "safetensors"));
+    files.sort_by_key(|file| file.with_extension(""));
     let mut code = String::from("&[\n");
-    for (name, file) in files {
-        let path = file.canonicalize().unwrap_or(file);
+    for file in files {
+        let name = file.strip_prefix(folder).unwrap_or(&file).with_extension("").display().to_string();
+        let path = file.canonicalize().unwrap_or(file).display().to_string();
         // Writing into a String cannot fail.
-        let _ = writeln!(code, "    ({name:?}, include_bytes!({:?})),", path.display().to_string());
+        let _ = writeln!(code, "    ({name:?}, include_bytes!({path:?})),");
     }
     code.push(']');
     code
-}
-
-/// Those of a folder and of the folders in it.
-fn policies_in(folder: &Path, prefix: &str, files: &mut Vec<(String, PathBuf)>) {
-    for path in std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok).map(|entry| entry.path()) {
-        let name = format!("{prefix}{}", path.file_stem().unwrap_or_default().to_string_lossy());
-        if path.is_dir() {
-            policies_in(&path, &format!("{name}/"), files);
-        } else if path.extension().is_some_and(|extension| extension == "safetensors") {
-            files.push((name, path));
-        }
-    }
 }
 
 /// FNV-1a over paths and contents of what a measurement depends on.
@@ -71,6 +61,7 @@ fn hash_of_measures() -> u64 {
     hash
 }
 
+/// All that make a difference to what is measured, of a folder and of the folders in it.
 fn files_in(path: &Path, files: &mut Vec<PathBuf>) {
     if UNMEASURED.iter().any(|unmeasured| path.starts_with(unmeasured)) {
         return;

@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 
 use crate::agent::{Agent, AgentError, is_description};
 
+/// Keys of a configuration that trials are played with.
+const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
+
 /// Why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
 pub enum ContestantError {
@@ -155,10 +158,15 @@ impl Contest {
         let keys = unlike(&sides);
         if !keys.is_empty() {
             notes.push(format!(
-                "the policies were not trained alike, and each is tried with its own rates, gains, latency, friction and \
-                 height of a fall: their configurations differ in {}",
+                "the policies were not trained alike: their configurations differ in {}",
                 keys.join(", ")
             ));
+            // A policy runs with these, also here.
+            let is_tried = |key: &&String| TRIED.iter().any(|tried| key.starts_with(tried));
+            let tried: Vec<&str> = keys.iter().filter(is_tried).map(String::as_str).collect();
+            if !tried.is_empty() {
+                notes.push(format!("each policy is tried with its own {}", tried.join(", ")));
+            }
         }
         Contest { sides, notes }
     }

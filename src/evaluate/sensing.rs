@@ -62,10 +62,10 @@ impl SensingFindings {
             rows: Vec::new(),
             in_page,
         };
-        let members = || contest.sides.iter().flat_map(|side| side.members.iter().map(move |member| (side, member)));
-        let names: Vec<String> = members().map(|(side, member)| format!("{}-seed{}", side.name, member.seed)).collect();
-        let policies =
-            names.iter().zip(members()).map(|(name, (_, member))| (name.as_str(), member.agent.sha256.as_str()));
+        let policies = || {
+            let members = contest.sides.iter().flat_map(|side| side.members.iter().map(move |member| (side, member)));
+            members.map(|(side, member)| (format!("{}-seed{}", side.name, member.seed), member.agent.sha256.as_str()))
+        };
         // Trials have been played with it, or there is nothing to tell.
         let network = ContactNetwork::shipped().ok();
         SensingFindings {
@@ -83,7 +83,7 @@ impl SensingFindings {
                  the base frame, height of the base, horizontal position at the end, contacts of all feet.",
                 true,
             ),
-            notes: network.iter().filter_map(|network| network.unfamiliar(policies.clone())).collect(),
+            notes: network.iter().filter_map(|network| network.unfamiliar(policies())).collect(),
             experiments: Vec::new(),
             network: network.as_ref().map_or(String::new(), ContactNetwork::checksum),
             wall_s: 0.0,

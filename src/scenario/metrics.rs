@@ -127,6 +127,13 @@ pub struct Decay {
     pub is_over: bool,
 }
 
+impl Decay {
+    /// How long it lasted, if it is over \[s\].
+    pub fn ended_s(self) -> Option<f64> {
+        self.is_over.then_some(self.time_s)
+    }
+}
+
 /// How long a velocity disturbance lasts.
 ///
 /// `e(t)` is the velocity along the push minus its mean over the last second before the push, smoothed by a centred

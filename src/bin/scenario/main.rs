@@ -58,7 +58,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         terminal::note(format_args!("note: {late}"));
     }
     if args.sensing == Sensing::Estimated {
-        let policies = robots.iter().map(|(name, agent)| (name.as_str(), agent.sha256.as_str()));
+        let policies = robots.iter().map(|(name, agent)| (name.clone(), agent.sha256.as_str()));
         let unfamiliar = ContactNetwork::shipped()?.unfamiliar(policies);
         unfamiliar.iter().for_each(|what| terminal::note(format_args!("note: {what}")));
     }

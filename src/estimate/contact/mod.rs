@@ -109,9 +109,9 @@ impl ContactNetwork {
     }
 
     /// What to know before policies act on this network, of each its name and SHA-256: whose gait it was not trained on.
-    pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (&'a str, &'a str)>) -> Option<String> {
+    pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (String, &'a str)>) -> Option<String> {
         let known = |sha256: &str| self.provenance.policies.iter().any(|policy| policy.sha256 == sha256);
-        let strangers: Vec<&str> =
+        let strangers: Vec<String> =
             policies.into_iter().filter(|(_, sha256)| !known(sha256)).map(|(name, _)| name).collect();
         (!strangers.is_empty()).then(|| {
             format!(

@@ -177,10 +177,7 @@ impl Parameters for Pendulum {
             let time_s = impact.map(|impact| impact.time_s);
             time_s.map(|time_s| metrics::window(trace, time_s, time_s + IMPULSE_S))
         };
-        let decay = |threshold| {
-            let decay = impact.and_then(|impact| self.decay(trace, &impact, threshold));
-            decay.filter(|decay| decay.is_over).map(|decay| decay.time_s)
-        };
+        let decay = |threshold| self.decay(trace, impact.as_ref()?, threshold)?.ended_s();
         let [ahead, left] = self.direction();
         let push = impact.map(|impact| impact.push[0] * ahead + impact.push[1] * left);
         // A fall before the second is over ends the trace, and with it the sum.

@@ -66,10 +66,7 @@ impl Parameters for PushAway {
         let at_s = first.time_s;
         let before = metrics::window(trace, at_s - 1.0, at_s);
         let after = metrics::window(trace, at_s, at_s + 1.0);
-        let decay = |threshold| {
-            let decay = metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S);
-            decay.filter(|decay| decay.is_over).map(|decay| decay.time_s)
-        };
+        let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S)?.ended_s();
         found.push(metric("push_time_s", "pushed at", Some(at_s), "s"));
         found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
         found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
