@@ -42,8 +42,8 @@ impl Experiment for BallPit {
             paper: "Fig. 7a",
             method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart. The robot is across \
                      when its trunk passes the last row, and stuck if it neither gets there nor falls in the time it \
-                     has. Time and power are from the first row to past the last; a trial that does not get across has none, nor has \
-                     one that leaves the balls at their side. \
+                     has. Time, peak foot force and power are from the first row to past the last; a trial that does not get \
+                     across has none, nor has one that leaves the balls at their side. \
                      Each trial starts at another distance, so that the gait meets the balls at another phase.",
         }
     }
@@ -66,6 +66,7 @@ impl Experiment for BallPit {
         let found = scenario.metrics(script, trace);
         let crossed = value(&found, "crossed") == Some(1.0);
         let crossing = crossing(trace, pit.distance_m, pit.far_edge_m()).filter(|_| crossed);
+        let among_balls = crossing.into_iter().flat_map(|[first_s, last_s]| metrics::window(trace, first_s, last_s));
         let of_upright = |name: &str| value(&found, name).filter(|_| end == End::Upright);
         let values = vec![
             truth(crossed),
@@ -73,10 +74,8 @@ impl Experiment for BallPit {
             truth(!crossed && end == End::Upright),
             crossing.map(|[first_s, last_s]| last_s - first_s),
             of_upright("distance_m"),
-            of_upright("peak_foot_force_n"),
-            crossing.and_then(|[first_s, last_s]| {
-                metrics::mean(metrics::window(trace, first_s, last_s), |frame| frame.power_w)
-            }),
+            metrics::largest(among_balls.clone(), |frame| frame.peak_foot_force_n),
+            metrics::mean(among_balls, |frame| frame.power_w),
         ];
         Measured { values, series: Vec::new() }
     }

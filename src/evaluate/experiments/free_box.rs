@@ -188,6 +188,7 @@ impl Experiment for FreeBox {
             "milder",
             "mean_contact_force_n",
         ));
+        claims.extend(by_friction("… and hit it less hard (peak force)", "milder", "peak_contact_force_n"));
         claims.push(claim("Compliant policies are deflected past the box", "past", "passed", Expected::Higher, &all));
         claims.push(claim("… and resume their course", "resume", "resumed", Expected::Higher, &all));
         Findings { claims, tables: vec![table], figures: vec![paths, forces], notes: Vec::new() }

@@ -219,6 +219,30 @@ mod tests {
     }
 
     #[test]
+    fn the_first_steps_and_what_follows_the_obstacles_are_no_peak_of_foot_force() {
+        let protocol = Protocol::full().unwrap();
+        let mut trace = synthetic(14.0, |_| [0.4, 0.0, 0.0]);
+        for frame in &mut trace.frames {
+            frame.position[0] = 0.4 * frame.time_s;
+            // Balls lie from 0.6 to 3.2 m, rubble from 0.6 to 4.6 m.
+            frame.peak_foot_force_n = match frame.position[0] {
+                ..0.55 => 150.0,
+                1.0..2.0 => 120.0,
+                5.0.. => 130.0,
+                _ => 100.0,
+            };
+        }
+        trace.events.push(Event { time_s: 13.0, kind: EventKind::Success, text: String::new() });
+        let peak = |experiment: &dyn Experiment| {
+            let index =
+                experiment.quantities().iter().position(|quantity| quantity.name == "peak_foot_force_n").unwrap();
+            measured(experiment, &trace).values[index]
+        };
+        assert_eq!((peak(&protocol.walk), peak(&protocol.terrain)), (Some(130.0), Some(130.0)));
+        assert_eq!((peak(&protocol.ball_pit), peak(&protocol.rubble)), (Some(120.0), Some(120.0)));
+    }
+
+    #[test]
     fn a_fall_after_the_second_changes_neither_power_nor_torque() {
         let protocol = Protocol::full().unwrap();
         // The push comes at 3.0 to 3.4 s.

@@ -43,7 +43,7 @@ impl Experiment for Rubble {
             method: "At 0.5 m/s for 15 s over 4 m of loose wooden blocks and soft mats, other ones in every trial, by the \
                      largest height of the blocks. Height counts from the floor, and only the floor is ground: a leg that \
                      brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side. The velocity \
-                     error is the length of mean velocity minus command in the horizontal plane; it and the power are those \
+                     error is the length of mean velocity minus command in the horizontal plane; it, the peak foot force and the power are those \
                      of the crossing, from the first edge to the last.",
         }
     }
@@ -71,14 +71,13 @@ impl Experiment for Rubble {
         let found = scenario.metrics(script, trace);
         let crossed = value(&found, "crossed");
         let crossing = crossing(trace, rubble.distance_m, rubble.far_edge_m()).filter(|_| crossed == Some(1.0));
+        let on_rubble = crossing.into_iter().flat_map(|[first_s, last_s]| metrics::window(trace, first_s, last_s));
         let values = vec![
             truth(upright),
             crossed,
             crossing.and_then(|[first_s, last_s]| metrics::velocity_error(trace, first_s, last_s)),
-            value(&found, "peak_foot_force_n").filter(|_| upright),
-            crossing.and_then(|[first_s, last_s]| {
-                metrics::mean(metrics::window(trace, first_s, last_s), |frame| frame.power_w)
-            }),
+            metrics::largest(on_rubble.clone(), |frame| frame.peak_foot_force_n),
+            metrics::mean(on_rubble, |frame| frame.power_w),
         ];
         Measured { values, series: Vec::new() }
     }

@@ -1,5 +1,7 @@
 //! E0: walking undisturbed, at the other experiments' command and at the corners of the commands.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::{by_condition, labels, value};
@@ -25,6 +27,7 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("stride_frequency_hz", "stride frequency", "Hz", 2),
     Quantity::new("flight_share", "time in flight", "%", 0),
     Quantity::new("swing_height_m", "foot height", "m", 3),
+    Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
 ];
 
 /// Time in flight from which on a gait is called hopping; a trot at this speed has next to none.
@@ -48,15 +51,22 @@ impl Walk {
         let Some([forward, left, _]) = self.commands.first() else { return Vec::new() };
         let mut notes = Vec::new();
         for (set, name) in results.names.iter().enumerate() {
-            let falls = results.per_seed(set, 0, "fell");
             let errors = results.per_seed(set, 0, "velocity_error_m_s");
             let flights = results.per_seed(set, 0, "flight_share");
             for (seed, share) in flights.iter().filter(|(_, share)| **share > HOPPING_SHARE) {
                 let percent = 100.0 * share;
                 notes.push(format!("{name}, seed {seed}, hops: {percent:.0} % of the time no foot is on the ground."));
             }
-            for seed in falls.iter().filter(|(_, fell)| **fell > 0.0).map(|(seed, _)| seed) {
-                notes.push(format!("{name}, seed {seed}, falls without any disturbance."));
+            let mut fell_at: BTreeMap<u64, Vec<&str>> = BTreeMap::new();
+            for (index, condition) in results.conditions.iter().enumerate() {
+                let falls = results.per_seed(set, index, "fell");
+                for (seed, _) in falls.into_iter().filter(|(_, fell)| *fell > 0.0) {
+                    fell_at.entry(seed).or_default().push(&condition.label);
+                }
+            }
+            for (seed, commands) in fell_at {
+                let commands = commands.join("; ");
+                notes.push(format!("{name}, seed {seed}, falls without any disturbance at {commands}."));
             }
             let speed = forward.hypot(*left);
             for (seed, error) in errors.iter().filter(|(_, error)| speed > 0.0 && **error > 0.5 * speed) {
