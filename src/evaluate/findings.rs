@@ -140,7 +140,9 @@ pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize, unit: 
 
 /// The difference of a comparison, followed by `unit`; says so if not all of the seeds or trials are in it.
 pub fn difference(comparison: &Comparison, quantity: Quantity, unit: &str) -> String {
-    let text = estimate(comparison.difference, quantity, comparison.members, unit);
+    // Points of a percentage: what is not zero is not to read as zero.
+    let digits = if quantity.unit == "%" { quantity.digits.max(1) } else { quantity.digits };
+    let text = estimate(comparison.difference, Quantity { digits, ..quantity }, comparison.members, unit);
     match comparison.trials.filter(|trials| trials.used < trials.of) {
         Some(Trials { used, of }) => format!("{text} ({used} of {of} trials)"),
         None => text,

@@ -193,6 +193,8 @@ pub enum Verdict {
     AsThePaper,
     /// The interval holds zero.
     NoEffect,
+    /// No pair of seeds differs at all, as where everybody succeeds.
+    Alike,
     /// The interval lies on the other side of zero.
     Opposite,
     /// There are fewer than five pairs of seeds.
@@ -220,6 +222,7 @@ impl Verdict {
             Expected::Lower if high < 0.0 => Verdict::AsThePaper,
             Expected::Higher if high < 0.0 => Verdict::Opposite,
             Expected::Lower if low > 0.0 => Verdict::Opposite,
+            _ if low == 0.0 && high == 0.0 => Verdict::Alike,
             _ => Verdict::NoEffect,
         }
     }
@@ -242,6 +245,7 @@ impl Verdict {
         match self {
             Verdict::AsThePaper => "effect in the paper's direction",
             Verdict::NoEffect => "no effect shown: the interval holds zero",
+            Verdict::Alike => "alike in every pair of seeds",
             Verdict::Opposite => "opposite effect",
             Verdict::TooFew => "too few pairs of seeds to tell",
             Verdict::Unpaired => "no seed has the number in both sets",
@@ -286,6 +290,13 @@ mod tests {
         let percent = comparison.scaled(100.0);
         assert_eq!((percent.a[&0], percent.b_spread.unwrap().mean), (150.0, 300.0));
         assert_eq!((percent.difference.unwrap().interval, percent.relative), (Some([50.0, 50.0]), comparison.relative));
+    }
+
+    #[test]
+    fn where_everybody_succeeds_nothing_is_said_to_be_missing() {
+        assert_eq!(Verdict::of(&comparison(&[1.0; 5], &[1.0; 5]), Expected::Higher), Verdict::Alike);
+        let (a, b) = ([1.0, 0.9, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.9, 1.0]);
+        assert_eq!(Verdict::of(&comparison(&a, &b), Expected::Higher), Verdict::NoEffect);
     }
 
     #[test]

@@ -6,8 +6,12 @@ its time. Velocities are in the heading frame (forward, left).
 
 use crate::trace::{Frame, Trace};
 
-/// Length of the moving average in decay times: one stride \[s\].
+/// Length of the moving average in decay times, about a stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
+
+/// A disturbance comes up to this much later, as the seed has it, so that it meets the gait at any phase \[s\]. No shipped
+/// policy takes longer for a stride.
+pub const PHASE_S: f64 = 0.65;
 
 /// A shorter one, for robots that stand \[s\].
 pub const BRIEF_S: f64 = 0.1;

@@ -172,25 +172,21 @@ impl Experiment for FreeBox {
             "What the box suffers, by its friction: mean ± standard deviation over seeds, single seeds as hollow marks.",
             dots::draw("Displacement and forces of the box", &panels, &labels(results), &results.names),
         );
-        let claim = |text: &str, paper: &str, name: &str, expected, over: &[usize]| {
-            Claim::direction(text, paper, results.quantity(name), expected, results.compare_over(over, name))
-        };
-        let by_friction = |text: &str, paper: &str, name: &str| {
+        let claims = [
+            ("Compliant policies move a box in their way less", "less", "box_displacement_m", Expected::Lower),
+            ("Compliant policies push a box with a milder force", "milder", "mean_contact_force_n", Expected::Lower),
+            ("… and hit it less hard (peak force)", "milder", "peak_contact_force_n", Expected::Lower),
+            ("Compliant policies are deflected past the box", "past", "passed", Expected::Higher),
+            ("… and resume their course", "resume", "resumed", Expected::Higher),
+        ];
+        let by_friction = |(text, paper, name, expected): (&str, &str, &str, Expected)| {
             let of = |(index, label): (usize, String)| {
-                claim(&format!("{text} ({label})"), paper, name, Expected::Lower, &[index])
+                let (quantity, comparison) = (results.quantity(name), results.compare(index, name));
+                Claim::direction(&format!("{text} ({label})"), paper, quantity, expected, comparison)
             };
             labels(results).into_iter().enumerate().map(of).collect::<Vec<_>>()
         };
-        let all: Vec<usize> = (0..results.conditions.len()).collect();
-        let mut claims = by_friction("Compliant policies move a box in their way less", "less", "box_displacement_m");
-        claims.extend(by_friction(
-            "Compliant policies push a box with a milder force",
-            "milder",
-            "mean_contact_force_n",
-        ));
-        claims.extend(by_friction("… and hit it less hard (peak force)", "milder", "peak_contact_force_n"));
-        claims.push(claim("Compliant policies are deflected past the box", "past", "passed", Expected::Higher, &all));
-        claims.push(claim("… and resume their course", "resume", "resumed", Expected::Higher, &all));
+        let claims = claims.into_iter().flat_map(by_friction).collect();
         Findings { claims, tables: vec![table], figures: vec![paths, forces], notes: Vec::new() }
     }
 }

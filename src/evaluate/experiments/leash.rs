@@ -31,7 +31,7 @@ pub struct Leash {
     pub trials: u32,
     /// Pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// Earliest start of the pull; it comes up to one stride later \[s\].
+    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
     pub at_s: f64,
     /// Length of the pull \[s\].
     pub for_s: f64,

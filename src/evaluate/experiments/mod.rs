@@ -195,8 +195,10 @@ mod tests {
         }
         let values: Vec<f64> = measured(&protocol.table4, &trace).values.into_iter().flatten().collect();
         assert!((values[0] - 80.0).abs() < 1.0 && (values[1] - 135.0).abs() < 1.0, "{values:?}");
-        assert!((values[2] - 25.0).abs() < 0.1 && (values[3] - 26.0).abs() < 0.1, "{values:?}");
-        assert_eq!(values[4], 0.0);
+        assert!((values[3] - 25.0).abs() < 0.1 && (values[4] - 26.0).abs() < 0.1, "{values:?}");
+        // What the push adds.
+        assert!((values[2] - 55.0).abs() < 1.0 && (values[5] - 1.0).abs() < 0.1, "{values:?}");
+        assert_eq!(values[6], 0.0);
     }
 
     #[test]

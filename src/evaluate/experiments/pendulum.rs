@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::decay::THRESHOLDS;
+use super::decay::{CARRIED_S, lasting};
 use super::{by_condition, gait, labels, truth, undecayed, value};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
@@ -11,13 +11,14 @@ use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
-use crate::scenario::Script;
 use crate::scenario::catalog::{Pendulum as Parameters, Scenario, Task, defaults};
+use crate::scenario::{Script, metrics};
 use crate::trace::Trace;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
     Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
+    Quantity::new("carried_m", "carried by the blow within 2 s", "m", 3),
     Quantity::new("push_m_s", "velocity change", "m/s", 2),
     Quantity::new("peak_contact_force_n", "peak contact force", "N", 0),
     Quantity::new("contact_impulse_n_s", "impulse in the first second", "N·s", 1),
@@ -48,7 +49,8 @@ impl Experiment for Pendulum {
             paper: "Fig. 8b",
             method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
                      right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
-                     0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, which bounces back and may come again; the impulse is that of the first second.",
+                     0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
+                     which hardly rebounds and may touch again; the impulse is that of the first second.",
         }
     }
 
@@ -81,14 +83,15 @@ impl Experiment for Pendulum {
         if end != End::Fault {
             // Fallen or not, the ball has hit as hard as it has; decay times know of falls themselves.
             let found = scenario.metrics(script, trace);
-            (2..5).for_each(|index| values[index] = value(&found, QUANTITIES[index].name));
+            (3..6).for_each(|index| values[index] = value(&found, QUANTITIES[index].name));
             let [to_10, to_20] = [0.1, 0.2].map(|to| pendulum.decay(trace, impact.as_ref()?, to));
             values[0] = to_10.map(|decay| decay.time_s);
             values[1] = to_20.map(|decay| decay.time_s);
-            values[6] = to_10.and_then(|decay| truth(!decay.is_over));
+            values[2] = impact.and_then(|impact| metrics::carried(trace, impact.time_s, impact.push, CARRIED_S));
+            values[7] = to_10.and_then(|decay| truth(!decay.is_over));
         }
-        values[5] = truth(impact.is_some());
-        values[7] = end.fell();
+        values[6] = truth(impact.is_some());
+        values[8] = end.fell();
         Measured { values, series: Vec::new() }
     }
 
@@ -96,11 +99,12 @@ impl Experiment for Pendulum {
         let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
         let caption = "Hit by a ball of 3 kg on a string of 1 m, by command and release height.";
         let table = Table::of_conditions("pendulum", caption, results, &names);
-        let panels = ["decay_10_s", "push_m_s", "peak_contact_force_n", "fell"].map(|name| by_condition(results, name));
+        let panels = ["decay_20_s", "carried_m", "push_m_s", "peak_contact_force_n", "fell"]
+            .map(|name| by_condition(results, name));
         let figure = Figure::new(
             "pendulum",
-            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, velocity change, peak \
-             force and falls. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
+            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, \
+             velocity change, peak force and falls. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
              no decay time.",
             dots::draw("What a swinging ball does, by release height", &panels, &labels(results), &results.names),
         );
@@ -109,13 +113,10 @@ impl Experiment for Pendulum {
         for (index, command) in self.commands_m_s.iter().enumerate() {
             let of_command: Vec<usize> = (index * count..(index + 1) * count).collect();
             notes.extend(undecayed(results, &of_command).map(|note| format!("{}: {note}", gait(*command))));
-            for (quantity, words) in THRESHOLDS {
+            for (quantity, words) in lasting(*command) {
                 let gait = gait(*command);
                 claims.push(Claim::direction(
-                    &format!(
-                        "Hit by a swinging ball while {gait}, compliant policies recover more gradually ({words}, mean over \
-                         heights)"
-                    ),
+                    &format!("Hit by a swinging ball while {gait}, compliant policies {words}; mean over heights"),
                     "more gradual",
                     results.quantity(quantity),
                     Expected::Higher,

@@ -29,7 +29,7 @@ const QUANTITIES: &[Quantity] = &[
 pub struct Pulley {
     /// Forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// Where the pull goes, from the heading: 0 ahead, 90 left, 180 back \[deg\].
+    /// Where the pull goes, from the heading: 0 ahead, 90 left, 180 back, 270 right \[deg\].
     pub directions_deg: Vec<f64>,
     /// Runs of each policy in each direction at each command.
     pub trials: u32,
@@ -46,7 +46,7 @@ impl Experiment for Pulley {
             method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the rope just \
                      taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its end beyond \
                      what the command asks for, the offset the mean velocity along it minus the command from 1 s after \
-                     the start to the end. The rope's force is the weight's m (g + a). A fall leaves all but the falls \
+                     the start to the end. The rope's force is the weight's m (g + a), from 1 s after the start. A fall leaves all but the falls \
                      undefined.",
         }
     }
@@ -83,13 +83,14 @@ impl Experiment for Pulley {
 
     fn findings(&self, results: &Results) -> Findings {
         let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
-        let caption = "Pulled by 1 kg over a pulley, by command and direction (0° ahead, 90° left, 180° back).";
+        let caption =
+            "Pulled by 1 kg over a pulley, by command and direction (0° ahead, 90° left, 180° back, 270° right).";
         let table = Table::of_conditions("pulley", caption, results, &names);
         let panels = ["displacement_m", "offset_m_s", "fell"].map(|name| by_condition(results, name));
         let figure = Figure::new(
             "pulley",
             "Pulled by a weight of 1 kg over a pulley for 4 s: displacement along the pull, velocity along it, falls, by \
-             direction of the pull (0° ahead, 90° left, 180° back). Mean ± standard deviation over seeds, single seeds as \
+             direction of the pull (0° ahead, 90° left, 180° back, 270° right). Mean ± standard deviation over seeds, single seeds as \
              hollow marks; trials with a fall count as falls only.",
             dots::draw("Displacement, velocity and falls under a pull", &panels, &labels(results), &results.names),
         );

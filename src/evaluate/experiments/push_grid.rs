@@ -13,7 +13,7 @@ use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, Info, Measured, Quantity};
 use crate::scenario::Script;
 use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
-use crate::scenario::metrics::STRIDE_S;
+use crate::scenario::metrics::PHASE_S;
 use crate::trace::Trace;
 
 const SUCCESS: Quantity = Quantity::new("success", "success", "%", 0);
@@ -31,7 +31,7 @@ pub struct PushGrid {
     pub points_per_side: usize,
     /// Trials of each grid point.
     pub trials: u32,
-    /// Earliest time of the push; it comes up to one stride later \[s\].
+    /// Earliest time of the push; it comes up to 0.65 s later \[s\].
     pub at_s: f64,
     /// How long the robot must not fall \[s\].
     pub watch_s: f64,
@@ -130,7 +130,7 @@ impl Experiment for PushGrid {
                 push_m_s: forward.hypot(left),
                 direction_deg: left.atan2(forward).to_degrees(),
                 at_s: self.at_s,
-                task: Task { duration_s: self.at_s + STRIDE_S + self.watch_s, ..base.task.clone() },
+                task: Task { duration_s: self.at_s + PHASE_S + self.watch_s, ..base.task.clone() },
                 ..base
             }),
         };

@@ -164,7 +164,7 @@ impl Parameters for Pulley {
 
     fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         let end_s = (self.at_s + self.for_s).min(script.duration_s);
-        let pull = || metrics::window(trace, self.at_s, end_s);
+        // The rope's jerk when the weight is let go is the same for everyone.
         let settled = || metrics::window(trace, self.at_s + SETTLED_S, end_s);
         let direction = self.direction();
         let moved = metrics::displacement_off_course(trace, direction, self.at_s, end_s);
@@ -177,7 +177,7 @@ impl Parameters for Pulley {
         let force = |frame: &Frame| frame.rope.as_ref().map_or(0.0, |rope| rope.force_n);
         let peak = |frame: &Frame| frame.rope.as_ref().map_or(0.0, |rope| rope.peak_force_n);
         found.push(metric("mean_rope_force_n", "mean rope force", metrics::mean(settled(), force), "N"));
-        found.push(metric("peak_rope_force_n", "peak rope force", metrics::largest(pull(), peak), "N"));
+        found.push(metric("peak_rope_force_n", "peak rope force", metrics::largest(settled(), peak), "N"));
         let power = metrics::mean(settled(), |frame| frame.power_w);
         found.push(metric("power_pulled_w", "power while pulled", power, "W"));
     }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric};
 use crate::random::{Purpose, stream};
-use crate::scenario::metrics::{self, Metric, STRIDE_S};
+use crate::scenario::metrics::{self, Metric, PHASE_S, STRIDE_S};
 use crate::scenario::{Script, TimedPush};
 use crate::sim::Push;
 use crate::trace::Trace;
@@ -24,7 +24,7 @@ pub struct PushAway {
     /// Direction of the push: 0 forward, 90 left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// Time of the push; up to one stride (0.4 s) later, as the seed has it (s)
+    /// Time of the push; up to 0.65 s later, as the seed has it (s)
     #[arg(long)]
     pub at_s: f64,
     /// Push again at this interval; 0 pushes once (s)
@@ -47,7 +47,7 @@ impl Parameters for PushAway {
         let angle = self.direction_deg.to_radians();
         let push = Push { linear: [self.push_m_s * angle.cos(), self.push_m_s * angle.sin()], angular: [0.0; 3] };
         // A push may come at any phase of the gait.
-        let phase_s = STRIDE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
+        let phase_s = PHASE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
         let mut time_s = self.at_s + phase_s;
         // The first one also if it would come too late: the script can then say so.
         script.pushes.push(TimedPush { time_s, push });

@@ -1,14 +1,12 @@
 /*! Wooden blocks and soft mats on the way (E11).
 
-Blocks are free bodies: a foot can stand on one, tip it or push it away. Mats are fixed to the floor and give under a foot
-by a soft contact.
+Blocks are free bodies: a foot can stand on one, tip it or push it away. So are mats, which give under a foot by a soft
+contact. (Fixed to the floor they would hold a foot that runs into their edge and sinks into it.)
 
 The floor alone is the ground. Height counts from the floor, so that a robot on a block is higher and one that lies on a
 mat or on blocks is below 0.2 m and has fallen; a leg that brushes a block or the edge of a mat has not, as with the box
 and the balls.
 */
-
-use std::fmt::Write as _;
 
 use clap::Args;
 use rand::RngExt;
@@ -21,17 +19,18 @@ use crate::scenario::{Goal, Script};
 use crate::scene::Buffers;
 use crate::trace::Trace;
 
-/// Density of the blocks: dry beech, spruce is lighter and oak heavier [kg/m³].
-const WOOD_KG_M3: f64 = 650.0;
+/// Of the blocks. Density of dry beech, spruce is lighter and oak heavier [kg/m³].
+const WOOD: &str = r#"density="650" priority="1" friction="0.5 0.005 0.0001""#;
 
 /// Edge of a mat \[m\].
 const MAT_EDGE_M: f64 = 0.7;
 
-/// Softness of mats: under a Go1 that stands still, whose front feet carry some 21 N each and whose rear feet 42 N, they
-/// give by 10 and 13 mm (the floor by 1 mm), about as much as a gymnastics mat of foam under a small hard ball that is
-/// pressed with as much. The impedance grows over 2 cm as foam hardens; a damping ratio of 1 keeps the mat from throwing
-/// the foot back. Found by trying: MuJoCo's softness depends on the masses that meet.
-const MAT_CONTACT: &str = r#"solref="0.05 1" solimp="0.8 0.95 0.02""#;
+/// Of the mats. Density of the composite foam of gymnastics mats, 1.5 kg each [kg/m³]. Softness: under a Go1 that stands
+/// still, whose front feet carry some 21 N each and whose rear feet 42 N, they give by 9 and 13 mm (the floor by 1 mm),
+/// about as much as a gymnastics mat of foam under a small hard ball that is pressed with as much. The impedance grows
+/// over 2 cm as foam hardens; a damping ratio of 1 keeps the mat from throwing the foot back. Found by trying: MuJoCo's
+/// softness depends on the masses that meet.
+const FOAM: &str = r#"density="100" priority="2" friction="0.8 0.005 0.0001" solref="0.03 1" solimp="0.8 0.95 0.02" rgba="0.16 0.42 0.60 1""#;
 
 /// Space between neighbours, so that nothing is stuck at the start \[m\].
 const GAP_M: f64 = 0.01;
@@ -90,6 +89,16 @@ impl Piece {
     /// Radius of the circle around it, seen from above \[m\].
     fn radius(&self) -> f64 {
         self.half[0].hypot(self.half[1])
+    }
+
+    /// MJCF of a free body of it.
+    fn body(&self, name: &str, material: &str) -> String {
+        let Piece { centre: [x, y], half: [a, b, c], yaw } = self;
+        let turned = about_up(*yaw);
+        format!(
+            r#"    <body name="{name}" pos="{x:.4} {y:.4} {c:.5}" quat="{turned}"><freejoint name="{name}"/><geom name="{name}" type="box" size="{a:.5} {b:.5} {c:.5}" {material}/></body>
+"#
+        )
     }
 
     fn is_clear_of(&self, other: &Piece) -> bool {
@@ -162,21 +171,12 @@ impl Parameters for Rubble {
         in_range("width-m", self.width_m, 1.0, 100.0, "1 to 100 m")?;
         let (mats, blocks) = self.pieces(seed)?;
         let mut obstacles = String::new();
-        for (index, Piece { centre: [x, y], half: [a, b, c], yaw }) in mats.iter().enumerate() {
-            let turned = about_up(*yaw);
-            // Writing into a String cannot fail.
-            let _ = writeln!(
-                obstacles,
-                r#"    <geom name="mat_{index}" type="box" pos="{x:.4} {y:.4} {c}" size="{a} {b} {c}" quat="{turned}" priority="2" friction="0.8 0.005 0.0001" {MAT_CONTACT} rgba="0.16 0.42 0.60 1"/>"#
-            );
+        for (index, mat) in mats.iter().enumerate() {
+            obstacles += &mat.body(&format!("mat_{index}"), FOAM);
         }
-        for (index, Piece { centre: [x, y], half: [a, b, c], yaw }) in blocks.iter().enumerate() {
-            let turned = about_up(*yaw);
-            let _ = writeln!(
-                obstacles,
-                r#"    <body name="block_{index}" pos="{x:.4} {y:.4} {c:.5}" quat="{turned}"><freejoint name="block_{index}"/><geom name="block_{index}" type="box" size="{a:.5} {b:.5} {c:.5}" density="{WOOD_KG_M3}" priority="1" friction="0.5 0.005 0.0001" rgba="{rgba}"/></body>"#,
-                rgba = ["0.76 0.57 0.36 1", "0.66 0.47 0.28 1", "0.82 0.66 0.46 1"][index % 3],
-            );
+        for (index, block) in blocks.iter().enumerate() {
+            let rgba = ["0.76 0.57 0.36 1", "0.66 0.47 0.28 1", "0.82 0.66 0.46 1"][index % 3];
+            obstacles += &block.body(&format!("block_{index}"), &format!("{WOOD} rgba=\"{rgba}\""));
         }
         script.scene.obstacles = obstacles;
         // Up to eight points of a block on the floor and its neighbours.
@@ -257,10 +257,8 @@ mod tests {
             }
             sim.state().feet.map(|foot| top_m - foot.height)
         };
-        let mat = format!(
-            r#"<geom name="mat" type="box" pos="0 0 0.02" size="0.6 0.6 0.02" priority="2" friction="0.8" {MAT_CONTACT}/>"#
-        );
-        let (floor, mat) = (sunk_m(String::new(), 0.0), sunk_m(mat, 0.04));
+        let mat = Piece { centre: [0.0; 2], half: [0.35, 0.35, 0.015], yaw: 0.0 };
+        let (floor, mat) = (sunk_m(String::new(), 0.0), sunk_m(mat.body("mat", FOAM), 0.03));
         assert!(floor.iter().all(|sunk| *sunk < 0.002), "{floor:?}");
         assert!(mat.iter().all(|sunk| *sunk > 0.006 && *sunk < 0.018), "{mat:?}");
     }
