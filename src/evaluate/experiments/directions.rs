@@ -103,7 +103,8 @@ impl Experiment for Directions {
     }
 
     fn findings(&self, results: &Results) -> Findings {
-        let (mut claims, mut rows, mut panels, mut notes) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let (mut claims, mut rows, mut notes) = (Vec::new(), Vec::new(), Vec::new());
+        let mut panels = [Vec::new(), Vec::new()];
         for index in 0..self.commands_m_s.len() {
             let (conditions, name) = self.command(index);
             let all: Vec<usize> = conditions.clone().collect();
@@ -127,26 +128,39 @@ impl Experiment for Directions {
                     comparison: results.compare_over(&all, quantity.name),
                 });
             }
-            panels.push(polar(name, results, conditions, "decay_20_s"));
+            for (panels, quantity) in panels.iter_mut().zip(["decay_20_s", "carried_m"]) {
+                panels.push(polar(name.clone(), results, conditions.clone(), quantity));
+            }
         }
         let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
         let mut every = Table::of_conditions("directions-all", "Decay time of a push by direction.", results, &names);
         every.in_page = false;
         let caption = "Decay time of a push of 0.5 m/s, mean over all directions.".to_owned();
         let table = Table { name: "directions".into(), caption, rows, in_page: true };
-        let svg = plot::polar::draw(
-            "Decay time of a push by direction",
-            &panels,
-            &results.names,
-            "decay time to 20 % [s]",
-            Scales::Own,
-        );
-        let figure = Figure::new(
-            "directions",
-            "Decay time (to 20 %) of a push of 0.5 m/s by the direction it pushes to: mean and ± standard deviation over seeds. \
-             Trials with a fall have no decay time. The two plots differ in scale.",
-            svg,
-        );
-        Findings { claims, tables: vec![table, every], figures: vec![figure], notes }
+        let figure = |name: &str, title: &str, axis: &str, caption: &str, panels: &[_]| {
+            let caption = format!(
+                "{caption} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. Trials \
+                 with a fall have none. The two plots differ in scale."
+            );
+            Figure::new(name, caption, plot::polar::draw(title, panels, &results.names, axis, Scales::Own))
+        };
+        let [decays, distances] = panels;
+        let figures = vec![
+            figure(
+                "directions",
+                "Decay time of a push by direction",
+                "decay time to 20 % [s]",
+                "Decay time (to 20 %) of",
+                &decays,
+            ),
+            figure(
+                "directions-carried",
+                "How far a push carries by direction",
+                "carried within 2 s [m]",
+                "How far the robot is carried by",
+                &distances,
+            ),
+        ];
+        Findings { claims, tables: vec![table, every], figures, notes }
     }
 }

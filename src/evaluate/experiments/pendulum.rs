@@ -99,13 +99,12 @@ impl Experiment for Pendulum {
         let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
         let caption = "Hit by a ball of 3 kg on a string of 1 m, by command and release height.";
         let table = Table::of_conditions("pendulum", caption, results, &names);
-        let panels = ["decay_20_s", "carried_m", "push_m_s", "peak_contact_force_n", "fell"]
-            .map(|name| by_condition(results, name));
+        let panels = ["decay_20_s", "carried_m", "peak_contact_force_n"].map(|name| by_condition(results, name));
         let figure = Figure::new(
             "pendulum",
-            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, \
-             velocity change, peak force and falls. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
-             no decay time.",
+            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, peak \
+             force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have no decay \
+             time and no distance.",
             dots::draw("What a swinging ball does, by release height", &panels, &labels(results), &results.names),
         );
         let (mut claims, mut notes) = (Vec::new(), Vec::new());
