@@ -9,12 +9,12 @@ use crate::trace::{Frame, Trace};
 /// Length of the moving average in decay times, about a stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
 
-/// A disturbance comes up to this much later, as the seed has it, so that it meets the gait at any phase \[s\]. No shipped
-/// policy takes longer for a stride.
-pub const PHASE_S: f64 = 0.65;
-
 /// A shorter one, for robots that stand \[s\].
 pub const BRIEF_S: f64 = 0.1;
+
+/// A disturbance comes up to this much later, as the seed has it, so that it meets the gait at any phase \[s\]: at 0.5 m/s
+/// no shipped policy takes longer for a stride.
+pub const PHASE_S: f64 = 0.65;
 
 /// From here on a robot that started at rest walks as it will \[s\].
 pub const SETTLE_S: f64 = 2.0;

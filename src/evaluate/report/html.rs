@@ -17,7 +17,7 @@ const WORDS: &[(&str, &str)] = &[
         "one rollout. Its phase, offsets and terrain are drawn from the policy's seed, the experiment, the condition \
       and the trial's number, never from the policy.",
     ),
-    ("phase", "a disturbance comes at a time drawn uniformly from 0.65 s, longer than any stride."),
+    ("phase", "a disturbance comes at a time drawn uniformly from 0.65 s, longer than a stride at 0.5 m/s."),
     ("push", "a velocity offset added to the trunk's velocity in one instant, in the heading frame (forward, left)."),
     (
         "fall",
