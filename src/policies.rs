@@ -97,6 +97,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn every_shipped_policy_has_its_card_and_the_contact_network_knows_it() {
+        let network = crate::estimate::contact::ContactNetwork::shipped().unwrap();
+        for (name, _) in EMBEDDED {
+            let sha256 = find(name).unwrap().sha256;
+            let card = Path::new(env!("CARGO_MANIFEST_DIR")).join("policies").join(format!("{name}.md"));
+            let card = std::fs::read_to_string(&card).unwrap_or_else(|error| panic!("{}: {error}", card.display()));
+            assert!(card.contains(&sha256), "{name} is {sha256}, its card says otherwise");
+            assert_eq!(network.unfamiliar([((*name).to_owned(), sha256.as_str())]), None);
+        }
+    }
+
+    #[test]
     fn a_name_without_a_seed_means_the_least_seed_that_ships() {
         let names = ["baseline-seed3", "compliant-seed10", "compliant-seed3", "hardware/compliant-seed5"];
         assert_eq!(position(&names, "compliant"), Some(2));

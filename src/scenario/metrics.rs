@@ -254,6 +254,10 @@ pub(crate) mod tests {
         let trace = synthetic(5.0, |t| [0.5, if t > 2.0 { 0.5 * (-(t - 2.0) / 0.2).exp() } else { 0.0 }, 0.0]);
         let found = decay(&trace, 2.0, [0.0, 0.5], 0.1, 0.0).unwrap();
         assert!((found.time_s - 0.4605).abs() <= 1.0 / 60.0 && found.is_over, "{found:?}");
+        // The mean of 25 samples around one of an exponential is the sample times sinh(25/24) / (25 sinh(1/24)) = 1.1908,
+        // 1/24 being half a period over the time constant: 0.2 ln 11.908 = 0.4955 s.
+        let found = decay(&trace, 2.0, [0.0, 0.5], 0.1, STRIDE_S).unwrap();
+        assert!((found.time_s - 0.4955).abs() <= 1.0 / 60.0 && found.is_over, "{found:?}");
     }
 
     #[test]

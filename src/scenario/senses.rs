@@ -330,10 +330,10 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_policy_walks_on_its_sensors_and_knows_how_fast() {
-        let agent = policies::find("compliant").unwrap();
+    fn the_shipped_policies_walk_on_their_sensors_and_know_how_fast() {
         let (script, _) = walk(3.0);
-        for seed in 0..3 {
+        for (name, seed) in [("compliant", 0), ("compliant", 1), ("baseline", 0), ("baseline", 1)] {
+            let agent = policies::find(name).unwrap();
             let rollout = Rollout::new(&script, &agent.config, agent.controller()).unwrap();
             let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
             assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
