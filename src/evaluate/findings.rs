@@ -15,6 +15,8 @@ pub struct Findings {
     pub tables: Vec<Table>,
     /// Drawings.
     pub figures: Vec<Figure>,
+    /// Points of what figures draw and no table has.
+    pub lines: Vec<Lines>,
     /// What a reader has to know about the numbers of this run.
     pub notes: Vec<String>,
 }
@@ -112,6 +114,26 @@ impl Figure {
     pub fn new(name: &str, caption: impl Into<String>, svg: String) -> Self {
         Figure { name: name.to_owned(), caption: caption.into(), svg }
     }
+}
+
+/// Lines of a figure as points, to draw it anew.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Lines {
+    /// File name without extension.
+    pub name: String,
+    /// What the numbers of a point are, with units.
+    pub columns: Vec<&'static str>,
+    /// In order.
+    pub lines: Vec<Line>,
+}
+
+/// One of them.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Line {
+    /// Whose it is.
+    pub label: String,
+    /// Its points, one number for each column.
+    pub rows: Vec<Vec<f64>>,
 }
 
 /// What stands in a cell without a number.

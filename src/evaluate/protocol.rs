@@ -133,8 +133,6 @@ impl Protocol {
         let (some, before_push, of_pull) = ("0.1 to 60 s", "0.1 s to the time before the push", "0.1 s to leash.for_s");
         for (section, key, seconds, most_s, expected) in [
             ("push_grid", "watch_s", grid.watch_s, 60.0, some),
-            ("decay", "shown_before_s", self.decay.shown_before_s, until_push_s, before_push),
-            ("decay", "shown_after_s", self.decay.shown_after_s, 60.0, some),
             ("table4", "window_s", self.table4.window_s, until_push_s, before_push),
             ("leash", "for_s", self.leash.for_s, 60.0, some),
             ("leash", "average_s", self.leash.average_s, self.leash.for_s, of_pull),
@@ -184,7 +182,7 @@ mod tests {
             ("walk: {commands: []}", "walk is empty, expected at least one condition"),
             ("push_grid: {watch_s: -1}", "push_grid.watch_s is -1, expected 0.1 to 60 s"),
             ("leash: {for_s: 2, average_s: 5}", "leash.average_s is 5, expected 0.1 s to leash.for_s"),
-            ("decay: {shown_before_s: 5}", "decay.shown_before_s is 5, expected 0.1 s to the time before the push"),
+            ("table4: {window_s: 5}", "table4.window_s is 5, expected 0.1 s to the time before the push"),
             ("boxes: {trials: 0}", "unknown field `boxes`"),
             ("box: {trial: 0}", "unknown field `trial`"),
             ("box: {trials: many}", "invalid type"),

@@ -1,5 +1,6 @@
 //! The `evaluate` program as a user runs it, on policies that stand still or fall.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -31,12 +32,13 @@ const CHEAP: [&str; 11] =
     ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "terrain", "pulley", "pendulum", "outdoor"];
 
 /// Figures of all experiments.
-const FIGURES: [&str; 14] = [
+const FIGURES: [&str; 16] = [
     "walk",
     "push-grid",
     "decay",
     "table4",
     "directions",
+    "directions-carried",
     "leash",
     "box",
     "box-forces",
@@ -44,6 +46,7 @@ const FIGURES: [&str; 14] = [
     "terrain",
     "pulley",
     "pendulum",
+    "pendulum-velocity",
     "rubble",
     "outdoor",
 ];
@@ -172,6 +175,11 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
     assert!(claims.contains("\"verdict\":\"undefined\""), "{claims}");
 
     let report = folder.join("report");
+    let drawn: BTreeSet<String> = std::fs::read_dir(report.join("figures"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
+        .collect();
+    assert_eq!(drawn, FIGURES.map(ToOwned::to_owned).into());
     for figure in FIGURES {
         let svg = std::fs::read_to_string(report.join(format!("figures/{figure}.svg"))).unwrap();
         assert!(svg.starts_with("<svg") && !svg.contains("NaN"), "{figure}");
@@ -183,7 +191,20 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
             report.join(format!("tables/{table}.csv")).exists() && report.join(format!("tables/{table}.md")).exists()
         );
     }
+    // The lines of figures are there as points.
+    let points = std::fs::read_to_string(report.join("tables/decay-curves.csv")).unwrap();
+    let [head, first] = points.lines().take(2).collect::<Vec<_>>()[..] else { panic!("{points}") };
+    assert_eq!(head, "line,time_s,mean_m_s,least_m_s,largest_m_s");
+    assert!(first.starts_with("\"0.5 m/s to the left: standing, seed 0, 2 runs\",-0.98"), "{first}");
+    let paths = experiment(&summary, "box")["lines"][0]["lines"].as_array().unwrap();
+    assert!(paths[0]["label"] == "standing, seed 0, trial 0" && paths[0]["rows"].as_array().unwrap().len() > 100);
+    let page = std::fs::read_to_string(report.join("report.html")).unwrap();
+    let sha256 = summary["policies"][0]["sha256"].as_str().unwrap();
+    for words in [sha256, "Definitions", "Time for all trials", "Measured by revision", "<dd>6 × 1 × 2</dd>"] {
+        assert!(page.contains(words), "{words}");
+    }
     let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    assert!(document.contains("measured by revision"), "{document}");
     assert!(document.contains("--results results.md") && document.contains("| E1 Fig. 2 |"), "{document}");
     check_page(&report.join("report.html"));
 }
@@ -207,7 +228,7 @@ fn check_page(page: &Path) {
     let found: Value = serde_json::from_str(found).unwrap_or_else(|_| panic!("{found}"));
     let figures = found["figures"].as_array().unwrap();
     let names: Vec<&str> = figures.iter().map(|figure| figure["name"].as_str().unwrap()).collect();
-    assert!(FIGURES.iter().all(|figure| names.contains(figure)), "{names:?}");
+    assert_eq!(BTreeSet::from_iter(names), BTreeSet::from(FIGURES));
     for figure in figures {
         assert_eq!(figure["cut"], serde_json::json!([]), "text outside of the drawing: {figure}");
         let [width, height, right] = ["width", "height", "right"].map(|key| figure[key].as_f64().unwrap());
@@ -346,7 +367,10 @@ fn evaluate_refuses_what_it_cannot_compare_with_exit_code_2() {
         (&["--policies", "nowhere"], "cannot read the policies in nowhere"),
         (&["--policies", "empty"], "empty has no policy compliant-seedN.safetensors"),
         (&["--policies", "lone"], "lone has no policy baseline-seedN.safetensors"),
-        (&["--policies", "nan"], "nan/compliant-seed0.safetensors"),
+        (
+            &["--policies", "nan"],
+            "nan/compliant-seed0.safetensors: its tensor policy.0.weight holds numbers that are not finite",
+        ),
         (&["--a", "twice", "--b", "lone"], "are both seed 1 of compliant"),
         (&["--a", "empty", "--b", "lone"], "empty has no policy *.safetensors"),
         (&["--names", "one"], "--names gives 1 names, expected two: A,B"),

@@ -96,6 +96,6 @@ impl Experiment for BallPit {
             claim("Compliant policies get across the ball pit", "more often", "crossed", Expected::Higher),
             claim("The largest force on a foot is lower", "lower", "peak_foot_force_n", Expected::Lower),
         ];
-        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table], figures: vec![figure], ..Findings::default() }
     }
 }

@@ -2,13 +2,13 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{truth, undecayed};
+use super::{truth, undecayed, velocity};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
 use crate::evaluate::plot::curves::{self, Curve};
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::{Expected, Spread};
-use crate::evaluate::trial::{End, Sample};
+use crate::evaluate::trial::End;
 use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
 use crate::scenario::catalog::{PushAway, Scenario, defaults};
 use crate::scenario::metrics::STRIDE_S;
@@ -33,8 +33,8 @@ const LASTING: [(&str, &str); 3] = [
 
 /// Those that tell at a forward command \[m/s\]. Robots that are to stand step from foot to foot, some slowly, and to 10 %
 /// of a push it is these steps that count.
-pub(super) fn lasting(command_m_s: f64) -> &'static [(&'static str, &'static str)] {
-    if command_m_s == 0.0 { &LASTING[1..] } else { &LASTING }
+pub(super) fn lasting(command_m_s: f64) -> impl Iterator<Item = (&'static str, &'static str)> {
+    LASTING.into_iter().skip(usize::from(command_m_s == 0.0))
 }
 
 /// Over which the robot is carried \[s\].
@@ -46,43 +46,13 @@ pub(super) const CARRIED_S: f64 = 2.0;
 pub struct Decay {
     /// Runs of each policy.
     pub trials: u32,
-    /// What the figure shows before the push \[s\].
-    pub shown_before_s: f64,
-    /// And after it \[s\].
-    pub shown_after_s: f64,
 }
 
 impl Decay {
-    /// Runs of one policy, aligned at their pushes. Series: time since the push, sideways velocity.
-    fn curve(&self, results: &Results, set: usize) -> Curve {
-        let seed = results.shown_seed(set);
-        let runs: Vec<&Sample> = seed
-            .and_then(|seed| results.sets[set].get(&seed)?.first())
-            .map(|runs| runs.iter().filter(|run| run.series.len() == 2).collect())
-            .unwrap_or_default();
-        let mut curve = Curve {
-            title: format!(
-                "{}, seed {}, {} runs",
-                results.names[set],
-                seed.map_or("–".into(), |seed| seed.to_string()),
-                runs.len()
-            ),
-            mean: Vec::new(),
-            least: Vec::new(),
-            largest: Vec::new(),
-            mark: None,
-            tolerance: None,
-        };
-        let longest = runs.iter().max_by_key(|run| run.series[0].len());
-        for (step, time) in longest.map_or(&[][..], |run| &run.series[0]).iter().enumerate() {
-            let values: Vec<f64> =
-                runs.iter().filter_map(|run| run.series[1].get(step)).copied().map(f64::from).collect();
-            let time = f64::from(*time);
-            curve.mean.push([time, values.iter().sum::<f64>() / values.len() as f64]);
-            curve.least.push([time, values.iter().copied().fold(f64::INFINITY, f64::min)]);
-            curve.largest.push([time, values.iter().copied().fold(f64::NEG_INFINITY, f64::max)]);
-        }
-        let of_seed = |quantity: &str| results.per_seed(set, 0, quantity).get(&seed?).copied();
+    /// The runs of one policy, with its decay time and the velocity that they decay to.
+    fn curve(results: &Results, set: usize) -> Curve {
+        let mut curve = velocity::curve(results, set, 0);
+        let of_seed = |quantity: &str| results.per_seed(set, 0, quantity).get(&results.shown_seed(set)?).copied();
         curve.mark = of_seed("decay_10_s").map(|decay| (decay, format!("{decay:.2} s")));
         let push_m_s = match &results.conditions[0].scenario {
             Scenario::Push(push) => push.push_m_s,
@@ -136,20 +106,7 @@ impl Experiment for Decay {
             let before = metrics::window(trace, push.time_s - 1.0, push.time_s);
             values[4] = metrics::mean(before, |frame| frame.velocity_in_heading[1]);
         }
-        // Times in steps from the one that the push is applied before, so that runs can be averaged step by step.
-        let half_s = 0.5 * trace.period_s;
-        let pushed = trace.frames.iter().position(|frame| frame.time_s > push.time_s + half_s);
-        let shown = |seconds: f64| (seconds / trace.period_s).round() as usize;
-        let series = pushed.map(|pushed| {
-            let first = pushed.saturating_sub(shown(self.shown_before_s));
-            let frames = &trace.frames[first..(pushed + shown(self.shown_after_s)).min(trace.frames.len())];
-            let time = |index: usize| ((first + index) as f64 - pushed as f64 + 1.0) * trace.period_s;
-            vec![
-                (0..frames.len()).map(|index| time(index) as f32).collect(),
-                frames.iter().map(|frame| frame.velocity_in_heading[1] as f32).collect(),
-            ]
-        });
-        Measured { values, series: series.unwrap_or_default() }
+        Measured { values, series: velocity::around(trace, push.time_s) }
     }
 
     fn findings(&self, results: &Results) -> Findings {
@@ -160,7 +117,7 @@ impl Experiment for Decay {
             &["decay_10_s", "decay_20_s", "carried_m", "left_before_m_s", "undecayed", "fell"],
         )
         .with_paper("decay_10_s", "+85 %");
-        let curves = [self.curve(results, 0), self.curve(results, 1)];
+        let curves = [0, 1].map(|set| Decay::curve(results, set));
         let svg = curves::draw(
             "Sideways velocity after a push, one policy of each set",
             curves,
@@ -186,6 +143,12 @@ impl Experiment for Decay {
         };
         let claims = LASTING.map(claim).into();
         let notes = undecayed(results, &[0]).into_iter().collect();
-        Findings { claims, tables: vec![table], figures: vec![figure], notes }
+        Findings {
+            claims,
+            tables: vec![table],
+            figures: vec![figure],
+            lines: vec![velocity::lines("decay-curves", results)],
+            notes,
+        }
     }
 }

@@ -108,7 +108,10 @@ impl Experiment for Directions {
         for index in 0..self.commands_m_s.len() {
             let (conditions, name) = self.command(index);
             let all: Vec<usize> = conditions.clone().collect();
-            for (quantity, words) in lasting(self.commands_m_s[index]) {
+            let is_standing = self.commands_m_s[index] == 0.0;
+            let briefly = (BRIEFLY_AVERAGED.name, "take longer to stabilise (to 10 %, averaged over 0.1 s)");
+            let lasting = is_standing.then_some(briefly).into_iter().chain(lasting(self.commands_m_s[index]));
+            for (quantity, words) in lasting {
                 let text = format!(
                     "Pushed from any side while {name}, compliant policies {words}; the numbers are means over directions, \
                      and it is so in {}",
@@ -119,7 +122,6 @@ impl Experiment for Directions {
                 claims.push(Claim::direction(&text, "longer", quantity, Expected::Higher, comparison));
             }
             notes.extend(undecayed(results, &all).map(|note| format!("{name}: {note}")));
-            let is_standing = self.commands_m_s[index] == 0.0;
             for quantity in QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED) {
                 rows.push(Row {
                     condition: name.clone(),
@@ -161,6 +163,6 @@ impl Experiment for Directions {
                 &distances,
             ),
         ];
-        Findings { claims, tables: vec![table, every], figures, notes }
+        Findings { claims, tables: vec![table, every], figures, notes, ..Findings::default() }
     }
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{by_condition, labels, truth, value};
 use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Table};
+use crate::evaluate::findings::{Claim, Figure, Findings, Line, Lines, Table};
 use crate::evaluate::plot::dots;
 use crate::evaluate::plot::top_view::{self, Run, View};
 use crate::evaluate::results::Results;
@@ -88,6 +88,21 @@ fn flat_pose(pose: &Pose) -> Vec<f32> {
     vec![pose.position[0], pose.position[1], yaw]
 }
 
+/// Points of what is seen from above: the robot's paths, and the box before and after.
+fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
+    let lines = |of: fn(&Run) -> Vec<Vec<f64>>| {
+        let runs =
+            views.iter().flat_map(|view| view.runs.iter().enumerate().map(move |(trial, run)| (view, trial, run)));
+        runs.map(|(view, trial, run)| Line { label: format!("{}, trial {trial}", view.title), rows: of(run) }).collect()
+    };
+    let paths = lines(|run| run.path.iter().map(|point| point.to_vec()).collect());
+    let boxes = lines(|run| vec![run.first.to_vec(), run.last.to_vec()]);
+    [
+        Lines { name: "box-paths".into(), columns: vec!["x_m", "y_m"], lines: paths },
+        Lines { name: "box-before-and-after".into(), columns: vec!["x_m", "y_m", "yaw_rad"], lines: boxes },
+    ]
+}
+
 impl Experiment for FreeBox {
     fn info(&self) -> Info {
         Info {
@@ -156,6 +171,7 @@ impl Experiment for FreeBox {
             _ => 0.0,
         };
         let views = [self.view(results, 0), self.view(results, 1)];
+        let lines = paths_and_boxes(&views).into();
         let paths = Figure::new(
             "box",
             format!(
@@ -163,7 +179,7 @@ impl Experiment for FreeBox {
                  full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \
                  trials of the same policy with the box after. A cross is a fall."
             ),
-            top_view::draw("Paths of the robot and the box, seen from above", views, size_m),
+            top_view::draw("Paths of the robot and the box, seen from above", &views, size_m),
         );
         let panels = ["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"]
             .map(|name| by_condition(results, name));
@@ -187,6 +203,6 @@ impl Experiment for FreeBox {
             labels(results).into_iter().enumerate().map(of).collect::<Vec<_>>()
         };
         let claims = claims.into_iter().flat_map(by_friction).collect();
-        Findings { claims, tables: vec![table], figures: vec![paths, forces], notes: Vec::new() }
+        Findings { claims, tables: vec![table], figures: vec![paths, forces], lines, ..Findings::default() }
     }
 }

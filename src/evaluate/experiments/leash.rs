@@ -129,6 +129,6 @@ impl Experiment for Leash {
              ± standard deviation over seeds. Inside the darker circle the robot moves against the pull.",
             svg,
         );
-        Findings { claims, tables: vec![table, every], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table, every], figures: vec![figure], ..Findings::default() }
     }
 }

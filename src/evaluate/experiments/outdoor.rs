@@ -96,6 +96,6 @@ impl Experiment for Outdoor {
             Expected::Higher,
             results.compare_over(&all, "success"),
         );
-        Findings { claims: vec![claim], tables: vec![table], figures: vec![figure], notes: Vec::new() }
+        Findings { claims: vec![claim], tables: vec![table], figures: vec![figure], ..Findings::default() }
     }
 }

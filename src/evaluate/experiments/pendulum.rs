@@ -3,10 +3,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::decay::{CARRIED_S, lasting};
-use super::{by_condition, gait, labels, truth, undecayed, value};
+use super::{by_condition, gait, labels, truth, undecayed, value, velocity};
 use crate::config::ConfigError;
 use crate::evaluate::findings::{Claim, Figure, Findings, Table};
-use crate::evaluate::plot::dots;
+use crate::evaluate::plot::{curves, dots};
 use crate::evaluate::results::Results;
 use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::End;
@@ -87,12 +87,14 @@ impl Experiment for Pendulum {
             let [to_10, to_20] = [0.1, 0.2].map(|to| pendulum.decay(trace, impact.as_ref()?, to));
             values[0] = to_10.map(|decay| decay.time_s);
             values[1] = to_20.map(|decay| decay.time_s);
-            values[2] = impact.and_then(|impact| metrics::carried(trace, impact.time_s, impact.push, CARRIED_S));
+            values[2] =
+                impact.as_ref().and_then(|impact| metrics::carried(trace, impact.time_s, impact.push, CARRIED_S));
             values[7] = to_10.and_then(|decay| truth(!decay.is_over));
         }
         values[6] = truth(impact.is_some());
         values[8] = end.fell();
-        Measured { values, series: Vec::new() }
+        let series = impact.map(|impact| velocity::around(trace, impact.time_s));
+        Measured { values, series: series.unwrap_or_default() }
     }
 
     fn findings(&self, results: &Results) -> Findings {
@@ -106,6 +108,21 @@ impl Experiment for Pendulum {
              force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have no decay \
              time and no distance.",
             dots::draw("What a swinging ball does, by release height", &panels, &labels(results), &results.names),
+        );
+        let last = results.conditions.len() - 1;
+        let velocities = Figure::new(
+            "pendulum-velocity",
+            format!(
+                "Sideways velocity around the blow of the ball ({}): mean and min–max band over the runs of one policy, each \
+                 until it falls.",
+                results.conditions[last].label
+            ),
+            curves::draw(
+                "Sideways velocity after the blow of a ball, one policy of each set",
+                [0, 1].map(|set| velocity::curve(results, set, last)),
+                "time since the blow [s]",
+                "sideways velocity [m/s]",
+            ),
         );
         let (mut claims, mut notes) = (Vec::new(), Vec::new());
         let count = self.heights_m.len();
@@ -123,6 +140,12 @@ impl Experiment for Pendulum {
                 ));
             }
         }
-        Findings { claims, tables: vec![table], figures: vec![figure], notes }
+        Findings {
+            claims,
+            tables: vec![table],
+            figures: vec![figure, velocities],
+            lines: vec![velocity::lines("pendulum-velocities", results)],
+            notes,
+        }
     }
 }

@@ -117,6 +117,6 @@ impl Experiment for Pulley {
             Expected::Lower,
             results.compare_over(&all, "fell"),
         ));
-        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table], figures: vec![figure], ..Findings::default() }
     }
 }

@@ -204,6 +204,6 @@ impl Experiment for PushGrid {
             Expected::Higher,
             pooled,
         );
-        Findings { claims: vec![claim], tables: vec![summary, every], figures: vec![figure], notes: Vec::new() }
+        Findings { claims: vec![claim], tables: vec![summary, every], figures: vec![figure], ..Findings::default() }
     }
 }

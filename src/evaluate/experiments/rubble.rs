@@ -102,6 +102,6 @@ impl Experiment for Rubble {
             claim("Among wooden blocks and soft mats, compliant policies fall less often", "success"),
             claim("… and get across more often", "crossed"),
         ];
-        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table], figures: vec![figure], ..Findings::default() }
     }
 }

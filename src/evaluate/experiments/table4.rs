@@ -128,6 +128,6 @@ impl Experiment for Table4 {
             claim("A push adds less power to the walk", "62.4 / 86.8 W (−28 %)", "power_increase_w"),
             claim("… and less torque", "0.3 / 0.5 N·m (−40 %)", "torque_increase_n_m"),
         ];
-        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table], figures: vec![figure], ..Findings::default() }
     }
 }

@@ -119,6 +119,6 @@ impl Experiment for Terrain {
             ),
             claim("The largest force on a foot is lower", "lower", "peak_foot_force_n", Expected::Lower, &all),
         ];
-        Findings { claims, tables: vec![table], figures: vec![figure], notes: Vec::new() }
+        Findings { claims, tables: vec![table], figures: vec![figure], ..Findings::default() }
     }
 }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{by_condition, labels, value};
 use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Table};
+use crate::evaluate::findings::{Claim, Figure, Findings, Table, difference, spread};
 use crate::evaluate::plot::dots;
 use crate::evaluate::results::Results;
 use crate::evaluate::trial::End;
@@ -83,6 +83,25 @@ impl Walk {
         }
         notes
     }
+}
+
+/// How well all commands are followed, which the paper does not say.
+fn over_all(results: &Results) -> String {
+    let quantity = results.quantity("velocity_error_m_s");
+    let all: Vec<usize> = (0..results.conditions.len()).collect();
+    let comparison = results.compare_over(&all, quantity.name);
+    let spreads = [comparison.a_spread, comparison.b_spread];
+    let cells: Vec<String> = (0..2)
+        .map(|set| {
+            format!("{} {}", spread(spreads[set], quantity, comparison.members[set], " m/s"), results.names[set])
+        })
+        .collect();
+    format!(
+        "Velocity error, mean over all {} commands: {}; difference {}.",
+        all.len(),
+        cells.join(", "),
+        difference(&comparison, quantity, " m/s")
+    )
 }
 
 /// A command in words.
@@ -176,7 +195,8 @@ impl Experiment for Walk {
                  the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
                 dots::draw("Velocity error and power by command", &panels, &labels(results), &results.names),
             )],
-            notes: self.strangers(results),
+            notes: std::iter::once(over_all(results)).chain(self.strangers(results)).collect(),
+            ..Findings::default()
         }
     }
 }

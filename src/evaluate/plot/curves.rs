@@ -66,3 +66,27 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve, set: usize) {
         svg.text([top[0] + shift, top[1] + 17.0], label, Text::new(SMALL, anchor));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_sets_are_drawn_on_one_scale() {
+        let level = |size: f64| Curve {
+            title: String::new(),
+            mean: vec![[0.0, 0.5], [1.0, 0.5]],
+            least: vec![[0.0, -size], [1.0, -size]],
+            largest: vec![[0.0, size], [1.0, size]],
+            mark: None,
+            tolerance: None,
+        };
+        let svg = draw("", [level(1.0), level(10.0)], "", "");
+        let heights: Vec<&str> = svg
+            .split("<polyline points=\"")
+            .skip(1)
+            .map(|rest| rest.split('"').next().unwrap().split([',', ' ']).nth(1).unwrap())
+            .collect();
+        assert!(heights.len() == 2 && heights[0] == heights[1], "{heights:?}");
+    }
+}

@@ -30,7 +30,7 @@ pub struct View {
 }
 
 /// Draws both views on one scale, with equal lengths along both axes.
-pub fn draw(title: &str, views: [View; 2], box_size_m: f64) -> String {
+pub fn draw(title: &str, views: &[View; 2], box_size_m: f64) -> String {
     let points = || views.iter().flat_map(|view| &view.runs).flat_map(|run| corners_and_path(run, box_size_m));
     let range = |axis: usize| {
         points().map(|point| point[axis]).fold([-0.4_f64, 0.4], |[low, high], v| [low.min(v - 0.1), high.max(v + 0.1)])

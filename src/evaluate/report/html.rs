@@ -75,12 +75,7 @@ pub fn page(report: &Report) -> String {
 }
 
 fn introduction(report: &Report) -> String {
-    let wall_s: f64 = report.sections.iter().map(|section| section.wall_s).sum();
     let trials: usize = report.sections.iter().flat_map(|section| section.ends).map(|ends| ends.trials).sum();
-    let mut revisions: Vec<&str> =
-        report.sections.iter().flat_map(|section| &section.revisions).map(String::as_str).collect();
-    revisions.sort_unstable();
-    revisions.dedup();
     let navigation: String = report
         .sections
         .iter()
@@ -100,8 +95,8 @@ fn introduction(report: &Report) -> String {
          <dt>Time for all trials</dt><dd>{}</dd><dt>Measured by revision</dt><dd>{}</dd></dl>\n",
         escaped(&report.command.of(None)),
         escaped(&report.protocol),
-        duration(wall_s),
-        escaped(&revisions.join(", ")),
+        duration(report.wall_s()),
+        escaped(&report.revisions().join(", ")),
     )
 }
 

@@ -1,6 +1,6 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::Report;
+use super::{Report, duration};
 use crate::evaluate::findings::{Claim, Row, Table, difference, percent, spread};
 
 /// Cells of a row: condition, quantity, the paper's numbers, ours.
@@ -83,9 +83,11 @@ pub fn document(report: &Report) -> String {
         "# The paper's claims and our numbers\n\n\
          Made by `{}`; not edited by hand. [experiments.md](experiments.md) defines every number. A cell is the mean ± \
          standard deviation over the seeds of {a} and {b} (E1: the map of all seeds together); intervals are 95 % bootstrap \
-         intervals over pairs of seeds. Protocol: {}.\n\n{}",
+         intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
         report.command.of(None),
         report.protocol,
+        report.revisions().join(", "),
+        duration(report.wall_s()),
         claims(report)
     );
     let of_section = |section: &super::Section| {

@@ -117,7 +117,8 @@ impl Section {
             }
             if ends.faults > 0 {
                 findings.notes.push(format!(
-                    "The physics failed in {} of {} trials of {name}; they count as no success and have no other numbers.",
+                    "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no other \
+                     numbers.",
                     ends.faults, ends.trials
                 ));
             }
@@ -202,6 +203,20 @@ impl Report {
         self.sections.push(section);
     }
 
+    /// Time that all trials took, but for those of E12 \[s\].
+    fn wall_s(&self) -> f64 {
+        self.sections.iter().map(|section| section.wall_s).sum()
+    }
+
+    /// Revisions of the programs that measured.
+    fn revisions(&self) -> Vec<&str> {
+        let mut revisions: Vec<&str> =
+            self.sections.iter().flat_map(|section| &section.revisions).map(String::as_str).collect();
+        revisions.sort_unstable();
+        revisions.dedup();
+        revisions
+    }
+
     /// Writes everything into a folder.
     ///
     /// # Errors
@@ -228,6 +243,9 @@ impl Report {
             }
             for table in &section.findings.tables {
                 write_table(&tables, table, &self.names)?;
+            }
+            for lines in &section.findings.lines {
+                write(&tables.join(format!("{}.csv", lines.name)), tables::points_csv(lines).as_bytes())?;
             }
         }
         if !self.sensing.experiments.is_empty() {

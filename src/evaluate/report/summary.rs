@@ -85,6 +85,7 @@ fn experiment(section: &Section, names: &[String; 2]) -> Value {
         "claims": claims,
         "notes": section.findings.notes,
         "tables": section.findings.tables.iter().map(|table| self::table(table, names)).collect::<Map<_, _>>(),
+        "lines": section.findings.lines,
     })
 }
 

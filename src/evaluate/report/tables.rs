@@ -1,7 +1,7 @@
 //! Tables as CSV: bare numbers in the units named beside them, one line for each condition and quantity.
 
 use super::Report;
-use crate::evaluate::findings::Table;
+use crate::evaluate::findings::{Lines, Table};
 use crate::evaluate::statistics::{Comparison, Estimate};
 
 /// A table.
@@ -10,6 +10,18 @@ pub fn csv(table: &Table, names: &[String; 2]) -> String {
     for row in &table.rows {
         let cells = [&row.condition, row.quantity.name, row.quantity.unit, &row.paper].map(quoted);
         text.push_str(&format!("{},{}\n", cells.join(","), numbers(&row.comparison.scaled(row.quantity.scale()))));
+    }
+    text
+}
+
+/// Lines of a figure, a point in each line of the file.
+pub fn points_csv(lines: &Lines) -> String {
+    let mut text = format!("line,{}\n", lines.columns.join(","));
+    for line in &lines.lines {
+        for row in &line.rows {
+            let cells: Vec<String> = row.iter().map(|value| cell(Some(*value))).collect();
+            text.push_str(&format!("{},{}\n", quoted(&line.label), cells.join(",")));
+        }
     }
     text
 }
