@@ -87,8 +87,7 @@ impl Experiment for Pendulum {
             let [to_10, to_20] = [0.1, 0.2].map(|to| pendulum.decay(trace, impact.as_ref()?, to));
             values[0] = to_10.map(|decay| decay.time_s);
             values[1] = to_20.map(|decay| decay.time_s);
-            values[2] =
-                impact.as_ref().and_then(|impact| metrics::carried(trace, impact.time_s, impact.push, CARRIED_S));
+            values[2] = impact.and_then(|impact| metrics::carried(trace, impact.time_s, impact.push, CARRIED_S));
             values[7] = to_10.and_then(|decay| truth(!decay.is_over));
         }
         values[6] = truth(impact.is_some());

@@ -46,8 +46,8 @@ impl Experiment for Pulley {
             method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the rope just \
                      taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its end beyond \
                      what the command asks for, the offset the mean velocity along it minus the command from 1 s after \
-                     the start to the end. The rope's force is the weight's m (g + a), from 1 s after the start. A fall leaves all but the falls \
-                     undefined.",
+                     the start to the end. The rope's force is the weight's m (g + a), from 1 s after the start. A fall \
+                     leaves all but the falls undefined.",
         }
     }
 
@@ -90,8 +90,8 @@ impl Experiment for Pulley {
         let figure = Figure::new(
             "pulley",
             "Pulled by a weight of 1 kg over a pulley for 4 s: displacement along the pull, velocity along it, falls, by \
-             direction of the pull (0° ahead, 90° left, 180° back, 270° right). Mean ± standard deviation over seeds, single seeds as \
-             hollow marks; trials with a fall count as falls only.",
+             direction of the pull (0° ahead, 90° left, 180° back, 270° right). Mean ± standard deviation over seeds, single \
+             seeds as hollow marks; trials with a fall count as falls only.",
             dots::draw("Displacement, velocity and falls under a pull", &panels, &labels(results), &results.names),
         );
         let mut claims = Vec::new();

@@ -11,7 +11,8 @@ const SHOWN_S: [f64; 2] = [1.0, 3.0];
 /// Columns of [`lines`].
 const COLUMNS: [&str; 4] = ["time_s", "mean_m_s", "least_m_s", "largest_m_s"];
 
-/// Series of a trial: time since the push \[s\], velocity to the left \[m/s\]. Times are in steps from the one that the push is applied before, so that runs can be averaged step by step.
+/// Series of a trial: time since the push \[s\], velocity to the left \[m/s\]. Times are in steps from the one that the push
+/// is applied before, so that runs can be averaged step by step.
 pub(super) fn around(trace: &Trace, push_s: f64) -> Vec<Vec<f32>> {
     let half_s = 0.5 * trace.period_s;
     let Some(pushed) = trace.frames.iter().position(|frame| frame.time_s > push_s + half_s) else { return Vec::new() };
