@@ -206,6 +206,11 @@ fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browse
     let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
     assert!(document.contains("measured by revision"), "{document}");
     assert!(document.contains("--results results.md") && document.contains("| E1 Fig. 2 |"), "{document}");
+    for figure in ["decay", "push-grid"] {
+        assert!(document.contains(&format!("](images/{figure}.png)")), "{document}");
+        let drawn = report.join(format!("figures/{figure}.png"));
+        assert_eq!(std::fs::read(folder.join(format!("images/{figure}.png"))).unwrap(), std::fs::read(drawn).unwrap());
+    }
     check_page(&report.join("report.html"));
 }
 

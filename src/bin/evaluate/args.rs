@@ -47,7 +47,7 @@ pub struct Args {
     /// Threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
-    /// Also write the table of claims to this file
+    /// Also write the table of claims to this file, and figures to the folder `images` beside it
     #[arg(long, value_name = "FILE")]
     pub results: Option<PathBuf>,
 }

@@ -76,7 +76,7 @@ pub fn claims(report: &Report) -> String {
     grid(&columns, rows)
 }
 
-/// `docs/results.md`.
+/// `docs/results.md`, which looks for its figures in `images/`.
 pub fn document(report: &Report) -> String {
     let [a, b] = &report.names;
     let mut text = format!(
@@ -101,6 +101,9 @@ pub fn document(report: &Report) -> String {
     }
     if !notes.is_empty() {
         text.push_str(&format!("\n{notes}"));
+    }
+    for figure in report.figures_of_document() {
+        text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));
     }
     if !report.sensing.experiments.is_empty() {
         text.push_str("\n## E12: acting on sensors\n");

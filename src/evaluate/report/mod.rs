@@ -14,7 +14,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::contestants::Contest;
-use super::findings::{Findings, Table};
+use super::findings::{Figure, Findings, Table};
 use super::plot::png::{PngError, Renderer};
 use super::results::Ends;
 use super::runner::Measurement;
@@ -236,10 +236,7 @@ impl Report {
         for section in &self.sections {
             for figure in &section.findings.figures {
                 write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
-                let png = renderer
-                    .png(&figure.svg)
-                    .map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
-                write(&figures.join(format!("{}.png", figure.name)), &png)?;
+                write_png(&renderer, figure, &figures)?;
             }
             for table in &section.findings.tables {
                 write_table(&tables, table, &self.names)?;
@@ -259,13 +256,30 @@ impl Report {
         write(&out.join("report.html"), html::page(self).as_bytes())
     }
 
-    /// Writes the table of claims as a document of its own.
+    /// Writes the table of claims as a document of its own, with the figures it shows in the folder `images` beside it.
     ///
     /// # Errors
     /// [`ReportError`]
     pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
+        let images = path.with_file_name("images");
+        fs::create_dir_all(&images).map_err(|source| ReportError::Write { path: images.clone(), source })?;
+        let renderer = Renderer::default();
+        for figure in self.figures_of_document() {
+            write_png(&renderer, figure, &images)?;
+        }
         write(path, markdown::document(self).as_bytes())
     }
+
+    /// What the document of claims shows: how a push decays, which pushes are recovered from.
+    fn figures_of_document(&self) -> impl Iterator<Item = &Figure> {
+        let all = || self.sections.iter().flat_map(|section| &section.findings.figures);
+        ["decay", "push-grid"].into_iter().filter_map(move |name| all().find(|figure| figure.name == name))
+    }
+}
+
+fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), ReportError> {
+    let png = renderer.png(&figure.svg).map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
+    write(&folder.join(format!("{}.png", figure.name)), &png)
 }
 
 fn write_table(folder: &Path, table: &Table, names: &[String; 2]) -> Result<(), ReportError> {
