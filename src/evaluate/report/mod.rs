@@ -203,9 +203,9 @@ impl Report {
         self.sections.push(section);
     }
 
-    /// Time that all trials took, but for those of E12 \[s\].
+    /// Time that all trials took, with those of E12 \[s\].
     fn wall_s(&self) -> f64 {
-        self.sections.iter().map(|section| section.wall_s).sum()
+        self.sections.iter().map(|section| section.wall_s).sum::<f64>() + self.sensing.wall_s
     }
 
     /// Revisions of the programs that measured.
