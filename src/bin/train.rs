@@ -114,6 +114,10 @@ fn train(
         if metrics.iteration % every == 0 {
             folder.save(trainer)?;
             *saved = metrics.iteration;
+            if bar.is_hidden() {
+                // No terminal, as in a batch job's log.
+                terminal::note(format_args!("{} of {total} samples: {}", metrics.samples, summary(&metrics)));
+            }
         }
     }
     bar.abandon();
