@@ -305,6 +305,7 @@ fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
     assert!(page.contains("E12 Acting on sensors") && page.contains("<th>true state</th>"));
     let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
     assert!(document.contains("## E12: acting on sensors"), "{document}");
+    assert!(!folder.join("images").exists(), "neither of the document's figures was asked for");
 
     // It stays in the report, and nothing of it is run again.
     let before = kept(&folder.join("report"));

@@ -262,9 +262,9 @@ impl Report {
     /// [`ReportError`]
     pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
         let images = path.with_file_name("images");
-        fs::create_dir_all(&images).map_err(|source| ReportError::Write { path: images.clone(), source })?;
         let renderer = Renderer::default();
         for figure in self.figures_of_document() {
+            fs::create_dir_all(&images).map_err(|source| ReportError::Write { path: images.clone(), source })?;
             write_png(&renderer, figure, &images)?;
         }
         write(path, markdown::document(self).as_bytes())
