@@ -1,42 +1,24 @@
-/*! Supple trains and studies compliant legged locomotion: a Unitree Go1 that yields when pushed, pulled or blocked.
+/*! Supple trains and studies compliant legged locomotion: a quadruped that yields when pushed, pulled or blocked.
 
-It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. In training, data flow one way: [`config`]
-→ [`scene`] → [`mujoco`] → [`sim`] → [`env`](mod@env) → [`rollout`] → [`ppo`] → [`checkpoint`] → [`policy`]; in a study,
-[`policies`] → [`agent`] → [`scenario`] → [`trace`] → [`record`] or [`evaluate`].
+It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. Data flow one way: a [`config`] and a
+[`robot`] make a [`sim`]ulation on [`mujoco`]; an [`observation`] says what a policy sees of it, the [`task`] what it is
+paid; [`train`] collects both, learns [`network`]s with [`ppo`] and leaves a [`policy`] behind. A [`scenario`] puts a policy
+to the test, on the true state or on what it can [`estimate`] from its sensors, and leaves a [`trace`](scenario::trace),
+which [`evaluate`] and the package `supple-record` read. [`util`] has what all of them need.
 */
 
-pub mod agent;
-pub mod checkpoint;
 pub mod config;
-pub mod control;
-pub mod env;
 pub mod estimate;
 pub mod evaluate;
-pub mod files;
-pub mod foreign;
-pub mod go1;
 pub mod guide;
-pub mod last_second;
-pub mod metrics;
-pub mod mirror;
 pub mod mujoco;
-pub mod onnx;
-pub mod policies;
+pub mod network;
+pub mod observation;
 pub mod policy;
 pub mod ppo;
-pub mod provenance;
-pub mod random;
-#[cfg(feature = "record")]
-pub mod record;
 pub mod robot;
-pub mod rollout;
-pub mod run;
 pub mod scenario;
-pub mod scene;
 pub mod sim;
 pub mod task;
-pub mod tensorboard;
-pub mod tensors;
-pub mod terminal;
-pub mod trace;
 pub mod train;
+pub mod util;

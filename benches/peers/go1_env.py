@@ -132,7 +132,7 @@ class Go1VecEnv(VecEnv):
         super().__init__(count, *box)
         # MuJoCo 2.2.2 is told to look at the scene's pairs only; later versions have no such option, but nothing to find
         # where masks are zero.
-        text = scene.read_text().replace('collision="predefined"', "").replace("go1.xml", str(scene.parent / "go1.xml"))
+        text = scene.read_text().replace('collision="predefined"', "").replace("robot.xml", str(scene.parent / "robot.xml"))
         model = mujoco.MjModel.from_xml_string(text)
         for masks in (model.geom_contype, model.geom_conaffinity, model.body_contype, model.body_conaffinity):
             masks[:] = 0
@@ -146,8 +146,8 @@ class Go1VecEnv(VecEnv):
         self.post_recovery = self.recovery + round(rate * episode["recovery_s"])
         self.last = self.post_recovery + round(rate * episode["post_recovery_s"])
         self.nominal = np.tile(config["action"]["nominal_pose_rad"], 4)
-        self.offset, self.scale = normaliser(config, self.nominal)
-        self.command_share = config["command"]["initial_share"]
+        self.offset, self.scale = (np.array(config["normaliser"][key]) for key in ("offset", "scale"))
+        self.command_fraction = config["command"]["initial_fraction"]
         self.age, self.cut = np.zeros(count, dtype=int), self.random.integers(1, self.recovery + 1, count)
         self.command, self.gravity = np.zeros((count, 3)), np.zeros((count, 3))
         self.push_linear, self.push_angular = np.zeros((count, 2)), np.zeros((count, 3))
@@ -168,7 +168,7 @@ class Go1VecEnv(VecEnv):
         """New episodes."""
         count, random, ranges = len(which), self.random, self.config["command"]
         widest = np.array([ranges["forward_m_s"], ranges["left_m_s"], ranges["yaw_rad_s"]])
-        self.command[which] = self.command_share * widest * random.uniform(-1, 1, (count, 3))
+        self.command[which] = self.command_fraction * widest * random.uniform(-1, 1, (count, 3))
         episode = self.config["episode"]
         self.push_linear[which] = episode["push_speed_m_s"] * random.uniform(-1, 1, (count, 2))
         self.has_push[which] = self.pushes
@@ -274,8 +274,8 @@ class Go1VecEnv(VecEnv):
         """The curriculum of commands and pushes, at the end of an iteration."""
         ranges = self.config["command"]
         if self.walked:
-            if np.mean(self.walked) > ranges["share_gate"]:
-                self.command_share = min(1.0, self.command_share + ranges["share_step"])
+            if np.mean(self.walked) > ranges["fraction_gate"]:
+                self.command_fraction = min(1.0, self.command_fraction + ranges["fraction_step"])
             self.pushes = self.pushes or np.mean(self.walked) > self.config["episode"]["push_gate"]
         self.walked = []
 
@@ -294,18 +294,6 @@ class Go1VecEnv(VecEnv):
 
     def env_is_wrapped(self, wrapper_class, indices=None):
         return [False] * self.num_envs
-
-
-def normaliser(config, nominal):
-    """Offset and scale of the observation, shape (83)."""
-    scales = config["observation"]
-    blocks = [(1, config["reward"]["base_height_m"], scales["height_scale"]), (3, 0.0, scales["gravity_scale"]),
-              (12, nominal, scales["joint_angle_scale"]), (3, 0.0, scales["velocity_scale"]),
-              (3, 0.0, scales["angular_velocity_scale"]), (12, 0.0, scales["joint_rate_scale"])]
-    target = (12, nominal, 1.0 / config["action"]["scale_rad"])
-    whole = blocks + [target] + blocks + [(3, 0.0, 1.0)]
-    offset = np.concatenate([np.broadcast_to(offset, length) for length, offset, _ in whole])
-    return offset, np.concatenate([np.full(length, scale) for length, _, scale in whole])
 
 
 def rotate_back(quaternion, vector):

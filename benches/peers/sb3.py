@@ -2,7 +2,7 @@
 
     sb3.py FOLDER [--threads N] [--epochs N] [--repetitions N]
 
-FOLDER holds config.json, scene.xml and go1.xml. Prints one JSON object; times are medians over iterations. Threads of
+FOLDER holds config.json, scene.xml and robot.xml. Prints one JSON object; times are medians over iterations. Threads of
 the environment and of PyTorch's update are whichever is faster here, one or N. Differences from ours, all in its favour
 or without effect on the time: current MuJoCo, fused Adam, a constant learning rate.
 """

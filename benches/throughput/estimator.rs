@@ -5,7 +5,7 @@ use serde::Serialize;
 use supple::config::Config;
 use supple::estimate::contact::{ContactEstimator, ContactNetwork, RATE_HZ};
 use supple::estimate::{EncoderReading, Estimator, EstimatorConfig, ImuReading};
-use supple::go1::same_in_every_leg;
+use supple::robot::{JOINTS, PARTS, Robot, same_in_every_leg};
 
 use crate::stopwatch::{Effort, median, timed};
 
@@ -22,9 +22,9 @@ pub struct Sensing {
 fn reading(config: &Config, tick: usize) -> (ImuReading, EncoderReading) {
     let phase = std::f64::consts::TAU * tick as f64 / RATE_HZ;
     let mut angles = same_in_every_leg(config.action.nominal_pose_rad);
-    angles.iter_mut().skip(2).step_by(3).for_each(|calf| *calf += 0.1 * phase.sin());
-    let mut rates = [0.0; 12];
-    rates.iter_mut().skip(2).step_by(3).for_each(|calf| *calf = 0.1 * std::f64::consts::TAU * phase.cos());
+    angles.iter_mut().skip(2).step_by(PARTS.len()).for_each(|calf| *calf += 0.1 * phase.sin());
+    let mut rates = [0.0; JOINTS];
+    rates.iter_mut().skip(2).step_by(PARTS.len()).for_each(|calf| *calf = 0.1 * std::f64::consts::TAU * phase.cos());
     let imu = ImuReading { gyro: Vector3::zeros(), specific_force: Vector3::new(0.0, 0.0, 9.81) };
     (imu, EncoderReading { angles, rates })
 }
@@ -44,7 +44,7 @@ pub fn measure(config: &Config, effort: &Effort) -> anyhow::Result<Sensing> {
         network_s.push(elapsed_s);
 
         let mut contacts = ContactEstimator::new(ContactNetwork::shipped()?);
-        let mut estimator = Estimator::new(EstimatorConfig::default());
+        let mut estimator = Estimator::new(Robot::load("go1")?, EstimatorConfig::default());
         let (elapsed_s, result) = timed(|| {
             readings.iter().try_for_each(|(imu, encoders)| {
                 let touching = contacts.update(encoders, &target);

@@ -1,4 +1,4 @@
-/*! The update of one Table III batch, against the rate at which this machine multiplies matrices.
+/*! The update of one Table III batch by either learner, against the rate at which this machine multiplies matrices.
 
 The batch is a real rollout of a fresh policy. Every repetition starts from the same parameters, so that all do the same
 work. A sample that goes through one epoch once is a sample pass. The peak is measured in turn with the updates: square
@@ -8,19 +8,22 @@ f32 products of 1024 by candle, whose `gemm` uses all cores.
 use candle_core::{Device, Tensor};
 use rand::seq::SliceRandom;
 use serde::Serialize;
-use supple::config::Config;
-use supple::env::LocomotionEnv;
-use supple::go1::JOINT_COUNT;
-use supple::ppo::{ActorCritic, Batch, Hyperparameters, Learner, LearnerState, Mlp};
-use supple::random::{Purpose, stream};
-use supple::rollout::{Collection, Rollout};
-use supple::task::observation::LENGTH;
-use supple::task::{Curriculum, Normaliser};
+use supple::config::{Config, LearnerKind, Ppo};
+use supple::network::{ActorCritic, Mlp};
+use supple::ppo::{Hyperparameters, LearnerState, learner};
+use supple::robot::JOINTS;
+use supple::task::Curriculum;
+use supple::train::collection::{Collection, Rollout};
+use supple::train::environment::LocomotionEnv;
+use supple::util::random::{Purpose, stream};
 
 use crate::stopwatch::{Effort, median, timed};
 
 /// Edge of the matrices behind the peak.
 const EDGE: usize = 1024;
+
+/// Epochs of the candle learner in a repetition, of which the fused one does several times more.
+const CANDLE_EPOCHS: usize = 4;
 
 /// Products in one timing of the peak.
 const PRODUCTS: usize = 20;
@@ -51,6 +54,10 @@ pub struct Update {
     pub one_thread: Rates,
     /// On all threads.
     pub all_threads: Rates,
+    /// By the candle learner.
+    pub candle: Rates,
+    /// Median of the repetitions' own ratios: fused on all threads over candle.
+    pub fused_over_candle: f64,
     /// Square f32 products on all threads [GFLOP/s].
     pub peak_gflop_per_s: f64,
     /// Median of the repetitions' own ratios, on all threads.
@@ -62,18 +69,16 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     let ppo = &config.ppo;
     let mut rng = stream(0, Purpose::Weights, 0, 0);
     let log_std = ppo.initial_log_std as f32;
-    let network = ActorCritic::orthogonal(LENGTH, &ppo.hidden_layers, JOINT_COUNT, log_std, &mut rng);
+    let network = ActorCritic::orthogonal(
+        config.layout().map_err(anyhow::Error::msg)?.length(),
+        &ppo.hidden_layers,
+        JOINTS,
+        log_std,
+        &mut rng,
+    );
     let rollout = rollout(config, &network, threads, effort)?;
     let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
-    let batch = Batch {
-        observations: &rollout.observations,
-        actions: &rollout.actions,
-        means: &rollout.means,
-        log_std: &network.log_std,
-        log_probs: &rollout.log_probs,
-        advantages: &advantages,
-        returns: &returns,
-    };
+    let batch = rollout.batch(&network.log_std, &advantages, &returns);
     let permutations: Vec<Vec<u32>> = (0..effort.epochs)
         .map(|epoch| {
             let mut order: Vec<u32> = (0..rollout.len() as u32).collect();
@@ -81,25 +86,26 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
             order
         })
         .collect();
-    let settings = Hyperparameters::from(ppo);
-    let start = LearnerState::new(network.clone(), &settings);
-    let sample_passes = (effort.epochs * rollout.len()) as f64;
-    let update_s = |threads| -> anyhow::Result<f64> {
-        let mut learner = Learner::new(&start, settings.clone(), threads);
-        let (elapsed_s, statistics) = timed(|| learner.update(&batch, &permutations));
+    let start = LearnerState::new(network.clone(), &Hyperparameters::from(ppo));
+    let sample_passes_per_s = |kind, threads, permutations: &[Vec<u32>]| -> anyhow::Result<f64> {
+        let mut learner = learner(&Ppo { learner: kind, ..ppo.clone() }, start.clone(), threads);
+        let (elapsed_s, statistics) = timed(|| learner.update(&batch, permutations));
         statistics?;
-        Ok(elapsed_s)
+        Ok((permutations.len() * rollout.len()) as f64 / elapsed_s)
     };
+    let few = &permutations[..effort.epochs.min(CANDLE_EPOCHS)];
 
     let flop = flop_per_sample_pass(&network);
-    let (mut one, mut all, mut peaks) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut one, mut all, mut candle, mut peaks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for _ in 0..effort.repetitions {
         peaks.push(product_gflop_per_s()?);
-        all.push(sample_passes / update_s(threads)?);
-        one.push(sample_passes / update_s(1)?);
+        all.push(sample_passes_per_s(LearnerKind::Fused, threads, &permutations)?);
+        one.push(sample_passes_per_s(LearnerKind::Fused, 1, &permutations)?);
+        candle.push(sample_passes_per_s(LearnerKind::Candle, 1, few)?);
     }
     let gflop = |rate: f64| 1e-9 * flop * rate;
     let update_over_peak = median(all.iter().zip(&peaks).map(|(rate, peak)| gflop(*rate) / peak));
+    let fused_over_candle = median(all.iter().zip(&candle).map(|(fused, candle)| fused / candle));
     let rates = |threads, rates: Vec<f64>| {
         let sample_passes_per_s = median(rates);
         Rates { threads, sample_passes_per_s, gflop_per_s: gflop(sample_passes_per_s) }
@@ -111,6 +117,8 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
         kflop_per_sample_pass: 1e-3 * flop,
         one_thread: rates(1, one),
         all_threads: rates(threads, all),
+        candle: rates(1, candle),
+        fused_over_candle,
         peak_gflop_per_s: median(peaks),
         update_over_peak,
     })
@@ -119,7 +127,6 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
 fn rollout(config: &Config, network: &ActorCritic, threads: usize, effort: &Effort) -> anyhow::Result<Rollout> {
     let collection = Collection {
         network,
-        normaliser: &Normaliser::new(config),
         seed: 0,
         iteration: 0,
         steps: config.ppo.batch_size / effort.environments,

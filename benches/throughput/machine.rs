@@ -1,7 +1,7 @@
 //! Where and when a run took place, and how alone it was.
 
 use serde::Serialize;
-use supple::provenance::{GIT_REVISION, MUJOCO_VERSION};
+use supple::util::provenance::{GIT_REVISION, MUJOCO_VERSION};
 
 use crate::stopwatch::Effort;
 

@@ -21,8 +21,8 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::Parser;
 use supple::config::Config;
-use supple::policies;
 use supple::policy::Policy;
+use supple::policy::shipped;
 
 use machine::{Machine, Ticks};
 use report::Report;
@@ -90,8 +90,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
 /// The policy that was asked for, or the shipped one. Before any ships there is none.
 fn moving_policy(name: Option<&str>) -> anyhow::Result<Option<Policy>> {
     match name {
-        Some(name) => Ok(Some(policies::find_ours(name)?)),
-        None if policies::EMBEDDED.is_empty() => Ok(None),
-        None => Ok(Some(policies::find_ours("compliant")?)),
+        Some(name) => Ok(Some(shipped::find_ours(name)?)),
+        None if shipped::EMBEDDED.is_empty() => Ok(None),
+        None => Ok(Some(shipped::find_ours("compliant")?)),
     }
 }

@@ -13,7 +13,8 @@ use anyhow::{Context, bail};
 use serde::Serialize;
 use serde_json::Value;
 use supple::config::Config;
-use supple::scene::{GO1, RobotFile, Scene};
+use supple::robot::Robot;
+use supple::sim::Scene;
 
 use crate::stopwatch::Effort;
 
@@ -36,10 +37,13 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     let folder = installed.join("input");
     std::fs::create_dir_all(&folder)?;
     let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).context(name.to_owned());
-    write("config.json", &serde_json::to_string(config)?)?;
-    let scene = Scene::flat(RobotFile::Embedded, config.simulation.timestep_s());
-    write("scene.xml", &scene.xml(true)?)?;
-    write("go1.xml", GO1)?;
+    let layout = config.layout().map_err(anyhow::Error::msg)?;
+    let mut told = serde_json::to_value(config)?;
+    told["normaliser"] = serde_json::json!({ "offset": layout.offset(), "scale": layout.scale() });
+    write("config.json", &told.to_string())?;
+    let scene = Scene::flat(Robot::load("go1")?, config.simulation.timestep_s());
+    write("scene.xml", &scene.xml(true))?;
+    write("robot.xml", scene.robot.mjcf())?;
     if effort.quick {
         return Ok(None);
     }

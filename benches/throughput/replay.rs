@@ -12,16 +12,13 @@ use rand::RngExt;
 use rand_distr::StandardNormal;
 use serde::Deserialize;
 use supple::config::Config;
-use supple::env::{End, EnvState, LocomotionEnv};
-use supple::go1::{Go1, JOINT_COUNT, Joints, same_in_every_leg};
 use supple::mujoco::Data;
-use supple::policy::Policy;
-use supple::ppo::Scratch;
-use supple::random::{Purpose, stream};
-use supple::scene::{RobotFile, Scene};
-use supple::sim::{Conditions, Push, Sim, StepObserver};
-use supple::task::observation::LENGTH;
-use supple::task::{Curriculum, Normaliser, Stages};
+use supple::policy::{Buffers, Policy};
+use supple::robot::{JOINTS, Joints, PARTS, Robot, same_in_every_leg};
+use supple::sim::{Conditions, Parts, Push, Scene, Sim, StepObserver};
+use supple::task::{Curriculum, Stages};
+use supple::train::environment::{End, EnvState, LocomotionEnv};
+use supple::util::random::{Purpose, stream};
 
 /// Standard deviation of the actions' noise, as of a policy after some million samples.
 const NOISE: f32 = 0.2;
@@ -53,10 +50,9 @@ impl Start {
 pub struct Replay {
     env: LocomotionEnv,
     env_start: EnvState,
-    actions: Vec<[f32; JOINT_COUNT]>,
-    normaliser: Normaliser,
+    actions: Vec<[f32; JOINTS]>,
     /// Normalised observation, kept so that it is not optimised away.
-    seen: [f32; LENGTH],
+    seen: Vec<f32>,
     raw: Data,
     ground: usize,
     substeps: usize,
@@ -78,10 +74,10 @@ impl Replay {
         steps: usize,
     ) -> anyhow::Result<Self> {
         let mut env = LocomotionEnv::new(config, 0, index, Curriculum::complete())?;
-        let scene = Scene::flat(RobotFile::from_name(&config.robot.model), config.simulation.timestep_s());
+        let scene = Scene::flat(Robot::load(&config.robot.model)?, config.simulation.timestep_s());
         let mut twin = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let recovery_start = Stages::new(&config.episode, &config.simulation).recovery_start;
-        let mut driver = Driver { config, policy, index, scratch: Scratch::default() };
+        let mut driver = Driver { config, policy, index, buffers: Buffers::default() };
         let mut tape = Tape::default();
         let (mut env_start, mut starts, mut actions) = (env.save(), Vec::new(), Vec::new());
         // Policy steps since the episode began.
@@ -124,13 +120,12 @@ impl Replay {
             }
         }
         let end = twin.data().positions().to_vec();
-        let (ground, raw) = (twin.robot().ground(), Data::new(scene.compile()?)?);
+        let (ground, raw) = (twin.parts().ground(), Data::new(scene.compile()?)?);
         Ok(Replay {
             env,
             env_start,
             actions,
-            normaliser: Normaliser::new(config),
-            seen: [0.0; LENGTH],
+            seen: vec![0.0; config.layout().map_err(anyhow::Error::msg)?.length()],
             raw,
             ground,
             substeps: config.simulation.substeps(),
@@ -161,7 +156,7 @@ impl Replay {
 
     /// What a rollout does before the policy is asked: the observation, normalised.
     pub fn observe(&mut self) {
-        self.normaliser.apply(&self.env.observation(), &mut self.seen);
+        self.env.normalised_observation(&mut self.seen);
         std::hint::black_box(&self.seen);
     }
 
@@ -207,15 +202,15 @@ struct Driver<'a> {
     config: &'a Config,
     policy: Option<&'a Policy>,
     index: u64,
-    scratch: Scratch,
+    buffers: Buffers,
 }
 
 impl Driver<'_> {
-    fn action(&mut self, env: &LocomotionEnv, step: usize) -> [f32; JOINT_COUNT] {
+    fn action(&mut self, env: &LocomotionEnv, step: usize) -> [f32; JOINTS] {
         let (nominal, scale) = (nominal(self.config), self.config.action.scale_rad);
         let mut noise = stream(0, Purpose::Action, self.index, step as u64);
         let target = match self.policy {
-            Some(policy) => policy.joint_targets(&env.observation(), &mut self.scratch),
+            Some(policy) => policy.joint_targets(&env.observation(), &mut self.buffers),
             None => std::array::from_fn(|joint| nominal[joint] + scale * trot(joint, step)),
         };
         std::array::from_fn(|joint| {
@@ -226,9 +221,9 @@ impl Driver<'_> {
 
 /// Action of a trot at 2.5 Hz: diagonal legs together, the calf folding as the thigh swings.
 fn trot(joint: usize, step: usize) -> f64 {
-    let diagonal = if matches!(joint / 3, 0 | 3) { 0.0 } else { std::f64::consts::PI };
+    let diagonal = if matches!(joint / PARTS.len(), 0 | 3) { 0.0 } else { std::f64::consts::PI };
     let phase = std::f64::consts::TAU * 2.5 * step as f64 / 60.0 + diagonal;
-    [0.0, 0.5, -1.0][joint % 3] * phase.sin().max(0.0)
+    [0.0, 0.5, -1.0][joint % PARTS.len()] * phase.sin().max(0.0)
 }
 
 fn nominal(config: &Config) -> Joints {
@@ -236,7 +231,7 @@ fn nominal(config: &Config) -> Joints {
 }
 
 /// As the environment maps actions to joint targets.
-fn target(config: &Config, action: &[f32; JOINT_COUNT]) -> Joints {
+fn target(config: &Config, action: &[f32; JOINTS]) -> Joints {
     let nominal = nominal(config);
     std::array::from_fn(|joint| nominal[joint] + config.action.scale_rad * f64::from(action[joint]))
 }
@@ -248,8 +243,8 @@ struct Tape {
 }
 
 impl StepObserver for Tape {
-    fn forces(&mut self, data: &Data, _: &Go1, _: &Joints) {
-        let mut controls = [0.0; JOINT_COUNT];
+    fn forces(&mut self, data: &Data, _: &Parts, _: &Joints) {
+        let mut controls = [0.0; JOINTS];
         controls.copy_from_slice(data.controls());
         self.torques.push(controls);
     }

@@ -83,6 +83,12 @@ impl Display for Report {
         let (one, all) = (&update.one_thread, &update.all_threads);
         row("update [sample passes/s]", one.sample_passes_per_s, all.sample_passes_per_s)?;
         row("update [GFLOP/s]", one.gflop_per_s, all.gflop_per_s)?;
+        row("update by candle [sample passes/s]", update.candle.sample_passes_per_s, f64::NAN)?;
+        row(
+            "update / update by candle",
+            one.sample_passes_per_s / update.candle.sample_passes_per_s,
+            update.fused_over_candle,
+        )?;
         row("1024³ product [GFLOP/s]", f64::NAN, update.peak_gflop_per_s)?;
         let (one, all) = (&training.one_thread, &training.all_threads);
         row("training [samples/s]", one.samples_per_s, all.samples_per_s)?;

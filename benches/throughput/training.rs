@@ -8,8 +8,8 @@ measurement. It stops where a part has no more work to share out.
 
 use serde::Serialize;
 use supple::config::Config;
-use supple::metrics::IterationMetrics;
 use supple::train::Trainer;
+use supple::train::metrics::IterationMetrics;
 
 use crate::stopwatch::{Effort, median, timed};
 

@@ -3,6 +3,6 @@
 Calls that can raise a fatal error exist only as `supple_*`: a C shim around the MuJoCo function that returns 1 and
 the message where MuJoCo itself would end the process. Nothing here is safe; the safe layer is `supple::mujoco`.
 */
-#![allow(non_camel_case_types, non_snake_case, non_upper_case_globals, clippy::all)]
+#![allow(unsafe_code, non_camel_case_types, non_snake_case, non_upper_case_globals, clippy::all)]
 
 include!(concat!(env!("OUT_DIR"), "/bindings.rs"));

@@ -10,12 +10,12 @@ use anyhow::Context;
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use supple::config::Config;
-use supple::env::Fault;
-use supple::metrics::IterationMetrics;
-use supple::provenance::GIT_REVISION;
-use supple::run::RunFolder;
-use supple::terminal;
+use supple::train::environment::Fault;
+use supple::train::metrics::IterationMetrics;
+use supple::train::run::RunFolder;
 use supple::train::{TrainError, Trainer};
+use supple::util::provenance::GIT_REVISION;
+use supple::util::terminal;
 
 /// Signals that follow one another faster are one.
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
@@ -223,15 +223,15 @@ fn progress_bar(total: u64, done: u64) -> ProgressBar {
 }
 
 fn summary(metrics: &IterationMetrics) -> String {
-    let percent = |share: Option<f64>| share.map_or("-".into(), |share| format!("{:.0} %", 100.0 * share));
+    let percent = |fraction: Option<f64>| fraction.map_or("-".into(), |fraction| format!("{:.0} %", 100.0 * fraction));
     let faults = if metrics.faults > 0 { format!(", {} PHYSICS FAULTS", metrics.faults) } else { String::new() };
     format!(
         "reward {:.2}, r_lin {}, falls {}, in flight {}, commands open {}, pushes {}{faults}",
         metrics.step_reward,
         percent(metrics.walking_linear),
-        percent(metrics.fall_share),
-        percent(metrics.terms.map(|terms| terms.flight)),
-        percent(Some(metrics.command_share)),
-        percent(metrics.push_share),
+        percent(metrics.fall_rate),
+        percent(metrics.terms.map(|terms| terms.flight())),
+        percent(Some(metrics.command_fraction)),
+        percent(metrics.push_fraction),
     )
 }

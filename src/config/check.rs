@@ -14,20 +14,26 @@ const MAX_BATCH_SIZE: usize = 1 << 22;
 /// Each has its own order of the samples in memory.
 const MAX_EPOCHS: usize = 1000;
 
-/// A value outside its range.
+/// A value that makes no sense.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("{key} is {found}, expected {expected}")]
-pub struct ValueError {
-    /// Dotted key.
-    pub key: &'static str,
-    /// What was found.
-    pub found: String,
-    /// What would be valid.
-    pub expected: String,
+pub enum ValueError {
+    /// A number outside its range.
+    #[error("{key} is {found}, expected {expected}")]
+    Range {
+        /// Dotted key.
+        key: &'static str,
+        /// What was found.
+        found: String,
+        /// What would be valid.
+        expected: String,
+    },
+    /// A list of quantities that cannot be observed.
+    #[error("{0}")]
+    Observation(String),
 }
 
 impl Config {
-    /// Checks the range of every value: for configurations that come from elsewhere than YAML.
+    /// Checks the range of every value: for configurations that do not come from YAML.
     ///
     /// # Errors
     /// [`ValueError`] that names the key.
@@ -53,21 +59,15 @@ impl Config {
         let angles = self.action.nominal_pose_rad.iter().all(|angle| angle.is_finite());
         require(angles, "action.nominal_pose_rad", format!("{:?}", self.action.nominal_pose_rad), "finite angles")?;
         positive("action.scale_rad", self.action.scale_rad)?;
-        let o = &self.observation;
-        positive("observation.height_scale", o.height_scale)?;
-        positive("observation.gravity_scale", o.gravity_scale)?;
-        positive("observation.joint_angle_scale", o.joint_angle_scale)?;
-        positive("observation.velocity_scale", o.velocity_scale)?;
-        positive("observation.angular_velocity_scale", o.angular_velocity_scale)?;
-        positive("observation.joint_rate_scale", o.joint_rate_scale)?;
+        self.layout().map_err(ValueError::Observation)?;
 
         let c = &self.command;
         not_negative("command.forward_m_s", c.forward_m_s)?;
         not_negative("command.left_m_s", c.left_m_s)?;
         not_negative("command.yaw_rad_s", c.yaw_rad_s)?;
-        share("command.initial_share", c.initial_share)?;
-        share("command.share_step", c.share_step)?;
-        share("command.share_gate", c.share_gate)?;
+        fraction("command.initial_fraction", c.initial_fraction)?;
+        fraction("command.fraction_step", c.fraction_step)?;
+        fraction("command.fraction_gate", c.fraction_gate)?;
 
         let e = &self.episode;
         let period = s.policy_period_s();
@@ -80,10 +80,10 @@ impl Config {
         let stage = 0.0..=MAX_STAGE_S;
         require(stage.contains(&e.recovery_s), "episode.recovery_s", e.recovery_s, "0 to 3600 s")?;
         require(stage.contains(&e.post_recovery_s), "episode.post_recovery_s", e.post_recovery_s, "0 to 3600 s")?;
-        share("episode.push_gate", e.push_gate)?;
+        fraction("episode.push_gate", e.push_gate)?;
         not_negative("episode.push_speed_m_s", e.push_speed_m_s)?;
         not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
-        share("episode.slope", e.slope)?;
+        fraction("episode.slope", e.slope)?;
         not_negative("episode.min_height_m", e.min_height_m)?;
         let weights = &self.reward;
         not_negative("reward.linear_velocity", weights.linear_velocity)?;
@@ -108,7 +108,7 @@ impl Config {
             format!("{:?}", r.friction),
             "[low, high] with 0 < low <= high",
         )?;
-        not_negative("randomisation.joint_offset_sd_rad", r.joint_offset_sd_rad)?;
+        not_negative("randomisation.encoder_bias_sd_rad", r.encoder_bias_sd_rad)?;
         positive("randomisation.default_friction", r.default_friction)?;
 
         let p = &self.ppo;
@@ -132,13 +132,18 @@ impl Config {
         )?;
         require((1..=MAX_EPOCHS).contains(&p.epochs), "ppo.epochs", p.epochs, &format!("1 to {MAX_EPOCHS}"))?;
         let upright = self.action.nominal_pose_rad[0] == 0.0;
-        require(!p.mirror || upright, "ppo.mirror", p.mirror, "false, unless the hip of action.nominal_pose_rad is 0")?;
+        require(
+            !p.symmetry || upright,
+            "ppo.symmetry",
+            p.symmetry,
+            "false, unless the hip of action.nominal_pose_rad is 0",
+        )?;
         let widths = !p.hidden_layers.is_empty() && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
         require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), "one or more widths from 1 to 4096")?;
         positive("ppo.clip_range", p.clip_range)?;
         not_negative("ppo.entropy_coefficient", p.entropy_coefficient)?;
-        share("ppo.discount", p.discount)?;
-        share("ppo.gae_lambda", p.gae_lambda)?;
+        fraction("ppo.discount", p.discount)?;
+        fraction("ppo.gae_lambda", p.gae_lambda)?;
         positive("ppo.desired_kl", p.desired_kl)?;
         let [low, high] = LOG_STD_RANGE.map(f64::from);
         let log_std = (low..=high).contains(&p.initial_log_std);
@@ -159,7 +164,7 @@ impl Config {
 }
 
 fn require(valid: bool, key: &'static str, found: impl ToString, expected: &str) -> Result<(), ValueError> {
-    if valid { Ok(()) } else { Err(ValueError { key, found: found.to_string(), expected: expected.to_owned() }) }
+    if valid { Ok(()) } else { Err(ValueError::Range { key, found: found.to_string(), expected: expected.to_owned() }) }
 }
 
 fn positive(key: &'static str, value: f64) -> Result<(), ValueError> {
@@ -174,6 +179,6 @@ fn not_positive(key: &'static str, value: f64) -> Result<(), ValueError> {
     require(value <= 0.0 && value.is_finite(), key, value, "a number not above zero: what is weighted is a cost")
 }
 
-fn share(key: &'static str, value: f64) -> Result<(), ValueError> {
+fn fraction(key: &'static str, value: f64) -> Result<(), ValueError> {
     require((0.0..=1.0).contains(&value), key, value, "0 to 1")
 }

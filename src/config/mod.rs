@@ -2,21 +2,25 @@
 
 Every number of the paper's section III, Table II and Table III is a key of `configs/compliant.yaml`; but for Adam's two
 decay rates, nothing has a default in code. A file may name another one as its `base` and state only what differs: the
-baseline is one key away from the compliant policy, and reads so. This module is the only one that knows YAML.
+baseline is one key away from the compliant policy, and reads so.
+
+Configurations outlive versions, being part of policies and checkpoints: a key that is added later has a default that is what
+was so before it, and is left out of files where it has that; a key with a better name keeps its old one as an alias.
 */
 
 mod check;
-mod yaml;
+mod sections;
 
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-use serde_yaml::Value;
-
 pub use check::ValueError;
-pub use yaml::{flat_parameters, layered};
-use yaml::{merged, parse};
+pub use sections::{
+    Action, CommandRange, Config, Episode, LearnerKind, Ppo, Randomisation, Reward, RobotModel, Run, Simulation,
+};
+
+use crate::robot::Robot;
+use crate::util::yaml::{self, Value, YamlError};
 
 /// The configurations inside the binary: name and text.
 pub const EMBEDDED: &[(&str, &str)] = &[
@@ -27,9 +31,6 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("hardware", include_str!("../../configs/hardware.yaml")),
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
 ];
-
-/// Name of the robot inside the binary.
-pub const GO1_NAME: &str = "go1";
 
 /// `ln σ` is kept within this range, far from where training goes: below it, log-densities lose their precision, above
 /// it, actions are nothing but noise.
@@ -52,13 +53,8 @@ pub enum ConfigError {
         known: String,
     },
     /// Not YAML, an unknown key, a missing key or a wrong type.
-    #[error("config {name}: {message}")]
-    Parse {
-        /// File or embedded name.
-        name: String,
-        /// Position and reason.
-        message: String,
-    },
+    #[error("config {0}")]
+    Parse(#[from] YamlError),
     /// A value outside its range.
     #[error("config {name}: {error}")]
     Value {
@@ -67,253 +63,6 @@ pub enum ConfigError {
         /// Which one.
         error: ValueError,
     },
-}
-
-/// Everything that defines a training run but its seed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Config {
-    /// The robot.
-    pub robot: Robot,
-    /// Rates, gains, latency.
-    pub simulation: Simulation,
-    /// From network outputs to joint targets.
-    pub action: Action,
-    /// Scaling of the observation.
-    pub observation: Observation,
-    /// Velocity commands and their curriculum.
-    pub command: CommandRange,
-    /// Stages, pushes, slopes, termination.
-    pub episode: Episode,
-    /// Weights and targets of Table II.
-    pub reward: Reward,
-    /// Dynamics randomisation.
-    pub randomisation: Randomisation,
-    /// Table III.
-    pub ppo: Ppo,
-    /// Length of the run.
-    pub run: Run,
-}
-
-/// The robot's model.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Robot {
-    /// Name of an embedded model or path of an MJCF file.
-    pub model: String,
-}
-
-/// Section IV: physics at 240 Hz, policy at 60 Hz, PD control with delayed targets.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Simulation {
-    /// Physics steps per second.
-    pub physics_rate_hz: u32,
-    /// Policy queries per second; divides the physics rate.
-    pub policy_rate_hz: u32,
-    /// `K_p` [N·m/rad].
-    pub kp_n_m_per_rad: f64,
-    /// `K_d` [N·m·s/rad].
-    pub kd_n_m_s_per_rad: f64,
-    /// Delay of the joint target \[s\].
-    pub latency_s: f64,
-}
-
-impl Simulation {
-    /// Physics steps per policy step.
-    pub fn substeps(&self) -> usize {
-        (self.physics_rate_hz / self.policy_rate_hz) as usize
-    }
-
-    /// Duration of a physics step \[s\].
-    pub fn timestep_s(&self) -> f64 {
-        1.0 / f64::from(self.physics_rate_hz)
-    }
-
-    /// Duration of a policy step \[s\].
-    pub fn policy_period_s(&self) -> f64 {
-        1.0 / f64::from(self.policy_rate_hz)
-    }
-
-    /// Policy steps in a duration.
-    pub fn policy_steps(&self, duration_s: f64) -> usize {
-        (duration_s * f64::from(self.policy_rate_hz)).round() as usize
-    }
-}
-
-/// Joint target = nominal pose + scale · action.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Action {
-    /// Hip, thigh and calf of every leg \[rad\].
-    pub nominal_pose_rad: [f64; 3],
-    /// \[rad\] per unit of action.
-    pub scale_rad: f64,
-}
-
-/// What the networks see is (raw − offset) · scale.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Observation {
-    /// [1/m]
-    pub height_scale: f64,
-    /// [s²/m]
-    pub gravity_scale: f64,
-    /// [1/rad]
-    pub joint_angle_scale: f64,
-    /// [s/m]
-    pub velocity_scale: f64,
-    /// [s/rad]
-    pub angular_velocity_scale: f64,
-    /// [s/rad]
-    pub joint_rate_scale: f64,
-}
-
-/// Commands are drawn uniformly from ± range · share.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct CommandRange {
-    /// `v_z*` of the paper [m/s].
-    pub forward_m_s: f64,
-    /// `v_x*` of the paper [m/s].
-    pub left_m_s: f64,
-    /// `ω_y*` of the paper [rad/s].
-    pub yaw_rad_s: f64,
-    /// Share of the range that is open at first.
-    pub initial_share: f64,
-    /// Widening per iteration.
-    pub share_step: f64,
-    /// Mean `r_lin` above which it is widened.
-    pub share_gate: f64,
-}
-
-/// Section III-C and III-D.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Episode {
-    /// Duration of the walking stage \[s\].
-    pub walking_s: f64,
-    /// Duration of the recovery stage, which starts with the push \[s\].
-    pub recovery_s: f64,
-    /// Duration of the post-recovery stage \[s\].
-    pub post_recovery_s: f64,
-    /// Whether tracking rewards are replaced in the recovery stage; false is the baseline.
-    pub recovery_stage: bool,
-    /// Mean `r_lin` of an iteration's walking stages above which episodes go on to the push, from then on.
-    pub push_gate: f64,
-    /// Largest push along forward and left [m/s].
-    pub push_speed_m_s: f64,
-    /// Largest rotational push about each axis [rad/s].
-    pub push_rate_rad_s: f64,
-    /// Largest incline (rise over run).
-    pub slope: f64,
-    /// Base height below which the robot has fallen \[m\].
-    pub min_height_m: f64,
-}
-
-/// Table II and equations 1–3.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Reward {
-    /// `w_lin`.
-    pub linear_velocity: f64,
-    /// `w_ang`.
-    pub angular_velocity: f64,
-    /// `w_e`.
-    pub energy: f64,
-    /// `w_τ`.
-    pub torque: f64,
-    /// `w_pose`.
-    pub pose: f64,
-    /// `w_cl`.
-    pub foot_clearance: f64,
-    /// `w_h`.
-    pub foot_height: f64,
-    /// `w_f`, not in the paper: time in flight.
-    pub flight: f64,
-    /// The 8 in `r_lin` and `r_ang`.
-    pub tracking_sharpness: f64,
-    /// The 10 in `r_pose` [1/m²].
-    pub height_sharpness: f64,
-    /// The 0.45 of equation 3.
-    pub negative_sharpness: f64,
-    /// `y_des` \[m\].
-    pub base_height_m: f64,
-    /// `p_des` \[m\].
-    pub foot_height_m: f64,
-}
-
-/// Section IV-D.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Randomisation {
-    /// Off for the simulation experiments.
-    pub enabled: bool,
-    /// Range of the floor's sliding friction.
-    pub friction: [f64; 2],
-    /// Standard deviation of the encoders' calibration offsets \[rad\].
-    pub joint_offset_sd_rad: f64,
-    /// Sliding friction when randomisation is off.
-    pub default_friction: f64,
-}
-
-/// Table III and what Stable-Baselines3 does where the paper is silent.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Ppo {
-    /// Samples per iteration.
-    pub batch_size: usize,
-    /// Samples per gradient step.
-    pub minibatch_size: usize,
-    /// Passes over the batch.
-    pub epochs: usize,
-    /// Whether half of the samples are learnt from in the [mirror](crate::mirror).
-    pub mirror: bool,
-    /// Clip range of the probability ratio.
-    pub clip_range: f64,
-    /// Weight of the entropy bonus.
-    pub entropy_coefficient: f64,
-    /// γ.
-    pub discount: f64,
-    /// λ of generalised advantage estimation.
-    pub gae_lambda: f64,
-    /// KL divergence at which the learning rate aims.
-    pub desired_kl: f64,
-    /// Logarithm of the initial standard deviation.
-    pub initial_log_std: f64,
-    /// Widths of the hidden layers of both networks.
-    pub hidden_layers: Vec<usize>,
-    /// Parallel environments; divides the batch size.
-    pub environments: usize,
-    /// Weight of the value loss.
-    pub value_coefficient: f64,
-    /// Largest norm of the joint gradient.
-    pub max_gradient_norm: f64,
-    /// ε of Adam.
-    pub adam_epsilon: f64,
-    /// Learning rate of the first gradient step.
-    pub initial_learning_rate: f64,
-    /// Lower bound of the adaptive rate.
-    pub min_learning_rate: f64,
-    /// Upper bound of the adaptive rate.
-    pub max_learning_rate: f64,
-}
-
-impl Ppo {
-    /// Steps of each environment in a batch.
-    pub fn steps(&self) -> usize {
-        self.batch_size / self.environments
-    }
-}
-
-/// Length of the run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Run {
-    /// Samples in all.
-    pub samples: u64,
-    /// Iterations between checkpoints.
-    pub checkpoint_every: u64,
 }
 
 /// A key in which two configurations differ.
@@ -355,12 +104,11 @@ impl Config {
     /// # Errors
     /// See [`Config::load`].
     pub fn from_yaml(name: &str, text: &str) -> Result<Self, ConfigError> {
-        Self::from_value(name, parse(name, text)?)
+        Self::from_value(name, yaml::parse(name, text)?)
     }
 
     fn from_value(name: &str, value: Value) -> Result<Self, ConfigError> {
-        let config: Config = serde_yaml::from_value(value)
-            .map_err(|error| ConfigError::Parse { name: name.to_owned(), message: error.to_string() })?;
+        let config: Config = yaml::typed(name, value)?;
         config.check().map_err(|error| ConfigError::Value { name: name.to_owned(), error })?;
         Ok(config)
     }
@@ -368,15 +116,95 @@ impl Config {
     /// Where this configuration and another one differ. The length of the run is not looked at.
     pub fn differences(&self, other: &Config) -> Vec<Difference> {
         let other = Config { run: self.run.clone(), ..other.clone() };
-        // Plain structs of numbers and strings: serialising them cannot fail.
-        let [ours, theirs] = [self, &other].map(|config| serde_yaml::to_value(config).unwrap_or_default());
-        yaml::differences("", &ours, &theirs)
+        let differences = yaml::differences(self, &other).into_iter();
+        differences.map(|(key, values)| Difference { key, values }).collect()
     }
 
     /// The complete configuration as YAML.
     pub fn to_yaml(&self) -> String {
-        // Plain structs of numbers and strings: serialising them cannot fail.
-        serde_yaml::to_string(self).unwrap_or_default()
+        yaml::to_text(self)
+    }
+}
+
+/// Reads a configuration and lays it over its base. `folder` is where relative paths start.
+fn merged(name_or_path: &str, folder: &Path, bases_left: usize) -> Result<Value, ConfigError> {
+    let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
+    let path = folder.join(name_or_path);
+    let text = match embedded {
+        Some((_, text)) => (*text).to_owned(),
+        None => std::fs::read_to_string(&path).map_err(|source| ConfigError::Read {
+            path: path.clone(),
+            source,
+            known: EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "),
+        })?,
+    };
+    let mut value = yaml::parse(name_or_path, &text)?;
+    if embedded.is_none() {
+        resolve_robot(&mut value, &path);
+    }
+    let base = value.as_mapping_mut().and_then(|mapping| mapping.remove("base"));
+    let Some(base) = base else { return Ok(value) };
+    let problem = |message: &str| YamlError::new(name_or_path, message);
+    let base = base.as_str().ok_or_else(|| problem("`base` must be a config's name or path"))?;
+    if bases_left == 0 {
+        return Err(problem("`base` is nested too deep: does a config name itself?").into());
+    }
+    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1)?;
+    modernise(&mut value, &whole);
+    yaml::overlay(&mut whole, value);
+    Ok(whole)
+}
+
+/// Old names of keys, by section; serde knows them as aliases.
+const RENAMED: [(&str, &str, &str); 5] = [
+    ("command", "initial_share", "initial_fraction"),
+    ("command", "share_step", "fraction_step"),
+    ("command", "share_gate", "fraction_gate"),
+    ("randomisation", "joint_offset_sd_rad", "encoder_bias_sd_rad"),
+    ("ppo", "mirror", "symmetry"),
+];
+
+/// Old names of the scales of an observation, which was always the paper's, and the quantity that each is of.
+const SCALES: [(&str, &str); 6] = [
+    ("height_scale", "base_height"),
+    ("gravity_scale", "gravity"),
+    ("joint_angle_scale", "joint_angles"),
+    ("velocity_scale", "base_velocity"),
+    ("angular_velocity_scale", "angular_velocity"),
+    ("joint_rate_scale", "joint_rates"),
+];
+
+/// Writes what changes a base in the words that the base has.
+fn modernise(change: &mut Value, base: &Value) {
+    for (section, old, new) in RENAMED {
+        let Some(section) = change.get_mut(section).and_then(Value::as_mapping_mut) else { continue };
+        if let Some(value) = section.remove(old) {
+            section.insert(new.into(), value);
+        }
+    }
+    let observed = base.get("observation").and_then(Value::as_sequence);
+    if let (Some(Value::Mapping(scales)), Some(observed)) = (change.get("observation"), observed) {
+        let mut observed = observed.clone();
+        for (old, quantity) in SCALES {
+            let Some(scale) = scales.get(old) else { continue };
+            for entry in observed.iter_mut().filter_map(Value::as_mapping_mut) {
+                if entry.get("quantity").and_then(Value::as_str) == Some(quantity) {
+                    entry.insert("scale".into(), scale.clone());
+                }
+            }
+        }
+        if scales.keys().all(|key| SCALES.iter().any(|(old, _)| key.as_str() == Some(old))) {
+            change["observation"] = Value::Sequence(observed);
+        }
+    }
+}
+
+/// The path of a robot's file starts where the file that names it lies.
+fn resolve_robot(value: &mut Value, file: &Path) {
+    let model = value.get_mut("robot").and_then(|robot| robot.get_mut("model"));
+    if let Some(Value::String(model)) = model.filter(|model| !model.as_str().is_some_and(Robot::ships)) {
+        let path = file.parent().unwrap_or(Path::new("")).join(&*model);
+        *model = std::path::absolute(&path).unwrap_or(path).to_string_lossy().into_owned();
     }
 }
 
@@ -450,7 +278,7 @@ mod tests {
         let mut config = Config::load("fast").unwrap();
         config.action.nominal_pose_rad[0] = 0.1;
         let error = config.check().unwrap_err().to_string();
-        let expected = "ppo.mirror is true, expected false, unless the hip of action.nominal_pose_rad is 0";
+        let expected = "ppo.symmetry is true, expected false, unless the hip of action.nominal_pose_rad is 0";
         assert_eq!(error, expected);
     }
 
@@ -467,6 +295,43 @@ mod tests {
         assert!(unknown.contains("unknown field `latencyy_s`"), "{unknown}");
         let missing = changed("latency_s: 0.030", "").unwrap_err().to_string();
         assert!(missing.contains("missing field `latency_s`"), "{missing}");
+    }
+
+    #[test]
+    fn keys_keep_their_old_names_in_whole_files_and_in_files_with_a_base() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("old.yaml");
+        let change = "base: fast\ncommand: {initial_share: 0.25, share_step: 0.5, share_gate: 0.75}\n\
+                      randomisation: {joint_offset_sd_rad: 0.125}\nppo: {mirror: false}\n\
+                      observation: {velocity_scale: 2.0, joint_rate_scale: 0.5}\n";
+        std::fs::write(&path, change).unwrap();
+        let old = Config::load(path.to_str().unwrap()).unwrap();
+        let command = &old.command;
+        assert_eq!((command.initial_fraction, command.fraction_step, command.fraction_gate), (0.25, 0.5, 0.75));
+        assert_eq!((old.randomisation.encoder_bias_sd_rad, old.ppo.symmetry), (0.125, false));
+        let mut expected = Config::load("fast").unwrap().layout().unwrap().scale().to_vec();
+        for start in [16, 46 + 16] {
+            expected[start..start + 3].fill(2.0);
+            expected[start + 6..start + 18].fill(0.5);
+        }
+        assert_eq!(old.layout().unwrap().scale(), expected);
+
+        let mut whole = old.to_yaml();
+        for (_, old, new) in RENAMED {
+            whole = whole.replace(&format!("  {new}:"), &format!("  {old}:"));
+        }
+        assert!(whole.contains("  mirror: false"));
+        assert_eq!(Config::from_yaml("test", &whole).unwrap(), old);
+    }
+
+    #[test]
+    fn the_paper_in_words_is_the_paper_in_scales() {
+        let scales = "{height_scale: 10.0, gravity_scale: 0.1019368, joint_angle_scale: 1.0, velocity_scale: 1.0, \
+                      angular_velocity_scale: 0.25, joint_rate_scale: 0.05}";
+        let text = EMBEDDED[0].1;
+        let (before, after) = (text.find("observation:").unwrap(), text.find("command:  ").unwrap());
+        let old = format!("{}observation: {scales}\n{}", &text[..before], &text[after..]);
+        assert_eq!(Config::from_yaml("test", &old).unwrap(), Config::load("compliant").unwrap());
     }
 
     #[test]

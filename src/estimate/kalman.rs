@@ -29,8 +29,6 @@ taken one by one: a test compares with the filter in one piece.
 use nalgebra::{SMatrix, SVector, Vector3};
 use serde::Serialize;
 
-use super::kinematics::FOOT_RADIUS_M;
-
 /// Index of the first foot in an axis' state; before it come position and velocity.
 const FEET: usize = 2;
 
@@ -93,12 +91,14 @@ pub struct FootMeasurement {
     pub velocity: Vector3<f64>,
     /// Angular velocity of the foot, `Ω` [rad/s].
     pub spin: Vector3<f64>,
+    /// Radius of the foot's sphere \[m\].
+    pub radius_m: f64,
 }
 
 impl FootMeasurement {
     /// Velocity of the centre of a foot that rolls on level ground [m/s].
     fn roll(&self) -> Vector3<f64> {
-        self.spin.cross(&Vector3::new(0.0, 0.0, FOOT_RADIUS_M))
+        self.spin.cross(&Vector3::new(0.0, 0.0, self.radius_m))
     }
 
     /// `v_i` [m/s].
@@ -133,7 +133,8 @@ impl KalmanFilter {
         let depths = feet.iter().zip(contacts).filter(|(_, contact)| *contact).map(|(foot, _)| -foot.offset.z);
         let (count, sum) = depths.fold((0.0, 0.0), |(count, sum), depth| (count + 1.0, sum + depth));
         let depth = if count > 0.0 { sum / count } else { feet.iter().map(|foot| -foot.offset.z).fold(0.0, f64::max) };
-        let site = Vector3::new(arm.x, arm.y, depth + FOOT_RADIUS_M);
+        let radius = feet.iter().map(|foot| foot.radius_m).fold(0.0, f64::max);
+        let site = Vector3::new(arm.x, arm.y, depth + radius);
         let axes = std::array::from_fn(|axis| {
             let mut state = State::zeros();
             state[0] = site[axis];
@@ -229,7 +230,7 @@ impl KalmanFilter {
                 if trust > 0.0 {
                     row(1, None, foot.site_velocity()[axis], noise.velocity_sd(axis) / trust);
                     if axis == 2 {
-                        row(FEET + leg, None, ground[leg] + FOOT_RADIUS_M, noise.foot_height_m / trust);
+                        row(FEET + leg, None, ground[leg] + foot.radius_m, noise.foot_height_m / trust);
                     }
                 }
             }

@@ -7,6 +7,7 @@ use super::*;
 
 const DT_S: f64 = 1.0 / 240.0;
 const ALL: [bool; 4] = [true; 4];
+const FOOT_RADIUS_M: f64 = 0.02;
 
 type Whole = SMatrix<f64, 18, 18>;
 
@@ -22,7 +23,12 @@ fn normal(rng: &mut ChaCha8Rng) -> Vector3<f64> {
 fn some_feet(rng: &mut ChaCha8Rng) -> [FootMeasurement; 4] {
     std::array::from_fn(|leg| {
         let corner = Vector3::new(if leg < 2 { 0.2 } else { -0.2 }, if leg % 2 == 1 { 0.13 } else { -0.13 }, -0.28);
-        FootMeasurement { offset: corner + 0.02 * normal(rng), velocity: 0.1 * normal(rng), spin: normal(rng) }
+        FootMeasurement {
+            offset: corner + 0.02 * normal(rng),
+            velocity: 0.1 * normal(rng),
+            spin: normal(rng),
+            radius_m: FOOT_RADIUS_M,
+        }
     })
 }
 
@@ -160,6 +166,7 @@ fn innovations(noise: FilterNoise, seed: u64) -> [f64; 2] {
                 velocity: roll - velocity
                     + Vector3::from_fn(|axis, _| noise.velocity_sd(axis) * rng.sample::<f64, _>(StandardNormal)),
                 spin,
+                radius_m: FOOT_RADIUS_M,
             }
         });
         let ground = std::array::from_fn(|leg| {

@@ -1,7 +1,7 @@
 /*! The state of the robot from what it can feel (section IV-D): IMU, joint encoders, and which feet touch the ground.
 
-[`sensors`] says what is felt, and how badly; [`orientation`] finds up; [`kinematics`] finds the feet; [`kalman`] puts
-them together. All of it is pure: readings in, estimate out.
+[`sensors`] says what is felt, and how badly; [`orientation`] finds up; the robot's kinematics
+find the feet; [`kalman`] puts them together. All of it is pure: readings in, estimate out.
 
 The world of an [`Estimate`] is aligned with gravity, has the ground at height zero, and its origin and heading are those
 of the start. Horizontal position and heading drift, because nothing on the robot measures them.
@@ -9,7 +9,6 @@ of the start. Horizontal position and heading drift, because nothing on the robo
 
 pub mod contact;
 pub mod kalman;
-pub mod kinematics;
 pub mod orientation;
 pub mod sensors;
 #[cfg(test)]
@@ -17,13 +16,16 @@ mod tests;
 #[cfg(test)]
 mod walker;
 
+use std::sync::Arc;
+
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use kalman::{FilterNoise, Fit, FootMeasurement, KalmanFilter};
-use kinematics::{IMU_IN_BASE, feet};
 use orientation::OrientationFilter;
 pub use sensors::{EncoderReading, ImuReading, SensorNoise, Sensors};
+
+use crate::robot::{Robot, kinematics};
 
 /// Strength of gravity that the filters assume [m/s²].
 pub const GRAVITY_M_S2: f64 = 9.81;
@@ -71,7 +73,7 @@ pub struct EstimatorConfig {
     /// `κ_ref` of the orientation filter. A gyro bias b leaves a tilt of b / κ until it is learnt, a change of speed Δv one
     /// of κ Δv / g.
     pub orientation_gain_per_s: f64,
-    /// Time constant of the average of the specific force: about half a period of the Go1's trot \[s\].
+    /// Time constant of the average of the specific force: about half a period of a trot \[s\].
     pub orientation_averaging_s: f64,
     /// For how long a silent sensor is bridged.
     pub max_silence_s: f64,
@@ -118,6 +120,7 @@ pub struct Estimate {
 /// silent encoders are bridged by integrating the IMU.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimator {
+    robot: Arc<Robot>,
     config: EstimatorConfig,
     filters: Option<Filters>,
 }
@@ -133,9 +136,9 @@ struct Filters {
 }
 
 impl Estimator {
-    /// Starts with the first readings.
-    pub fn new(config: EstimatorConfig) -> Self {
-        Estimator { config, filters: None }
+    /// Of a robot; starts with the first readings.
+    pub fn new(robot: Arc<Robot>, config: EstimatorConfig) -> Self {
+        Estimator { robot, config, filters: None }
     }
 
     /// The last good estimate; `None` before the first.
@@ -161,7 +164,7 @@ impl Estimator {
             Some(filters) => filters,
             None => return self.start(imu, encoders, contacts),
         };
-        let result = filters.update(&self.config, imu, encoders, contacts, dt_s);
+        let result = filters.update(&self.robot, &self.config, imu, encoders, contacts, dt_s);
         let filters = self.filters.insert(filters);
         result.map(|()| &filters.estimate)
     }
@@ -178,9 +181,10 @@ impl Estimator {
         let (gain, averaging) = (config.orientation_gain_per_s, config.orientation_averaging_s);
         let orientation = OrientationFilter::new(gain, averaging, &imu.specific_force);
         let world_from_base = orientation.world_from_base();
-        let feet = measure(&imu.gyro, encoders, &world_from_base);
-        let kalman = KalmanFilter::new(self.config.noise, &(world_from_base * IMU_IN_BASE), &feet, contacts);
-        let estimate = summarise(&orientation, &kalman, &imu.gyro, Fit::default());
+        let robot = &*self.robot;
+        let feet = measure(robot, &imu.gyro, encoders, &world_from_base);
+        let kalman = KalmanFilter::new(self.config.noise, &(world_from_base * robot.imu_in_base), &feet, contacts);
+        let estimate = summarise(robot, &orientation, &kalman, &imu.gyro, Fit::default());
         let filters = Filters { orientation, kalman, imu: *imu, imu_silent_s: 0.0, encoders_silent_s: 0.0, estimate };
         Ok(&self.filters.insert(filters).estimate)
     }
@@ -189,6 +193,7 @@ impl Estimator {
 impl Filters {
     fn update(
         &mut self,
+        robot: &Robot,
         config: &EstimatorConfig,
         imu: Option<&ImuReading>,
         encoders: Option<&EncoderReading>,
@@ -215,37 +220,47 @@ impl Filters {
         let world_from_base = self.orientation.world_from_base();
         let acceleration = world_from_base * self.imu.specific_force - Vector3::new(0.0, 0.0, GRAVITY_M_S2);
         let rate = self.orientation.angular_velocity(&self.imu.gyro);
-        let feet = encoders.map(|encoders| measure(&rate, encoders, &world_from_base));
+        let feet = encoders.map(|encoders| measure(robot, &rate, encoders, &world_from_base));
         let fit = self.kalman.step(&acceleration, held, feet.as_ref(), contacts, dt_s);
-        self.estimate = summarise(&self.orientation, &self.kalman, &rate, fit);
+        self.estimate = summarise(robot, &self.orientation, &self.kalman, &rate, fit);
         Ok(())
     }
 }
 
 /// The feet as seen from the IMU's site, world axes. `rate` is the trunk's angular velocity, base frame [rad/s].
 fn measure(
+    robot: &Robot,
     rate: &Vector3<f64>,
     encoders: &EncoderReading,
     world_from_base: &UnitQuaternion<f64>,
 ) -> [FootMeasurement; 4] {
-    feet(&encoders.angles, &encoders.rates).map(|foot| {
-        let offset = foot.position - IMU_IN_BASE;
+    let feet = kinematics::feet(&robot.legs, &encoders.angles, &encoders.rates);
+    std::array::from_fn(|leg| {
+        let foot = &feet[leg];
+        let offset = foot.position - robot.imu_in_base;
         FootMeasurement {
             offset: world_from_base * offset,
             velocity: world_from_base * (foot.velocity + rate.cross(&offset)),
             spin: world_from_base * (foot.spin + rate),
+            radius_m: robot.legs[leg].foot_radius_m,
         }
     })
 }
 
 /// From the IMU's site back to the trunk's origin. `rate` is the trunk's angular velocity, base frame [rad/s].
-fn summarise(orientation: &OrientationFilter, kalman: &KalmanFilter, rate: &Vector3<f64>, fit: Fit) -> Estimate {
+fn summarise(
+    robot: &Robot,
+    orientation: &OrientationFilter,
+    kalman: &KalmanFilter,
+    rate: &Vector3<f64>,
+    fit: Fit,
+) -> Estimate {
     let world_from_base = orientation.world_from_base();
     let base_from_world = world_from_base.inverse();
-    let position = kalman.position() - world_from_base * IMU_IN_BASE;
+    let position = kalman.position() - world_from_base * robot.imu_in_base;
     Estimate {
         height_m: position.z,
-        velocity_in_base: base_from_world * kalman.velocity() - rate.cross(&IMU_IN_BASE),
+        velocity_in_base: base_from_world * kalman.velocity() - rate.cross(&robot.imu_in_base),
         world_from_base,
         gravity_in_base: base_from_world * Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
         angular_velocity_in_base: *rate,

@@ -3,7 +3,7 @@
 Unitree names no parts. The defaults of [`SensorNoise`] are those of an IMU of the kind that is usual in such robots
 (Bosch BMI088, data sheet BST-BMI088-DS001) and of the GO-M8010-6 motor's protocol, as each key says. A constant error
 of the joint angles, which calibration leaves, is not here: the simulation has it
-(`Conditions::joint_offsets`), since the controller suffers from it too.
+(`Conditions::encoder_bias`), since the controller suffers from it too.
 */
 
 use std::f64::consts::TAU;
@@ -14,8 +14,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::SensorFault;
-use super::kinematics::IMU_IN_BASE;
-use crate::go1::{Joints, joint_name};
+use crate::robot::{Joints, joint_name, same_in_every_leg};
 
 /// A reading of the IMU.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,9 +70,10 @@ pub struct TrunkMotion {
 }
 
 impl ImuReading {
-    /// What an IMU without errors reads, under `gravity` in the world frame [m/s²].
-    pub fn exact(motion: &TrunkMotion, gravity: Vector3<f64>) -> Self {
-        let (rate, arm) = (motion.angular_velocity, IMU_IN_BASE);
+    /// What an IMU without errors reads that sits at `arm` from the trunk's origin, base frame \[m\], under `gravity` in the
+    /// world frame [m/s²].
+    pub fn exact(motion: &TrunkMotion, arm: Vector3<f64>, gravity: Vector3<f64>) -> Self {
+        let rate = motion.angular_velocity;
         let of_origin = motion.world_from_base.inverse() * (motion.acceleration - gravity);
         let of_arm = motion.angular_acceleration.cross(&arm) + rate.cross(&rate.cross(&arm));
         ImuReading { gyro: rate, specific_force: of_origin + of_arm }
@@ -147,7 +147,7 @@ pub struct Sensors {
 }
 
 impl Sensors {
-    /// Switches on: draws the constant errors. The generator is a stream of [`crate::random::Purpose::Sensor`].
+    /// Switches on: draws the constant errors. The generator is a stream of [`crate::util::random::Purpose::Sensor`].
     pub fn new(noise: SensorNoise, rng: &mut impl Rng) -> Self {
         Sensors {
             gyro_bias: noise.gyro_bias_rad_s * normal(rng),
@@ -175,7 +175,7 @@ impl Sensors {
         let before = self.filtered_rates.unwrap_or(exact.rates);
         let keep = (-TAU * noise.rate_cutoff_hz * dt_s).exp();
         let rates: Joints = std::array::from_fn(|k| keep * before[k] + (1.0 - keep) * exact.rates[k]);
-        let turn: Joints = std::array::from_fn(|joint| TAU / noise.gear[joint % 3]);
+        let turn: Joints = same_in_every_leg(noise.gear).map(|gear| TAU / gear);
         let mut read = |exact: &Joints, sd: f64, steps: f64| -> Joints {
             std::array::from_fn(|k| quantised(exact[k] + sd * rng.sample::<f64, _>(StandardNormal), turn[k] / steps))
         };
@@ -203,24 +203,25 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     use super::*;
-    use crate::go1::JOINT_COUNT;
+    use crate::robot::{JOINTS, Robot};
 
     const DT_S: f64 = 1.0 / 240.0;
 
     fn still() -> EncoderReading {
-        EncoderReading { angles: [0.7; JOINT_COUNT], rates: [0.0; JOINT_COUNT] }
+        EncoderReading { angles: [0.7; JOINTS], rates: [0.0; JOINTS] }
     }
 
     #[test]
     fn the_accelerometer_reads_what_mujoco_says_at_its_site() {
-        // Printed by `golden.c`.
+        // Printed by `src/robot/golden.c`.
         let motion = TrunkMotion {
             world_from_base: UnitQuaternion::from_quaternion(Quaternion::new(0.9, 0.1, -0.3, 0.3)),
             acceleration: Vector3::new(0.428030140645, 0.437243813540, -11.537073611499),
             angular_velocity: Vector3::new(1.0, -2.0, 0.7),
             angular_acceleration: Vector3::new(-5.610478055496, 2.435249246057, 5.875792106002),
         };
-        let reading = ImuReading::exact(&motion, Vector3::new(0.0, 0.0, -9.81));
+        let reading =
+            ImuReading::exact(&motion, Robot::load("go1").unwrap().imu_in_base, Vector3::new(0.0, 0.0, -9.81));
         let golden = Vector3::new(0.024157462103, 0.104514806515, -1.219218227870);
         assert!((reading.specific_force - golden).norm() < 1e-9, "{}", reading.specific_force);
     }
@@ -265,11 +266,11 @@ mod tests {
     fn encoders_read_whole_steps_and_the_nearest_ones() {
         let mut rng = ChaCha8Rng::seed_from_u64(3);
         let noise = SensorNoise { angle_rad: 0.0, rate_rad_s: 0.0, ..SensorNoise::default() };
-        let moving = EncoderReading { rates: [0.33; JOINT_COUNT], ..still() };
+        let moving = EncoderReading { rates: [0.33; JOINTS], ..still() };
         let reading = Sensors::new(noise, &mut rng).encoders(&moving, DT_S, &mut rng);
-        for joint in 0..JOINT_COUNT {
+        for joint in 0..JOINTS {
             // One turn of the rotor is 2π / 6.33 of hip and thigh and 2π / 9.495 of the calf.
-            let turn = TAU / if joint % 3 == 2 { 9.495 } else { 6.33 };
+            let turn = TAU / same_in_every_leg([6.33, 6.33, 9.495])[joint];
             for (read, exact, steps) in [(reading.angles[joint], 0.7, 32768.0), (reading.rates[joint], 0.33, 256.0)] {
                 let counted = read * steps / turn;
                 assert!((counted - counted.round()).abs() < 1e-6, "{counted} steps");
@@ -303,7 +304,7 @@ mod tests {
         let noise = SensorNoise { rate_rad_s: 0.0, rate_steps_per_turn_s: 1e9, ..SensorNoise::default() };
         let mut sensors = Sensors::new(noise, &mut rng);
         sensors.encoders(&still(), DT_S, &mut rng);
-        let moving = EncoderReading { rates: [1.0; JOINT_COUNT], ..still() };
+        let moving = EncoderReading { rates: [1.0; JOINTS], ..still() };
         let reading = sensors.encoders(&moving, DT_S, &mut rng);
         // 1 − exp(−2π · 100 Hz / 240 Hz) = 0.9270
         assert!((reading.rates[0] - 0.9270).abs() < 1e-4, "{}", reading.rates[0]);

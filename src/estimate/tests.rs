@@ -63,7 +63,7 @@ fn walk(speed: f64, seconds: u32, seed: u64, mut spoil: impl FnMut(&mut Tick, &m
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut sensors = Sensors::new(SensorNoise::default(), &mut rng);
     let mut walker = Walker::new(speed);
-    let mut estimator = Estimator::new(EstimatorConfig::default());
+    let mut estimator = Estimator::new(Robot::load("go1").unwrap(), EstimatorConfig::default());
     let mut errors = Errors::default();
     for _ in 0..seconds * 240 {
         let truth = walker.step();
@@ -173,7 +173,7 @@ fn silence_of_a_sensor_is_bridged() {
 
 fn standing() -> (Estimator, Truth) {
     let mut walker = Walker::new(0.0);
-    let mut estimator = Estimator::new(EstimatorConfig::default());
+    let mut estimator = Estimator::new(Robot::load("go1").unwrap(), EstimatorConfig::default());
     let mut truth = walker.step();
     for _ in 0..10 {
         truth = walker.step();
@@ -224,7 +224,7 @@ fn too_long_a_time_between_two_good_ticks_is_a_silence_too() {
 #[test]
 fn nothing_can_start_without_both_sensors() {
     let (_, truth) = standing();
-    let mut estimator = Estimator::new(EstimatorConfig::default());
+    let mut estimator = Estimator::new(Robot::load("go1").unwrap(), EstimatorConfig::default());
     let fault = estimator.update(Some(&truth.imu), None, truth.contacts, DT_S).unwrap_err();
     assert_eq!(fault, SensorFault::Missing { sensor: "encoders" });
     assert!(estimator.estimate().is_none());

@@ -1,11 +1,12 @@
 //! A made-up trot whose every number is known: what the estimator's tests are measured against.
 
+use std::sync::Arc;
+
 use nalgebra::{UnitQuaternion, Vector3};
 
 use super::GRAVITY_M_S2;
-use super::kinematics::{FOOT_RADIUS_M, IMU_IN_BASE, feet, foot_jacobian, foot_position};
 use super::sensors::{EncoderReading, ImuReading};
-use crate::go1::{JOINT_COUNT, Joints};
+use crate::robot::{JOINTS, Joints, PARTS, Robot, kinematics, of_leg, same_in_every_leg};
 
 pub const DT_S: f64 = 1.0 / 240.0;
 /// The robot stands for a second, then takes a second to reach its speed.
@@ -26,6 +27,7 @@ pub struct Truth {
 /// A robot that trots straight ahead, its trunk swaying, its feet rolling on the ground.
 #[derive(Debug, Clone)]
 pub struct Walker {
+    robot: Arc<Robot>,
     speed: f64,
     tick: u32,
     feet: [Vector3<f64>; 4],
@@ -41,15 +43,17 @@ pub struct Walker {
 impl Walker {
     /// `speed` in m/s; a robot of speed zero stands perfectly still.
     pub fn new(speed: f64) -> Self {
-        let feet = std::array::from_fn(|leg| nominal(leg, 0.0));
+        let robot = Robot::load("go1").unwrap();
+        let feet = std::array::from_fn(|leg| nominal(&robot, leg, 0.0));
         Walker {
+            robot,
             speed,
             tick: 0,
             feet,
             feet_velocity: [Vector3::zeros(); 4],
             lift: feet,
             flying: [false; 4],
-            angles: std::array::from_fn(|joint| [0.0, 0.8, -1.6][joint % 3]),
+            angles: same_in_every_leg([0.0, 0.8, -1.6]),
             slip: None,
         }
     }
@@ -58,7 +62,7 @@ impl Walker {
         f64::from(self.tick) * DT_S
     }
 
-    /// How far it has come [m], and the share of its full motion.
+    /// How far it has come [m], and the fraction of its full motion.
     fn progress(&self, time: f64) -> (f64, f64) {
         let u = (time - START_S).clamp(0.0, 1.0);
         let beyond = (time - START_S - 1.0).max(0.0);
@@ -66,16 +70,17 @@ impl Walker {
     }
 
     fn pose(&self, time: f64) -> (Vector3<f64>, UnitQuaternion<f64>) {
-        let (forward, share) = self.progress(time);
-        let wave =
-            |amplitude: f64, hz: f64, shift: f64| share * amplitude * (std::f64::consts::TAU * hz * time + shift).sin();
+        let (forward, fraction) = self.progress(time);
+        let wave = |amplitude: f64, hz: f64, shift: f64| {
+            fraction * amplitude * (std::f64::consts::TAU * hz * time + shift).sin()
+        };
         let position = Vector3::new(forward, wave(0.01, 2.0, 0.3), 0.3 + wave(0.005, 4.0, 0.0));
         (position, UnitQuaternion::from_euler_angles(wave(0.04, 2.0, 0.0), wave(0.03, 4.0, 0.5), wave(0.02, 2.0, 1.0)))
     }
 
     fn site(&self, time: f64) -> Vector3<f64> {
         let (position, rotation) = self.pose(time);
-        position + rotation * IMU_IN_BASE
+        position + rotation * self.robot.imu_in_base
     }
 
     /// The next tick.
@@ -92,7 +97,7 @@ impl Walker {
             gyro: (self.pose(time - DT_S).1.inverse() * rotation).scaled_axis() / DT_S,
             specific_force: rotation.inverse() * (acceleration + Vector3::z() * GRAVITY_M_S2),
         };
-        let mut rates = [0.0; JOINT_COUNT];
+        let mut rates = [0.0; JOINTS];
         let mut contacts = [true; 4];
         for leg in 0..4 {
             let flight = self.flight(leg, time);
@@ -102,21 +107,21 @@ impl Walker {
                 None => {
                     self.flying[leg] = false;
                     self.feet[leg] += DT_S * self.feet_velocity[leg];
-                    self.feet[leg].z = FOOT_RADIUS_M;
+                    self.feet[leg].z = self.robot.legs[leg].foot_radius_m;
                 }
             }
             self.reach(leg, rotation.inverse() * (self.feet[leg] - position));
-            let angles = Vector3::from_column_slice(&self.angles[3 * leg..3 * leg + 3]);
-            let inverse = foot_jacobian(leg, &angles).try_inverse().unwrap();
+            let (of_robot, angles) = (self.robot.legs[leg], of_leg(&self.angles, leg));
+            let inverse = of_robot.foot_jacobian(angles).try_inverse().unwrap();
             // A foot that rolls moves with its own spin, which follows from its motion: a few rounds settle it.
             for _ in 0..6 {
                 let relative = rotation.inverse() * (self.feet_velocity[leg] - velocity);
-                let of_leg = inverse * (relative - rate.cross(&foot_position(leg, &angles)));
-                rates[3 * leg..3 * leg + 3].copy_from_slice(of_leg.as_slice());
+                let of_leg = inverse * (relative - rate.cross(&of_robot.foot_position(angles)));
+                rates[PARTS.len() * leg..][..PARTS.len()].copy_from_slice(of_leg.as_slice());
                 if flight.is_none() {
-                    let spin = rotation * (feet(&self.angles, &rates)[leg].spin + rate);
+                    let spin = rotation * (kinematics::feet(&self.robot.legs, &self.angles, &rates)[leg].spin + rate);
                     let slip = self.slip.filter(|(slipping, _)| *slipping == leg).map_or(Vector3::zeros(), |(_, v)| v);
-                    self.feet_velocity[leg] = spin.cross(&(Vector3::z() * FOOT_RADIUS_M)) + slip;
+                    self.feet_velocity[leg] = spin.cross(&(Vector3::z() * of_robot.foot_radius_m)) + slip;
                 }
             }
         }
@@ -143,7 +148,7 @@ impl Walker {
         }
         let landing = time + (1.0 - u) * SWING_S;
         let ahead = self.progress(landing + 0.5 * SWING_S).0;
-        let (from, to) = (self.lift[leg], nominal(leg, ahead));
+        let (from, to) = (self.lift[leg], nominal(&self.robot, leg, ahead));
         let height = (std::f64::consts::PI * u).sin().powi(2) * 0.08;
         self.feet[leg] = from + (to - from) * smooth(u) + Vector3::z() * height;
         let rise = (std::f64::consts::TAU * u).sin() * std::f64::consts::PI * 0.08;
@@ -152,20 +157,21 @@ impl Walker {
 
     /// Joint angles that put the foot there, by Newton's method from those of the last tick.
     fn reach(&mut self, leg: usize, target: Vector3<f64>) {
-        let mut angles = Vector3::from_column_slice(&self.angles[3 * leg..3 * leg + 3]);
+        let of_robot = self.robot.legs[leg];
+        let mut angles = Vector3::from(of_leg(&self.angles, leg));
         for _ in 0..20 {
-            let error = target - foot_position(leg, &angles);
-            angles += foot_jacobian(leg, &angles).lu().solve(&error).unwrap();
+            let error = target - of_robot.foot_position(angles.into());
+            angles += of_robot.foot_jacobian(angles.into()).lu().solve(&error).unwrap();
         }
-        assert!((foot_position(leg, &angles) - target).norm() < 1e-9, "leg {leg} cannot reach {target}");
-        self.angles[3 * leg..3 * leg + 3].copy_from_slice(angles.as_slice());
+        assert!((of_robot.foot_position(angles.into()) - target).norm() < 1e-9, "leg {leg} cannot reach {target}");
+        self.angles[PARTS.len() * leg..][..PARTS.len()].copy_from_slice(angles.as_slice());
     }
 }
 
-/// Foot under its hip when the trunk is `forward` [m] from the start.
-fn nominal(leg: usize, forward: f64) -> Vector3<f64> {
-    let (front, left) = (if leg < 2 { 1.0 } else { -1.0 }, if leg % 2 == 1 { 1.0 } else { -1.0 });
-    Vector3::new(forward + front * 0.1881, left * 0.12675, FOOT_RADIUS_M)
+/// Foot under its thigh joint when the trunk is `forward` [m] from the start.
+fn nominal(robot: &Robot, leg: usize, forward: f64) -> Vector3<f64> {
+    let below = robot.legs[leg].foot_position([0.0; 3]);
+    Vector3::new(forward + below.x, below.y, robot.legs[leg].foot_radius_m)
 }
 
 fn smooth(u: f64) -> f64 {

@@ -1,9 +1,10 @@
-//! The two sets of policies that are compared, read from folders.
+//! The sets of policies that are compared, read from folders.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use crate::agent::{Agent, AgentError, is_description};
+use crate::policy::{Agent, AgentError};
+use crate::util::files;
 
 /// Keys of a configuration that trials are played with.
 const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
@@ -47,7 +48,7 @@ pub enum ContestantError {
 /// A policy that is measured.
 #[derive(Debug)]
 pub struct Contestant {
-    /// Seed of its training: pairs it with the other set's, and seeds its trials.
+    /// Seed of its training: pairs it with the other sets', and seeds its trials.
     pub seed: u64,
     /// Where it was read from.
     pub file: PathBuf,
@@ -55,7 +56,7 @@ pub struct Contestant {
     pub agent: Agent,
 }
 
-/// One of the two sets.
+/// One of the sets.
 #[derive(Debug)]
 pub struct Side {
     /// In tables and legends.
@@ -64,71 +65,52 @@ pub struct Side {
     pub members: Vec<Contestant>,
 }
 
-/// Both sets, and what a reader has to know about them.
+/// All sets, and what a reader has to know about them.
 #[derive(Debug)]
 pub struct Contest {
-    /// First (compliant) and second (baseline).
-    pub sides: [Side; 2],
+    /// First (compliant), second (baseline), with which it is compared, and whatever is shown beside them.
+    pub sides: Vec<Side>,
     /// Files left out, seeds without a partner.
     pub notes: Vec<String>,
 }
 
 impl Contest {
-    /// Policies `NAME-seedN.safetensors`, or `.yaml` from elsewhere, of two names in one folder.
+    /// Policies `NAME-seedN.safetensors`, or external ones `NAME-seedN.yaml`, of several names in one folder; and all
+    /// policies of further sets, by name and path.
     ///
     /// # Errors
     /// [`ContestantError`]
-    pub fn in_folder(folder: &Path, names: &[String; 2]) -> Result<Self, ContestantError> {
-        let (mut sides, mut notes) = ([Vec::new(), Vec::new()], Vec::new());
+    pub fn in_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+        let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
         for file in policy_files(folder)? {
             let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             let seed_of = |name: &String| stem.strip_prefix(name.as_str())?.strip_prefix("-seed")?.parse::<u64>().ok();
-            match names.iter().position(|name| seed_of(name).is_some()) {
-                Some(side) => sides[side].push((seed_of(&names[side]), file)),
+            match names.iter().enumerate().find_map(|(side, name)| Some((side, seed_of(name)?))) {
+                Some((side, seed)) => files[side].push((Some(seed), file)),
                 None => notes.push(format!("{} was left out: its name is not that of either set", name_of(&file))),
             }
         }
-        let [a, b] = sides;
-        let side = |name: &String, files| {
+        let side = |(name, files): (&String, _)| {
             Side::load(name, folder, files, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
-        Ok(Self::new([side(&names[0], a)?, side(&names[1], b)?], notes))
+        let further = also.iter().map(|(name, path)| Side::of_path(name, path));
+        Ok(Self::new(names.iter().zip(files).map(side).chain(further).collect::<Result<_, _>>()?, notes))
     }
 
-    /// All policies of two folders; a path may also be one policy file, or a run's folder.
+    /// All policies of sets by name and path: a folder, one policy file, or a run's folder.
     ///
     /// # Errors
     /// [`ContestantError`]
-    pub fn of_paths(paths: [&Path; 2], names: &[String; 2]) -> Result<Self, ContestantError> {
-        let side = |index: usize| {
-            let path = paths[index];
-            let files = if path.is_file() {
-                vec![path.to_owned()]
-            } else if path.join("run.json").exists() {
-                // A run's folder: its checkpoint is not a policy.
-                vec![path.join("policy.safetensors")]
-            } else {
-                policy_files(path)?
-            };
-            let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-            Side::load(&names[index], path, files, || "*.safetensors or *.yaml".into())
-        };
-        let (mut sides, mut notes) = ([side(0)?, side(1)?], Vec::new());
-        if let [[a], [b]] = [&sides[0].members[..], &sides[1].members[..]]
-            && a.seed != b.seed
-        {
-            notes.push(format!(
-                "the two policies are compared as a pair, though their seeds are {} and {}",
-                a.seed, b.seed
-            ));
-            sides[1].members[0].seed = a.seed;
-        }
+    pub fn of_paths(sets: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+        let sides = sets.iter().map(|(name, path)| Side::of_path(name, path));
+        let mut sides = sides.collect::<Result<Vec<_>, _>>()?;
+        let notes = pair_single_policies(&mut sides);
         Ok(Self::new(sides, notes))
     }
 
-    fn new(sides: [Side; 2], mut notes: Vec<String>) -> Self {
+    fn new(sides: Vec<Side>, mut notes: Vec<String>) -> Self {
         for (side, other) in [(0, 1), (1, 0)] {
-            let [own, partner] = [&sides[side], &sides[other]];
+            let (Some(own), Some(partner)) = (sides.get(side), sides.get(other)) else { continue };
             let lacks = |contestant: &&Contestant| partner.members.iter().all(|other| other.seed != contestant.seed);
             let alone: Vec<String> = own.members.iter().filter(lacks).map(|member| member.seed.to_string()).collect();
             if !alone.is_empty() {
@@ -171,13 +153,27 @@ impl Contest {
         Contest { sides, notes }
     }
 
-    /// Names of both sets.
-    pub fn names(&self) -> [String; 2] {
-        [self.sides[0].name.clone(), self.sides[1].name.clone()]
+    /// Names of all sets.
+    pub fn names(&self) -> Vec<String> {
+        self.sides.iter().map(|side| side.name.clone()).collect()
     }
 }
 
 impl Side {
+    /// All policies of a folder; the path may also be one policy file, or a run's folder.
+    fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
+        let files = if path.is_file() {
+            vec![path.to_owned()]
+        } else if path.join("run.json").exists() {
+            // A run's folder: its checkpoint is not a policy.
+            vec![path.join("policy.safetensors")]
+        } else {
+            policy_files(path)?
+        };
+        let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
+        Side::load(name, path, files, || "*.safetensors or *.yaml".into())
+    }
+
     fn load(
         name: &str,
         folder: &Path,
@@ -202,8 +198,27 @@ impl Side {
     }
 }
 
+/// Gives single policies the seed of the first set's single policy, which pairs them; says so.
+fn pair_single_policies(sides: &mut [Side]) -> Vec<String> {
+    let is_pair = sides.len() == 2;
+    let Some((first, others)) = sides.split_first_mut() else { return Vec::new() };
+    let [a] = &first.members[..] else { return Vec::new() };
+    let mut notes = Vec::new();
+    for side in others {
+        if let [b] = &mut side.members[..]
+            && a.seed != b.seed
+        {
+            let which =
+                if is_pair { "two policies".into() } else { format!("policies of {} and {}", first.name, side.name) };
+            notes.push(format!("the {which} are compared as a pair, though their seeds are {} and {}", a.seed, b.seed));
+            b.seed = a.seed;
+        }
+    }
+    notes
+}
+
 /// Keys beside the recovery stage's, which is what is compared, in which configurations of policies of ours differ.
-fn unlike(sides: &[Side; 2]) -> Vec<String> {
+fn unlike(sides: &[Side]) -> Vec<String> {
     let members = sides.iter().flat_map(|side| &side.members);
     let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
     let Some(first) = configs.next() else { return Vec::new() };
@@ -228,7 +243,7 @@ fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
     let entries = std::fs::read_dir(folder).map_err(fail)?;
     let mut files =
         entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(fail)?;
-    files.retain(|file| is_description(file) || file.extension().is_some_and(|extension| extension == "safetensors"));
+    files.retain(|file| files::is_yaml(file) || file.extension().is_some_and(|extension| extension == "safetensors"));
     files.sort();
     Ok(files)
 }

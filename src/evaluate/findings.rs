@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::Quantity;
 use super::results::Results;
-use super::statistics::{Comparison, Estimate, Expected, Spread, Trials, Verdict};
+use super::statistics::{Comparison, Estimate, Expected, Numbers, Spread, Trials, Verdict};
 
 /// Everything that an experiment shows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -43,7 +43,7 @@ impl Claim {
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
 
-    /// That both sets stay below a bound.
+    /// That the first two sets stay below a bound.
     pub fn bound(text: &str, paper: &str, quantity: Quantity, bound: f64, comparison: Comparison) -> Self {
         let verdict = Verdict::below(bound, &comparison);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
@@ -77,24 +77,23 @@ pub struct Table {
 }
 
 impl Table {
-    /// All given quantities in all conditions.
-    pub fn of_conditions(name: &str, caption: &str, results: &Results, quantities: &[&str]) -> Self {
-        let row = |condition: usize, quantity: &str| Row {
+    /// All quantities in all conditions.
+    pub fn of_conditions(name: String, caption: &str, results: &Results) -> Self {
+        let row = |condition: usize, quantity: &Quantity| Row {
             condition: results.conditions[condition].label.clone(),
-            quantity: results.quantity(quantity),
+            quantity: *quantity,
             paper: String::new(),
-            comparison: results.compare(condition, quantity),
+            comparison: results.compare(condition, quantity.name),
         };
         let conditions = 0..results.conditions.len();
-        let rows = conditions.flat_map(|condition| quantities.iter().map(move |quantity| row(condition, quantity)));
-        Table { name: name.to_owned(), caption: caption.to_owned(), rows: rows.collect(), in_page: true }
+        let rows = conditions.flat_map(|condition| results.quantities.iter().map(move |it| row(condition, it)));
+        Table { name, caption: caption.to_owned(), rows: rows.collect(), in_page: true }
     }
 
     /// States the paper's numbers in the rows of a quantity.
-    pub fn with_paper(mut self, quantity: &str, paper: &str) -> Self {
+    pub fn state(&mut self, quantity: &str, paper: &str) {
         let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);
         rows.for_each(|row| row.paper = paper.to_owned());
-        self
     }
 }
 
@@ -107,13 +106,6 @@ pub struct Figure {
     pub caption: String,
     /// The drawing.
     pub svg: String,
-}
-
-impl Figure {
-    /// A figure.
-    pub fn new(name: &str, caption: impl Into<String>, svg: String) -> Self {
-        Figure { name: name.to_owned(), caption: caption.into(), svg }
-    }
 }
 
 /// Lines of a figure as points, to draw it anew.
@@ -153,8 +145,9 @@ fn is_zero(text: &str) -> bool {
 }
 
 /// Mean ± standard deviation, followed by `unit`; says so if not all of a set's seeds have the number.
-pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize, unit: &str) -> String {
-    let Some(Spread { mean, sd, seeds }) = spread else { return NOTHING.to_owned() };
+pub fn spread(numbers: &Numbers, quantity: Quantity, unit: &str) -> String {
+    let members = numbers.members;
+    let Some(Spread { mean, sd, seeds }) = numbers.spread else { return NOTHING.to_owned() };
     let deviation = sd.map_or(String::new(), |sd| format!(" ± {}", number(sd, quantity)));
     let missing = if seeds < members { format!(" ({seeds} of {members} seeds)") } else { String::new() };
     format!("{}{deviation}{unit}{missing}", number(mean, quantity))
@@ -164,7 +157,8 @@ pub fn spread(spread: Option<Spread>, quantity: Quantity, members: usize, unit: 
 pub fn difference(comparison: &Comparison, quantity: Quantity, unit: &str) -> String {
     // Points of a percentage: what is not zero is not to read as zero.
     let digits = if quantity.unit == "%" { quantity.digits.max(1) } else { quantity.digits };
-    let text = estimate(comparison.difference, Quantity { digits, ..quantity }, comparison.members, unit);
+    let members: Vec<usize> = comparison.pair().iter().map(|set| set.members).collect();
+    let text = estimate(comparison.difference, Quantity { digits, ..quantity }, &members, unit);
     match comparison.trials.filter(|trials| trials.used < trials.of) {
         Some(Trials { used, of }) => format!("{text} ({used} of {of} trials)"),
         None => text,
@@ -172,7 +166,7 @@ pub fn difference(comparison: &Comparison, quantity: Quantity, unit: &str) -> St
 }
 
 /// A signed number with its interval, followed by `unit`; says so if not all of the seeds are in it.
-fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: [usize; 2], unit: &str) -> String {
+fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: &[usize], unit: &str) -> String {
     let Some(Estimate { value, interval, pairs }) = estimate else { return NOTHING.to_owned() };
     let signed = |value: f64| {
         let text = number(value, quantity);
@@ -188,7 +182,7 @@ fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: [usize; 2],
 /// A relative change with its interval, followed by `unit`.
 pub fn percent(relative: Option<Estimate>, unit: &str) -> String {
     // How many pairs are in it stands beside the difference.
-    estimate(relative, Quantity::new("relative", "relative change", "%", 0), [0, 0], unit)
+    estimate(relative, Quantity::new("relative", "relative change", "%", 0), &[], unit)
 }
 
 #[cfg(test)]
@@ -206,16 +200,17 @@ mod tests {
     #[test]
     fn cells_say_how_many_seeds_are_missing() {
         let watts = Quantity::new("power_w", "power", "W", 1);
-        let cell = |seeds, sd| spread(Some(Spread { mean: 140.9, sd, seeds }), watts, 5, " W");
+        let of = |spread| Numbers { by_seed: [].into(), spread, members: 5 };
+        let cell = |seeds, sd| spread(&of(Some(Spread { mean: 140.9, sd, seeds })), watts, " W");
         assert_eq!(cell(5, Some(17.0)), "140.9 ± 17.0 W");
         assert_eq!(cell(1, None), "140.9 W (1 of 5 seeds)");
-        assert_eq!(spread(None, watts, 5, " W"), "–");
+        assert_eq!(spread(&of(None), watts, " W"), "–");
     }
 
     #[test]
     fn estimates_are_signed() {
         let metres = Quantity::new("x", "x", "m", 1);
-        let found = |value, interval, pairs| estimate(Some(Estimate { value, interval, pairs }), metres, [5, 6], "");
+        let found = |value, interval, pairs| estimate(Some(Estimate { value, interval, pairs }), metres, &[5, 6], "");
         assert_eq!(found(0.5, Some([-0.2, 1.2]), 6), "+0.5 [−0.2, +1.2]");
         assert_eq!(found(0.04, None, 5), "0.0 (5 pairs)");
     }

@@ -27,8 +27,8 @@ impl Grid {
         self.values[row * self.side() + column]
     }
 
-    /// Share of grid points at or above a level: what the paper counts inside its contour.
-    pub fn share_at_least(&self, level: f64) -> f64 {
+    /// Fraction of grid points at or above a level: what the paper counts inside its contour.
+    pub fn fraction_at_least(&self, level: f64) -> f64 {
         let inside = self.values.iter().filter(|value| **value >= level - ROUNDING).count();
         inside as f64 / self.values.len().max(1) as f64
     }
@@ -52,10 +52,10 @@ impl Grid {
         let above = |corner: usize| value(corner) >= level - ROUNDING;
         let crossing = |edge: usize| {
             let (from, to) = (edge, (edge + 1) % 4);
-            let share = ((level - value(from)) / (value(to) - value(from))).clamp(0.0, 1.0);
+            let part = ((level - value(from)) / (value(to) - value(from))).clamp(0.0, 1.0);
             let point = |corner: usize| [self.coordinates[corners[corner].0], self.coordinates[corners[corner].1]];
             let (start, end) = (point(from), point(to));
-            [start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])]
+            [start[0] + part * (end[0] - start[0]), start[1] + part * (end[1] - start[1])]
         };
         let crossed: Vec<usize> = (0..4).filter(|edge| above(*edge) != above((edge + 1) % 4)).collect();
         match crossed.as_slice() {
@@ -82,14 +82,14 @@ mod tests {
     }
 
     #[test]
-    fn share_of_a_known_surface() {
+    fn fraction_of_a_known_surface() {
         // 1 inside |x|, |y| ≤ 0.75, 0 outside: 7 × 7 of 13 × 13 points at a spacing of 0.25.
         let grid = surface(13, |x, y| f64::from(u8::from(x.abs() <= 0.76 && y.abs() <= 0.76)));
-        assert_eq!(grid.share_at_least(0.8), 49.0 / 169.0);
-        assert_eq!(grid.share_at_least(0.0), 1.0);
+        assert_eq!(grid.fraction_at_least(0.8), 49.0 / 169.0);
+        assert_eq!(grid.fraction_at_least(0.0), 1.0);
         // Eight of ten trials are 80 %, whatever the rounding.
         let tenths = Grid { coordinates: vec![0.0, 1.0], values: vec![0.1 * 8.0, 0.7 + 0.1, 0.8 - 1e-12, 0.79] };
-        assert_eq!(tenths.share_at_least(0.8), 0.75);
+        assert_eq!(tenths.fraction_at_least(0.8), 0.75);
     }
 
     #[test]

@@ -1,9 +1,11 @@
-/*! Every figure and table of the paper's section IV, for any two sets of policies.
+/*! Every figure and table of the paper's section IV, for any sets of policies.
 
 An [`Experiment`] says which conditions there are, plays nothing itself, and turns a trace into numbers; [`runner`] plays
 its trials in parallel, each with a seed that does not depend on the policy, and [`store`] keeps what came out, so that
 a finished experiment is not run again. From the kept numbers alone come [`findings`] (claims with intervals, tables,
 figures) and from those the [`report`]. `docs/experiments.md` has the definitions in words.
+
+Tables and figures show every set of policies; claims and differences are about the first set and the second.
 */
 
 pub mod contestants;
@@ -16,6 +18,7 @@ pub mod report;
 pub mod results;
 pub mod runner;
 pub mod sensing;
+pub mod show;
 pub mod statistics;
 pub mod store;
 pub mod trial;
@@ -23,12 +26,11 @@ pub mod trial;
 use serde::Serialize;
 
 use crate::config::ConfigError;
-use crate::scenario::Script;
-use crate::scenario::catalog::Scenario;
-use crate::trace::Trace;
+use crate::scenario::catalog::{ParameterError, Scenario};
 use findings::Findings;
 use results::Results;
-use trial::End;
+use show::Show;
+use trial::Trial;
 
 /// What an experiment is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,6 +47,8 @@ pub struct Info {
     pub paper: &'static str,
     /// How it is measured, in words.
     pub method: &'static str,
+    /// The numbers that each trial yields.
+    pub quantities: &'static [Quantity],
 }
 
 /// A number that every trial of an experiment yields, if it is defined.
@@ -54,7 +58,7 @@ pub struct Quantity {
     pub name: &'static str,
     /// For people.
     pub label: &'static str,
-    /// Its unit; `%` for shares, which are kept as 0 to 1.
+    /// Its unit; `%` for fractions, which are kept as 0 to 1.
     pub unit: &'static str,
     /// Digits after the point.
     pub digits: usize,
@@ -77,15 +81,8 @@ impl Quantity {
     }
 }
 
-/// Share of trials in which the robot fell.
+/// Fraction of trials in which the robot fell.
 pub const FELL: Quantity = Quantity::new("fell", "falls", "%", 0);
-
-/// Share of trials without a fall in which the push had not decayed to 10 % at the end: their decay time is that end.
-pub const UNDECAYED: Quantity = Quantity::new("undecayed", "not decayed at the end", "%", 0);
-
-/// Decay time of a push at a robot that stands, with a shorter average than elsewhere.
-pub const BRIEFLY_AVERAGED: Quantity =
-    Quantity::new("decay_10_averaged_0_1_s", "decay to 10 %, averaged over 0.1 s", "s", 2);
 
 /// One setting of what an experiment varies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -105,17 +102,19 @@ pub struct Measured {
     pub series: Vec<Vec<f32>>,
 }
 
-/// The numbers of an experiment in the protocol, as JSON.
-pub trait Parameters {
-    /// By key.
-    fn parameters(&self) -> serde_json::Value;
+impl From<Vec<Option<f64>>> for Measured {
+    fn from(values: Vec<Option<f64>>) -> Self {
+        Measured { values, series: Vec::new() }
+    }
 }
 
-impl<T: Serialize> Parameters for T {
-    fn parameters(&self) -> serde_json::Value {
-        // Plain structs of numbers and lists.
-        serde_json::to_value(self).unwrap_or_default()
-    }
+/// An experiment's section of the protocol; the table in [`experiments`] implements it.
+pub trait Parameters {
+    /// Trials of each condition with each policy.
+    fn trials(&self) -> u32;
+
+    /// All its numbers, by key.
+    fn parameters(&self) -> serde_json::Value;
 }
 
 /// A table or figure of the paper: what is played, what is measured, what is shown.
@@ -123,21 +122,30 @@ pub trait Experiment: Parameters + Sync {
     /// What it is.
     fn info(&self) -> Info;
 
-    /// The numbers each trial yields.
-    fn quantities(&self) -> &'static [Quantity];
-
-    /// Trials of each condition with each policy.
-    fn trials(&self) -> u32;
-
     /// What is varied.
     ///
     /// # Errors
     /// None with the scenario files inside the program.
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError>;
 
-    /// Reads a trace of a trial's scenario.
-    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured;
+    /// Checks those of its numbers that no scenario checks when its script is made.
+    ///
+    /// # Errors
+    /// [`ParameterError`] with the key.
+    fn check(&self) -> Result<(), ParameterError> {
+        Ok(())
+    }
 
-    /// Claims, tables and figures.
-    fn findings(&self, results: &Results) -> Findings;
+    /// Reads a trial.
+    fn measure(&self, trial: &Trial) -> Measured;
+
+    /// Shows claims, tables and figures.
+    fn show(&self, show: &mut Show);
+
+    /// What it shows of its results.
+    fn findings(&self, results: &Results) -> Findings {
+        let mut show = Show::new(self.info().name, results);
+        self.show(&mut show);
+        show.findings
+    }
 }

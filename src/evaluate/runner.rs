@@ -11,7 +11,6 @@ use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
 use crate::config::ConfigError;
 use crate::scenario::Sensing;
-use crate::scenario::catalog::Scenario;
 
 /// Why an experiment could not be finished.
 #[derive(Debug, thiserror::Error)]
@@ -63,26 +62,13 @@ pub struct Measurement {
     pub revisions: Vec<String>,
 }
 
-/// Work that a trial is, in seconds of simulation of the robot alone: for progress bars.
-pub fn cost(scenario: &Scenario) -> f64 {
-    let factor = match scenario {
-        Scenario::Walk(_) | Scenario::Push(_) | Scenario::Leash(_) => 1.0,
-        Scenario::Box(_) => 3.5,
-        Scenario::Pulley(_) | Scenario::Pendulum(_) => 1.5,
-        Scenario::Terrain(_) | Scenario::Outdoor(_) => 4.0,
-        Scenario::Rubble(_) => 20.0,
-        Scenario::BallPit(_) => 100.0,
-    };
-    factor * scenario.task().duration_s
-}
-
 /// The work of an experiment that is still to be done.
 ///
 /// # Errors
 /// [`RunError::Config`]
 pub fn work(experiment: &dyn Experiment, contest: &Contest, settings: &Settings) -> Result<f64, RunError> {
     let conditions = experiment.conditions()?;
-    let of_policy = f64::from(experiment.trials()) * conditions.iter().map(|c| cost(&c.scenario)).sum::<f64>();
+    let of_policy = f64::from(experiment.trials()) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
     let missing = |contestant: &&Contestant| {
         let key = store::key(experiment, &conditions, contestant, settings.sensing);
         settings.again || settings.store.read(experiment, &key).is_none()
@@ -105,9 +91,8 @@ pub fn finished(
     let key = |contestant: &Contestant| store::key(experiment, &conditions, contestant, sensing);
     let read = |contestant: &Contestant| store.read(experiment, &key(contestant));
     let of_side = |side: &Side| side.members.iter().map(read).collect::<Option<Vec<Stored>>>();
-    let [a, b] = &contest.sides;
-    let Some((a, b)) = of_side(a).zip(of_side(b)) else { return Ok(None) };
-    Ok(Some(Measurement::new(experiment, conditions, contest, [a, b])))
+    let stored = contest.sides.iter().map(of_side).collect::<Option<Vec<_>>>();
+    Ok(stored.map(|stored| Measurement::new(experiment, conditions, contest, stored)))
 }
 
 /// Measures an experiment with every policy, or takes what is there. `progress` is told the work of every trial played.
@@ -129,7 +114,7 @@ pub fn measure(
         }
     };
     let of_side = |side: &Side| side.members.iter().map(get).collect::<Result<Vec<Stored>, RunError>>();
-    let stored = [of_side(&contest.sides[0])?, of_side(&contest.sides[1])?];
+    let stored = contest.sides.iter().map(of_side).collect::<Result<Vec<_>, RunError>>()?;
     Ok(Measurement::new(experiment, conditions, contest, stored))
 }
 
@@ -155,14 +140,15 @@ impl Measurement {
         experiment: &dyn Experiment,
         conditions: Vec<Condition>,
         contest: &Contest,
-        stored: [Vec<Stored>; 2],
+        stored: Vec<Vec<Stored>>,
     ) -> Self {
         let wall_s = stored.iter().flatten().map(|stored| stored.wall_s).sum();
         let mut revisions: Vec<String> = stored.iter().flatten().map(|stored| stored.revision.clone()).collect();
         revisions.sort();
         revisions.dedup();
-        let sets = stored.map(|of_side| of_side.into_iter().map(|s| (s.seed, s.samples)).collect());
-        let results = Results { names: contest.names(), conditions, quantities: experiment.quantities(), sets };
+        let by_seed = |of_side: Vec<Stored>| of_side.into_iter().map(|s| (s.seed, s.samples)).collect();
+        let sets = stored.into_iter().map(by_seed).collect();
+        let results = Results { names: contest.names(), conditions, quantities: experiment.info().quantities, sets };
         Measurement { results, wall_s, revisions }
     }
 }
@@ -201,7 +187,7 @@ fn play_all(
                     return played;
                 }
             }
-            progress(cost(&conditions[condition].scenario));
+            progress(conditions[condition].scenario.cost());
         }
     };
     let mut played: Vec<(usize, Sample)> = std::thread::scope(|scope| {

@@ -11,7 +11,7 @@ use super::contestants::Contest;
 use super::findings::{Row, Table};
 use super::results::{Ends, PolicyResult, Results};
 use super::runner::Measurement;
-use super::statistics::{Comparison, PerSeed, mean};
+use super::statistics::{Comparison, Numbers, PerSeed, mean};
 use super::{Experiment, FELL, Quantity};
 use crate::estimate::contact::ContactNetwork;
 use crate::scenario::estimation::Estimation;
@@ -34,9 +34,7 @@ const ERRORS: [OfEstimation; 4] = [
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensingFindings {
     /// Names of the sets of policies.
-    policies: [String; 2],
-    /// Policies of each set.
-    members: [usize; 2],
+    policies: Vec<String>,
     /// The quantities of the claims, and falls; estimated first.
     pub main: Table,
     /// All quantities, in files alone.
@@ -70,7 +68,6 @@ impl SensingFindings {
         let network = ContactNetwork::shipped().ok();
         SensingFindings {
             policies: contest.names(),
-            members: [0, 1].map(|set| contest.sides[set].members.len()),
             main: table(
                 "sensing",
                 "What acting on sensors changes: falls, and the quantities that the paper's claims are about.",
@@ -95,15 +92,15 @@ impl SensingFindings {
         let info = experiment.info();
         self.experiments.push(info.name);
         self.wall_s += estimated.wall_s;
-        for set in 0..2 {
+        for (set, name) in self.policies.iter().enumerate() {
             let results = Results {
-                names: NAMES.map(ToOwned::to_owned),
+                names: NAMES.map(ToOwned::to_owned).into(),
                 conditions: truth.results.conditions.clone(),
                 quantities: truth.results.quantities,
-                sets: [estimated.results.sets[set].clone(), truth.results.sets[set].clone()],
+                sets: vec![estimated.results.sets[set].clone(), truth.results.sets[set].clone()],
             };
             let findings = experiment.findings(&results);
-            let of = format!("{} {}, {}", info.id, info.name, self.policies[set]);
+            let of = format!("{} {}, {name}", info.id, info.name);
             let ends = results.ends(0);
             if ends.faults > 0 {
                 let Ends { faults, trials, .. } = ends;
@@ -118,7 +115,7 @@ impl SensingFindings {
             for table in &findings.tables {
                 for row in &table.rows {
                     let place = if row.condition.is_empty() { String::new() } else { format!(", {}", row.condition) };
-                    let condition = format!("{} {}{place}, {}", info.id, info.name, self.policies[set]);
+                    let condition = format!("{} {}{place}, {name}", info.id, info.name);
                     let row = Row { condition, paper: String::new(), ..row.clone() };
                     if table.in_page && is_main(row.quantity) {
                         self.main.rows.push(row.clone());
@@ -131,16 +128,16 @@ impl SensingFindings {
             }
         }
         for (quantity, of) in ERRORS {
-            let [a, b] = [0, 1].map(|set| errors(&estimated.results.sets[set], of));
+            let sets = estimated.results.sets.iter().map(|set| Numbers::new(errors(set, of), set.len()));
             let condition = format!("{} {}", info.id, info.name);
-            let comparison = Comparison::new(a, b, self.members);
+            let comparison = Comparison::new(sets.collect());
             self.errors.rows.push(Row { condition, quantity, paper: String::new(), comparison });
         }
     }
 
-    /// The tables, each with the names of its two columns.
-    pub fn tables(&self) -> [(&Table, [String; 2]); 3] {
-        let ways = || NAMES.map(ToOwned::to_owned);
+    /// The tables, each with the names of its columns.
+    pub fn tables(&self) -> [(&Table, Vec<String>); 3] {
+        let ways = || NAMES.map(ToOwned::to_owned).to_vec();
         [(&self.main, ways()), (&self.errors, self.policies.clone()), (&self.all, ways())]
     }
 }
@@ -160,7 +157,7 @@ mod tests {
 
     fn contest() -> Contest {
         let side = |name: &str| Side { name: name.into(), members: Vec::new() };
-        Contest { sides: [side("compliant"), side("baseline")], notes: Vec::new() }
+        Contest { sides: vec![side("compliant"), side("baseline")], notes: Vec::new() }
     }
 
     /// Every trial of set s and seed k gives `value + s + k`, and an estimate that is off by a hundredth of it.
@@ -168,7 +165,7 @@ mod tests {
         let conditions = experiment.conditions().unwrap();
         let sample = |value: f64| Sample {
             end: End::Upright,
-            values: vec![Some(value); experiment.quantities().len()],
+            values: vec![Some(value); experiment.info().quantities.len()],
             series: Vec::new(),
             estimation: is_estimated.then_some(Estimation {
                 velocity_rmse_m_s: 0.01 * value,
@@ -181,8 +178,8 @@ mod tests {
         let set = |set: f64| BTreeMap::from([(0, policy(value + set)), (1, policy(value + set + 1.0))]);
         let results = Results {
             names: contest().names(),
-            quantities: experiment.quantities(),
-            sets: [set(0.0), set(10.0)],
+            quantities: experiment.info().quantities,
+            sets: vec![set(0.0), set(10.0)],
             conditions,
         };
         Measurement { results, wall_s: 1.0, revisions: Vec::new() }
@@ -200,14 +197,14 @@ mod tests {
         // Seeds 0 and 1: 3 and 4 estimated against 2 and 3 true; ten more of the second set.
         for (set, more) in [("compliant", 0.0), ("baseline", 10.0)] {
             let comparison = &row(&format!("E0 walk, forward 0.5, {set}")).comparison;
-            assert_eq!(comparison.a_spread.unwrap().mean, 3.5 + more);
-            assert_eq!(comparison.b_spread.unwrap().mean, 2.5 + more);
+            assert_eq!(comparison.sets[0].spread.unwrap().mean, 3.5 + more);
+            assert_eq!(comparison.sets[1].spread.unwrap().mean, 2.5 + more);
             assert_eq!(comparison.difference.unwrap().value, 1.0);
         }
         let velocity = &found.errors.rows[0].comparison;
-        assert!((velocity.a_spread.unwrap().mean - 0.035).abs() < 1e-12);
-        assert!((velocity.b_spread.unwrap().mean - 0.135).abs() < 1e-12);
-        assert_eq!(found.errors.rows[3].comparison.a_spread, None, "no contacts, no score");
+        assert!((velocity.sets[0].spread.unwrap().mean - 0.035).abs() < 1e-12);
+        assert!((velocity.sets[1].spread.unwrap().mean - 0.135).abs() < 1e-12);
+        assert_eq!(found.errors.rows[3].comparison.sets[0].spread, None, "no contacts, no score");
     }
 
     #[test]

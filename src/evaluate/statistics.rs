@@ -14,7 +14,7 @@ use rand::RngExt;
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
-use crate::random::{Purpose, stream};
+use crate::util::random::{Purpose, stream};
 
 /// Resamples of a bootstrap.
 const RESAMPLES: usize = 10_000;
@@ -72,19 +72,43 @@ pub struct Trials {
     pub of: usize,
 }
 
-/// One quantity of two sets of policies.
+/// One quantity of one set of policies.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Numbers {
+    /// Of the policies that have the number; empty for a number of all of them together.
+    pub by_seed: PerSeed,
+    /// Over them.
+    pub spread: Option<Spread>,
+    /// Policies of the set, with a number or without.
+    pub members: usize,
+}
+
+impl Numbers {
+    /// Of policies by seed, of so many in the set.
+    pub fn new(by_seed: PerSeed, members: usize) -> Self {
+        Numbers { spread: Spread::of(&by_seed), by_seed, members }
+    }
+
+    fn scaled(&self, factor: f64) -> Self {
+        let spread = |Spread { mean, sd, seeds }| Spread { mean: factor * mean, sd: sd.map(|sd| factor * sd), seeds };
+        Numbers {
+            by_seed: self.by_seed.iter().map(|(seed, value)| (*seed, factor * value)).collect(),
+            spread: self.spread.map(spread),
+            members: self.members,
+        }
+    }
+
+    /// Whether every policy of the set has the number.
+    fn is_whole(&self) -> bool {
+        self.spread.map_or(0, |spread| spread.seeds) == self.members
+    }
+}
+
+/// One quantity of all sets of policies, and how the first lies to the second.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// First set.
-    pub a: PerSeed,
-    /// Second set.
-    pub b: PerSeed,
-    /// Policies of each set, with a number or without.
-    pub members: [usize; 2],
-    /// Mean of the first set.
-    pub a_spread: Option<Spread>,
-    /// Mean of the second set.
-    pub b_spread: Option<Spread>,
+    /// By set.
+    pub sets: Vec<Numbers>,
     /// First minus second, over the seeds that both have.
     pub difference: Option<Estimate>,
     /// First over second, minus one, over the same seeds; none unless both are positive.
@@ -94,9 +118,12 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Compares seed by seed.
-    pub fn new(a: PerSeed, b: PerSeed, members: [usize; 2]) -> Self {
-        let pairs: Vec<[f64; 2]> = a.iter().filter_map(|(seed, a)| Some([*a, *b.get(seed)?])).collect();
+    /// Compares the first two sets seed by seed.
+    pub fn new(sets: Vec<Numbers>) -> Self {
+        let pairs: Vec<[f64; 2]> = match sets.as_slice() {
+            [a, b, ..] => a.by_seed.iter().filter_map(|(seed, a)| Some([*a, *b.by_seed.get(seed)?])).collect(),
+            _ => Vec::new(),
+        };
         let means = |chosen: &[usize]| {
             let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which]));
             Some([of(0)?, of(1)?])
@@ -106,8 +133,12 @@ impl Comparison {
         let relative = estimate(pairs.len(), |chosen| {
             means(chosen).filter(|[a, b]| *a > 0.0 && *b > 0.0).map(|[a, b]| a / b - 1.0)
         });
-        let (a_spread, b_spread) = (Spread::of(&a), Spread::of(&b));
-        Comparison { a_spread, b_spread, difference, relative, a, b, members, trials: None }
+        Comparison { sets, difference, relative, trials: None }
+    }
+
+    /// The two sets that are compared.
+    pub fn pair(&self) -> &[Numbers] {
+        &self.sets[..self.sets.len().min(2)]
     }
 
     /// Says how many trials the numbers are means of.
@@ -118,15 +149,8 @@ impl Comparison {
 
     /// The same in another unit; the relative change stays.
     pub fn scaled(&self, factor: f64) -> Self {
-        let by_seed = |values: &PerSeed| values.iter().map(|(seed, value)| (*seed, factor * value)).collect();
-        let spread = |spread: Option<Spread>| {
-            spread.map(|Spread { mean, sd, seeds }| Spread { mean: factor * mean, sd: sd.map(|sd| factor * sd), seeds })
-        };
         Comparison {
-            a: by_seed(&self.a),
-            b: by_seed(&self.b),
-            a_spread: spread(self.a_spread),
-            b_spread: spread(self.b_spread),
+            sets: self.sets.iter().map(|set| set.scaled(factor)).collect(),
             difference: self.difference.map(|Estimate { value, interval, pairs }| Estimate {
                 value: factor * value,
                 interval: interval.map(|ends| ends.map(|end| factor * end)),
@@ -146,7 +170,7 @@ pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Op
     Some(Estimate { value, interval, pairs })
 }
 
-/// Share of resamples on either side of the interval of a mean over `pairs`: Φ(−t √(n / (n − 1))) with the quantile t of
+/// Fraction of resamples on either side of the interval of a mean over `pairs`: Φ(−t √(n / (n − 1))) with the quantile t of
 /// Student's distribution of n − 1 degrees of freedom. None for a single pair.
 fn tail(pairs: usize) -> Option<f64> {
     let freedom = pairs as f64 - 1.0;
@@ -154,7 +178,7 @@ fn tail(pairs: usize) -> Option<f64> {
     Some(Normal::standard().cdf(-t * (pairs as f64 / freedom).sqrt()))
 }
 
-/// Interval of a statistic over resampled pairs, with a share `tail` of the resamples on either side of it.
+/// Interval of a statistic over resampled pairs, with a fraction `tail` of the resamples on either side of it.
 fn interval(pairs: usize, tail: f64, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<[f64; 2]> {
     // The same resamples for every quantity: intervals then differ only because the numbers do.
     let mut rng = stream(0, Purpose::Bootstrap, pairs as u64, 0);
@@ -191,7 +215,7 @@ pub enum Expected {
 pub enum Verdict {
     /// The interval lies on the paper's side of zero.
     AsThePaper,
-    /// The interval holds zero.
+    /// The interval includes zero.
     NoEffect,
     /// No pair of seeds differs at all, as where everybody succeeds.
     Alike,
@@ -213,7 +237,7 @@ impl Verdict {
     /// Of a comparison's difference.
     pub fn of(comparison: &Comparison, expected: Expected) -> Self {
         let Some(estimate) = comparison.difference else {
-            let both = comparison.a_spread.is_some() && comparison.b_spread.is_some();
+            let both = comparison.pair().iter().all(|set| set.spread.is_some());
             return if both { Verdict::Unpaired } else { Verdict::Undefined };
         };
         let Some([low, high]) = estimate.interval else { return Verdict::TooFew };
@@ -227,15 +251,14 @@ impl Verdict {
         }
     }
 
-    /// Of a bound that the means of both sets have to keep. A policy without the number, most often because it fell,
+    /// Of a bound that the means of the first two sets have to keep. A policy without the number, most often because it fell,
     /// does not keep it.
     pub fn below(bound: f64, comparison: &Comparison) -> Self {
-        let seeds = |spread: Option<Spread>| spread.map_or(0, |spread| spread.seeds);
-        let is_whole = [comparison.a_spread, comparison.b_spread].map(seeds) == comparison.members
-            && comparison.trials.is_none_or(|trials| trials.used == trials.of);
-        match (comparison.a_spread, comparison.b_spread) {
-            (Some(a), Some(b)) if is_whole && a.mean < bound && b.mean < bound => Verdict::Holds,
-            (None, None) => Verdict::Undefined,
+        let is_whole = comparison.trials.is_none_or(|trials| trials.used == trials.of);
+        let keeps = |set: &Numbers| set.is_whole() && set.spread.is_some_and(|spread| spread.mean < bound);
+        match comparison.pair() {
+            pair if pair.iter().all(|set| set.spread.is_none()) => Verdict::Undefined,
+            pair if is_whole && pair.iter().all(keeps) => Verdict::Holds,
             _ => Verdict::Fails,
         }
     }
@@ -244,7 +267,7 @@ impl Verdict {
     pub fn text(self) -> &'static str {
         match self {
             Verdict::AsThePaper => "effect in the paper's direction",
-            Verdict::NoEffect => "no effect shown: the interval holds zero",
+            Verdict::NoEffect => "no effect shown: the 95 % interval includes zero",
             Verdict::Alike => "alike in every pair of seeds",
             Verdict::Opposite => "opposite effect",
             Verdict::TooFew => "too few pairs of seeds to tell",
@@ -264,9 +287,14 @@ mod tests {
         values.iter().enumerate().map(|(seed, value)| (seed as u64, *value)).collect()
     }
 
+    /// Two sets, all of whose policies have a number.
+    fn of(a: PerSeed, b: PerSeed) -> Comparison {
+        Comparison::new([a, b].map(|set| Numbers::new(set.clone(), set.len())).into())
+    }
+
     /// Two sets without missing numbers.
     fn comparison(a: &[f64], b: &[f64]) -> Comparison {
-        Comparison::new(per_seed(a), per_seed(b), [a.len(), b.len()])
+        of(per_seed(a), per_seed(b))
     }
 
     #[test]
@@ -288,7 +316,7 @@ mod tests {
         // 17.5 / 15 − 1
         assert!((comparison.relative.unwrap().value - 1.0 / 6.0).abs() < 1e-12);
         let percent = comparison.scaled(100.0);
-        assert_eq!((percent.a[&0], percent.b_spread.unwrap().mean), (150.0, 300.0));
+        assert_eq!((percent.sets[0].by_seed[&0], percent.sets[1].spread.unwrap().mean), (150.0, 300.0));
         assert_eq!((percent.difference.unwrap().interval, percent.relative), (Some([50.0, 50.0]), comparison.relative));
     }
 
@@ -315,7 +343,7 @@ mod tests {
         assert!((tail(10_000).unwrap() - 0.025).abs() < 1e-4);
     }
 
-    /// Share of 200 draws of five pairs without any effect whose interval does not hold zero.
+    /// Fraction of 200 draws of five pairs without any effect whose interval does not include zero.
     fn false_alarms(tail: f64) -> f64 {
         let mut rng = stream(0, Purpose::Bootstrap, 1, 0);
         let mut alarm = || {
@@ -337,13 +365,23 @@ mod tests {
     fn only_common_seeds_are_paired_and_one_pair_has_no_interval() {
         let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
         let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
-        let comparison = Comparison::new(a, b, [2, 2]);
+        let comparison = of(a, b);
         assert_eq!(comparison.difference, Some(Estimate { value: 3.0, interval: None, pairs: 1 }));
         assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
-        let none = Comparison::new(per_seed(&[1.0]), PerSeed::new(), [1, 1]);
+        let none = of(per_seed(&[1.0]), PerSeed::new());
         assert_eq!(Verdict::of(&none, Expected::Higher), Verdict::Undefined);
-        let apart = Comparison::new([(0, 1.0)].into(), [(1, 2.0)].into(), [1, 1]);
+        let apart = of([(0, 1.0)].into(), [(1, 2.0)].into());
         assert_eq!(Verdict::of(&apart, Expected::Higher), Verdict::Unpaired);
+    }
+
+    #[test]
+    fn a_third_set_has_numbers_and_changes_nothing_of_the_first_two() {
+        let two = comparison(&[2.0, 4.0], &[1.0, 2.0]);
+        let sets = [two.sets.clone(), vec![Numbers::new(per_seed(&[9.0, 8.0]), 2)]].concat();
+        let three = Comparison::new(sets);
+        assert_eq!((three.difference, three.relative), (two.difference, two.relative));
+        assert_eq!(three.sets[2].spread.unwrap().mean, 8.5);
+        assert_eq!(Verdict::below(5.0, &three), Verdict::Holds);
     }
 
     #[test]
@@ -352,9 +390,10 @@ mod tests {
         assert_eq!(Verdict::below(0.05, &kept), Verdict::Holds);
         assert_eq!(Verdict::below(0.035, &kept), Verdict::Fails);
         assert_eq!(Verdict::below(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
-        let one_fell = Comparison::new(per_seed(&[0.02]), per_seed(&[0.02, 0.03]), [2, 2]);
+        let one_fell =
+            Comparison::new(vec![Numbers::new(per_seed(&[0.02]), 2), Numbers::new(per_seed(&[0.02, 0.03]), 2)]);
         assert_eq!(Verdict::below(0.05, &one_fell), Verdict::Fails);
-        assert_eq!(Verdict::below(0.05, &Comparison::new(PerSeed::new(), PerSeed::new(), [2, 2])), Verdict::Undefined);
+        assert_eq!(Verdict::below(0.05, &of(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
     }
 
     #[test]

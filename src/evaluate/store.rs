@@ -14,10 +14,10 @@ use super::contestants::Contestant;
 use super::results::PolicyResult;
 use super::{Condition, Experiment};
 use crate::estimate::{EstimatorConfig, SensorNoise, contact};
-use crate::files;
-use crate::provenance::{GIT_REVISION, MEASURES};
+use crate::robot::Robot;
 use crate::scenario::Sensing;
-use crate::scene::RobotFile;
+use crate::util::files;
+use crate::util::provenance::{GIT_REVISION, MEASURES};
 
 /// Larger files are not ours.
 const MAX_BYTES: u64 = 1 << 30;
@@ -108,7 +108,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
     let mut parts = serde_json::json!({
         "program": MEASURES,
         // One that cannot be read fails in its first trial, with the reason.
-        "robot": RobotFile::from_name(&contestant.agent.config.robot.model).sha256().unwrap_or_default(),
+        "robot": Robot::load(&contestant.agent.config.robot.model).map(|robot| robot.sha256()).unwrap_or_default(),
         "experiment": experiment.info().name,
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),

@@ -1,24 +1,26 @@
 //! One trial: a scenario, its seed, a policy, and the numbers that come out.
 
+use std::cell::OnceCell;
+
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{Condition, Experiment, Measured};
-use crate::agent::Agent;
 use crate::mujoco;
-use crate::random::{Purpose, stream};
-use crate::scenario::catalog::{ParameterError, Scenario};
+use crate::policy::Agent;
+use crate::scenario::catalog::{Scenario, ScriptError};
 use crate::scenario::estimation::Estimation;
-use crate::scenario::metrics::PHASE_S;
-use crate::scenario::{Rollout, Sensing, SensingError};
-use crate::trace::{EventKind, Trace};
+use crate::scenario::metrics::{self, Metric, PHASE_S};
+use crate::scenario::trace::{EventKind, Trace};
+use crate::scenario::{Rollout, Script, Sensing, SensingError};
+use crate::util::random::{Purpose, stream};
 
 /// Why a trial could not be played.
 #[derive(Debug, thiserror::Error)]
 pub enum TrialError {
-    /// A parameter of the protocol.
-    #[error("a scenario of the protocol is not valid: {0}")]
-    Parameter(#[from] ParameterError),
+    /// A parameter of the protocol, or the robot.
+    #[error("a scenario of the protocol cannot be played: {0}")]
+    Script(#[from] ScriptError),
     /// The scene does not compile.
     #[error(transparent)]
     Mujoco(#[from] mujoco::Error),
@@ -75,6 +77,50 @@ pub struct Sample {
     pub estimation: Option<Estimation>,
 }
 
+/// A trial that was played, for an experiment to read.
+#[derive(Debug)]
+pub struct Trial<'a> {
+    /// What was played.
+    pub scenario: &'a Scenario,
+    /// Its script.
+    pub script: &'a Script,
+    /// What happened.
+    pub trace: &'a Trace,
+    /// How it ended.
+    pub end: End,
+    metrics: OnceCell<Vec<Metric>>,
+}
+
+impl<'a> Trial<'a> {
+    /// Of a scenario, its script for a seed and what a policy made of it.
+    pub fn new(scenario: &'a Scenario, script: &'a Script, trace: &'a Trace) -> Self {
+        Trial { scenario, script, trace, end: End::of(trace), metrics: OnceCell::new() }
+    }
+
+    /// Whether the robot stayed on its feet until time was up.
+    pub fn is_upright(&self) -> bool {
+        self.end == End::Upright
+    }
+
+    /// A number that the scenario is about, by name.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        let metrics = self.metrics.get_or_init(|| self.scenario.metrics(self.script, self.trace));
+        metrics.iter().find(|metric| metric.name == name)?.value
+    }
+
+    /// The same; none if the robot fell.
+    pub fn upright_metric(&self, name: &str) -> Option<f64> {
+        self.is_upright().then(|| self.metric(name))?
+    }
+
+    /// Length of mean velocity minus command in the horizontal plane, from 2 s to the end; none if the robot fell
+    /// \[m/s\].
+    pub fn velocity_error(&self) -> Option<f64> {
+        let error = metrics::velocity_error(self.trace, metrics::SETTLE_S, self.script.duration_s);
+        error.filter(|_| self.is_upright())
+    }
+}
+
 /// The seed of a trial, the same for every policy of a seed: trials of two methods are paired.
 ///
 /// `experiment` tells experiments apart, `condition` what is varied within one.
@@ -86,29 +132,7 @@ pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u
 
 /// A trial's scenario: its disturbance comes at any phase of the gait.
 pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
-    let phase_s = PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0);
-    let mut scenario = scenario.clone();
-    match &mut scenario {
-        // A pushed robot is pushed at a phase of its own; on uneven ground no time is special.
-        Scenario::Walk(_) | Scenario::Push(_) | Scenario::Terrain(_) | Scenario::Outdoor(_) => {}
-        Scenario::Pulley(pulley) => {
-            pulley.at_s += phase_s;
-            pulley.task.duration_s += phase_s;
-        }
-        Scenario::Pendulum(pendulum) => {
-            pendulum.at_s += phase_s;
-            pendulum.task.duration_s += phase_s;
-        }
-        Scenario::Leash(leash) => {
-            leash.at_s += phase_s;
-            leash.task.duration_s += phase_s;
-        }
-        // The obstacle is farther away by what the robot walks in that time.
-        Scenario::Box(free_box) => free_box.distance_m += phase_s * free_box.task.forward_m_s,
-        Scenario::BallPit(pit) => pit.distance_m += phase_s * pit.task.forward_m_s,
-        Scenario::Rubble(rubble) => rubble.distance_m += phase_s * rubble.task.forward_m_s,
-    }
-    scenario
+    scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
 /// Plays a trial of an experiment.
@@ -128,9 +152,9 @@ pub fn play(
     script.after_fall_s = 0.0;
     let rollout = Rollout::new(&script, &agent.config, agent.controller())?;
     let trace = rollout.with_sensing(sensing, seed)?.trace();
-    let end = End::of(&trace);
-    let Measured { values, series } = experiment.measure(&scenario, &script, &trace, end);
-    Ok(Sample { end, values, series, estimation: Estimation::of(&trace) })
+    let trial = Trial::new(&scenario, &script, &trace);
+    let Measured { values, series } = experiment.measure(&trial);
+    Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
 }
 
 #[cfg(test)]

@@ -5,6 +5,7 @@ process (caught in `mujoco-sys`' C shim), warning counters in `mjData` (unstable
 full buffers drop contacts silently), text in a caller's buffer (XML), and null pointers. Apart from `mujoco-sys` this
 module is the only one that holds `unsafe` code.
 */
+#![allow(unsafe_code)]
 
 mod data;
 mod error;

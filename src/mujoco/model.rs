@@ -5,6 +5,7 @@ use std::ptr::NonNull;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use mujoco_sys as sys;
+use nalgebra::{Quaternion, UnitQuaternion};
 
 use super::error::{Error, Result};
 use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of};
@@ -497,6 +498,37 @@ impl Model {
     /// If there is no body of this id.
     pub fn body_centre_of_mass(&self, body: usize) -> [f64; 3] {
         row(self.slice(self.raw().body_ipos, 3 * self.raw().nbody), body)
+    }
+
+    /// Origin of a body in the frame of the body above it \[m\].
+    pub fn body_position(&self, body: usize) -> [f64; 3] {
+        row(self.slice(self.raw().body_pos, 3 * self.raw().nbody), body)
+    }
+
+    /// Rotation from a body's frame to that of the body above it.
+    pub fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
+        let [w, x, y, z] = row(self.slice(self.raw().body_quat, 4 * self.raw().nbody), body);
+        UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
+    }
+
+    /// Where a joint is, in its body's frame \[m\].
+    pub fn joint_anchor(&self, joint: usize) -> [f64; 3] {
+        row(self.slice(self.raw().jnt_pos, 3 * self.raw().njnt), joint)
+    }
+
+    /// The unit vector that a hinge turns about, in its body's frame.
+    pub fn joint_axis(&self, joint: usize) -> [f64; 3] {
+        row(self.slice(self.raw().jnt_axis, 3 * self.raw().njnt), joint)
+    }
+
+    /// Where a site is, in its body's frame \[m\].
+    pub fn site_position(&self, site: usize) -> [f64; 3] {
+        row(self.slice(self.raw().site_pos, 3 * self.raw().nsite), site)
+    }
+
+    /// Body of a site.
+    pub fn site_body(&self, site: usize) -> usize {
+        self.slice(self.raw().site_bodyid, self.raw().nsite)[site] as usize
     }
 
     /// Body to which each body is attached, shape (nbody).

@@ -132,6 +132,19 @@ pub struct Minibatch<'a> {
 }
 
 impl<'a> Minibatch<'a> {
+    /// Those of an update: for each of `permutations` an epoch over the batch in that order, the last minibatch of each
+    /// with what remains.
+    pub fn all(
+        batch: &'a Batch<'a>,
+        settings: &'a Hyperparameters,
+        permutations: &'a [Vec<u32>],
+    ) -> impl Iterator<Item = Self> {
+        permutations.iter().enumerate().flat_map(move |(epoch, permutation)| {
+            let minibatches = permutation.chunks(settings.minibatch_size).enumerate();
+            minibatches.map(move |(index, rows)| Self::new(batch, settings, epoch, index, rows))
+        })
+    }
+
     /// A single sample is not normalised, as in Stable-Baselines3.
     pub fn new(
         batch: &'a Batch<'a>,
@@ -180,7 +193,7 @@ impl Surrogate {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(in crate::ppo) mod tests {
     use super::*;
 
     pub const SETTINGS: Hyperparameters = Hyperparameters {

@@ -1,32 +1,33 @@
 /*!
 Proximal policy optimisation on the CPU.
 
-[`mod@reference`] states what is computed, in candle; [`Learner`] computes the same several times faster with fused
-products on all cores; [`PackedMlp`] evaluates one network during rollouts, with the same bits.
+Start reading in [`mod@candle`]: it states what is computed, in the order of the textbook. A [`Learner`] makes an update of
+a batch; there are two, and the key `ppo.learner` chooses between them:
+
+- [`CandleLearner`] computes just that, with gradients by automatic differentiation;
+- [`FusedLearner`], the default, computes the same several times faster, with gradients by hand and fused products on all
+  cores. [`PackedMlp`](crate::network::PackedMlp) evaluates one network during rollouts, with the same bits.
+
+To try a new loss, change [`candle::Loss::new`] and train with `ppo.learner: candle`; nothing else has to know. A term that
+is worth keeping then goes into the fused learner, and the tests that hold the two together say when it is right.
 
 The semantics are those of Stable-Baselines3 (advantages normalised per minibatch, unclipped value loss, joint
 gradient-norm clip, Adam) with the adaptive learning rate of Rudin et al. ("Learning to walk in minutes using
 massively parallel deep reinforcement learning", CoRL 2021) ahead of every step.
 */
 
-mod block;
+pub mod candle;
+pub mod fused;
 pub mod gaussian;
-mod kernels;
 mod learner;
 mod loss;
-mod network;
-mod optimizer;
-mod packed;
-mod panel;
-pub mod reference;
-mod team;
 #[cfg(test)]
 mod tests;
 mod update;
 
+pub use candle::CandleLearner;
+pub use fused::FusedLearner;
 pub use gaussian::{DiagonalGaussian, KlDivergence};
-pub use learner::{Learner, LearnerState};
+pub use learner::{Learner, LearnerState, learner};
 pub use loss::{Batch, Hyperparameters, Samples};
-pub use network::{ActorCritic, Layer, Mlp, TensorError};
-pub use packed::{PackedMlp, Scratch};
 pub use update::{UpdateFault, UpdateStatistics};

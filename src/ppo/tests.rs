@@ -1,4 +1,4 @@
-//! The fused learner against the reference in candle, and its promises about bits.
+//! Both learners against the textbook and against one another, and their promises about bits.
 
 use candle_core::{DType, Tensor};
 use proptest::prelude::*;
@@ -6,12 +6,13 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::candle::{Loss, Networks};
+use super::fused::team::Team;
 use super::loss::Minibatch;
 use super::loss::tests::SETTINGS;
-use super::reference::Reference;
-use super::team::Team;
 use super::*;
 use crate::config::LOG_STD_RANGE;
+use crate::network::{ActorCritic, Layer, PackedMlp, Scratch};
 
 impl Samples {
     /// From a policy somewhat away from the one to be trained.
@@ -69,8 +70,27 @@ fn settings(minibatch_size: usize) -> Hyperparameters {
     Hyperparameters { minibatch_size, ..SETTINGS }
 }
 
-fn learner(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> Learner {
-    Learner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
+fn fused(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> FusedLearner {
+    FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
+}
+
+/// Both learners, going on from `state`.
+fn resumed(state: &LearnerState, settings: &Hyperparameters) -> [Box<dyn Learner>; 2] {
+    [
+        Box::new(FusedLearner::new(state, settings.clone(), 2)),
+        Box::new(CandleLearner::new(state.clone(), settings.clone())),
+    ]
+}
+
+/// Both learners at the start.
+fn learners(network: &ActorCritic, settings: &Hyperparameters) -> [Box<dyn Learner>; 2] {
+    resumed(&LearnerState::new(network.clone(), settings), settings)
+}
+
+/// Gradient of the loss over one minibatch by automatic differentiation, in the order of [`ActorCritic::tensors`].
+fn candle_gradient(networks: &Networks, loss: &Loss) -> Vec<Vec<f64>> {
+    let gradients = loss.total.backward().unwrap();
+    networks.variables.iter().map(|variable| numbers(gradients.get(variable).unwrap())).collect()
 }
 
 fn numbers(tensor: &Tensor) -> Vec<f64> {
@@ -94,19 +114,18 @@ fn fused_gradients_equal_those_of_automatic_differentiation() {
         let order = &permutations(rows + 10, 1, 2)[0][..rows];
         let settings = settings(rows);
 
-        let reference = Reference::new(&network, DType::F64).unwrap();
-        let loss = reference.loss(&samples.batch(), order, &settings).unwrap();
-        let expected = reference.gradient(&loss.total).unwrap();
+        let networks = Networks::new(&network, DType::F64).unwrap();
+        let loss = Loss::new(&networks, &Minibatch::new(&samples.batch(), &settings, 0, 0, order)).unwrap();
+        let expected = candle_gradient(&networks, &loss);
 
-        let fused = learner(&network, settings.clone(), 1).gradient(&samples.batch(), &settings, order);
+        let fused = fused(&network, settings.clone(), 1).gradient(&samples.batch(), &settings, order);
         for ((name, _, fused), expected) in fused.tensors().into_iter().zip(&expected) {
-            let expected = numbers(expected);
             let scale = norm(expected.iter().copied());
-            let error = norm(fused.iter().zip(&expected).map(|(&fused, expected)| f64::from(fused) - expected));
+            let error = norm(fused.iter().zip(expected).map(|(&fused, expected)| f64::from(fused) - expected));
             assert!(scale > 1e-6, "{name} has no gradient");
             assert!(error < 1e-5 * scale, "{name} with {rows} rows: error {error:e} of {scale:e}");
             let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
-            for (i, (&fused, expected)) in fused.iter().zip(&expected).enumerate() {
+            for (i, (&fused, expected)) in fused.iter().zip(expected).enumerate() {
                 let error = (f64::from(fused) - expected).abs();
                 assert!(error < 1e-4 * expected.abs() + 1e-5 * largest, "{name}[{i}]: {fused:e}, not {expected:e}");
             }
@@ -121,14 +140,14 @@ fn reference_update(
     permutations: &[Vec<u32>],
     settings: &Hyperparameters,
 ) -> (Vec<Vec<f64>>, UpdateStatistics) {
-    let reference = Reference::new(network, DType::F64).unwrap();
+    let networks = Networks::new(network, DType::F64).unwrap();
     let mut moments: Vec<(Vec<f64>, Vec<f64>)> =
         network.tensors().iter().map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()])).collect();
     let scalar = |x: &Tensor| x.to_scalar::<f64>().unwrap();
     let (mut rate, mut count, mut statistics) = (settings.learning_rate, 0, UpdateStatistics::default());
     for rows in permutations.iter().flat_map(|rows| rows.chunks(settings.minibatch_size)) {
-        let loss = reference.loss(batch, rows, settings).unwrap();
-        let gradients: Vec<_> = reference.gradient(&loss.total).unwrap().iter().map(numbers).collect();
+        let loss = Loss::new(&networks, &Minibatch::new(batch, settings, 0, 0, rows)).unwrap();
+        let gradients = candle_gradient(&networks, &loss);
 
         let kl = scalar(&loss.kl);
         let desired = settings.desired_kl;
@@ -142,7 +161,7 @@ fn reference_update(
 
         count += 1;
         let (b1, b2) = (settings.adam_beta1, settings.adam_beta2);
-        for (((_, variable), gradient), (m, v)) in reference.variables().iter().zip(&gradients).zip(&mut moments) {
+        for ((variable, gradient), (m, v)) in networks.variables.iter().zip(&gradients).zip(&mut moments) {
             let mut values = numbers(variable.as_tensor());
             for (i, value) in values.iter_mut().enumerate() {
                 let g = gradient[i] * clip;
@@ -173,7 +192,7 @@ fn reference_update(
     ] {
         *sum /= n;
     }
-    (reference.variables().iter().map(|(_, variable)| numbers(variable.as_tensor())).collect(), statistics)
+    (networks.variables.iter().map(|variable| numbers(variable)).collect(), statistics)
 }
 
 #[test]
@@ -184,29 +203,32 @@ fn an_update_equals_the_textbook_loop() {
     let settings = settings(128); // leaves a last minibatch of 44
 
     let (expected, expected_statistics) = reference_update(&network, &samples.batch(), &order, &settings);
-    let mut learner = learner(&network, settings, 2);
-    let statistics = learner.update(&samples.batch(), &order).unwrap();
-
-    let before = network.tensors();
-    let after = learner.parameters();
-    for ((before, (name, _, after)), expected) in before.iter().zip(after.tensors()).zip(&expected) {
-        let way = norm(before.2.iter().zip(expected).map(|(&before, expected)| f64::from(before) - expected));
-        let error = norm(after.iter().zip(expected).map(|(&after, expected)| f64::from(after) - expected));
-        assert!(way > 1e-3, "{name} has not moved");
-        assert!(error < 1e-4 * way, "{name}: off by {error:e} after {way:e}");
-    }
-    for (name, actual, expected) in [
-        ("policy loss", statistics.policy_loss, expected_statistics.policy_loss),
-        ("value loss", statistics.value_loss, expected_statistics.value_loss),
-        ("entropy", statistics.entropy, expected_statistics.entropy),
-        ("KL", statistics.kl, expected_statistics.kl),
-        ("gradient norm", statistics.gradient_norm, expected_statistics.gradient_norm),
-        ("largest gradient norm", statistics.max_gradient_norm, expected_statistics.max_gradient_norm),
-        ("learning rate", statistics.learning_rate, expected_statistics.learning_rate),
-    ] {
-        assert!((actual - expected).abs() < 1e-4 * expected.abs(), "{name}: {actual}, not {expected}");
-    }
-    assert!(statistics.clip_fraction > 0.0 && statistics.clip_fraction < 1.0);
+    let [fused, candle] = learners(&network, &settings).map(|mut learner| {
+        let statistics = learner.update(&samples.batch(), &order).unwrap();
+        let before = network.tensors();
+        let after = learner.parameters();
+        for ((before, (name, _, after)), expected) in before.iter().zip(after.tensors()).zip(&expected) {
+            let way = norm(before.2.iter().zip(expected).map(|(&before, expected)| f64::from(before) - expected));
+            let error = norm(after.iter().zip(expected).map(|(&after, expected)| f64::from(after) - expected));
+            assert!(way > 1e-3, "{name} has not moved");
+            assert!(error < 1e-4 * way, "{name}: off by {error:e} after {way:e}: {learner:?}");
+        }
+        for (name, actual, expected) in [
+            ("policy loss", statistics.policy_loss, expected_statistics.policy_loss),
+            ("value loss", statistics.value_loss, expected_statistics.value_loss),
+            ("entropy", statistics.entropy, expected_statistics.entropy),
+            ("KL", statistics.kl, expected_statistics.kl),
+            ("gradient norm", statistics.gradient_norm, expected_statistics.gradient_norm),
+            ("largest gradient norm", statistics.max_gradient_norm, expected_statistics.max_gradient_norm),
+            ("learning rate", statistics.learning_rate, expected_statistics.learning_rate),
+        ] {
+            assert!((actual - expected).abs() < 1e-4 * expected.abs(), "{name}: {actual}, not {expected}");
+        }
+        statistics
+    });
+    assert!(fused.clip_fraction > 0.0 && fused.clip_fraction < 1.0);
+    assert_eq!(fused.clip_fraction, candle.clip_fraction);
+    assert!((fused.max_ratio - candle.max_ratio).abs() < 1e-4 * fused.max_ratio);
 }
 
 #[test]
@@ -215,7 +237,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     let samples = Samples::new(&network, 300, 1);
     let order = permutations(300, 2, 2);
     let state = |threads| {
-        let mut learner = learner(&network, settings(150), threads);
+        let mut learner = fused(&network, settings(150), threads);
         let statistics = learner.update(&samples.batch(), &order).unwrap();
         (learner.state(), statistics)
     };
@@ -230,8 +252,8 @@ fn any_instruction_set_gives_the_same_bits() {
     let network = network();
     let samples = Samples::new(&network, 70, 1);
     let order = permutations(70, 2, 2);
-    let state = |change: fn(&mut Learner)| {
-        let mut learner = learner(&network, settings(70), 1);
+    let state = |change: fn(&mut FusedLearner)| {
+        let mut learner = fused(&network, settings(70), 1);
         change(&mut learner);
         learner.update(&samples.batch(), &order).unwrap();
         learner.state()
@@ -240,7 +262,8 @@ fn any_instruction_set_gives_the_same_bits() {
     assert!(state(|learner| learner.arch = pulp::Arch::Scalar) == best);
     #[cfg(target_arch = "x86_64")]
     if pulp::x86::V3::try_new().is_some() {
-        let avx2 = |learner: &mut Learner| learner.arch = pulp::x86::V3::try_new().map_or(learner.arch, pulp::Arch::V3);
+        let avx2 =
+            |learner: &mut FusedLearner| learner.arch = pulp::x86::V3::try_new().map_or(learner.arch, pulp::Arch::V3);
         assert!(state(avx2) == best);
     }
 }
@@ -250,17 +273,19 @@ fn a_restored_learner_continues_with_the_same_bits() {
     let network = network();
     let samples = Samples::new(&network, 300, 1);
     let order = permutations(300, 4, 2);
+    let settings = settings(100);
 
-    let mut whole = learner(&network, settings(100), 2);
-    whole.update(&samples.batch(), &order[..2]).unwrap();
-    let saved = whole.state();
-    whole.update(&samples.batch(), &order[2..]).unwrap();
+    for (i, mut whole) in learners(&network, &settings).into_iter().enumerate() {
+        whole.update(&samples.batch(), &order[..2]).unwrap();
+        let saved = whole.state();
+        whole.update(&samples.batch(), &order[2..]).unwrap();
 
-    let mut resumed = Learner::new(&saved, settings(100), 1);
-    assert!(resumed.state() == saved);
-    resumed.update(&samples.batch(), &order[2..]).unwrap();
-    assert!(resumed.state() == whole.state());
-    assert_eq!(whole.state().steps, 12);
+        let resumed = &mut resumed(&saved, &settings)[i];
+        assert!(resumed.state() == saved);
+        resumed.update(&samples.batch(), &order[2..]).unwrap();
+        assert!(resumed.state() == whole.state());
+        assert_eq!(whole.state().steps, 12);
+    }
 }
 
 #[test]
@@ -315,10 +340,11 @@ fn the_policy_of_the_rollout_is_at_distance_zero_in_the_first_minibatch() {
     let mut samples = Samples::new(&network, 64, 1);
     PackedMlp::new(&network.policy).forward(64, &samples.observations, &mut samples.means, &mut Scratch::default());
     samples.log_std.clone_from(&network.log_std);
-    let mut learner = learner(&network, settings(64), 1);
-    let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
-    assert_eq!(statistics.kl, 0.0);
-    assert_eq!(statistics.learning_rate, SETTINGS.learning_rate);
+    for mut learner in learners(&network, &settings(64)) {
+        let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
+        assert_eq!(statistics.kl, 0.0);
+        assert_eq!(statistics.learning_rate, SETTINGS.learning_rate);
+    }
 }
 
 #[test]
@@ -328,32 +354,40 @@ fn a_nan_stops_the_update_before_its_step() {
     samples.advantages[123] = f32::NAN;
     let order = permutations(200, 1, 2);
     let faulty = order[0].iter().position(|&row| row == 123).unwrap() / 100;
+    let settings = settings(100);
 
-    let mut learner = learner(&network, settings(100), 2);
-    let fault = learner.update(&samples.batch(), &order).unwrap_err();
-    let UpdateFault::NotFinite { epoch: 0, minibatch, samples: rows, summary } = fault else {
-        panic!("{fault}");
-    };
-    assert_eq!(minibatch, faulty);
-    assert_eq!(rows, order[0][faulty * 100..][..100]);
-    assert!(summary.policy_loss.is_nan() && summary.value_loss.is_finite());
+    for (mut learner, mut healthy) in learners(&network, &settings).into_iter().zip(learners(&network, &settings)) {
+        let fault = learner.update(&samples.batch(), &order).unwrap_err();
+        let UpdateFault::NotFinite { epoch: 0, minibatch, samples: rows, summary } = fault else {
+            panic!("{fault}");
+        };
+        assert_eq!(minibatch, faulty);
+        assert_eq!(rows, order[0][faulty * 100..][..100]);
+        assert!(summary.policy_loss.is_nan() && summary.value_loss.is_finite());
 
-    let mut healthy = self::learner(&network, settings(100), 1);
-    let before = vec![order[0][..faulty * 100].to_vec()];
-    healthy.update(&samples.batch(), &before).unwrap();
-    assert!(learner.state() == healthy.state());
+        let before = vec![order[0][..faulty * 100].to_vec()];
+        healthy.update(&samples.batch(), &before).unwrap();
+        assert!(learner.state() == healthy.state());
+    }
 }
 
 #[test]
-fn infinite_returns_and_gradients_stop_the_update() {
+fn numbers_that_are_not_finite_or_too_large_stop_the_update() {
     let network = network();
-    for huge in [f32::INFINITY, f32::MAX] {
-        let mut samples = Samples::new(&network, 64, 1);
-        samples.returns[7] = huge;
-        let mut learner = learner(&network, settings(64), 1);
-        let result = learner.update(&samples.batch(), &permutations(64, 1, 1));
-        assert!(matches!(result, Err(UpdateFault::NotFinite { .. })), "{huge}: {result:?}");
-        assert!(learner.parameters() == network);
+    let samples = Samples::new(&network, 64, 1);
+    let broken: [fn(&mut Samples); 3] = [
+        |samples| samples.returns[7] = f32::INFINITY,
+        |samples| samples.returns[7] = f32::MAX,
+        |samples| samples.observations[20] = f32::NAN,
+    ];
+    for (i, change) in broken.into_iter().enumerate() {
+        let mut samples = samples.clone();
+        change(&mut samples);
+        for mut learner in learners(&network, &settings(64)) {
+            let result = learner.update(&samples.batch(), &permutations(64, 1, 1));
+            assert!(matches!(result, Err(UpdateFault::NotFinite { .. })), "{i}: {result:?}");
+            assert!(learner.parameters() == network);
+        }
     }
 }
 
@@ -364,40 +398,32 @@ fn the_standard_deviation_stays_within_its_range_and_the_largest_ratio_is_report
     network.log_std[1] = LOG_STD_RANGE[0] - 1.0;
     let mut samples = Samples::new(&network, 64, 1);
     samples.log_std.clone_from(&network.log_std);
-    let mut learner = learner(&network, settings(64), 1);
-    let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
-    let log_std = learner.parameters().log_std;
-    assert_eq!((log_std[0], log_std[1]), (LOG_STD_RANGE[1], LOG_STD_RANGE[0]));
-    assert!(statistics.max_ratio.is_finite() && statistics.max_ratio > 0.0);
-}
-
-#[test]
-fn a_nan_in_an_observation_is_noticed() {
-    let network = network();
-    let mut samples = Samples::new(&network, 64, 1);
-    samples.observations[20] = f32::NAN;
-    let mut learner = learner(&network, settings(64), 1);
-    assert!(learner.update(&samples.batch(), &permutations(64, 1, 1)).is_err());
-    assert!(learner.parameters() == network);
+    for mut learner in learners(&network, &settings(64)) {
+        let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
+        let log_std = learner.parameters().log_std;
+        assert_eq!((log_std[0], log_std[1]), (LOG_STD_RANGE[1], LOG_STD_RANGE[0]));
+        assert!(statistics.max_ratio.is_finite() && statistics.max_ratio > 0.0);
+    }
 }
 
 #[test]
 fn a_batch_that_does_not_fit_is_refused() {
     let network = network();
     let samples = Samples::new(&network, 64, 1);
-    let mut learner = learner(&network, settings(64), 1);
     let short = Batch { means: &samples.means[1..], ..samples.batch() };
-    assert_eq!(
-        learner.update(&short, &permutations(64, 1, 1)).unwrap_err().to_string(),
-        "means of the batch should have 320 elements, but has 319"
-    );
-    assert_eq!(
-        learner.update(&samples.batch(), &[vec![64]]).unwrap_err().to_string(),
-        "the permutation of epoch 0 names sample 64 of only 64"
-    );
+    for mut learner in learners(&network, &settings(64)) {
+        assert_eq!(
+            learner.update(&short, &permutations(64, 1, 1)).unwrap_err().to_string(),
+            "means of the batch should have 320 elements, but has 319"
+        );
+        assert_eq!(
+            learner.update(&samples.batch(), &[vec![64]]).unwrap_err().to_string(),
+            "the permutation of epoch 0 names sample 64 of only 64"
+        );
+    }
 }
 
-impl Learner {
+impl FusedLearner {
     /// Gradient over one minibatch, without a step.
     fn gradient(&self, batch: &Batch<'_>, settings: &Hyperparameters, rows: &[u32]) -> ActorCritic {
         Team::run(1, |team| {

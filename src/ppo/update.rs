@@ -4,9 +4,8 @@ The course of an update: from the sums of a minibatch to its step, statistics or
 
 use serde::Serialize;
 
-use super::Batch;
 use super::loss::Minibatch;
-use super::optimizer::AdamStep;
+use super::{Batch, Hyperparameters};
 
 /// What an update did; means over its minibatches unless said otherwise.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
@@ -66,6 +65,15 @@ pub enum UpdateFault {
         /// The values seen.
         summary: UpdateStatistics,
     },
+    /// The candle learner met an error of candle; the parameters are those before the update.
+    #[error("candle: {0}")]
+    Candle(String),
+}
+
+impl From<candle_core::Error> for UpdateFault {
+    fn from(error: candle_core::Error) -> Self {
+        UpdateFault::Candle(error.to_string())
+    }
 }
 
 /// What the minibatches of an update pass on.
@@ -74,26 +82,47 @@ pub struct Progress {
     pub steps: u64,
     pub learning_rate: f64,
     pub statistics: UpdateStatistics,
+    /// Minibatches of the update.
+    count: usize,
     /// The step to take; none after a fault.
-    pub step: Option<AdamStep>,
+    pub step: Option<Step>,
     pub fault: Option<UpdateFault>,
+}
+
+/// What every learner does alike in a gradient step.
+#[derive(Debug, Clone, Copy)]
+pub struct Step {
+    /// Counted from one.
+    pub count: u64,
+    pub learning_rate: f64,
+    /// Clips the norm of the joint gradient.
+    pub gradient_scale: f64,
+}
+
+impl Step {
+    /// For a joint gradient of `gradient_norm`.
+    pub fn new(settings: &Hyperparameters, count: u64, learning_rate: f64, gradient_norm: f64) -> Self {
+        let gradient_scale = (settings.max_gradient_norm / (gradient_norm + 1e-6)).min(1.0);
+        Self { count, learning_rate, gradient_scale }
+    }
 }
 
 impl Progress {
     /// At the start of an update.
-    pub fn new(steps: u64, learning_rate: f64) -> Self {
-        Self { steps, learning_rate, statistics: UpdateStatistics::default(), step: None, fault: None }
+    pub fn new(steps: u64, learning_rate: f64, settings: &Hyperparameters, permutations: &[Vec<u32>]) -> Self {
+        let count = permutations.iter().map(|rows| rows.chunks(settings.minibatch_size).len()).sum();
+        Self { steps, learning_rate, statistics: UpdateStatistics::default(), count, step: None, fault: None }
     }
 
-    /// Decides on the step of `minibatch`, of which an update has `count`, from its statistics.
-    pub fn conclude(&mut self, minibatch: &Minibatch<'_>, mut summary: UpdateStatistics, count: usize) {
+    /// Decides on the step of `minibatch` from its statistics.
+    pub fn conclude(&mut self, minibatch: &Minibatch<'_>, mut summary: UpdateStatistics) {
         let Minibatch { epoch, index, rows, settings, .. } = *minibatch;
         summary.learning_rate = settings.adapted_learning_rate(self.learning_rate, summary.kl);
         if summary.is_finite() {
             self.learning_rate = summary.learning_rate;
             self.steps += 1;
-            self.step = Some(AdamStep::new(settings, self.steps, self.learning_rate, summary.gradient_norm));
-            self.statistics.add(&summary, 1.0 / count as f64);
+            self.step = Some(Step::new(settings, self.steps, self.learning_rate, summary.gradient_norm));
+            self.statistics.add(&summary, 1.0 / self.count as f64);
         } else {
             self.step = None;
             self.fault = Some(UpdateFault::NotFinite { epoch, minibatch: index, samples: rows.to_vec(), summary });
@@ -106,17 +135,17 @@ impl UpdateStatistics {
         [self.policy_loss, self.value_loss, self.entropy, self.kl, self.gradient_norm].iter().all(|x| x.is_finite())
     }
 
-    /// Adds a minibatch that is `share` of the update.
-    fn add(&mut self, minibatch: &Self, share: f64) {
-        self.policy_loss += share * minibatch.policy_loss;
-        self.value_loss += share * minibatch.value_loss;
-        self.entropy += share * minibatch.entropy;
-        self.kl += share * minibatch.kl;
-        self.clip_fraction += share * minibatch.clip_fraction;
+    /// Adds a minibatch that has this weight in the update.
+    fn add(&mut self, minibatch: &Self, weight: f64) {
+        self.policy_loss += weight * minibatch.policy_loss;
+        self.value_loss += weight * minibatch.value_loss;
+        self.entropy += weight * minibatch.entropy;
+        self.kl += weight * minibatch.kl;
+        self.clip_fraction += weight * minibatch.clip_fraction;
         self.max_ratio = self.max_ratio.max(minibatch.max_ratio);
-        self.gradient_norm += share * minibatch.gradient_norm;
+        self.gradient_norm += weight * minibatch.gradient_norm;
         self.max_gradient_norm = self.max_gradient_norm.max(minibatch.max_gradient_norm);
-        self.learning_rate += share * minibatch.learning_rate;
+        self.learning_rate += weight * minibatch.learning_rate;
     }
 }
 

@@ -1,48 +1,154 @@
-/*! Robots from elsewhere: an MJCF file that was written for other purposes, made to fit, with a report of what changed.
+/*! A quadruped as data: everything that depends on which robot it is, read from its MJCF.
 
-A file such as the widely used Go1 brings its own servos, damping, contact softness, solver options and floor. Here the
-only controller is the PD law with its torque limits, the only damping is K_d, and the ground's friction is the
-scenario's; otherwise numbers of two robots could not be compared. So the file is read as it is, compiled once to learn
-what MuJoCo makes of it, and written again with our names for trunk, joints and feet, motors instead of servos, and
-without what contradicts that. Masses, inertias, shapes, joint limits and armature stay as they are.
+A robot is a trunk that floats freely and four legs of three hinges. The Go1 ships (`models/go1.xml`); any other one is an
+MJCF file, or a YAML file that names one and says what its parts are called, made to fit by `import`. Scenes include
+[`Robot::mjcf`], which has our names for trunk, joints, feet and motors, whatever the file called them.
 */
 
-mod adapt;
-mod names;
-mod xml;
+mod extent;
+mod import;
+pub mod kinematics;
+mod legs;
+mod state;
 
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, LazyLock};
 
-/// A file that is no robot we can use.
+use nalgebra::{Point3, Vector3};
+
+pub use extent::Extent;
+pub use kinematics::{Foot, Leg};
+pub use legs::{JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, of_leg, opposite, same_in_every_leg};
+pub use state::{FootState, Foothold, RobotState};
+
+use crate::mujoco::{Kind, Model};
+use crate::util::files;
+
+/// The robots inside the program: name and MJCF.
+const SHIPPED: &[(&str, &str)] = &[("go1", include_str!("../../models/go1.xml"))];
+
+/// Name of the site at the trunk's centre of mass, to which ropes are tied.
+pub const HARNESS: &str = "harness";
+
+/// A robot that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("robot {}: {problem}", path.display())]
 pub struct RobotError {
-    /// The MJCF or YAML file.
+    /// The MJCF or YAML file, or the name of a robot that ships.
     pub path: PathBuf,
     /// What was found and expected.
     pub problem: String,
 }
 
-/// A robot that fits our scenes.
+/// A quadruped.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
-    /// MJCF sections: compiler, defaults, assets, the trunk in a world body, motors, the starting pose.
-    pub mjcf: String,
-    /// What was changed and what was left out, a line each.
+    /// As it was asked for: `go1`, or the path of its file.
+    pub name: String,
+    mjcf: String,
+    /// What was changed in the file to make it fit and what was left out, a line each.
     pub report: Vec<String>,
-    /// Base height below which it has fallen, if its description says so \[m\].
-    pub min_height_m: Option<f64>,
+    /// Ranges of the joints \[rad\].
+    pub joint_limits: [[f64; 2]; JOINTS],
+    /// Largest torques of the motors [N·m].
+    pub torque_limits: Joints,
+    /// What the robot starts from: the trunk's position and quaternion, then the joint angles in the model's order.
+    pub stand: Vec<f64>,
+    /// Geometry of the legs, in the order of [`LEGS`].
+    pub legs: [Leg; 4],
+    /// Where the IMU is, base frame \[m\]: the site `imu`, or the trunk's origin.
+    pub imu_in_base: Vector3<f64>,
+    /// Mass of all parts \[kg\].
+    pub mass_kg: f64,
+    /// How far the trunk reaches from its origin \[m\].
+    pub trunk: Extent,
+    /// Base height below which it counts as fallen, if its description says so \[m\].
+    pub fall_height_m: Option<f64>,
+    /// Names of the geometries that can touch the ground.
+    pub colliding: Vec<String>,
 }
 
+static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, RobotError>>> = LazyLock::new(|| {
+    let robot = |(name, mjcf): &(&str, &str)| Robot::new(name, (*mjcf).to_owned(), Vec::new(), None).map(Arc::new);
+    SHIPPED.iter().map(robot).collect()
+});
+
 impl Robot {
-    /// Reads an MJCF file, or a YAML file that names one and says what its parts are called.
+    /// A robot that ships, by name, or that of an MJCF file, or of a YAML file about one.
     ///
     /// # Errors
     /// [`RobotError`] that says what does not fit.
-    pub fn load(path: &Path) -> Result<Self, RobotError> {
-        let fail = |problem| RobotError { path: path.to_owned(), problem };
-        let description = names::Description::read(path).map_err(fail)?;
-        let tree = xml::read(&description.mjcf).map_err(fail)?;
-        adapt::adapt(tree, &description).map_err(fail)
+    pub fn load(name: &str) -> Result<Arc<Self>, RobotError> {
+        if let Some(index) = SHIPPED.iter().position(|(shipped, _)| *shipped == name) {
+            return SHIPPED_ROBOTS[index].clone();
+        }
+        let path = Path::new(name);
+        let import::Imported { mjcf, report, fall_height_m } =
+            import::read(path).map_err(|problem| RobotError { path: path.to_owned(), problem })?;
+        Self::new(name, mjcf, report, fall_height_m).map(Arc::new)
+    }
+
+    /// Whether a robot of this name ships.
+    pub fn ships(name: &str) -> bool {
+        SHIPPED.iter().any(|(shipped, _)| *shipped == name)
+    }
+
+    /// Reads everything from an MJCF document that has our names.
+    fn new(name: &str, mjcf: String, report: Vec<String>, fall_height_m: Option<f64>) -> Result<Self, RobotError> {
+        let fail = |problem: String| RobotError { path: name.into(), problem };
+        let words = |error: crate::mujoco::Error| fail(error.to_string());
+        let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
+        let trunk = model.id(Kind::Body, "trunk").map_err(words)?;
+        let (mut joint_limits, mut torque_limits) = ([[0.0; 2]; JOINTS], [0.0; JOINTS]);
+        for joint in 0..JOINTS {
+            let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
+            joint_limits[joint] = model.joint_range(id);
+            let motor = model.id(Kind::Actuator, &joint_name(joint)).map_err(words)?;
+            torque_limits[joint] = model.control_range(motor)[1];
+        }
+        let legs = (0..LEGS.len()).map(|leg| Leg::of(&model, leg)).collect::<Result<Vec<_>, _>>().map_err(fail)?;
+        let legs = <[Leg; 4]>::try_from(legs).map_err(|_| fail("it has not four legs".into()))?;
+        let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
+        let collides = |geom: &usize| model.geom_contact(*geom).collides();
+        let colliding = (0..model.count(Kind::Geom)).filter(collides);
+        Ok(Robot {
+            name: name.to_owned(),
+            report,
+            joint_limits,
+            torque_limits,
+            stand: model.numeric("stand_qpos").map_err(words)?.to_vec(),
+            legs,
+            imu_in_base: imu.map_or_else(Vector3::zeros, |site| model.site_position(site).into()),
+            mass_kg: model.body_mass().iter().sum(),
+            trunk: Extent::of(&model, trunk),
+            fall_height_m,
+            colliding: colliding.map(|geom| model.name(Kind::Geom, geom).to_owned()).collect(),
+            mjcf,
+        })
+    }
+
+    /// The MJCF document that scenes include.
+    pub fn mjcf(&self) -> &str {
+        &self.mjcf
+    }
+
+    /// Identity of the robot: SHA-256 of its MJCF.
+    pub fn sha256(&self) -> String {
+        files::sha256(&[self.mjcf.as_bytes()])
+    }
+
+    /// What becomes of a joint's angle in a mirror between the left and the right legs: the joint that takes it over, and
+    /// the sign. Legs of one side are taken to be built like those of the other.
+    pub fn mirrored(&self, joint: usize) -> (usize, f64) {
+        let axis = |joint: usize| self.legs[joint / PARTS.len()].axes()[joint % PARTS.len()];
+        // A reflection keeps the part of a turn about its normal, which points to the left, and reverses the others.
+        let image = Vector3::new(-axis(joint).x, axis(joint).y, -axis(joint).z);
+        let other = opposite(joint);
+        (other, image.dot(&axis(other)).signum())
+    }
+
+    /// Hip joints, base frame \[m\].
+    pub fn hips(&self) -> [Point3<f64>; 4] {
+        self.legs.map(|leg| leg.hip())
     }
 }

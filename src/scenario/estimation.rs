@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::metrics::Metric;
 use crate::estimate::contact::score::Confusion;
-use crate::trace::{Frame, Sensed, Trace};
+use crate::scenario::trace::{Frame, Sensed, Trace};
 
 /// Errors of the estimates, over all frames before the first fall: what a fallen robot believes is no matter of walking.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -63,7 +63,7 @@ impl Estimation {
 mod tests {
     use super::*;
     use crate::scenario::metrics::tests::synthetic;
-    use crate::trace::{Event, EventKind};
+    use crate::scenario::trace::{Event, EventKind};
 
     /// Two seconds; the estimate is off by (0.03, 0.04, 0) m/s and 1 cm, and drifts by 1 cm/s to the left.
     fn trace() -> Trace {

@@ -4,7 +4,7 @@ Times are simulation times. A *window* is half-open, `(from, until]`, because a 
 its time. Velocities are in the heading frame (forward, left).
 */
 
-use crate::trace::{Frame, Trace};
+use crate::scenario::trace::{Frame, Trace};
 
 /// Length of the moving average in decay times, about a stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
@@ -81,7 +81,7 @@ fn touching(frame: &Frame, leg: usize) -> bool {
 }
 
 /// Share of the time in which no foot touches the ground: about none in a trot, most of it in hopping.
-pub fn flight_share(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
+pub fn flight_fraction(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     mean(window(trace, from_s, until_s), |frame| f64::from(!(0..4).any(|leg| touching(frame, leg))))
 }
 
@@ -231,10 +231,16 @@ pub fn largest<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) 
     frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| old.max(value))))
 }
 
+/// When the trunk passes two lines across the way (world frame, x), if it passes both \[s\].
+pub fn crossing(trace: &Trace, first_m: f64, last_m: f64) -> Option<[f64; 2]> {
+    let when = |line_m: f64| Some(trace.frames.iter().find(|frame| frame.position[0] > line_m)?.time_s);
+    Some([when(first_m)?, when(last_m)?])
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use crate::trace::{Event, EventKind};
+    use crate::scenario::trace::{Event, EventKind};
 
     /// A trace at 60 Hz whose heading velocity is given as a function of time.
     pub(crate) fn synthetic(duration_s: f64, velocity: impl Fn(f64) -> [f64; 3]) -> Trace {
@@ -338,9 +344,9 @@ pub(crate) mod tests {
         let frequency = stride_frequency(&trace, 0.0, 4.0).unwrap();
         assert!((frequency - 2.0).abs() <= 0.25, "{frequency}");
         assert!((swing_height(&trace, 0.0, 4.0).unwrap() - 0.06).abs() < 0.001);
-        assert!((flight_share(&trace, 0.0, 4.0).unwrap() - 0.5).abs() < 0.04);
+        assert!((flight_fraction(&trace, 0.0, 4.0).unwrap() - 0.5).abs() < 0.04);
         // One foot that stays down is enough.
         trace.frames.iter_mut().for_each(|frame| frame.foot_forces[2] = [0.0, 0.0, 2.0]);
-        assert_eq!(flight_share(&trace, 0.0, 4.0), Some(0.0));
+        assert_eq!(flight_fraction(&trace, 0.0, 4.0), Some(0.0));
     }
 }

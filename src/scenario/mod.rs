@@ -1,26 +1,26 @@
 /*! Disturbing a policy and watching what it does.
 
 A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Rollout`] plays any script with
-any [`Controller`] and yields a [`Trace`](crate::trace::Trace), frame by frame; [`metrics`] reads traces. With
-[`Sensing::Estimated`] the controller acts on sensors, not on the true state. Nothing here is ever seen in training.
+any [`Controller`](crate::policy::Controller) and yields a [`Trace`](crate::scenario::trace::Trace), frame by frame; [`metrics`] reads traces. With
+[`Sensing::Estimated`] the controller acts on sensors, not on the true state. Nothing here is ever seen in
+training.
 */
 
 pub mod catalog;
-mod controller;
 pub mod estimation;
 pub mod metrics;
 mod play;
 pub mod rig;
 pub mod senses;
 pub mod terrain;
+pub mod trace;
 
 use serde::{Deserialize, Serialize};
 
-use crate::scene::Scene;
+use crate::sim::Scene;
 use crate::sim::{Conditions, Push};
 use crate::task::Command;
 
-pub use controller::{Controller, PolicyController};
 pub use play::{Played, Rollout};
 pub use rig::Rig;
 pub use senses::{Sensing, SensingError};

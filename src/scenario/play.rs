@@ -4,16 +4,17 @@ use nalgebra::Vector3;
 
 use super::rig::{RigState, RopeForces};
 use super::senses::Senses;
-use super::{Controller, Goal, Script, Sensing, SensingError};
+use super::{Goal, Script, Sensing, SensingError};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
-use crate::go1::{Foothold, Go1, Joints, RobotState};
 use crate::mujoco::{self, Data, Kind};
-use crate::sim::{Sim, StepObserver};
+use crate::policy::Controller;
+use crate::robot::{Foothold, Joints, RobotState};
+use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
+use crate::sim::{Parts, Sim, StepObserver};
 use crate::task::episode::GRAVITY;
-use crate::task::{Stages, SwingTracker, Terms};
-use crate::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
+use crate::task::{Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
 const PUSH_SHOWN_S: f64 = 0.3;
@@ -120,7 +121,7 @@ impl<'a> Rollout<'a> {
 
     /// A trace without frames yet.
     pub fn empty_trace(&self) -> Trace {
-        let weight_n = self.sim.robot().mass_kg() * GRAVITY;
+        let weight_n = self.sim.robot().mass_kg * GRAVITY;
         Trace { period_s: self.sim.policy_period_s(), weight_n, ..Trace::default() }
     }
 
@@ -170,7 +171,14 @@ impl<'a> Rollout<'a> {
         if let Some(event) = events.iter().rfind(|event| event.kind == EventKind::Disturbance) {
             self.disturbed = Some((event.time_s, event.text.clone()));
         }
-        let terms = Terms::new(&state, &self.script.command, &summary, &landings, &config.reward);
+        let step = reward::Step {
+            state: &state,
+            command: &self.script.command,
+            summary: &summary,
+            landings: &landings,
+            config: &config.reward,
+        };
+        let terms = Terms::new(&step);
         if let (Some(fall), None) = (summary.fall, self.fallen_since) {
             self.fallen_since = Some(self.step);
             let after = self
@@ -210,7 +218,7 @@ impl<'a> Rollout<'a> {
             joint_angles: state.joint_angles,
             joint_targets: target,
             torques: meter.torques,
-            foot_positions: self.sim.robot().feet().map(|geom| array(&data.geom_positions()[3 * geom..])),
+            foot_positions: self.sim.parts().feet().map(|geom| array(&data.geom_positions()[3 * geom..])),
             foot_heights: state.feet.map(|foot| foot.height),
             foot_forces: meter.foot_forces.map(|force| force.map(|value| value / substeps)),
             peak_foot_force_n: meter.peak_foot_force_n,
@@ -346,9 +354,9 @@ impl StepObserver for Meter<'_> {
         self.swings.feet(feet);
     }
 
-    fn forces(&mut self, data: &Data, robot: &Go1, torques: &Joints) {
+    fn forces(&mut self, data: &Data, parts: &Parts, torques: &Joints) {
         if let Some(senses) = &mut self.senses {
-            senses.read(data, robot);
+            senses.read(data, parts);
         }
         self.substeps += 1;
         self.torques = *torques;
@@ -359,16 +367,16 @@ impl StepObserver for Meter<'_> {
         for contact in data.contacts() {
             let [first, second] = contact.geoms;
             // The robot's share: forces are given on the second geometry.
-            let (geom, other, sign) = match (robot.is_part(first), robot.is_part(second)) {
+            let (geom, other, sign) = match (parts.is_part(first), parts.is_part(second)) {
                 (true, false) => (first, second, -1.0),
                 (false, true) => (second, first, 1.0),
                 _ => continue,
             };
             let on_second = data.contact_force(contact.index);
-            if let Some(leg) = robot.feet().iter().position(|foot| *foot == geom) {
+            if let Some(leg) = parts.feet().iter().position(|foot| *foot == geom) {
                 (0..3).for_each(|k| feet[leg][k] += sign * on_second[k]);
             }
-            if other != robot.ground() {
+            if other != parts.ground() {
                 (0..3).for_each(|k| obstacles[k] += sign * on_second[k]);
                 self.touched = self.touched.or(Some(geom));
             }

@@ -10,37 +10,33 @@ than a trunk is wide.
 use nalgebra::{Rotation2, Vector2};
 
 use super::Script;
-use crate::go1::RobotState;
 use crate::mujoco::{self, Data, Kind};
-use crate::sim::Sim;
+use crate::robot::RobotState;
+use crate::scenario::trace::{Event, EventKind, Rope};
+use crate::sim::{Buffers, Sim};
 use crate::task::Command;
-use crate::trace::{Event, EventKind, Rope};
 
 /// Name of the tendon that is the rope.
-pub const ROPE: &str = "rope";
+const ROPE: &str = "rope";
 
 /// Longer than any rope \[m\].
-pub const ENDLESS_M: f64 = 1000.0;
+const ENDLESS_M: f64 = 1000.0;
 
 /// How ropes give: MuJoCo's shortest stable time constant at 240 Hz is 8.3 ms. Under the weight of its load a rope of
 /// these stretches by a tenth of a millimetre.
-pub const ROPE_LIMIT: &str = r#"limited="true" range="0 1000" solreflimit="0.01 1" solimplimit="0.95 0.99 0.001""#;
+const ROPE_LIMIT: &str = r#"limited="true" range="0 1000" solreflimit="0.01 1" solimplimit="0.95 0.99 0.001""#;
 
 /// A rope with a load, and when it acts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rig {
-    /// Bodies that hold the rope up, with their places relative to the aim: ahead, left, height \[m\].
-    pub holders: Vec<(&'static str, [f64; 3])>,
-    /// Body at the rope's end; its joint, geometry and site have the same name.
-    pub load: &'static str,
-    /// Where the load is let go, relative to the aim as above \[m\].
-    pub load_place: [f64; 3],
+    /// Site of the robot where the rope begins; none if the first holder carries it alone.
+    pub from: Option<&'static str>,
+    /// What the rope goes over, in order.
+    pub holders: Vec<Holder>,
+    /// What hangs at its end.
+    pub load: Load,
     /// Whether heights count from the trunk's origin, else from the ground.
     pub is_level_with_trunk: bool,
-    /// Mass of the load \[kg\].
-    pub mass_kg: f64,
-    /// Sites that the rope goes through.
-    pub path: Vec<&'static str>,
     /// Length of the rope beyond what it needs when the load is let go \[m\].
     pub slack_m: f64,
     /// The aim is where the robot is this long after the load is let go, if it then walks as commanded \[s\].
@@ -49,19 +45,103 @@ pub struct Rig {
     pub release_s: f64,
     /// When the rope is taken off \[s\].
     pub until_s: f64,
-    /// What to say when the load is let go, touches the robot and reaches the ground.
-    pub words: Words,
 }
 
-/// What a rig's events say.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Words {
-    /// The load is let go.
-    pub release: &'static str,
-    /// The load touches a part of the robot, whose name follows.
-    pub hit: &'static str,
-    /// The load lies on the ground.
-    pub grounded: &'static str,
+/// A bead that holds the rope up and that nothing touches. Its body and its site have its name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Holder {
+    /// Name.
+    pub name: &'static str,
+    /// Relative to the aim: ahead, left, height \[m\].
+    pub place: [f64; 3],
+    /// As it is drawn \[m\].
+    pub radius_m: f64,
+    /// Whether it is drawn on a post.
+    pub has_post: bool,
+}
+
+/// A free body at the rope's end. Its joint, geometry and site have its name, too.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Load {
+    /// Name, also in events.
+    pub name: &'static str,
+    /// Where it is let go, relative to the aim: ahead, left, height \[m\].
+    pub place: [f64; 3],
+    /// Mass \[kg\].
+    pub mass_kg: f64,
+    /// Shape.
+    pub shape: Shape,
+}
+
+/// What a load looks like.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// Half the edge \[m\].
+    Cube(f64),
+    /// Radius \[m\].
+    Ball(f64),
+}
+
+impl Rig {
+    /// Puts the rig into a script.
+    pub(super) fn hang_in(self, script: &mut Script) {
+        script.scene.obstacles = self.bodies();
+        script.scene.extras = self.rope();
+        script.scene.buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
+        script.rig = Some(self);
+    }
+
+    /// Sites that the rope goes through.
+    fn path(&self) -> impl Iterator<Item = &'static str> {
+        self.from.into_iter().chain(self.holders.iter().map(|holder| holder.name)).chain([self.load.name])
+    }
+
+    /// The MJCF of holders and load.
+    fn bodies(&self) -> String {
+        // Places until the first step; high enough to touch nothing.
+        let lift_m = if self.is_level_with_trunk { 1.0 } else { 0.0 };
+        let at = |[x, y, z]: [f64; 3]| format!("{x} {y} {}", z + lift_m);
+        let mut bodies = String::new();
+        for Holder { name, place, radius_m, has_post } in &self.holders {
+            let height_m = place[2];
+            let post = format!(
+                r#"
+      <geom name="post" type="capsule" size="0.02" contype="0" conaffinity="0" rgba="0.42 0.45 0.5 1"
+            fromto="0 0 0 0 0 -{height_m}"/>"#
+            );
+            bodies += &format!(
+                r#"    <body name="{name}" mocap="true" pos="{place}">
+      <geom name="{name}" type="sphere" size="{radius_m}" contype="0" conaffinity="0" rgba="0.55 0.58 0.62 1"/>{post}
+      <site name="{name}"/>
+    </body>
+"#,
+                place = at(*place),
+                post = if *has_post { &post } else { "" },
+            );
+        }
+        let Load { name, place, mass_kg, shape } = &self.load;
+        let shape = match shape {
+            Shape::Cube(half) => format!(r#"type="box" size="{half} {half} {half}""#),
+            Shape::Ball(radius) => format!(r#"type="sphere" size="{radius}""#),
+        };
+        bodies
+            + &format!(
+                r#"    <body name="{name}" pos="{place}">
+      <freejoint name="{name}"/>
+      <geom name="{name}" {shape} mass="{mass_kg}" priority="1" friction="0.6 0.005 0.0001"
+            rgba="0.80 0.47 0.65 1"/>
+      <site name="{name}"/>
+    </body>
+"#,
+                place = at(*place),
+            )
+    }
+
+    /// The MJCF of the rope.
+    fn rope(&self) -> String {
+        let sites: String = self.path().map(|site| format!("<site site=\"{site}\"/>")).collect();
+        format!("  <tendon><spatial name=\"{ROPE}\" {ROPE_LIMIT}>{sites}</spatial></tendon>\n")
+    }
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,7 +173,8 @@ impl RigState {
     /// Looks up the rig's parts.
     pub(super) fn new(rig: &Rig, sim: &Sim) -> mujoco::Result<Self> {
         let model = sim.data().model();
-        let joint = model.id(Kind::Joint, rig.load)?;
+        let load = rig.load.name;
+        let joint = model.id(Kind::Joint, load)?;
         let holder = |name: &str| {
             let body = model.id(Kind::Body, name)?;
             model.mocap_index(body).ok_or_else(|| mujoco::Error::Name {
@@ -104,12 +185,12 @@ impl RigState {
         };
         Ok(RigState {
             tendon: model.id(Kind::Tendon, ROPE)?,
-            load: model.id(Kind::Body, rig.load)?,
-            load_geom: model.id(Kind::Geom, rig.load)?,
+            load: model.id(Kind::Body, load)?,
+            load_geom: model.id(Kind::Geom, load)?,
             load_position: model.joint_position_index(joint),
             load_velocity: model.joint_velocity_index(joint),
-            holders: rig.holders.iter().map(|(name, _)| holder(name)).collect::<mujoco::Result<_>>()?,
-            sites: rig.path.iter().map(|name| model.id(Kind::Site, name)).collect::<mujoco::Result<_>>()?,
+            holders: rig.holders.iter().map(|it| holder(it.name)).collect::<mujoco::Result<_>>()?,
+            sites: rig.path().map(|name| model.id(Kind::Site, name)).collect::<mujoco::Result<_>>()?,
             phase: Phase::Carried,
             has_hit: false,
             is_grounded: false,
@@ -141,7 +222,11 @@ impl RigState {
                 sim.data_mut().velocities_mut()[self.load_velocity + 2] = rising_m_s;
                 let length_m = sim.data().tendon_lengths()[self.tendon] + rig.slack_m;
                 self.set_rope(sim, length_m, 0.0)?;
-                events.push(Event { time_s, kind: EventKind::Disturbance, text: rig.words.release.to_owned() });
+                events.push(Event {
+                    time_s,
+                    kind: EventKind::Disturbance,
+                    text: format!("the {} is let go", rig.load.name),
+                });
             }
         } else if self.phase == Phase::Free && rig.until_s < time_s + half_a_step_s {
             self.phase = Phase::Off;
@@ -169,15 +254,16 @@ impl RigState {
             self.has_hit = true;
             let model = data.model();
             let part = model.name(Kind::Body, model.geom_body(part));
-            let text = format!("{} {part} at {:.2} m/s", rig.words.hit, self.speed_m_s);
+            let text = format!("the {} hits {part} at {:.2} m/s", rig.load.name, self.speed_m_s);
             events.push(Event { time_s, kind: EventKind::Disturbance, text });
         }
         let on_ground = |contact: mujoco::Contact| {
-            contact.geoms.contains(&self.load_geom) && contact.geoms.contains(&sim.robot().ground())
+            contact.geoms.contains(&self.load_geom) && contact.geoms.contains(&sim.parts().ground())
         };
         if !self.is_grounded && self.phase == Phase::Free && data.contacts().any(on_ground) {
             self.is_grounded = true;
-            events.push(Event { time_s, kind: EventKind::Disturbance, text: rig.words.grounded.to_owned() });
+            let text = format!("the {} is on the ground", rig.load.name);
+            events.push(Event { time_s, kind: EventKind::Disturbance, text });
         }
         // A rope that was taken off lies somewhere; only its load is still there.
         let sites = if self.phase == Phase::Off { &[] } else { self.sites.as_slice() };
@@ -200,13 +286,13 @@ impl RigState {
             [place.x, place.y, level + height]
         };
         let data = sim.data_mut();
-        for (mocap, (_, place)) in self.holders.iter().zip(&rig.holders) {
-            data.mocap_positions_mut()[3 * mocap..3 * mocap + 3].copy_from_slice(&at(*place));
+        for (mocap, holder) in self.holders.iter().zip(&rig.holders) {
+            data.mocap_positions_mut()[3 * mocap..3 * mocap + 3].copy_from_slice(&at(holder.place));
         }
         let start = self.load_position;
-        data.positions_mut()[start..start + 3].copy_from_slice(&at(rig.load_place));
+        data.positions_mut()[start..start + 3].copy_from_slice(&at(rig.load.place));
         data.velocities_mut()[self.load_velocity..self.load_velocity + 6].fill(0.0);
-        let weight_n = -rig.mass_kg * sim.data().model().gravity()[2];
+        let weight_n = -rig.load.mass_kg * sim.data().model().gravity()[2];
         self.set_rope(sim, ENDLESS_M, weight_n)
     }
 

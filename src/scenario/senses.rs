@@ -3,12 +3,14 @@
 With [`Sensing::Estimated`], noisy IMU and encoders are read after every physics step; the contact network says which
 feet touch, and the filters of [`crate::estimate`] make a state of it. The controller begins and acts on that alone. A
 sensor that reads what is no number counts as silent in that tick: the other one bridges it, for as long as the filters
-allow. The motors' own loop keeps acting on the joints as they are, with the calibration offsets that the simulation has.
+allow. The motors' own loop keeps acting on the joints as they are, with the encoder bias that the simulation has.
 
 Pushes change the trunk's velocity in no time. The IMU feels them all the same: it reads the change of velocity since its
 last reading, which without a push is the simulator's acceleration to the last bit or so. Its range (±24 g) is not
 modelled, since only such a push exceeds it.
 */
+
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
@@ -17,16 +19,13 @@ use serde::{Deserialize, Serialize};
 use crate::estimate::contact::{ContactError, ContactEstimator, ContactNetwork, RATE_HZ};
 use crate::estimate::sensors::TrunkMotion;
 use crate::estimate::{
-    EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors, kinematics,
+    EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors,
 };
-use crate::go1::{FootState, Go1, JOINT_COUNT, Joints, LEGS, RobotState};
 use crate::mujoco::Data;
-use crate::random::{Purpose, stream};
-use crate::sim::{Conditions, Sim};
-use crate::trace::Sensed;
-
-/// How far a foot may be from where the Go1's would be \[m\]; published models of it differ by some millimetres.
-const LEG_TOLERANCE_M: f64 = 0.01;
+use crate::robot::{FootState, Joints, Robot, RobotState, kinematics};
+use crate::scenario::trace::Sensed;
+use crate::sim::{Conditions, Parts, Sim};
+use crate::util::random::{Purpose, stream};
 
 /// What a controller acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
@@ -51,40 +50,15 @@ pub enum SensingError {
         /// Rate of the physics \[Hz\].
         found_hz: f64,
     },
-    /// Not the legs that the filters know.
-    #[error(
-        "the estimator knows the legs of the Go1, and foot {foot} of this robot is {distance_m:.3} m from where they would \
-         have it: sense the true state instead"
-    )]
-    Legs {
-        /// The foot.
-        foot: &'static str,
-        /// How far off \[m\].
-        distance_m: f64,
-    },
     /// The first reading is no good.
     #[error("the sensors do not start: {0}")]
     Start(#[from] SensorFault),
 }
 
-/// Whether the robot's feet are where the Go1's would be.
-fn check_legs(sim: &Sim) -> Result<(), SensingError> {
-    let state = sim.state();
-    let expected = kinematics::feet(&sim.robot().joint_angles(sim.data()), &[0.0; JOINT_COUNT]);
-    for (leg, geom) in sim.robot().feet().into_iter().enumerate() {
-        let centre = Vector3::from_column_slice(&sim.data().geom_positions()[3 * geom..3 * geom + 3]);
-        let found = state.world_from_base.inverse() * (centre - state.position);
-        let distance_m = (found - expected[leg].position).norm();
-        if distance_m > LEG_TOLERANCE_M {
-            return Err(SensingError::Legs { foot: LEGS[leg], distance_m });
-        }
-    }
-    Ok(())
-}
-
 /// A robot's sensors and what it makes of them.
 #[derive(Debug)]
 pub struct Senses {
+    robot: Arc<Robot>,
     sensors: Sensors,
     rng: ChaCha8Rng,
     contacts: ContactEstimator,
@@ -126,17 +100,18 @@ impl Senses {
         if (timestep_s * RATE_HZ - 1.0).abs() > 1e-6 {
             return Err(SensingError::Rate { found_hz: 1.0 / timestep_s });
         }
-        check_legs(sim)?;
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let state = sim.state();
+        let robot = sim.shared_robot();
         let mut senses = Senses {
             sensors: Sensors::new(noise, &mut rng),
             rng,
             contacts: ContactEstimator::new(network),
-            estimator: Estimator::new(EstimatorConfig::default()),
-            offsets: conditions.joint_offsets,
+            estimator: Estimator::new(Arc::clone(&robot), EstimatorConfig::default()),
+            robot,
+            offsets: conditions.encoder_bias,
             origin: Vector3::new(state.position.x, state.position.y, 0.0),
-            last_velocity: sim.robot().trunk_velocity(sim.data()),
+            last_velocity: sim.parts().trunk_velocity(sim.data()),
             target: *target,
             reading: EncoderReading { angles: state.joint_angles, rates: state.joint_rates },
             touching: [false; 4],
@@ -144,7 +119,7 @@ impl Senses {
             news: None,
             end: None,
         };
-        senses.read(sim.data(), sim.robot());
+        senses.read(sim.data(), sim.parts());
         match senses.news.take() {
             Some(fault) => Err(fault.into()),
             None => Ok(senses),
@@ -157,18 +132,18 @@ impl Senses {
     }
 
     /// Reads all sensors after a physics step.
-    pub fn read(&mut self, data: &Data, robot: &Go1) {
+    pub fn read(&mut self, data: &Data, parts: &Parts) {
         let dt_s = data.model().timestep_s();
-        let velocity = robot.trunk_velocity(data);
+        let velocity = parts.trunk_velocity(data);
         let motion = TrunkMotion {
-            world_from_base: robot.world_from_base(data),
+            world_from_base: parts.world_from_base(data),
             acceleration: (velocity.0 - self.last_velocity.0) / dt_s,
             angular_velocity: velocity.1,
             angular_acceleration: (velocity.1 - self.last_velocity.1) / dt_s,
         };
         self.last_velocity = velocity;
-        let exact = EncoderReading::exact(&robot.joint_angles(data), robot.joint_rates(data), &self.offsets);
-        let imu = ImuReading::exact(&motion, Vector3::from(data.model().gravity()));
+        let exact = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
+        let imu = ImuReading::exact(&motion, self.robot.imu_in_base, Vector3::from(data.model().gravity()));
         let imu = self.sensors.imu(&imu, dt_s, &mut self.rng);
         let encoders = self.sensors.encoders(&exact, dt_s, &mut self.rng);
 
@@ -211,13 +186,13 @@ impl Senses {
     /// Never: there is an estimate from the start.
     pub fn state(&self) -> RobotState {
         let estimate = self.estimate();
-        let feet = kinematics::feet(&self.reading.angles, &self.reading.rates);
+        let feet = kinematics::feet(&self.robot.legs, &self.reading.angles, &self.reading.rates);
         let spin = estimate.angular_velocity_in_base;
         let feet = std::array::from_fn(|leg| {
             let foot = &feet[leg];
             let in_base = estimate.velocity_in_base + spin.cross(&foot.position) + foot.velocity;
             FootState {
-                height: estimate.feet[leg].z - kinematics::FOOT_RADIUS_M,
+                height: estimate.feet[leg].z - self.robot.legs[leg].foot_radius_m,
                 velocity: (estimate.world_from_base * in_base).into(),
                 contact: self.touching[leg],
             }
@@ -257,12 +232,13 @@ impl Senses {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::policies;
+    use crate::policy::Controller;
+    use crate::policy::shipped;
     use crate::scenario::catalog::{Scenario, Walk, defaults};
     use crate::scenario::estimation::Estimation;
-    use crate::scenario::{Controller, Rollout, Script};
+    use crate::scenario::trace::{EventKind, Trace};
+    use crate::scenario::{Rollout, Script};
     use crate::task::Command;
-    use crate::trace::{EventKind, Trace};
 
     fn walk(duration_s: f64) -> (Script, Config) {
         let config = Config::load("compliant").unwrap();
@@ -279,7 +255,7 @@ mod tests {
 
     impl Controller for &mut Witness {
         fn rest(&self) -> Joints {
-            crate::go1::same_in_every_leg([0.0, 0.72, -1.44])
+            crate::robot::same_in_every_leg([0.0, 0.72, -1.44])
         }
 
         fn begin(&mut self, state: &RobotState) {
@@ -333,7 +309,7 @@ mod tests {
     fn the_shipped_policies_walk_on_their_sensors_and_know_how_fast() {
         let (script, _) = walk(3.0);
         for (name, seed) in [("compliant", 0), ("compliant", 1), ("baseline", 0), ("baseline", 1)] {
-            let agent = policies::find(name).unwrap();
+            let agent = shipped::find(name).unwrap();
             let rollout = Rollout::new(&script, &agent.config, agent.controller()).unwrap();
             let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
             assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
@@ -386,7 +362,7 @@ mod tests {
 
     #[test]
     fn a_sensor_that_reads_no_number_is_told_once_and_bridged_in_a_walk() {
-        let agent = policies::find("compliant").unwrap();
+        let agent = shipped::find("compliant").unwrap();
         let (script, _) = walk(3.0);
         let rollout = Rollout::new(&script, &agent.config, agent.controller()).unwrap();
         let mut rollout = rollout.with_sensing(Sensing::Estimated, 0).unwrap();
@@ -410,11 +386,11 @@ mod tests {
     #[test]
     fn encoders_that_are_off_are_off_once() {
         let (mut sim, mut script) = standing();
-        script.conditions.joint_offsets[4] = 0.05;
+        script.conditions.encoder_bias[4] = 0.05;
         sim.reset(script.conditions, &[0.0; 12]).unwrap();
         let known = senses(&sim, &script, SensorNoise::default()).unwrap().state();
         let errors: Vec<f64> =
-            known.joint_angles.iter().zip(sim.robot().joint_angles(sim.data())).map(|(a, b)| a - b).collect();
+            known.joint_angles.iter().zip(sim.parts().joint_angles(sim.data())).map(|(a, b)| a - b).collect();
         for (joint, error) in errors.iter().enumerate() {
             let offset = if joint == 4 { 0.05 } else { 0.0 };
             // Five standard deviations of the encoders' noise.
@@ -426,7 +402,7 @@ mod tests {
     fn bad_readings_leave_the_last_good_ones_and_a_finite_state() {
         let (sim, script) = standing();
         let mut senses = senses(&sim, &script, SensorNoise::default()).unwrap();
-        (0..10).for_each(|_| senses.read(sim.data(), sim.robot()));
+        (0..10).for_each(|_| senses.read(sim.data(), sim.parts()));
         assert_eq!(senses.fault(), Ok(None));
         let good = senses.reading;
         senses.sensors = Sensors::new(
@@ -434,12 +410,12 @@ mod tests {
             &mut stream(0, Purpose::Sensor, 0, 0),
         );
         for tick in 0..24 {
-            senses.read(sim.data(), sim.robot());
+            senses.read(sim.data(), sim.parts());
             assert_eq!(senses.fault().unwrap().is_some(), tick == 0, "tick {tick}");
             assert_eq!((senses.state().joint_angles, senses.state().joint_rates), (good.angles, good.rates));
             assert!(senses.state().velocity_in_base.norm() < 0.1, "{}", senses.state().velocity_in_base);
         }
-        senses.read(sim.data(), sim.robot());
+        senses.read(sim.data(), sim.parts());
         assert!(matches!(senses.fault(), Err(SensorFault::Silent { sensor: "encoders", .. })));
     }
 
@@ -449,10 +425,10 @@ mod tests {
         let mut senses = senses(&sim, &script, SensorNoise::default()).unwrap();
         let mut spare = broken_sensors();
         std::mem::swap(&mut senses.sensors, &mut spare);
-        (0..24).for_each(|_| senses.read(sim.data(), sim.robot()));
+        (0..24).for_each(|_| senses.read(sim.data(), sim.parts()));
         std::mem::swap(&mut senses.sensors, &mut spare);
         // 25 / 240 Hz = 0.104 s from one reading to the next.
-        senses.read(sim.data(), sim.robot());
+        senses.read(sim.data(), sim.parts());
         assert!(matches!(senses.fault(), Err(SensorFault::Silent { sensor: "IMU", .. })));
     }
 

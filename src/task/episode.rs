@@ -8,22 +8,12 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{CommandRange, Config, Episode, Simulation};
-use crate::go1::JOINT_COUNT;
+use crate::observation::Command;
+use crate::robot::JOINTS;
 use crate::sim::{Conditions, Push};
 
 /// Standard gravity as used by the paper's simulator and MuJoCo [m/s²].
 pub const GRAVITY: f64 = 9.81;
-
-/// Desired velocities in the base frame.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Command {
-    /// `v_z*` of the paper [m/s].
-    pub forward: f64,
-    /// `v_x*` of the paper [m/s].
-    pub left: f64,
-    /// `ω_y*` of the paper [rad/s].
-    pub yaw: f64,
-}
 
 /// The three stages of section III-C.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -84,11 +74,12 @@ impl EpisodePlan {
     /// Draws an episode.
     pub fn draw(config: &Config, curriculum: Curriculum, rng: &mut impl Rng) -> Self {
         let mut within = |range: f64| range * rng.random_range(-1.0..=1.0);
-        let command = Command {
-            forward: within(config.command.forward_m_s * curriculum.command_share),
-            left: within(config.command.left_m_s * curriculum.command_share),
-            yaw: within(config.command.yaw_rad_s * curriculum.command_share),
-        };
+        let open = curriculum.command_fraction;
+        let command = Command::velocity(
+            within(config.command.forward_m_s * open),
+            within(config.command.left_m_s * open),
+            within(config.command.yaw_rad_s * open),
+        );
         let episode = &config.episode;
         let push = Push {
             linear: std::array::from_fn(|_| within(episode.push_speed_m_s)),
@@ -100,12 +91,12 @@ impl EpisodePlan {
         let [low, high] = randomisation.friction;
         // Drawn in any case, so that switching randomisation on changes nothing else.
         let friction = rng.random_range(low..=high);
-        let joint_offsets: [f64; JOINT_COUNT] =
-            std::array::from_fn(|_| randomisation.joint_offset_sd_rad * rng.sample::<f64, _>(StandardNormal));
+        let encoder_bias: [f64; JOINTS] =
+            std::array::from_fn(|_| randomisation.encoder_bias_sd_rad * rng.sample::<f64, _>(StandardNormal));
         let conditions = Conditions {
             gravity: tilted_gravity(slope, uphill),
             friction: if randomisation.enabled { friction } else { randomisation.default_friction },
-            joint_offsets: if randomisation.enabled { joint_offsets } else { [0.0; JOINT_COUNT] },
+            encoder_bias: if randomisation.enabled { encoder_bias } else { [0.0; JOINTS] },
         };
         // Drawn in any case, too.
         EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push) }
@@ -121,8 +112,9 @@ pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
 /// What episodes ask for gets harder as walking gets better (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Curriculum {
-    /// Open share of the command range, 0 to 1.
-    pub command_share: f64,
+    /// Open fraction of the command range, 0 to 1.
+    #[serde(alias = "command_share")]
+    pub command_fraction: f64,
     /// Whether episodes go on to the push and what follows it. Once they do, they always do.
     pub pushes: bool,
 }
@@ -130,18 +122,18 @@ pub struct Curriculum {
 impl Curriculum {
     /// A part of the command range, and no pushes.
     pub fn new(range: &CommandRange) -> Self {
-        Curriculum { command_share: range.initial_share, pushes: false }
+        Curriculum { command_fraction: range.initial_fraction, pushes: false }
     }
 
     /// Everything that a configuration asks for.
     pub fn complete() -> Self {
-        Curriculum { command_share: 1.0, pushes: true }
+        Curriculum { command_fraction: 1.0, pushes: true }
     }
 
     /// Takes the mean `r_lin` of the walking stages of an iteration.
     pub fn update(&mut self, mean_linear_reward: f64, config: &Config) {
-        if mean_linear_reward > config.command.share_gate {
-            self.command_share = (self.command_share + config.command.share_step).min(1.0);
+        if mean_linear_reward > config.command.fraction_gate {
+            self.command_fraction = (self.command_fraction + config.command.fraction_step).min(1.0);
         }
         self.pushes |= mean_linear_reward > config.episode.push_gate;
     }
@@ -150,7 +142,7 @@ impl Curriculum {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::{Purpose, stream};
+    use crate::util::random::{Purpose, stream};
 
     fn config() -> Config {
         Config::load("compliant").unwrap()
@@ -177,7 +169,7 @@ mod tests {
     #[test]
     fn drawn_episodes_stay_within_their_ranges_and_fill_them() {
         let config = config();
-        let half = Curriculum { command_share: 0.5, pushes: true };
+        let half = Curriculum { command_fraction: 0.5, pushes: true };
         let plans: Vec<EpisodePlan> =
             (0..2000).map(|k| EpisodePlan::draw(&config, half, &mut stream(3, Purpose::Episode, 0, k))).collect();
         let largest = |of: fn(&EpisodePlan) -> f64| plans.iter().map(|plan| of(plan).abs()).fold(0.0, f64::max);
@@ -198,7 +190,7 @@ mod tests {
         let draw = |config| EpisodePlan::draw(config, Curriculum::complete(), &mut stream(1, Purpose::Episode, 2, 3));
         let (off, on) = (draw(&off), draw(&on));
         assert_eq!((off.command, off.push, off.conditions.gravity), (on.command, on.push, on.conditions.gravity));
-        assert_ne!((on.conditions.friction, on.conditions.joint_offsets), (0.8, [0.0; JOINT_COUNT]));
+        assert_ne!((on.conditions.friction, on.conditions.encoder_bias), (0.8, [0.0; JOINTS]));
     }
 
     #[test]
@@ -213,8 +205,8 @@ mod tests {
         let frictions = || drawn.iter().map(|conditions| conditions.friction);
         let [least, most] = [frictions().fold(f64::INFINITY, f64::min), frictions().fold(0.0, f64::max)];
         assert!((0.5..0.51).contains(&least) && (1.19..=1.2).contains(&most), "{least} {most}");
-        let squares: f64 = drawn.iter().flat_map(|c| c.joint_offsets).map(|offset| offset * offset).sum();
-        let sd = (squares / (2000.0 * JOINT_COUNT as f64)).sqrt();
+        let squares: f64 = drawn.iter().flat_map(|c| c.encoder_bias).map(|offset| offset * offset).sum();
+        let sd = (squares / (2000.0 * JOINTS as f64)).sqrt();
         assert!((sd / 0.01 - 1.0).abs() < 0.02, "{sd}");
     }
 
@@ -223,11 +215,11 @@ mod tests {
         let config = config();
         let mut curriculum = Curriculum::new(&config.command);
         curriculum.update(0.69, &config);
-        assert_eq!(curriculum.command_share, 0.5);
+        assert_eq!(curriculum.command_fraction, 0.5);
         for _ in 0..100 {
             curriculum.update(0.71, &config);
         }
-        assert_eq!(curriculum.command_share, 1.0);
+        assert_eq!(curriculum.command_fraction, 1.0);
     }
 
     #[test]

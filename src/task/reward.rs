@@ -10,100 +10,182 @@ the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's 
 pitch, roll and height are relative to the ground plane, which on a simulated slope is the world's.
 */
 
-use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
-use super::episode::Command;
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
 use crate::config::Reward;
-use crate::go1::{FootState, Foothold, RobotState};
+use crate::observation::Command;
+use crate::robot::{FootState, Foothold, RobotState};
 use crate::sim::{StepObserver, StepSummary};
 
-/// The terms of Table II for one step, before their weights.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Terms {
-    /// `r_lin`.
-    pub linear_velocity: f64,
-    /// `r_ang`.
-    pub angular_velocity: f64,
-    /// `r_e` \[W\].
-    pub energy: f64,
-    /// `r_τ` [N²·m²].
-    pub torque: f64,
-    /// `r_pose`.
-    pub pose: f64,
-    /// `r_cl` [m⁴/s²].
-    pub foot_clearance: f64,
-    /// `r_h`.
-    pub foot_height: f64,
-    /// `r_f`, share of the step in which no foot touched the ground: a few percent in a walk, much more in hopping.
-    pub flight: f64,
+/// Everything that a term can be made of: one policy step.
+#[derive(Debug, Clone, Copy)]
+pub struct Step<'a> {
+    /// At its end.
+    pub state: &'a RobotState,
+    /// What was asked for.
+    pub command: &'a Command,
+    /// What it cost.
+    pub summary: &'a StepSummary,
+    /// What has landed in it.
+    pub landings: &'a Landings,
+    /// Targets and sharpnesses.
+    pub config: &'a Reward,
 }
 
+/// A term of the reward: a line of [`TERMS`].
+#[derive(Debug)]
+pub struct Term {
+    /// Of its weight in a configuration, and in metrics.
+    pub name: &'static str,
+    /// The paper's, with a unit where it has one, for plots.
+    pub symbol: &'static str,
+    /// Where it enters.
+    part: Part,
+    weight: fn(&Reward) -> f64,
+    of: fn(&Step<'_>) -> f64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Part {
+    /// `r_pos`, equation 1.
+    Positive,
+    /// `r_neg`, equation 2.
+    Negative,
+}
+
+/// Table II, and `r_f`.
+pub const TERMS: &[Term] = &[
+    Term {
+        name: "linear_velocity",
+        symbol: "r_lin",
+        part: Part::Positive,
+        weight: |w| w.linear_velocity,
+        of: |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
+    },
+    Term {
+        name: "angular_velocity",
+        symbol: "r_ang",
+        part: Part::Positive,
+        weight: |w| w.angular_velocity,
+        of: |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
+    },
+    Term {
+        name: "energy",
+        symbol: "r_e [W]",
+        part: Part::Negative,
+        weight: |w| w.energy,
+        of: |step| step.summary.power_w,
+    },
+    Term {
+        name: "torque",
+        symbol: "r_τ [N²·m²]",
+        part: Part::Negative,
+        weight: |w| w.torque,
+        of: |step| step.summary.squared_torque,
+    },
+    Term {
+        name: "pose",
+        symbol: "r_pose",
+        part: Part::Negative,
+        weight: |w| w.pose,
+        of: |step| pose(step.state, step.config),
+    },
+    Term {
+        name: "foot_clearance",
+        symbol: "r_cl [m⁴/s²]",
+        part: Part::Negative,
+        weight: |w| w.foot_clearance,
+        of: |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
+    },
+    Term {
+        name: "foot_height",
+        symbol: "r_h",
+        part: Part::Positive,
+        weight: |w| w.foot_height,
+        of: |step| step.landings.foot_height,
+    },
+    Term {
+        name: "flight",
+        symbol: "r_f",
+        part: Part::Negative,
+        weight: |w| w.flight,
+        of: |step| step.landings.flight_fraction,
+    },
+];
+
+/// The first terms are `r_lin` and `r_ang`, which the recovery stage replaces.
+const TRACKING: usize = 2;
+
+/// The terms of one step, or sums of them, before their weights.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Terms([f64; TERMS.len()]);
+
 impl Terms {
-    /// All terms of a step. `landings` come from the [`SwingTracker`], which needs the past.
-    pub fn new(
-        state: &RobotState,
-        command: &Command,
-        summary: &StepSummary,
-        landings: &Landings,
-        config: &Reward,
-    ) -> Self {
-        Terms {
-            linear_velocity: linear_velocity(state, command, config.tracking_sharpness),
-            angular_velocity: angular_velocity(state, command, config.tracking_sharpness),
-            energy: summary.power_w,
-            torque: summary.squared_torque,
-            pose: pose(state, config),
-            foot_clearance: foot_clearance(&state.feet, config.foot_height_m),
-            foot_height: landings.foot_height,
-            flight: landings.flight_share,
-        }
+    /// All terms of a step.
+    pub fn new(step: &Step<'_>) -> Self {
+        Terms(std::array::from_fn(|k| (TERMS[k].of)(step)))
     }
 
     /// Equations 1 to 3.
     pub fn total(&self, weights: &Reward) -> f64 {
-        let positive = weights.linear_velocity * self.linear_velocity
-            + weights.angular_velocity * self.angular_velocity
-            + weights.foot_height * self.foot_height;
-        let negative = weights.energy * self.energy
-            + weights.torque * self.torque
-            + weights.pose * self.pose
-            + weights.foot_clearance * self.foot_clearance
-            + weights.flight * self.flight;
-        positive.max(0.0) * (weights.negative_sharpness * negative).exp()
+        let sum = |part: Part| {
+            let terms = TERMS.iter().zip(self.0).filter(|(term, _)| term.part == part);
+            terms.fold(0.0, |sum, (term, value)| sum + (term.weight)(weights) * value)
+        };
+        sum(Part::Positive).max(0.0) * (weights.negative_sharpness * sum(Part::Negative)).exp()
     }
 
     /// Adds another step's terms.
     pub fn add(&mut self, other: &Terms) {
-        for ((_, sum), (_, value)) in self.fields_mut().into_iter().zip(other.fields()) {
-            *sum += value;
-        }
+        self.0.iter_mut().zip(other.0).for_each(|(sum, value)| *sum += value);
     }
 
     /// The terms divided by a number.
     pub fn divided(mut self, divisor: f64) -> Terms {
-        for (_, value) in self.fields_mut() {
-            *value /= divisor;
-        }
+        self.0.iter_mut().for_each(|value| *value /= divisor);
         self
     }
 
-    /// Names and values in the order of Table II, and `r_f`.
-    pub fn fields(&self) -> [(&'static str, f64); 8] {
-        let mut copy = *self;
-        copy.fields_mut().map(|(name, value)| (name, *value))
+    /// These terms with the tracking terms of others: what the recovery stage pays.
+    pub fn with_tracking_of(mut self, other: &Terms) -> Terms {
+        self.0[..TRACKING].copy_from_slice(&other.0[..TRACKING]);
+        self
     }
 
-    fn fields_mut(&mut self) -> [(&'static str, &mut f64); 8] {
-        [
-            ("linear_velocity", &mut self.linear_velocity),
-            ("angular_velocity", &mut self.angular_velocity),
-            ("energy", &mut self.energy),
-            ("torque", &mut self.torque),
-            ("pose", &mut self.pose),
-            ("foot_clearance", &mut self.foot_clearance),
-            ("foot_height", &mut self.foot_height),
-            ("flight", &mut self.flight),
-        ]
+    /// `r_lin`.
+    pub fn linear_velocity(&self) -> f64 {
+        self.0[0]
+    }
+
+    /// The fraction of the time in which no foot touched the ground.
+    pub fn flight(&self) -> f64 {
+        self.fields().find(|(name, _)| *name == "flight").map_or(0.0, |(_, value)| value)
+    }
+
+    /// Names and values in the order of [`TERMS`].
+    pub fn fields(&self) -> impl Iterator<Item = (&'static str, f64)> {
+        TERMS.iter().zip(self.0).map(|(term, value)| (term.name, value))
+    }
+}
+
+impl Serialize for Terms {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(Some(TERMS.len()))?;
+        for (name, value) in self.fields() {
+            map.serialize_entry(name, &value)?;
+        }
+        map.end()
+    }
+}
+
+/// Terms that a file does not know are zero.
+impl<'de> Deserialize<'de> for Terms {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let found = BTreeMap::<String, f64>::deserialize(deserializer)?;
+        Ok(Terms(std::array::from_fn(|k| found.get(TERMS[k].name).copied().unwrap_or(0.0))))
     }
 }
 
@@ -164,8 +246,8 @@ pub struct Landings {
     pub count: usize,
     /// Sum of their peak heights \[m\].
     pub peak_sum_m: f64,
-    /// Share of the physics steps in which no foot touched the ground.
-    pub flight_share: f64,
+    /// Fraction of the physics steps in which no foot touched the ground.
+    pub flight_fraction: f64,
 }
 
 impl SwingTracker {
@@ -180,7 +262,7 @@ impl SwingTracker {
             foot_height: self.paid,
             count: self.landings,
             peak_sum_m: self.landed_m,
-            flight_share: self.looks_in_flight as f64 / self.looks.max(1) as f64,
+            flight_fraction: self.looks_in_flight as f64 / self.looks.max(1) as f64,
         };
         (self.paid, self.landings, self.landed_m) = (0.0, 0, 0.0);
         (self.looks, self.looks_in_flight) = (0, 0);
@@ -230,20 +312,27 @@ mod tests {
         }
     }
 
+    /// Table II in order, and `r_f`; what has come since is zero.
+    fn terms(values: [f64; 8]) -> Terms {
+        let mut terms = Terms::default();
+        terms.0[..8].copy_from_slice(&values);
+        terms
+    }
+
     fn close(found: f64, expected: f64) {
         assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
     }
 
     #[test]
     fn linear_velocity_term_is_a_bell_over_the_horizontal_error() {
-        let command = Command { forward: 0.5, left: 0.2, yaw: 0.0 };
+        let command = Command::velocity(0.5, 0.2, 0.0);
         // exp(−8 ((−0.1 − 0.2)² + (0.7 − 0.5)²)) = exp(−8 · 0.13) = exp(−1.04)
         close(linear_velocity(&state(), &command, 8.0), 0.353_454_681_95);
     }
 
     #[test]
     fn angular_velocity_term_looks_at_the_yaw_rate_alone() {
-        let command = Command { forward: 0.0, left: 0.0, yaw: -0.2 };
+        let command = Command::velocity(0.0, 0.0, -0.2);
         // exp(−8 · 0.5²) = exp(−2)
         close(angular_velocity(&state(), &command, 8.0), 0.135_335_283_236_612_7);
     }
@@ -269,12 +358,12 @@ mod tests {
         let mut tracker = SwingTracker::new(&on_ground, 0.08);
         for height in [0.04, 0.06, 0.01] {
             tracker.feet(&at(height, false));
-            assert_eq!(tracker.take(), Landings { flight_share: 1.0, ..Landings::default() });
+            assert_eq!(tracker.take(), Landings { flight_fraction: 1.0, ..Landings::default() });
         }
         tracker.feet(&at(0.05, false));
         tracker.feet(&at(0.0, true));
         let landings = tracker.take();
-        close(landings.flight_share, 0.5);
+        close(landings.flight_fraction, 0.5);
         // four feet: 4 · (0.06 / 0.08 − 1)² = 4 · 0.0625
         close(landings.foot_height, 0.25);
         close(landings.peak_sum_m, 4.0 * 0.06);
@@ -285,27 +374,29 @@ mod tests {
 
     #[test]
     fn total_follows_equations_one_to_three() {
-        let terms = Terms {
-            linear_velocity: 0.9,
-            angular_velocity: 0.8,
-            energy: 40.0,
-            torque: 160.0,
-            pose: 0.05,
-            foot_clearance: 0.01,
-            foot_height: 0.25,
-            flight: 0.5,
-        };
+        // In the order of Table II.
+        let all = terms([0.9, 0.8, 40.0, 160.0, 0.05, 0.01, 0.25, 0.5]);
         // r_pos = 0.8·0.9 + 0.5·0.8 − 0.7·0.25 = 0.945
         // r_neg = −0.015·40 − 0.0015·160 − 2·0.05 − 0.1·0.01 = −0.941
-        close(terms.total(&weights()), 0.945 * (0.45_f64 * -0.941).exp());
+        close(all.total(&weights()), 0.945 * (0.45_f64 * -0.941).exp());
         // − 2 · 0.5
         let against_hops = Reward { flight: -2.0, ..weights() };
-        close(terms.total(&against_hops), 0.945 * (0.45_f64 * -1.941).exp());
+        close(all.total(&against_hops), 0.945 * (0.45_f64 * -1.941).exp());
     }
 
     #[test]
     fn reward_is_never_negative() {
-        let terms = Terms { foot_height: 4.0, ..Terms::default() };
-        assert_eq!(terms.total(&weights()), 0.0);
+        let all = terms([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 4.0, 0.0]);
+        assert_eq!(all.total(&weights()), 0.0);
+    }
+
+    #[test]
+    fn terms_are_kept_by_name_and_one_that_a_file_lacks_is_zero() {
+        let all = terms([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]);
+        let json = serde_json::to_string(&all).unwrap();
+        assert!(json.starts_with(r#"{"linear_velocity":1.0,"angular_velocity":2.0,"energy":3.0,"#), "{json}");
+        assert_eq!(serde_json::from_str::<Terms>(&json).unwrap(), all);
+        let old = serde_json::from_str::<Terms>(r#"{"pose": 5.0}"#).unwrap();
+        assert_eq!(old, terms([0.0, 0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0]));
     }
 }

@@ -4,18 +4,20 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use clap::{FromArgMatches, Subcommand};
-use supple::checkpoint::{Checkpoint, RunState};
-use supple::config::{Config, flat_parameters};
+use supple::config::Config;
 use supple::estimate::contact::{ContactNetwork, INPUTS};
 use supple::mujoco::{self, Data, Model};
-use supple::onnx;
+use supple::network::Scratch;
 use supple::policy::Policy;
-use supple::ppo::Scratch;
-use supple::random::{Purpose, stream};
+use supple::policy::onnx;
+use supple::robot::Robot;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
-use supple::scene::{RobotFile, Scene};
+use supple::sim::Scene;
 use supple::sim::Sim;
 use supple::train::Trainer;
+use supple::train::checkpoint::{Checkpoint, RunState};
+use supple::util::random::{Purpose, stream};
+use supple::util::yaml::flat_parameters;
 
 use crate::mutate::mutate;
 
@@ -288,7 +290,7 @@ fn mjcf(input: &[u8]) -> bool {
         Model::from_xml(&[("f.xml", &text)])
     } else if input.len().is_multiple_of(16) {
         let obstacles = text.into_owned();
-        Scene { obstacles, ..Scene::flat(RobotFile::Embedded, 1.0 / 240.0) }.compile()
+        Scene { obstacles, ..Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0) }.compile()
     } else {
         let size = r#"<size nconmax="50" njmax="200" nstack="20000"/>"#;
         let whole = format!("<mujoco>{size}<worldbody>{text}</worldbody></mujoco>");

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
-use supple::go1::same_in_every_leg;
+use supple::config::Config;
 use supple::policy::Policy;
 
-use crate::support::{complaint, run, standing_policy};
+use crate::support::{complaint, run, standing_policy, zero_policy};
 
 /// As little of everything as there can be.
 const TINY: &str = "
@@ -53,9 +53,9 @@ const FIGURES: [&str; 16] = [
 
 /// A policy that folds its legs and lies down at once.
 fn falling_policy() -> Policy {
-    let mut policy = standing_policy();
-    policy.nominal_pose = same_in_every_leg([0.0, 1.5, -2.7]);
-    policy
+    let mut config = Config::load("compliant").unwrap();
+    config.action.nominal_pose_rad = [0.0, 1.5, -2.7];
+    zero_policy(config)
 }
 
 /// A folder with the tiny protocol and policies by file name.
@@ -316,9 +316,10 @@ fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
 
 #[test]
 fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of_differences_only() {
-    let mut baseline = standing_policy();
-    baseline.provenance.config.episode.recovery_stage = false;
-    baseline.provenance.config.ppo.epochs = 7;
+    let mut config = Config::load("compliant").unwrap();
+    config.episode.recovery_stage = false;
+    config.ppo.epochs = 7;
+    let baseline = zero_policy(config);
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
         ("compliant-seed3.safetensors", standing_policy()),
@@ -349,6 +350,58 @@ fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of
     let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
     let command = "evaluate -- walk --policies policies --protocol tiny.yaml --out report";
     assert!(page.contains(command), "the page tells how to run what is missing");
+}
+
+#[test]
+fn a_further_set_has_its_column_and_its_colour_and_changes_nothing_of_the_two_that_are_compared() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", standing_policy()),
+    ]);
+    let folder = folder.path();
+    std::fs::create_dir(folder.join("fallen")).unwrap();
+    falling_policy().save(&folder.join("fallen/policy-seed0.safetensors")).unwrap();
+    let experiments = ["walk", "push-grid", "decay", "leash", "box"];
+    let output = evaluate(folder, &[&experiments[..], &["--out", "two"]].concat());
+    assert!(output.status.success(), "{}", complaint(&output));
+    let also = ["--also", "lying=fallen", "--also", "more=fallen/policy-seed0.safetensors", "--out", "four"];
+    let output = evaluate(folder, &[&experiments[..], &also, &["--results", "results.md"]].concat());
+    assert!(output.status.success(), "{}", complaint(&output));
+
+    let (two, four) = (summary(folder, "two"), summary(folder, "four"));
+    assert_eq!(four["sets"], serde_json::json!(["compliant", "baseline", "lying", "more"]));
+    assert_eq!(four["policies"].as_array().unwrap().len(), 4);
+    let falls = |summary: &Value| row(experiment(summary, "walk"), "walk", "forward 0.5", "fell").clone();
+    assert_eq!(falls(&four)["sets"]["lying"]["mean"], 100.0);
+    for set in ["compliant", "baseline"] {
+        assert_eq!(falls(&four)["sets"][set], falls(&two)["sets"][set]);
+    }
+    let verdicts = |summary: &Value| {
+        let claims = experiment(summary, "decay")["claims"].as_array().unwrap().iter();
+        claims.map(|claim| (claim["verdict"].clone(), claim["ours"]["difference"].clone())).collect::<Vec<_>>()
+    };
+    assert_eq!(verdicts(&four), verdicts(&two));
+    let head = std::fs::read_to_string(folder.join("four/tables/walk.csv")).unwrap();
+    assert!(head.contains(",baseline_seeds,lying_mean,lying_sd,lying_seeds,more_mean,"), "{head}");
+    for figure in ["walk", "push-grid", "leash", "box", "decay"] {
+        let svg = std::fs::read_to_string(folder.join(format!("four/figures/{figure}.svg"))).unwrap();
+        assert!(svg.contains("lying") && svg.contains("more") && !svg.contains("NaN"), "{figure}");
+    }
+    let page = std::fs::read_to_string(folder.join("four/report.html")).unwrap();
+    assert!(page.contains("compliant against baseline and lying and more") && page.contains("<th>lying</th>"));
+    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    assert!(
+        document.contains("falls, more") && document.contains("difference [95 % interval], compliant and baseline")
+    );
+
+    for (also, expected) in [
+        ("lying", "expected NAME=PATH"),
+        ("baseline=fallen", "--also baseline: another set has this name"),
+        ("lying=nowhere", "cannot read the policies in nowhere"),
+    ] {
+        let output = evaluate(folder, &["walk", "--also", also]);
+        assert!(output.status.code() == Some(2) && complaint(&output).contains(expected), "{}", complaint(&output));
+    }
 }
 
 #[test]

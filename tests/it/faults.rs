@@ -5,12 +5,12 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use crate::support::{assert_same, complaint, metrics, run, small_config, small_config_file, standing_policy};
+use crate::support::{assert_same, complaint, metrics, run, small_config, small_config_file};
 
 /// Starts a long training run and waits for its folder.
 fn training(folder: &Path) -> Child {
     small_config_file(folder);
-    let mut child = Command::new(env!("CARGO_BIN_EXE_train"))
+    let mut child = Command::new(crate::support::program("train"))
         .args(["--config", "small.yaml", "--samples", "100000000", "--threads", "1", "--out", "run"])
         .current_dir(folder)
         .stderr(Stdio::piped())
@@ -28,41 +28,6 @@ fn send(signal: &str, child: &Child) {
 }
 
 #[test]
-fn a_closed_pipe_is_neither_a_panic_nor_an_error() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
-    let scenario: &[&str] = &["walk", "--policy", "p.safetensors", "--duration-s", "0.2", "--no-record", "--json"];
-    let cases = [
-        (env!("CARGO_BIN_EXE_scenario"), scenario),
-        (env!("CARGO_BIN_EXE_scenario"), &["list"]),
-        (env!("CARGO_BIN_EXE_policy"), &["show", "p.safetensors"]),
-        (env!("CARGO_BIN_EXE_policy"), &["verify", "p.safetensors"]),
-    ];
-    for (program, arguments) in cases {
-        let mut child = Command::new(program)
-            .args(arguments)
-            .current_dir(folder.path())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        drop(child.stdout.take());
-        let output = child.wait_with_output().unwrap();
-        assert!(output.status.success(), "{arguments:?}: {}", complaint(&output));
-        assert_eq!(complaint(&output), "", "{arguments:?}");
-    }
-}
-
-#[test]
-fn a_standard_output_that_is_full_is_an_error() {
-    let Ok(full) = std::fs::File::options().write(true).open("/dev/full") else { return };
-    let child = Command::new(env!("CARGO_BIN_EXE_scenario")).arg("list").stdout(full).stderr(Stdio::piped()).spawn();
-    let output = child.unwrap().wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(2));
-    assert!(complaint(&output).starts_with("error: cannot write to standard output: No space left"));
-}
-
-#[test]
 fn a_checkpoint_that_cannot_be_written_leaves_the_one_before_and_the_run_can_be_resumed() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small_config();
@@ -74,7 +39,7 @@ fn a_checkpoint_that_cannot_be_written_leaves_the_one_before_and_the_run_can_be_
     );
     // Room for the first checkpoint, in which environments are at rest and their numbers short, but for no later one.
     let kibibytes = size("probe/checkpoint.safetensors").max(size("probe/policy.safetensors")) / 1024;
-    let train = env!("CARGO_BIN_EXE_train");
+    let train = crate::support::program("train");
     let limited = format!(
         "trap '' XFSZ; ulimit -f {}; exec {train} --config small.yaml --samples 5120 --threads 1 --out run",
         kibibytes * 95 / 100
@@ -160,26 +125,6 @@ fn a_damaged_checkpoint_is_set_aside_and_never_becomes_the_one_to_fall_back_to()
 }
 
 #[test]
-fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
-    let folder = tempfile::tempdir().unwrap();
-    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
-    let play = |csv: &str, recording: &[&str]| {
-        let line = ["push", "--policy", "p.safetensors", "--duration-s", "2", "--at-s", "0.5", "--json", "--csv", csv];
-        let output = run("scenario", folder.path(), &[&line[..], recording].concat());
-        assert!(output.status.success(), "{}", complaint(&output));
-        (output.stdout, std::fs::read(folder.path().join(csv)).unwrap())
-    };
-    let plain = play("a.csv", &["--no-record"]);
-    let columns: Vec<usize> = String::from_utf8_lossy(&plain.1).lines().map(|row| row.split(',').count()).collect();
-    assert_eq!(columns, [columns[0]; 121]);
-    assert_eq!(plain, play("b.csv", &["--no-record"]));
-    if cfg!(feature = "record") {
-        assert_eq!(plain, play("c.csv", &["--record", "c.rrd"]));
-        assert!(folder.path().join("c.rrd").exists());
-    }
-}
-
-#[test]
 fn a_physics_fault_is_shown_kept_and_does_not_end_the_run() {
     let folder = tempfile::tempdir().unwrap();
     // Pushes that throw the robot so hard that MuJoCo gives up.
@@ -220,5 +165,5 @@ fn a_gradient_that_is_not_finite_stops_the_run_with_what_led_there_and_a_whole_c
     let told: serde_json::Value = serde_json::from_str(&read("fault.json")).unwrap();
     assert!(told["minibatch"]["gradient_norm"].is_null() && told["rollout"]["returns"]["low"].is_number());
     assert_eq!(read("fault-minibatch.csv").lines().count(), 1 + 64);
-    assert!(supple::checkpoint::Checkpoint::load(&folder.path().join("run")).unwrap().1.is_none());
+    assert!(supple::train::checkpoint::Checkpoint::load(&folder.path().join("run")).unwrap().1.is_none());
 }

@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rand::RngExt;
-use supple::checkpoint::Checkpoint;
-use supple::random::{Purpose, stream};
+use supple::train::checkpoint::Checkpoint;
+use supple::util::random::{Purpose, stream};
 
 use crate::support::{assert_same, complaint, metrics, run, small_config};
 
@@ -59,7 +59,7 @@ fn a_run_that_is_killed_at_any_moment_and_resumed_gives_the_bits_of_one_that_is_
 
 fn kill_after(delay: Duration, run: &Path, tally: &mut Tally) {
     let parent = run.parent().unwrap();
-    let mut child = Command::new(env!("CARGO_BIN_EXE_train"))
+    let mut child = Command::new(crate::support::program("train"))
         .args(START)
         .args(GO)
         .arg("--out")

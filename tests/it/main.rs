@@ -2,10 +2,13 @@
 
 mod evaluate;
 mod faults;
+mod formats;
 mod kill;
 mod licences;
 mod model;
 mod programs;
+mod provenance;
+mod readme;
 mod scenarios;
 mod support;
 mod travel;

@@ -4,14 +4,13 @@ use std::collections::HashSet;
 
 use rand::RngExt;
 use supple::config::Config;
-use supple::go1::{Go1, JOINT_COUNT, JOINT_LIMITS, Joints, TORQUE_LIMITS, joint_name, same_in_every_leg};
 use supple::mujoco::{Data, Kind, Model};
-use supple::random::{Purpose, stream};
-use supple::scene::{RobotFile, Scene};
-use supple::sim::{Conditions, Sim, StepObserver};
+use supple::robot::{JOINTS, Joints, PARTS, Robot, joint_name, same_in_every_leg};
+use supple::sim::{Conditions, Parts, Scene, Sim, StepObserver};
+use supple::util::random::{Purpose, stream};
 
 fn scene() -> Scene {
-    Scene::flat(RobotFile::Embedded, 1.0 / 240.0)
+    Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0)
 }
 
 fn model() -> Model {
@@ -32,17 +31,17 @@ fn masses_are_the_manufacturers_with_rotors() {
 
 #[test]
 fn joints_come_in_unitrees_order_with_its_limits_and_no_damping() {
-    let model = model();
-    let names: Vec<String> = (1..=JOINT_COUNT).map(|joint| model.name(Kind::Joint, joint).to_owned()).collect();
-    let expected: Vec<String> = (0..JOINT_COUNT).map(|joint| format!("{}_joint", joint_name(joint))).collect();
+    let (model, robot) = (model(), Robot::load("go1").unwrap());
+    let names: Vec<String> = (1..=JOINTS).map(|joint| model.name(Kind::Joint, joint).to_owned()).collect();
+    let expected: Vec<String> = (0..JOINTS).map(|joint| format!("{}_joint", joint_name(joint))).collect();
     assert_eq!(names, expected);
-    for joint in 0..JOINT_COUNT {
-        let (range, torque, armature) = match joint % 3 {
+    for joint in 0..JOINTS {
+        let (range, torque, armature) = match joint % PARTS.len() {
             0 => ([-0.863, 0.863], 23.7, 0.004_481_385_914),
             1 => ([-0.686, 4.501], 23.7, 0.004_481_385_914),
             _ => ([-2.818, -0.888], 35.55, 0.010_083_118_31),
         };
-        assert_eq!((JOINT_LIMITS[joint % 3], TORQUE_LIMITS[joint % 3]), (range, torque));
+        assert_eq!((robot.joint_limits[joint], robot.torque_limits[joint]), (range, torque));
         assert_eq!(model.joint_range(joint + 1), range);
         assert_eq!(model.control_range(joint), [-torque, torque]);
         assert_eq!(model.armature()[6 + joint], armature);
@@ -66,7 +65,7 @@ fn the_robot_stands_where_the_model_says_under_kp_40_and_kd_1() {
     let config = Config::load("compliant").unwrap();
     let mut sim = Sim::new(&scene(), &config.simulation, 0.2).unwrap();
     let target = same_in_every_leg([0.0, 0.72, -1.44]);
-    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, joint_offsets: [0.0; 12] };
+    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; 12] };
     sim.reset(conditions, &target).unwrap();
     let start = sim.state();
     for _ in 0..120 {
@@ -85,7 +84,7 @@ fn the_robot_stands_where_the_model_says_under_kp_40_and_kd_1() {
 struct First(Option<Joints>);
 
 impl StepObserver for First {
-    fn forces(&mut self, _: &Data, _: &Go1, torques: &Joints) {
+    fn forces(&mut self, _: &Data, _: &Parts, torques: &Joints) {
         self.0.get_or_insert(*torques);
     }
 }
@@ -96,16 +95,16 @@ fn encoders_that_are_off_mislead_the_state_and_the_motors_by_the_same_angle() {
     let target = same_in_every_leg([0.0, 0.72, -1.44]);
     let [exact, off] = [0.0, 0.01].map(|offset| {
         let mut sim = Sim::new(&scene(), &config.simulation, 0.2).unwrap();
-        let mut joint_offsets = [0.0; 12];
-        joint_offsets[4] = offset;
-        sim.reset(Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, joint_offsets }, &target).unwrap();
-        let (read, real) = (sim.state().joint_angles, sim.robot().joint_angles(sim.data()));
+        let mut encoder_bias = [0.0; 12];
+        encoder_bias[4] = offset;
+        sim.reset(Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias }, &target).unwrap();
+        let (read, real) = (sim.state().joint_angles, sim.parts().joint_angles(sim.data()));
         let mut first = First::default();
         sim.step(&target, &mut first).unwrap();
         (read, real, first.0.unwrap())
     });
     assert_eq!((exact.0, exact.1), (off.1, off.1));
-    for joint in 0..JOINT_COUNT {
+    for joint in 0..JOINTS {
         let offset = if joint == 4 { 0.01 } else { 0.0 };
         assert!((off.0[joint] - off.1[joint] - offset).abs() < 1e-15);
         // 40 N·m/rad · 0.01 rad
@@ -127,11 +126,11 @@ fn visual_geometries_do_not_change_the_physics() {
 fn the_pairs_of_the_flat_scene_are_all_contacts_there_are() {
     let config = Config::load("compliant").unwrap();
     let searching = Scene { obstacles: "<!-- none -->".into(), ..scene() };
-    let listed = |scene: &Scene| scene.xml(true).unwrap().contains(r#"collision="predefined""#);
+    let listed = |scene: &Scene| scene.xml(true).contains(r#"collision="predefined""#);
     assert!(listed(&scene()) && !listed(&searching));
     let mut sims = [scene(), searching].map(|scene| Sim::new(&scene, &config.simulation, 0.2).unwrap());
     let target = same_in_every_leg([0.0, 0.72, -1.44]);
-    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.3, joint_offsets: [0.0; 12] };
+    let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.3, encoder_bias: [0.0; 12] };
     let mut rng = stream(0, Purpose::Scenario, 0, 0);
     let mut touched = HashSet::new();
     for _ in 0..300 {

@@ -1,12 +1,12 @@
 //! One list of properties over every scenario.
 
 use clap::{FromArgMatches, Subcommand};
-use supple::config::flat_parameters;
 use supple::mujoco::Kind;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
+use supple::scenario::trace::{EventKind, Trace};
 use supple::scenario::{Rollout, Sensing};
-use supple::trace::{EventKind, Trace};
+use supple::util::yaml::flat_parameters;
 
 use crate::support::standing_policy;
 
@@ -32,8 +32,9 @@ fn trace(scenario: &Scenario, seed: u64) -> Trace {
 fn trace_with(scenario: &Scenario, seed: u64, sensing: Sensing) -> Trace {
     let policy = standing_policy();
     let script = scenario.script(seed, &policy.provenance.config).unwrap();
-    let rollout =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller())).unwrap().with_bodies();
+    let rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller()))
+        .unwrap()
+        .with_bodies();
     rollout.with_sensing(sensing, seed).unwrap().trace()
 }
 
@@ -68,9 +69,9 @@ fn what_would_come_after_the_end_is_told() {
 fn encoders_are_off_by_what_the_seed_draws_if_asked() {
     let config = standing_policy().provenance.config;
     let offsets =
-        |changes: &[&str], seed| scenario("walk", changes).script(seed, &config).unwrap().conditions.joint_offsets;
+        |changes: &[&str], seed| scenario("walk", changes).script(seed, &config).unwrap().conditions.encoder_bias;
     assert_eq!(offsets(&[], 1), [0.0; 12]);
-    let asked = ["--joint-offset-sd-rad=0.01"];
+    let asked = ["--encoder-bias-sd-rad=0.01"];
     assert_eq!(offsets(&asked, 1), offsets(&asked, 1));
     assert_ne!(offsets(&asked, 1), offsets(&asked, 2));
     assert!(offsets(&asked, 1).iter().all(|offset| *offset != 0.0 && offset.abs() < 0.05));
@@ -285,7 +286,8 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once() {
         .unwrap();
     script.goal.as_mut().unwrap().ahead_m = -1.0;
     let policy = standing_policy();
-    let trace = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller())).unwrap().trace();
+    let trace =
+        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
     let reached: Vec<_> = trace.events.iter().filter(|event| event.kind == EventKind::Success).collect();
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");
@@ -301,6 +303,7 @@ fn who_passes_beside_an_obstacle_has_not_crossed_it() {
     assert_eq!(goal.half_width_m, 1.2);
     // As if the robot had gone round.
     (goal.ahead_m, goal.half_width_m) = (-1.0, 0.0);
-    let trace = Rollout::new(&script, &policy.provenance.config, Box::new(policy.controller())).unwrap().trace();
+    let trace =
+        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
     assert!(!trace.reached_goal());
 }

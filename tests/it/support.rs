@@ -1,15 +1,15 @@
-//! What several tests need.
+//! What several tests need, also those of the recording package.
+#![allow(dead_code)] // No test uses all of it.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use serde_json::Value;
 use supple::config::Config;
-use supple::go1::JOINT_COUNT;
+use supple::network::ActorCritic;
 use supple::policy::{Policy, Provenance};
-use supple::ppo::ActorCritic;
-use supple::random::{Purpose, stream};
-use supple::task::observation::LENGTH;
+use supple::robot::{JOINTS, Robot};
+use supple::util::random::{Purpose, stream};
 
 /// A configuration small enough for tests: the paper's task, a tiny learner.
 pub fn small_config() -> Config {
@@ -37,29 +37,63 @@ pub fn small_config_file(folder: &Path) -> PathBuf {
 
 /// A policy whose action is zero: it holds the nominal pose.
 pub fn standing_policy() -> Policy {
-    let network = ActorCritic::orthogonal(LENGTH, &[8], JOINT_COUNT, -1.0, &mut stream(0, Purpose::Weights, 0, 0));
+    zero_policy(Config::load("compliant").unwrap())
+}
+
+/// A policy of a configuration whose action is zero.
+pub fn zero_policy(config: Config) -> Policy {
+    let (layout, mut rng) = (config.layout().unwrap(), stream(0, Purpose::Weights, 0, 0));
+    let network = ActorCritic::orthogonal(layout.length(), &[8], JOINTS, -1.0, &mut rng);
+    let robot = Robot::load(&config.robot.model).unwrap();
     let provenance = Provenance {
         config_name: "compliant".into(),
-        config: Config::load("compliant").unwrap(),
+        config,
         seed: 0,
         samples: 0,
         git_revision: "test".into(),
         mujoco_version: "2.2.2".into(),
     };
-    Policy::new(&network.zeros_like(), provenance)
+    Policy::new(&network.zeros_like(), &robot, layout, provenance)
+}
+
+/// The file of a program of the package that is tested.
+pub fn program(name: &str) -> &'static str {
+    let path = match name {
+        "evaluate" => option_env!("CARGO_BIN_EXE_evaluate"),
+        "train" => option_env!("CARGO_BIN_EXE_train"),
+        "policy" => option_env!("CARGO_BIN_EXE_policy"),
+        "train_contact" => option_env!("CARGO_BIN_EXE_train_contact"),
+        "scenario" => option_env!("CARGO_BIN_EXE_scenario"),
+        other => panic!("no program {other}"),
+    };
+    path.unwrap_or_else(|| panic!("{name} is not of this package"))
 }
 
 /// Runs one of the programs in a folder.
-pub fn run(program: &str, folder: &Path, arguments: &[&str]) -> Output {
-    let path = match program {
-        "evaluate" => env!("CARGO_BIN_EXE_evaluate"),
-        "train" => env!("CARGO_BIN_EXE_train"),
-        "policy" => env!("CARGO_BIN_EXE_policy"),
-        "train_contact" => env!("CARGO_BIN_EXE_train_contact"),
-        "scenario" => env!("CARGO_BIN_EXE_scenario"),
-        other => panic!("no program {other}"),
-    };
-    Command::new(path).args(arguments).current_dir(folder).output().unwrap()
+pub fn run(name: &str, folder: &Path, arguments: &[&str]) -> Output {
+    Command::new(program(name)).args(arguments).current_dir(folder).output().unwrap()
+}
+
+/// A file of the repository.
+pub fn repository(path: &str) -> PathBuf {
+    let package = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let root = if package.join("models").exists() { package } else { package.parent().unwrap() };
+    root.join(path)
+}
+
+/// A file of the robot for tests.
+pub fn robot(name: &str) -> PathBuf {
+    repository("tests/fixtures/robot").join(name)
+}
+
+/// An example from `examples/policies` with a network of the right shape from the fixtures.
+pub fn example(folder: &Path, name: &str) -> PathBuf {
+    let path = folder.join(format!("{name}.yaml"));
+    let text = std::fs::read_to_string(repository("examples/policies").join(format!("{name}.yaml"))).unwrap();
+    std::fs::write(&path, text.replace("policy.onnx", &format!("{name}.onnx"))).unwrap();
+    std::fs::copy(repository("tests/fixtures/onnx").join(format!("{name}.onnx")), folder.join(format!("{name}.onnx")))
+        .unwrap();
+    path
 }
 
 /// Standard error as text.

@@ -1,29 +1,19 @@
-//! Policies and robots that come from elsewhere, and ours that go there.
-
-use std::path::{Path, PathBuf};
+//! External policies and imported robots, and policies of ours that travel.
 
 use serde_json::Value;
-use supple::agent::Agent;
 use supple::config::Config;
-use supple::foreign::{ForeignPolicy, describe};
 use supple::mujoco::Kind;
+use supple::policy::Agent;
+use supple::policy::external::{ExternalPolicy, describe};
+use supple::policy::{onnx, shipped};
 use supple::robot::Robot;
 use supple::scenario::Rollout;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
-use supple::scene::{RobotFile, Scene};
-use supple::trace::Trace;
-use supple::{onnx, policies};
+use supple::scenario::trace::Trace;
+use supple::sim::Scene;
 
 use crate::scenarios;
-use crate::support::{complaint, run, standing_policy};
-
-fn repository(path: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
-}
-
-fn robot(name: &str) -> PathBuf {
-    repository("tests/fixtures/robot").join(name)
-}
+use crate::support::{complaint, example, repository, robot, run, standing_policy};
 
 fn walk(agent: &Agent, duration_s: f64) -> Trace {
     let task = Task { duration_s, ..defaults::<Walk>("walk").unwrap().task };
@@ -31,20 +21,10 @@ fn walk(agent: &Agent, duration_s: f64) -> Trace {
     Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace()
 }
 
-/// An example from `examples/policies` with a network of the right shape from the fixtures.
-fn example(folder: &Path, name: &str) -> PathBuf {
-    let path = folder.join(format!("{name}.yaml"));
-    let text = std::fs::read_to_string(repository("examples/policies").join(format!("{name}.yaml"))).unwrap();
-    std::fs::write(&path, text.replace("policy.onnx", &format!("{name}.onnx"))).unwrap();
-    std::fs::copy(repository("tests/fixtures/onnx").join(format!("{name}.onnx")), folder.join(format!("{name}.onnx")))
-        .unwrap();
-    path
-}
-
 #[test]
 fn our_policy_as_onnx_with_its_description_walks_as_the_policy_file_does() {
     let folder = tempfile::tempdir().unwrap();
-    let policy = policies::find_ours("compliant").unwrap();
+    let policy = shipped::find_ours("compliant").unwrap();
     std::fs::write(folder.path().join("p.onnx"), onnx::export(&policy)).unwrap();
     std::fs::write(folder.path().join("p.yaml"), describe(&policy, "p.onnx")).unwrap();
     let travelled = walk(&Agent::load(&folder.path().join("p.yaml")).unwrap(), 2.0);
@@ -62,21 +42,7 @@ fn our_policy_as_onnx_with_its_description_walks_as_the_policy_file_does() {
 }
 
 #[test]
-fn policies_in_the_styles_of_rsl_rl_and_playground_are_played_from_their_examples() {
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["rsl_rl", "playground"] {
-        example(folder.path(), name);
-        let arguments = ["push", "--policy", &format!("{name}.yaml"), "--duration-s", "1", "--json", "--no-record"];
-        let output = run("scenario", folder.path(), &arguments);
-        assert!(output.status.success(), "{}", complaint(&output));
-        let object: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(object["runs"][0]["policy"], name);
-        assert_eq!(object["runs"][0]["sha256"].as_str().unwrap().len(), 64);
-    }
-}
-
-#[test]
-fn evaluate_compares_a_policy_from_elsewhere_with_ours() {
+fn evaluate_compares_an_external_policy_with_ours() {
     let folder = tempfile::tempdir().unwrap();
     example(folder.path(), "rsl_rl");
     standing_policy().save(&folder.path().join("b.safetensors")).unwrap();
@@ -86,104 +52,30 @@ fn evaluate_compares_a_policy_from_elsewhere_with_ours() {
     assert!(output.status.success(), "{}", complaint(&output));
     let summary: Value =
         serde_json::from_slice(&std::fs::read(folder.path().join("report/summary.json")).unwrap()).unwrap();
-    assert_eq!(summary["policies"][0]["config"], "from elsewhere", "{summary}");
+    assert_eq!(summary["policies"][0]["config"], "external", "{summary}");
     assert_eq!(summary["policies"][0]["samples"], Value::Null);
 }
 
 #[test]
-fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2() {
-    let folder = tempfile::tempdir().unwrap();
-    let text = std::fs::read_to_string(example(folder.path(), "rsl_rl")).unwrap();
-    let write = |name: &str, from: &str, to: &str| {
-        assert!(text.contains(from), "{from}");
-        std::fs::write(folder.path().join(name), text.replacen(from, to, 1)).unwrap();
-    };
-    write("short.yaml", "  - {quantity: last_action}\n", "");
-    write("joint.yaml", "FL_hip,", "tail,");
-    write("twice.yaml", "FL_hip,", "FL_thigh,");
-    write("key.yaml", "observation_clip:", "observation_klip:");
-    write("fast.yaml", "physics_rate_hz: 200", "physics_rate_hz: 4000000000");
-    write("axis.yaml", "{quantity: projected_gravity}", "{quantity: projected_gravity, elements: [up, yaw]}");
-    write("scale.yaml", "scale: [2.0, 2.0, 0.25]", "scale: [2.0, 2.0]");
-    write("old.yaml", "{quantity: projected_gravity}", "{quantity: projected_gravity, steps_ago: 4000000000}");
-    write("gone.yaml", "rsl_rl.onnx", "gone.onnx");
-    write("cut.yaml", "rsl_rl.onnx", "cut.onnx");
-    let network = std::fs::read(folder.path().join("rsl_rl.onnx")).unwrap();
-    std::fs::write(folder.path().join("cut.onnx"), &network[..network.len() / 2]).unwrap();
-    let bomb: String = (1..40).map(|k| format!("a{k}: &a{k} [*a{j}, *a{j}, *a{j}]\n", j = k - 1)).collect();
-    std::fs::write(folder.path().join("bomb.yaml"), format!("a0: &a0 [1, 1, 1]\n{bomb}")).unwrap();
-    // Its keyframe would no longer have the right length.
-    let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
-    let (before, after) = (xml.find("<keyframe>").unwrap(), xml.find("</keyframe>").unwrap() + "</keyframe>".len());
-    let xml = format!("{}{}", &xml[..before], &xml[after..]);
-    let assets = robot("assets").display().to_string();
-    let model = |name: &str, from: &str, to: &str| {
-        assert!(xml.contains(from), "{from}");
-        let changed = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{assets}\"")).replace(from, to);
-        std::fs::write(folder.path().join(name), changed).unwrap();
-    };
-    model("fixed.xml", "<freejoint/>", "");
-    model(
-        "tail.xml",
-        "<site name=\"imu\"",
-        "<body><joint name=\"tail\"/><geom size=\"0.01\"/></body><site name=\"imu\"",
-    );
-    model("nameless.xml", "RL_calf_joint", "left_rear_bottom");
-    model("loop.xml", "<mujoco model=\"quadruped\">", "<mujoco><include file=\"loop.xml\"/>");
-    model("broken.xml", "</default>", "");
-    standing_policy().save(&folder.path().join("ours.safetensors")).unwrap();
-
-    let cases: [(&[&str], &str); 19] = [
-        (&["--policy", "rsl_rl.onnx"], "describe it in a YAML file"),
-        (&["--policy", "short.yaml"], "its observation has 36 numbers (BaseVelocity 3,"),
-        (&["--policy", "short.yaml"], "but the input 'obs' of rsl_rl.onnx takes 48"),
-        (&["--policy", "joint.yaml"], "`joints` has 'tail', which is no joint of the robot"),
-        (&["--policy", "twice.yaml"], "must name each of these once"),
-        (&["--policy", "key.yaml"], "unknown field `observation_klip`"),
-        (&["--policy", "fast.yaml"], "up to 20000"),
-        (&["--policy", "axis.yaml"], "entry 3 (ProjectedGravity): `elements` has 'yaw'"),
-        (&["--policy", "scale.yaml"], "`scale` has 2 numbers, expected one, or 3"),
-        (&["--policy", "old.yaml"], "ages from 0 to 200 policy steps"),
-        (&["--policy", "gone.yaml"], "gone.onnx: No such file"),
-        (&["--policy", "cut.yaml"], "cut.onnx: it is cut off or not ONNX"),
-        (&["--policy", "bomb.yaml"], "repetition limit exceeded"),
-        (&["--policy", "ours.safetensors", "--model", "fixed.xml"], "its trunk is fixed to the world"),
-        (&["--policy", "ours.safetensors", "--model", "tail.xml"], "joints beside those of four legs: tail"),
-        (&["--policy", "ours.safetensors", "--model", "nameless.xml"], "no joint 'RL_calf'; its joints are: "),
-        (&["--policy", "ours.safetensors", "--model", "loop.xml"], "does one include itself?"),
-        (&["--policy", "ours.safetensors", "--model", "broken.xml"], "is not XML"),
-        (&["--policy", "ours.safetensors", "--model", "none.xml"], "cannot read none.xml"),
-    ];
-    for (arguments, expected) in cases {
-        let output = run("scenario", folder.path(), &[&["walk", "--no-record"], arguments].concat());
-        let complaint = complaint(&output);
-        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
-        assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
-        let lines = complaint.lines().filter(|line| !line.ends_with(".xml:")).count();
-        assert_eq!(lines, 1, "{complaint}");
-    }
-}
-
-#[test]
-fn our_own_model_read_as_one_from_elsewhere_walks_bit_for_bit_as_before() {
+fn our_own_model_imported_walks_bit_for_bit_as_before() {
     let path = repository("models/go1.xml");
-    let found = Robot::load(&path).unwrap();
+    let found = Robot::load(path.to_str().unwrap()).unwrap();
     let mut agent: Agent = standing_policy().into();
     let before = walk(&agent, 1.0);
-    agent.run_on(path.to_str().unwrap(), &found);
+    agent.run_on(&found);
     assert_eq!(walk(&agent, 1.0), before);
 }
 
 #[test]
 fn a_public_style_quadruped_loses_servos_damping_and_soft_feet_and_the_report_says_so() {
     let path = robot("scene.xml");
-    let report = Robot::load(&path).unwrap().report.join("\n");
+    let report = Robot::load(path.to_str().unwrap()).unwrap().report.join("\n");
     for expected in [
         "mass: 12.800 kg",
         "joint damping: 1 to 2 N m s/rad, set to 0",
         "joint friction: 0.2 N m, set to 0",
         "actuators: 12 (12 of them servos) replaced by torque motors",
-        "limits 23.7 N m (hip, thigh) and 35.5 N m (calf), from the file",
+        "limits 23.7 N m (hip, thigh) and 35.5 N m (calf)",
         "condim 6, priority 1, friction 0.8 0.02 0.01",
         "cone elliptic, impratio 100 give way",
         "geom 'floor' left out",
@@ -191,7 +83,7 @@ fn a_public_style_quadruped_loses_servos_damping_and_soft_feet_and_the_report_sa
     ] {
         assert!(report.contains(expected), "{expected}\n{report}");
     }
-    let scene = Scene::flat(RobotFile::Path(path), 1.0 / 240.0);
+    let scene = Scene::flat(Robot::load(path.to_str().unwrap()).unwrap(), 1.0 / 240.0);
     for model in [scene.compile().unwrap(), scene.compile_visual().unwrap()] {
         assert!((model.body_mass().iter().sum::<f64>() - 12.8).abs() < 1e-9);
         assert!(model.damping().iter().chain(model.friction_loss()).all(|value| *value == 0.0));
@@ -210,7 +102,7 @@ fn defaults_of_a_robots_file_do_not_reach_the_rest_of_the_scene() {
     let xml = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{}\"", robot("assets").display()));
     let path = folder.path().join("robot.xml");
     std::fs::write(&path, xml.replacen("<default>", "<default><geom group=\"5\" solref=\"0.5 1\"/>", 1)).unwrap();
-    let model = Scene::flat(RobotFile::Path(path), 1.0 / 240.0).compile().unwrap();
+    let model = Scene::flat(Robot::load(path.to_str().unwrap()).unwrap(), 1.0 / 240.0).compile().unwrap();
     assert_eq!(model.geom(model.id(Kind::Geom, "ground").unwrap()).group, 0);
     assert_eq!(model.geom(model.id(Kind::Geom, "FR_foot").unwrap()).group, 3);
 }
@@ -220,14 +112,14 @@ fn another_robot_stands_and_its_names_do_not_matter() {
     let standing = |name: &str| {
         let path = robot(name);
         let mut agent: Agent = standing_policy().into();
-        agent.run_on(path.to_str().unwrap(), &Robot::load(&path).unwrap());
-        (walk(&agent, 1.0), agent.config)
+        agent.run_on(&Robot::load(path.to_str().unwrap()).unwrap());
+        (walk(&agent, 1.0), Robot::load(&agent.config.robot.model).unwrap())
     };
-    let (usual, config) = standing("quadruped.xml");
-    assert_eq!(config.episode.min_height_m, Config::load("compliant").unwrap().episode.min_height_m);
+    let (usual, found) = standing("quadruped.xml");
+    assert_eq!(found.fall_height_m, None);
     assert!(usual.fall().is_none() && usual.frames.len() == 60, "{:?}", usual.events);
-    let (renamed, config) = standing("renamed.yaml");
-    assert_eq!(config.episode.min_height_m, 0.15);
+    let (renamed, found) = standing("renamed.yaml");
+    assert_eq!(found.fall_height_m, Some(0.15));
     assert!(renamed.fall().is_none(), "{:?}", renamed.events);
     // One starts folded as its keyframe, the other upright as its description says; both come to the same stand.
     let height = |trace: &Trace| trace.frames.last().unwrap().height_m;
@@ -238,7 +130,7 @@ fn another_robot_stands_and_its_names_do_not_matter() {
 fn every_scenario_plays_on_another_robot() {
     let path = robot("quadruped.xml");
     let mut agent: Agent = standing_policy().into();
-    agent.run_on(path.to_str().unwrap(), &Robot::load(&path).unwrap());
+    agent.run_on(&Robot::load(path.to_str().unwrap()).unwrap());
     for scenario in scenarios::all() {
         let script = scenario.script(0, &agent.config).unwrap();
         let trace = Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace();
@@ -293,9 +185,17 @@ fn policy_run_answers_each_line_with_joint_targets() {
 #[test]
 fn examples_describe_what_they_say() {
     let folder = tempfile::tempdir().unwrap();
-    let policy = ForeignPolicy::load(&example(folder.path(), "rsl_rl")).unwrap();
+    let policy = ExternalPolicy::load(&example(folder.path(), "rsl_rl")).unwrap();
     // Ours are FR, FL, RR, RL: Isaac Gym's left legs come first.
-    assert_eq!(policy.nominal_pose(), [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]);
-    assert_eq!((policy.config().simulation.physics_rate_hz, policy.config().simulation.policy_rate_hz), (200, 50));
-    assert!(Robot::load(&repository("examples/robots/quadruped.yaml")).unwrap_err().problem.contains("robot.xml"));
+    assert_eq!(
+        policy.inference.action.nominal_pose,
+        [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]
+    );
+    assert_eq!((policy.config.simulation.physics_rate_hz, policy.config.simulation.policy_rate_hz), (200, 50));
+    assert!(
+        Robot::load(repository("examples/robots/quadruped.yaml").to_str().unwrap())
+            .unwrap_err()
+            .problem
+            .contains("robot.xml")
+    );
 }

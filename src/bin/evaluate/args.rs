@@ -7,9 +7,9 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use supple::evaluate::protocol::Protocol;
 use supple::scenario::Sensing;
 
-/// Compare two sets of policies under disturbance, and write a report.
+/// Compare sets of policies under disturbance, and write a report.
 ///
-/// Runs the paper's experiments with every policy of both sets, on all cores, and writes report.html, figures, tables and
+/// Runs the paper's experiments with every policy of all sets, on all cores, and writes report.html, figures, tables and
 /// summary.json. What is finished is not run again: a second call with the same policies only writes the report.
 #[derive(Parser, Debug)]
 #[command(version)]
@@ -29,6 +29,9 @@ pub struct Args {
     /// Names of the two sets; the paper's claims are about the first
     #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1, default_value = "compliant,baseline")]
     pub names: Vec<String>,
+    /// A further set, shown beside the two that are compared: its name, and its folder (or file); may be repeated
+    #[arg(long, value_name = "NAME=PATH", value_parser = name_and_path)]
+    pub also: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]
     pub out: PathBuf,
@@ -61,14 +64,23 @@ impl Args {
             _ => vec![("--policies", path(&self.policies))],
         };
         let names = (self.names != ["compliant", "baseline"]).then(|| ("--names", self.names.join(",")));
+        let also = self.also.iter().map(|(name, file)| ("--also", format!("{name}={}", file.display())));
         let protocol = self.protocol.iter().map(|file| ("--protocol", path(file)));
         let sensing = (self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".to_owned()));
         let results = self.results.iter().map(|file| ("--results", path(file)));
         let quick = self.quick.then(|| "--quick".to_owned());
-        let pairs = sets.into_iter().chain(names).chain(protocol).chain(sensing);
+        let pairs = sets.into_iter().chain(names).chain(also).chain(protocol).chain(sensing);
         let pairs = pairs.chain([("--out", path(&self.out))]).chain(results);
         let words = pairs.flat_map(|(key, value)| [key.to_owned(), quoted(&value)]);
         quick.into_iter().chain(words).collect()
+    }
+}
+
+/// `NAME=PATH`.
+fn name_and_path(text: &str) -> Result<(String, PathBuf), String> {
+    match text.split_once('=') {
+        Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), path.into())),
+        _ => Err("expected NAME=PATH, as in mine=my-policy.yaml".to_owned()),
     }
 }
 
@@ -82,7 +94,7 @@ fn quoted(word: &str) -> String {
 fn experiments() -> impl TypedValueParser<Value = String> {
     // The protocol inside the program is valid: a test reads it.
     let protocol = Protocol::full().ok();
-    let infos = protocol.iter().flat_map(|protocol| protocol.experiments().map(|experiment| experiment.info()));
+    let infos = protocol.iter().flat_map(|protocol| protocol.experiments()).map(|experiment| experiment.info());
     let value = |info: supple::evaluate::Info| {
         PossibleValue::new(info.name).help(format!("{}, {}: {}", info.id, info.paper, info.title))
     };
@@ -100,6 +112,10 @@ mod tests {
         assert_eq!(
             options(&["--a", "x", "--b", "it's", "--names", "A set,B", "--quick", "--sensing", "estimated"]),
             "--quick --a x --b \"it's\" --names 'A set,B' --sensing estimated --out report"
+        );
+        assert_eq!(
+            options(&["--also", "mine=a b.yaml", "--also", "other=runs/3"]),
+            "--policies policies --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
         );
     }
 }

@@ -1,4 +1,4 @@
-//! `evaluate`: every figure and table of the paper for two sets of policies.
+//! `evaluate`: every figure and table of the paper for sets of policies.
 
 mod args;
 mod progress;
@@ -15,7 +15,7 @@ use supple::evaluate::report::{Command, Report, Section};
 use supple::evaluate::runner::{self, Measurement, Settings};
 use supple::evaluate::store::Store;
 use supple::scenario::Sensing;
-use supple::terminal;
+use supple::util::terminal;
 
 fn main() -> ExitCode {
     terminal::conclude(run(&Args::parse()))
@@ -91,9 +91,17 @@ fn contest(args: &Args) -> anyhow::Result<Contest> {
         .try_into()
         .map_err(|names: Vec<String>| anyhow::anyhow!("--names gives {} names, expected two: A,B", names.len()))?;
     anyhow::ensure!(names[0] != names[1] && names.iter().all(|name| !name.is_empty()), "--names must be two names");
+    for (index, (name, _)) in args.also.iter().enumerate() {
+        let is_taken = names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
+        anyhow::ensure!(!is_taken, "--also {name}: another set has this name, choose a new one");
+    }
+    let [first, second] = &names;
     Ok(match (&args.a, &args.b) {
-        (Some(a), Some(b)) => Contest::of_paths([a, b], &names)?,
-        _ => Contest::in_folder(&args.policies, &names)?,
+        (Some(a), Some(b)) => {
+            let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
+            Contest::of_paths(&[&pair[..], &args.also].concat())?
+        }
+        _ => Contest::in_folder(&args.policies, &names, &args.also)?,
     })
 }
 

@@ -5,7 +5,7 @@ use std::time::Instant;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use supple::evaluate::Info;
 use supple::scenario::Sensing;
-use supple::terminal;
+use supple::util::terminal;
 
 /// Steps of the bar per second of simulated work.
 const STEPS: f64 = 10.0;

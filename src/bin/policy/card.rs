@@ -5,10 +5,10 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use anyhow::Context;
-use supple::metrics::IterationMetrics;
 use supple::policy::Policy;
 use supple::scenario::Rollout;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
+use supple::train::metrics::IterationMetrics;
 
 /// Rows of the learning curve.
 const ROWS: usize = 10;
@@ -89,10 +89,10 @@ fn curve_table(curve: &[IterationMetrics]) -> String {
             last.samples as f64 / 1e6,
             last.time.elapsed_s / 60.0,
             cell(mean(|iteration| iteration.walking_linear), 1.0, 3, ""),
-            cell(mean(|iteration| iteration.fall_share), 100.0, 1, " %"),
-            cell(mean(|iteration| iteration.pushed_fall_share), 100.0, 1, " %"),
-            cell(mean(|iteration| iteration.push_share), 100.0, 0, " %"),
-            100.0 * last.command_share,
+            cell(mean(|iteration| iteration.fall_rate), 100.0, 1, " %"),
+            cell(mean(|iteration| iteration.pushed_fall_rate), 100.0, 1, " %"),
+            cell(mean(|iteration| iteration.push_fraction), 100.0, 0, " %"),
+            100.0 * last.command_fraction,
             cell(mean(|iteration| iteration.swing_height_m), 1e3, 0, " mm"),
             cell(mean(|iteration| Some(iteration.action_std)), 1.0, 2, ""),
             cell(mean(|iteration| Some(iteration.step_reward)), 1.0, 2, ""),
@@ -117,7 +117,7 @@ fn walking_table(policy: &Policy) -> anyhow::Result<String> {
         let scenario = Scenario::Walk(Walk { task });
         let config = &policy.provenance.config;
         let script = scenario.script(0, config)?;
-        let trace = Rollout::new(&script, config, Box::new(policy.controller()))?.trace();
+        let trace = Rollout::new(&script, config, Box::new(policy.inference().controller()))?.trace();
         let found = scenario.metrics(&script, &trace);
         let number = |name: &str| found.iter().find(|metric| metric.name == name).and_then(|metric| metric.value);
         let cell = |name: &str, factor, decimals, unit| cell(number(name), factor, decimals, unit);

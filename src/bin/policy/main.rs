@@ -9,11 +9,10 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
-use supple::policies;
-use supple::policy::Policy;
-use supple::ppo::Scratch;
-use supple::task::observation::{LENGTH, Observation, Quantity};
-use supple::{files, foreign, onnx, terminal};
+use supple::policy::{Buffers, Policy};
+use supple::policy::{external, onnx, shipped};
+use supple::robot::joint_names;
+use supple::util::{files, terminal};
 
 /// Look at a policy, check it, export it.
 #[derive(Parser)]
@@ -44,7 +43,7 @@ enum Command {
         #[arg(long, value_name = "N", default_value_t = 0)]
         samples: u64,
     },
-    /// Print joint targets (rad) for observations given on standard input, each a line of 83 numbers in a JSON array
+    /// Print joint targets (rad) for observations given on standard input, each a JSON array on a line
     Run {
         /// Policy file, run folder, or name of a shipped policy
         policy: String,
@@ -83,12 +82,12 @@ fn main() -> ExitCode {
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Show { policy, json: true } => {
-            terminal::print(format_args!("{}\n", policies::find_ours(&policy)?.metadata_json()))?
+            terminal::print(format_args!("{}\n", shipped::find_ours(&policy)?.metadata_json()))?
         }
-        Command::Show { policy, json: false } => terminal::print(description(&policies::find_ours(&policy)?))?,
+        Command::Show { policy, json: false } => terminal::print(description(&shipped::find_ours(&policy)?))?,
         Command::Verify { policy: name, config, samples } => {
             // Reading a policy checks everything in it, the golden pairs included.
-            let policy = policies::find_ours(&name)?;
+            let policy = shipped::find_ours(&name)?;
             let (found, sha256) = (&policy.provenance, policy.sha256());
             if let Some(config) = config {
                 let differs = |keys| anyhow::anyhow!("{name} does not come from {config}: {keys}");
@@ -98,15 +97,15 @@ fn run(command: Command) -> anyhow::Result<()> {
             anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");
             terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
-        Command::Run { policy } => answer(&policies::find_ours(&policy)?)?,
+        Command::Run { policy } => answer(&shipped::find_ours(&policy)?)?,
         Command::Card { run, name } => terminal::print(card::card(&run, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
-            let (policy, name) = (policies::find_ours(&policy)?, out.file_name().unwrap_or_default());
+            let (policy, name) = (shipped::find_ours(&policy)?, out.file_name().unwrap_or_default());
             // What `scenario` needs to run the network again, and what tells others how to use it.
             let description = out.with_extension("yaml");
             spare(&out, &description)?;
             write(&out, &onnx::export(&policy))?;
-            write(&description, foreign::describe(&policy, &name.to_string_lossy()).as_bytes())?;
+            write(&description, external::describe(&policy, &name.to_string_lossy()).as_bytes())?;
         }
     }
     Ok(())
@@ -117,7 +116,7 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
     let (out, yaml) = (network.display(), description.display());
     anyhow::ensure!(network != description, "--out {out} is where the description goes: name it {out}.onnx or so");
     if let Ok(text) = std::fs::read_to_string(description) {
-        let ours = foreign::is_described_by_us(&text);
+        let ours = external::is_described_by_us(&text);
         anyhow::ensure!(ours, "{yaml} was not written by `policy export`: choose another --out, or move it away");
     }
     Ok(())
@@ -125,15 +124,14 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
 
 /// One line of joint targets for each line of observations.
 fn answer(policy: &Policy) -> anyhow::Result<()> {
-    let mut scratch = Scratch::default();
+    let (mut buffers, length) = (Buffers::default(), policy.layout().length());
     for (index, line) in std::io::stdin().lock().lines().enumerate() {
         let line = line.context("cannot read standard input")?;
         let at = || format!("line {}: expected a JSON array of numbers", index + 1);
-        let numbers: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
-        let observation: Observation = numbers.try_into().map_err(|numbers: Vec<f64>| {
-            anyhow::anyhow!("line {}: {} numbers, expected {LENGTH}; see `policy show`", index + 1, numbers.len())
-        })?;
-        let targets = policy.joint_targets(&observation, &mut scratch);
+        let observation: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
+        let found = observation.len();
+        anyhow::ensure!(found == length, "line {}: {found} numbers, expected {length}; see `policy show`", index + 1);
+        let targets = policy.joint_targets(&observation, &mut buffers);
         terminal::print(format_args!("{}\n", serde_json::json!(targets)))?;
     }
     Ok(())
@@ -169,19 +167,23 @@ fn description(policy: &Policy) -> String {
         simulation.kp_n_m_per_rad,
         simulation.kd_n_m_s_per_rad,
         simulation.latency_s,
-        policy.scale_rad,
+        policy.scale_rad(),
         policy.actor.inputs(),
     );
     let mut start = 0;
-    for block in supple::policy::layout_info() {
-        let when = if block.age == 0 { "now" } else { "one step ago" };
-        let name = words(block.quantity);
-        text.push_str(&format!("  {start:3} {:3}  {name:40} {:16} {when}\n", block.length, block.unit));
-        start += block.length;
+    for block in policy.layout().blocks() {
+        let elements = block.elements().join(", ");
+        // As YAML spells it.
+        let quantity = serde_json::to_value(block.quantity).unwrap_or_default();
+        let name = quantity.as_str().unwrap_or_default().replace('_', " ");
+        let name = if elements.is_empty() { name } else { format!("{name}: {elements}") };
+        let when: Vec<String> = block.steps_ago.iter().map(|steps| ago(*steps)).collect();
+        let (length, unit, when) = (block.length(), block.unit(), when.join(", "));
+        text.push_str(&format!("  {start:3} {length:3}  {name:40} {unit:16} {when}\n"));
+        start += length;
     }
     text.push_str("\njoints            nominal [rad]  range [rad]         largest torque [N m]\n");
-    for (joint, angle) in policy.nominal_pose.iter().enumerate() {
-        let name = supple::go1::joint_name(joint);
+    for (joint, (name, angle)) in joint_names().iter().zip(policy.nominal_pose()).enumerate() {
         let range = policy.usage.joint_limits_rad.map(|limits| limits[joint]);
         let range = range.map_or_else(|| "-".into(), |[low, high]| format!("{low:+.3} to {high:+.3}"));
         let torque = policy.usage.torque_limits_n_m.map(|limits| limits[joint]);
@@ -191,16 +193,10 @@ fn description(policy: &Policy) -> String {
     text
 }
 
-/// A quantity for people, with the order of its axes.
-fn words(quantity: Quantity) -> &'static str {
-    match quantity {
-        Quantity::BaseHeight => "base height above ground",
-        Quantity::LocalGravity => "gravity: left, up, forward",
-        Quantity::JointAngles => "joint angles",
-        Quantity::LocalVelocity => "velocity: left, up, forward",
-        Quantity::LocalAngularVelocity => "angular velocity: left, up, forward",
-        Quantity::JointRates => "joint rates",
-        Quantity::JointTargets => "joint targets",
-        Quantity::Command => "command: left, forward, yaw rate",
+fn ago(steps: u32) -> String {
+    match steps {
+        0 => "now".into(),
+        1 => "one step ago".into(),
+        steps => format!("{steps} steps ago"),
     }
 }

@@ -4,14 +4,12 @@ use rand::RngExt;
 use supple::estimate::contact::History;
 use supple::estimate::contact::learn::Samples;
 use supple::estimate::{EncoderReading, SensorNoise, Sensors};
-use supple::go1::{Foothold, Go1, Joints};
-use supple::mujoco::{self, Data};
-use supple::policy::Policy;
-use supple::random::{Purpose, stream};
-use supple::scenario::Controller;
-use supple::scene::{RobotFile, Scene};
-use supple::sim::{Sim, StepObserver};
+use supple::mujoco::Data;
+use supple::policy::Agent;
+use supple::robot::{Foothold, Joints, Robot};
+use supple::sim::{Parts, Scene, Sim, StepObserver};
 use supple::task::{Command, Curriculum, EpisodePlan};
+use supple::util::random::{Purpose, stream};
 
 /// Length of an episode without a fall \[s\].
 const EPISODE_S: f64 = 6.0;
@@ -22,13 +20,13 @@ const PUSH_S: std::ops::Range<f64> = 2.0..3.5;
 /// One of so many episodes asks the robot to stand, which random commands never do.
 const STANDING: u64 = 6;
 
-/// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, joint offsets and push as in training with
+/// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, encoder bias and push as in training with
 /// dynamics randomisation. It ends with a fall, as what a fallen robot's feet do is no matter of walking.
 ///
 /// # Errors
-/// A fault of MuJoCo.
-pub fn episode(policy: &Policy, noise: SensorNoise, seed: u64, which: [u64; 2]) -> mujoco::Result<Samples> {
-    let mut config = policy.provenance.config.clone();
+/// What does not fit in the robot, or a fault of MuJoCo.
+pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) -> anyhow::Result<Samples> {
+    let mut config = agent.config.clone();
     config.randomisation.enabled = true;
     let mut rng = stream(seed, Purpose::Episode, which[0], which[1]);
     let mut plan = EpisodePlan::draw(&config, Curriculum::complete(), &mut rng);
@@ -38,16 +36,16 @@ pub fn episode(policy: &Policy, noise: SensorNoise, seed: u64, which: [u64; 2]) 
     let push_step = config.simulation.policy_steps(rng.random_range(PUSH_S));
 
     let simulation = &config.simulation;
-    let scene = Scene::flat(RobotFile::from_name(&config.robot.model), simulation.timestep_s());
+    let scene = Scene::flat(Robot::load(&config.robot.model)?, simulation.timestep_s());
     let mut sim = Sim::new(&scene, simulation, config.episode.min_height_m)?;
-    let mut controller = policy.controller();
+    let mut controller = agent.controller();
     sim.reset(plan.conditions, &controller.rest())?;
     controller.begin(&sim.state());
     let mut sensor_rng = stream(seed, Purpose::Sensor, which[0], which[1]);
     let mut tap = Tap {
         sensors: Sensors::new(noise, &mut sensor_rng),
         rng: sensor_rng,
-        offsets: plan.conditions.joint_offsets,
+        offsets: plan.conditions.encoder_bias,
         target: controller.rest(),
         history: History::default(),
         samples: Samples::default(),
@@ -75,8 +73,8 @@ struct Tap<R> {
 }
 
 impl<R: rand::Rng> StepObserver for Tap<R> {
-    fn forces(&mut self, data: &Data, robot: &Go1, _: &Joints) {
-        let exact = EncoderReading::exact(&robot.joint_angles(data), robot.joint_rates(data), &self.offsets);
+    fn forces(&mut self, data: &Data, parts: &Parts, _: &Joints) {
+        let exact = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
         let reading = self.sensors.encoders(&exact, data.model().timestep_s(), &mut self.rng);
         self.history.push(&reading, &self.target);
     }

@@ -12,12 +12,12 @@ use supple::estimate::SensorNoise;
 use supple::estimate::contact::learn::{Learning, Samples, learn};
 use supple::estimate::contact::score::Confusion;
 use supple::estimate::contact::{ContactNetwork, ContactProvenance, HeldOut, INPUTS, PolicySource, RATE_HZ};
-use supple::go1::LEGS;
-use supple::policies;
-use supple::policy::Policy;
-use supple::ppo::Scratch;
-use supple::provenance::{GIT_REVISION, MUJOCO_VERSION};
-use supple::terminal;
+use supple::network::Scratch;
+use supple::policy::Agent;
+use supple::policy::shipped;
+use supple::robot::LEGS;
+use supple::util::provenance::{GIT_REVISION, MUJOCO_VERSION};
+use supple::util::terminal;
 
 /// One of so many episodes is held out.
 const HELD_OUT: u32 = 5;
@@ -50,17 +50,17 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let names = match &args.policies[..] {
-        [] => policies::EMBEDDED.iter().map(|(name, _)| (*name).to_owned()).collect(),
+        [] => shipped::EMBEDDED.iter().map(|(name, _)| (*name).to_owned()).collect(),
         named => named.to_vec(),
     };
     anyhow::ensure!(!names.is_empty(), "no policy ships with this build: give one with --policy");
-    let found: Vec<Policy> = names
+    let found: Vec<Agent> = names
         .iter()
         .map(|name| {
-            let policy = policies::find_ours(name)?;
-            let rate_hz = 1.0 / policy.provenance.config.simulation.timestep_s();
+            let agent = shipped::find(name)?;
+            let rate_hz = 1.0 / agent.config.simulation.timestep_s();
             anyhow::ensure!((rate_hz - RATE_HZ).abs() < 1e-6, "{name} runs at {rate_hz} Hz, expected {RATE_HZ} Hz");
-            Ok(policy)
+            Ok(agent)
         })
         .collect::<anyhow::Result<_>>()?;
     // Not after minutes of work.
@@ -116,7 +116,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
 fn gather(
     args: &Args,
     names: &[String],
-    policies: &[Policy],
+    policies: &[Agent],
     noise: SensorNoise,
 ) -> anyhow::Result<(Vec<Samples>, Vec<Samples>)> {
     let bar = bar("walking", policies.len() as u64 * u64::from(args.episodes));
@@ -143,8 +143,8 @@ fn join(episodes: &[Samples]) -> Samples {
     all
 }
 
-fn sources(names: &[String], policies: &[Policy]) -> Vec<PolicySource> {
-    let source = |(name, policy): (&String, &Policy)| PolicySource { name: name.clone(), sha256: policy.sha256() };
+fn sources(names: &[String], policies: &[Agent]) -> Vec<PolicySource> {
+    let source = |(name, policy): (&String, &Agent)| PolicySource { name: name.clone(), sha256: policy.sha256.clone() };
     names.iter().zip(policies).map(source).collect()
 }
 

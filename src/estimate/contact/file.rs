@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{ContactNetwork, INPUTS, RATE_HZ, TICKS};
 use crate::estimate::SensorNoise;
-use crate::files;
-use crate::go1::{JOINT_COUNT, LEGS, joint_name};
-use crate::ppo::{Layer, Mlp};
-use crate::tensors::{self, Tensor};
+use crate::network::{Layer, Mlp};
+use crate::robot::{JOINTS, LEGS, joint_names};
+use crate::util::files;
+use crate::util::tensors::{self, Tensor};
 
 /// Version of the file format.
 const FORMAT: u32 = 1;
@@ -125,7 +125,7 @@ impl ContactNetwork {
             rate_hz: RATE_HZ,
             ticks: TICKS,
             inputs: inputs(),
-            joints: (0..JOINT_COUNT).map(joint_name).collect(),
+            joints: joint_names().to_vec(),
             outputs: LEGS.map(ToOwned::to_owned).to_vec(),
             checksum: self.checksum(),
             provenance: self.provenance.clone(),
@@ -174,7 +174,7 @@ impl ContactNetwork {
 
 fn inputs() -> Vec<InputInfo> {
     [("joint_angles", "rad"), ("joint_rates", "rad/s"), ("joint_targets", "rad")]
-        .map(|(quantity, unit)| InputInfo { quantity: quantity.into(), unit: unit.into(), length: JOINT_COUNT })
+        .map(|(quantity, unit)| InputInfo { quantity: quantity.into(), unit: unit.into(), length: JOINTS })
         .to_vec()
 }
 
@@ -216,7 +216,7 @@ impl Metadata {
         expect("format", self.format.to_string(), FORMAT.to_string())?;
         expect("rate", format!("{} Hz", self.rate_hz), format!("{RATE_HZ} Hz"))?;
         expect("number of ticks", self.ticks.to_string(), TICKS.to_string())?;
-        let joints: Vec<String> = (0..JOINT_COUNT).map(joint_name).collect();
+        let joints: Vec<String> = joint_names().to_vec();
         expect("list of joints", format!("{:?}", self.joints), format!("{joints:?}"))?;
         expect("list of outputs", format!("{:?}", self.outputs), format!("{LEGS:?}"))?;
         let scores = self.provenance.held_out.len();
@@ -228,7 +228,7 @@ impl Metadata {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::random::{Purpose, stream};
+    use crate::util::random::{Purpose, stream};
 
     fn network() -> ContactNetwork {
         let mut rng = stream(3, Purpose::Weights, 0, 0);

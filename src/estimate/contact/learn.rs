@@ -4,8 +4,8 @@ use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
 use rand::seq::SliceRandom;
 
-use crate::ppo::{Layer, Mlp};
-use crate::random::{Purpose, stream};
+use crate::network::{Layer, Mlp};
+use crate::util::random::{Purpose, stream};
 
 /// What the network should say for what it sees.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -108,7 +108,7 @@ fn network(inputs: usize, outputs: usize, learning: &Learning) -> Result<(Vec<Li
     Ok((layers, variables))
 }
 
-/// As [`crate::ppo::PackedMlp`] computes it.
+/// As [`crate::network::PackedMlp`] computes it.
 fn forward(layers: &[Linear], inputs: &Tensor) -> Result<Tensor> {
     let mut x = inputs.clone();
     for (index, layer) in layers.iter().enumerate() {
@@ -149,7 +149,7 @@ mod tests {
     use rand::RngExt;
 
     use super::*;
-    use crate::ppo::{PackedMlp, Scratch};
+    use crate::network::{PackedMlp, Scratch};
 
     /// Two numbers of very different size and a third that never changes; labels: the first above 3, an exclusive or.
     fn separable(count: usize) -> Samples {

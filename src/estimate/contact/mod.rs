@@ -10,9 +10,9 @@ mod file;
 pub mod learn;
 pub mod score;
 
-use crate::files;
-use crate::go1::{JOINT_COUNT, Joints};
-use crate::ppo::{Mlp, PackedMlp, Scratch};
+use crate::network::{Mlp, PackedMlp, Scratch};
+use crate::robot::{JOINTS, Joints};
+use crate::util::files;
 
 use super::EncoderReading;
 pub use file::{ContactError, ContactProvenance, HeldOut, PolicySource};
@@ -21,7 +21,7 @@ pub use file::{ContactError, ContactProvenance, HeldOut, PolicySource};
 pub const TICKS: usize = 4;
 
 /// Numbers of a tick: joint angles \[rad\], joint rates [rad/s], joint targets \[rad\].
-const PER_TICK: usize = 3 * JOINT_COUNT;
+const PER_TICK: usize = 3 * JOINTS;
 
 /// Numbers that the network sees: the oldest tick first.
 pub const INPUTS: usize = TICKS * PER_TICK;
@@ -121,7 +121,7 @@ impl ContactNetwork {
         })
     }
 
-    /// Logit of contact for each foot, in the order of [`crate::go1::LEGS`], from what a [`History`] holds.
+    /// Logit of contact for each foot, in the order of [`crate::robot::LEGS`], from what a [`History`] holds.
     pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
         let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
         let mut logits = [0.0; 4];
@@ -156,16 +156,16 @@ mod tests {
     use super::*;
 
     fn reading(value: f64) -> EncoderReading {
-        EncoderReading { angles: [value; JOINT_COUNT], rates: [10.0 * value; JOINT_COUNT] }
+        EncoderReading { angles: [value; JOINTS], rates: [10.0 * value; JOINTS] }
     }
 
     #[test]
     fn the_history_holds_four_ticks_the_oldest_first() {
         let mut history = History::default();
-        history.push(&reading(1.0), &[100.0; JOINT_COUNT]);
+        history.push(&reading(1.0), &[100.0; JOINTS]);
         assert!(history.inputs().chunks(PER_TICK).all(|tick| (tick[0], tick[12], tick[24]) == (1.0, 10.0, 100.0)));
         for tick in 2..=5 {
-            history.push(&reading(f64::from(tick)), &[100.0 * f64::from(tick); JOINT_COUNT]);
+            history.push(&reading(f64::from(tick)), &[100.0 * f64::from(tick); JOINTS]);
         }
         let firsts: Vec<f32> = history.inputs().chunks(PER_TICK).map(|tick| tick[0]).collect();
         assert_eq!(firsts, [2.0, 3.0, 4.0, 5.0]);
@@ -175,9 +175,9 @@ mod tests {
     #[test]
     fn a_reading_that_is_not_a_number_stays_out_of_the_history() {
         let mut history = History::default();
-        history.push(&reading(1.0), &[0.0; JOINT_COUNT]);
+        history.push(&reading(1.0), &[0.0; JOINTS]);
         let before = history.clone();
-        history.push(&reading(f64::NAN), &[0.0; JOINT_COUNT]);
+        history.push(&reading(f64::NAN), &[0.0; JOINTS]);
         assert_eq!(history, before);
     }
 

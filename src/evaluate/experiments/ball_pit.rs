@@ -1,18 +1,7 @@
 //! E7: crossing a field of loose balls (Fig. 7a).
 
-use serde::{Deserialize, Serialize};
-
-use super::{by_condition, crossing, labels, truth, value};
-use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Table};
-use crate::evaluate::plot::dots;
-use crate::evaluate::results::Results;
-use crate::evaluate::statistics::Expected;
-use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
-use crate::scenario::catalog::{BallPit as Parameters, Scenario, defaults};
-use crate::scenario::{Script, metrics};
-use crate::trace::Trace;
+use super::prelude::*;
+use crate::scenario::catalog::BallPit as Pit;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("crossed", "got across", "%", 0),
@@ -45,57 +34,42 @@ impl Experiment for BallPit {
                      has. Time, peak foot force and power are from the first row to past the last; a trial that does not get \
                      across has none, nor has one that leaves the balls at their side. \
                      Each trial starts at another distance, so that the gait meets the balls at another phase.",
+            quantities: QUANTITIES,
         }
     }
 
-    fn quantities(&self) -> &'static [Quantity] {
-        QUANTITIES
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let pit: Parameters = defaults("ball-pit")?;
+        let pit: Pit = defaults("ball-pit")?;
         Ok(vec![Condition { label: String::new(), scenario: Scenario::BallPit(pit) }])
     }
 
-    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let Scenario::BallPit(pit) = scenario else { return Measured::default() };
-        let found = scenario.metrics(script, trace);
-        let crossed = value(&found, "crossed") == Some(1.0);
-        let crossing = crossing(trace, pit.distance_m, pit.far_edge_m()).filter(|_| crossed);
-        let among_balls = crossing.into_iter().flat_map(|[first_s, last_s]| metrics::window(trace, first_s, last_s));
-        let of_upright = |name: &str| value(&found, name).filter(|_| end == End::Upright);
-        let values = vec![
+    fn measure(&self, trial: &Trial) -> Measured {
+        let Scenario::BallPit(pit) = trial.scenario else { return Measured::default() };
+        let crossed = trial.metric("crossed") == Some(1.0);
+        let crossing = metrics::crossing(trial.trace, pit.distance_m, pit.far_edge_m()).filter(|_| crossed);
+        let among_balls = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
+        vec![
             truth(crossed),
-            end.fell(),
-            truth(!crossed && end == End::Upright),
-            crossing.map(|[first_s, last_s]| last_s - first_s),
-            of_upright("distance_m"),
+            trial.end.fell(),
+            truth(!crossed && trial.is_upright()),
+            crossing.map(|[from_s, to_s]| to_s - from_s),
+            trial.upright_metric("distance_m"),
             metrics::largest(among_balls.clone(), |frame| frame.peak_foot_force_n),
             metrics::mean(among_balls, |frame| frame.power_w),
-        ];
-        Measured { values, series: Vec::new() }
+        ]
+        .into()
     }
 
-    fn findings(&self, results: &Results) -> Findings {
-        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
-        let table = Table::of_conditions("ball-pit", "Crossing 400 loose balls.", results, &names);
-        let panels = ["crossed", "fell", "stuck", "peak_foot_force_n"].map(|name| by_condition(results, name));
-        let figure = Figure::new(
-            "ball-pit",
+    fn show(&self, show: &mut Show) {
+        show.table("Crossing 400 loose balls.");
+        show.dots(
+            "",
+            "Crossing a ball pit",
+            &["crossed", "fell", "stuck", "peak_foot_force_n"],
             "Crossing a pit of 400 balls: mean ± standard deviation over seeds, single seeds as hollow marks.",
-            dots::draw("Crossing a ball pit", &panels, &labels(results), &results.names),
         );
-        let claim = |text: &str, paper: &str, name: &str, expected| {
-            Claim::direction(text, paper, results.quantity(name), expected, results.compare(0, name))
-        };
-        let claims = vec![
-            claim("Compliant policies get across the ball pit", "more often", "crossed", Expected::Higher),
-            claim("The largest force on a foot is lower", "lower", "peak_foot_force_n", Expected::Lower),
-        ];
-        Findings { claims, tables: vec![table], figures: vec![figure], ..Findings::default() }
+        let (text, force) = ("Compliant policies get across the ball pit", "The largest force on a foot is lower");
+        show.claim(text, "more often", "crossed", Expected::Higher, &[0]);
+        show.claim(force, "lower", "peak_foot_force_n", Expected::Lower, &[0]);
     }
 }

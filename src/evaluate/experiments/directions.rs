@@ -1,31 +1,17 @@
 //! E4: how long a push from any side lasts, standing and walking (Fig. 4).
 
-use serde::{Deserialize, Serialize};
-
-use super::decay::{CARRIED_S, lasting};
-use super::{directions, gait, polar, truth, undecayed};
-use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
-use crate::evaluate::plot;
-use crate::evaluate::plot::polar::Scales;
-use crate::evaluate::results::Results;
-use crate::evaluate::statistics::Expected;
-use crate::evaluate::trial::End;
-use crate::evaluate::{BRIEFLY_AVERAGED, Condition, Experiment, FELL, Info, Measured, Quantity, UNDECAYED};
-use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
-use crate::scenario::metrics::{BRIEF_S, STRIDE_S};
-use crate::scenario::{Script, metrics};
+use super::prelude::*;
+use super::push;
+use crate::evaluate::plot::polar::{Scales, evenly};
+use crate::scenario::catalog::PushAway;
+use crate::scenario::metrics::BRIEF_S;
 use crate::task::Command;
-use crate::trace::Trace;
 
-const QUANTITIES: &[Quantity] = &[
-    Quantity::new("decay_10_s", "decay to 10 %", "s", 2),
-    Quantity::new("decay_20_s", "decay to 20 %", "s", 2),
-    Quantity::new("carried_m", "carried by the push within 2 s", "m", 3),
-    UNDECAYED,
-    FELL,
-    BRIEFLY_AVERAGED,
-];
+/// Decay time of a push at a robot that stands, with a shorter average than elsewhere.
+const BRIEFLY_AVERAGED: Quantity =
+    Quantity::new("decay_10_averaged_0_1_s", "decay to 10 %, averaged over 0.1 s", "s", 2);
+
+const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, push::UNDECAYED, FELL, BRIEFLY_AVERAGED];
 
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -39,17 +25,6 @@ pub struct Directions {
     pub commands_m_s: Vec<f64>,
 }
 
-impl Directions {
-    /// Conditions of a command, and its name.
-    fn command(&self, index: usize) -> (std::ops::Range<usize>, String) {
-        let count = self.directions as usize;
-        let command = self.commands_m_s[index];
-        let name =
-            if command == 0.0 { gait(command).to_owned() } else { format!("{} at {command} m/s", gait(command)) };
-        (index * count..(index + 1) * count, name)
-    }
-}
-
 impl Experiment for Directions {
     fn info(&self) -> Info {
         Info {
@@ -59,15 +34,8 @@ impl Experiment for Directions {
             title: "Decay of pushes from all sides",
             paper: "Fig. 4",
             method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
+            quantities: QUANTITIES,
         }
-    }
-
-    fn quantities(&self) -> &'static [Quantity] {
-        QUANTITIES
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -81,88 +49,66 @@ impl Experiment for Directions {
             }),
         };
         let commands = self.commands_m_s.iter();
-        Ok(commands.flat_map(|command| directions(self.directions).map(|d| condition(*command, d))).collect())
+        Ok(commands.flat_map(|command| evenly(self.directions).map(|d| condition(*command, d))).collect())
     }
 
-    fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let push = script.pushes.first().filter(|_| end == End::Upright);
-        let decay = |threshold| metrics::decay(trace, push?.time_s, push?.push.linear, threshold, STRIDE_S);
-        let [to_10, to_20] = [0.1, 0.2].map(decay);
-        let carried = push.and_then(|push| metrics::carried(trace, push.time_s, push.push.linear, CARRIED_S));
-        let values = vec![
-            to_10.map(|decay| decay.time_s),
-            to_20.map(|decay| decay.time_s),
-            carried,
-            to_10.and_then(|decay| truth(!decay.is_over)),
-            end.fell(),
-            push.filter(|_| script.command == Command::default())
-                .and_then(|push| metrics::decay(trace, push.time_s, push.push.linear, 0.1, BRIEF_S))
-                .map(|decay| decay.time_s),
-        ];
-        Measured { values, series: Vec::new() }
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
     }
 
-    fn findings(&self, results: &Results) -> Findings {
-        let (mut claims, mut rows, mut notes) = (Vec::new(), Vec::new(), Vec::new());
-        let mut panels = [Vec::new(), Vec::new()];
-        for index in 0..self.commands_m_s.len() {
-            let (conditions, name) = self.command(index);
-            let all: Vec<usize> = conditions.clone().collect();
-            let is_standing = self.commands_m_s[index] == 0.0;
+    fn measure(&self, trial: &Trial) -> Measured {
+        let push = push::of_upright(trial);
+        let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.time_s, push.push.linear));
+        let briefly = push
+            .filter(|_| trial.script.command == Command::default())
+            .and_then(|push| metrics::decay(trial.trace, push.time_s, push.push.linear, 0.1, BRIEF_S))
+            .map(|decay| decay.time_s);
+        [&decay[..], &[trial.end.fell(), briefly]].concat().into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let names = self.commands_m_s.iter().map(|command| match command {
+            0.0 => gait(0.0).to_owned(),
+            command => format!("{} at {command} m/s", gait(*command)),
+        });
+        let groups = Group::all(names, show.results);
+        let mut rows = Vec::new();
+        for (group, command) in groups.iter().zip(&self.commands_m_s) {
+            let (name, is_standing) = (&group.name, *command == 0.0);
             let briefly = (BRIEFLY_AVERAGED.name, "take longer to stabilise (to 10 %, averaged over 0.1 s)");
-            let lasting = is_standing.then_some(briefly).into_iter().chain(lasting(self.commands_m_s[index]));
-            for (quantity, words) in lasting {
+            for (quantity, words) in is_standing.then_some(briefly).into_iter().chain(push::lasting(*command)) {
                 let text = format!(
                     "Pushed from any side while {name}, compliant policies {words}; the numbers are means over directions, \
                      and it is so in {}",
-                    results.larger_in(&all, quantity)
+                    show.results.larger_in(&group.conditions, quantity)
                 );
-                let comparison = results.compare_over(&all, quantity);
-                let quantity = results.quantity(quantity);
-                claims.push(Claim::direction(&text, "longer", quantity, Expected::Higher, comparison));
+                show.claim(&text, "longer", quantity, Expected::Higher, &group.conditions);
             }
-            notes.extend(undecayed(results, &all).map(|note| format!("{name}: {note}")));
-            for quantity in QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED) {
-                rows.push(Row {
-                    condition: name.clone(),
-                    quantity: *quantity,
-                    paper: String::new(),
-                    comparison: results.compare_over(&all, quantity.name),
-                });
-            }
-            for (panels, quantity) in panels.iter_mut().zip(["decay_20_s", "carried_m"]) {
-                panels.push(polar(name.clone(), results, conditions.clone(), quantity));
-            }
+            show.notes(push::undecayed(show.results, &group.conditions).map(|note| format!("{name}: {note}")));
+            let shown = QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED);
+            rows.extend(shown.map(|quantity| show.row(group, *quantity)));
         }
-        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
-        let mut every = Table::of_conditions("directions-all", "Decay time of a push by direction.", results, &names);
-        every.in_page = false;
-        let caption = "Decay time of a push of 0.5 m/s, mean over all directions.".to_owned();
-        let table = Table { name: "directions".into(), caption, rows, in_page: true };
-        let figure = |name: &str, title: &str, axis: &str, caption: &str, panels: &[_]| {
+        show.table_of("Decay time of a push of 0.5 m/s, mean over all directions.", rows);
+        show.table_in_file("all", "Decay time of a push by direction.");
+        for (part, title, axis, what) in [
+            (
+                "",
+                "Decay time of a push by direction",
+                ("decay_20_s", "decay time to 20 % [s]"),
+                "Decay time (to 20 %) of",
+            ),
+            (
+                "carried",
+                "How far a push carries by direction",
+                ("carried_m", "carried within 2 s [m]"),
+                "How far the robot is carried by",
+            ),
+        ] {
             let caption = format!(
-                "{caption} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. Trials \
+                "{what} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. Trials \
                  with a fall have none. The two plots differ in scale."
             );
-            Figure::new(name, caption, plot::polar::draw(title, panels, &results.names, axis, Scales::Own))
-        };
-        let [decays, distances] = panels;
-        let figures = vec![
-            figure(
-                "directions",
-                "Decay time of a push by direction",
-                "decay time to 20 % [s]",
-                "Decay time (to 20 %) of",
-                &decays,
-            ),
-            figure(
-                "directions-carried",
-                "How far a push carries by direction",
-                "carried within 2 s [m]",
-                "How far the robot is carried by",
-                &distances,
-            ),
-        ];
-        Findings { claims, tables: vec![table, every], figures, notes, ..Findings::default() }
+            show.polar(part, title, axis, &groups, Scales::Own, caption);
+        }
     }
 }

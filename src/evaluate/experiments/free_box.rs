@@ -1,19 +1,13 @@
 //! E6: walking into a free box (Fig. 6).
 
-use serde::{Deserialize, Serialize};
-
-use super::{by_condition, labels, truth, value};
-use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Line, Lines, Table};
-use crate::evaluate::plot::dots;
+use super::prelude::*;
+use crate::evaluate::findings::{Line, Lines};
 use crate::evaluate::plot::top_view::{self, Run, View};
 use crate::evaluate::results::Results;
-use crate::evaluate::statistics::Expected;
 use crate::evaluate::trial::{End, Sample};
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
-use crate::scenario::catalog::{FreeBox as Parameters, Scenario, defaults};
-use crate::scenario::{Script, metrics};
-use crate::trace::{Frame, Pose, Trace};
+use crate::scenario::Script;
+use crate::scenario::catalog::FreeBox as Cube;
+use crate::scenario::trace::{Frame, Pose, Trace};
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("box_displacement_m", "box moved by", "m", 2),
@@ -116,42 +110,33 @@ impl Experiment for FreeBox {
                      the sum over all contacts between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
                      it ends beyond the box's far side, and has resumed its course when it then walks at its command in the \
                      direction in which it started. Displacement and forces are of trials in which it met the box.",
+            quantities: QUANTITIES,
         }
     }
 
-    fn quantities(&self) -> &'static [Quantity] {
-        QUANTITIES
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Parameters = defaults("box")?;
+        let base: Cube = defaults("box")?;
         let condition = |friction: &f64| Condition {
             label: format!("friction {friction}"),
-            scenario: Scenario::Box(Parameters { friction: *friction, ..base.clone() }),
+            scenario: Scenario::Box(Cube { friction: *friction, ..base.clone() }),
         };
         Ok(self.frictions.iter().map(condition).collect())
     }
 
-    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let mut values = vec![None; QUANTITIES.len()];
-        let found = scenario.metrics(script, trace);
-        let passed = end == End::Upright && value(&found, "passed") == Some(1.0);
-        if end == End::Upright {
-            // Who never touches the box has not spared it.
-            let was_met = value(&found, "contact_time_s").is_some_and(|time_s| time_s > 0.0);
-            for (index, quantity) in QUANTITIES.iter().enumerate().take(5).filter(|_| was_met) {
-                values[index] = value(&found, quantity.name);
-            }
-            values[7] = trace.frames.last().map(|frame| frame.position[1].abs());
-        }
-        let resumed = passed && self.has_resumed(script, trace);
-        values[5] = truth(passed);
-        values[6] = truth(resumed);
-        values[8] = end.fell();
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("resumed_s", self.resumed_s, 0.1, 60.0, "0.1 to 60 s")
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let trace = trial.trace;
+        let passed = trial.upright_metric("passed") == Some(1.0);
+        // Who never touches the box has not spared it.
+        let was_met = trial.metric("contact_time_s").is_some_and(|time_s| time_s > 0.0);
+        let of_met = |quantity: &Quantity| trial.upright_metric(quantity.name).filter(|_| was_met);
+        let sideways = trace.frames.last().map(|frame| frame.position[1].abs()).filter(|_| trial.is_upright());
+        let mut values: Vec<Option<f64>> = QUANTITIES[..5].iter().map(of_met).collect();
+        let resumed = passed && self.has_resumed(trial.script, trace);
+        values.extend([truth(passed), truth(resumed), sideways, trial.end.fell()]);
 
         let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
         let poses: Vec<Pose> = trace.frames.iter().filter_map(|frame| frame.goal).collect();
@@ -162,47 +147,38 @@ impl Experiment for FreeBox {
         Measured { values, series }
     }
 
-    fn findings(&self, results: &Results) -> Findings {
-        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
-        let table = Table::of_conditions("box", "Collision with a free box of 2 kg, by its friction.", results, &names);
-        let first = results.conditions.first().map_or("", |condition| &condition.label);
-        let size_m = match &results.conditions[0].scenario {
+    fn show(&self, show: &mut Show) {
+        show.table("Collision with a free box of 2 kg, by its friction.");
+        let size_m = match &show.results.conditions[0].scenario {
             Scenario::Box(free_box) => free_box.size_m,
             _ => 0.0,
         };
-        let views = [self.view(results, 0), self.view(results, 1)];
-        let lines = paths_and_boxes(&views).into();
-        let paths = Figure::new(
-            "box",
-            format!(
-                "Walking into a free box ({first}), seen from above; the robot starts at (0, 0) and walks to the right. In \
-                 full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \
-                 trials of the same policy with the box after. A cross is a fall."
-            ),
-            top_view::draw("Paths of the robot and the box, seen from above", &views, size_m),
+        let views = show.by_set(|set| self.view(show.results, set));
+        show.lines(paths_and_boxes(&views));
+        let caption = format!(
+            "Walking into a free box ({}), seen from above; the robot starts at (0, 0) and walks to the right. In \
+             full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \
+             trials of the same policy with the box after. A cross is a fall.",
+            show.first_label()
         );
-        let panels = ["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"]
-            .map(|name| by_condition(results, name));
-        let forces = Figure::new(
-            "box-forces",
+        let title = "Paths of the robot and the box, seen from above";
+        show.figure("", caption, top_view::draw(title, &views, size_m));
+        show.dots(
+            "forces",
+            "Displacement and forces of the box",
+            &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
             "What the box suffers, by its friction: mean ± standard deviation over seeds, single seeds as hollow marks.",
-            dots::draw("Displacement and forces of the box", &panels, &labels(results), &results.names),
         );
-        let claims = [
+        for (text, paper, quantity, expected) in [
             ("Compliant policies move a box in their way less", "less", "box_displacement_m", Expected::Lower),
             ("Compliant policies push a box with a milder force", "milder", "mean_contact_force_n", Expected::Lower),
             ("… and hit it less hard (peak force)", "milder", "peak_contact_force_n", Expected::Lower),
             ("Compliant policies are deflected past the box", "past", "passed", Expected::Higher),
             ("… and resume their course", "resume", "resumed", Expected::Higher),
-        ];
-        let by_friction = |(text, paper, name, expected): (&str, &str, &str, Expected)| {
-            let of = |(index, label): (usize, String)| {
-                let (quantity, comparison) = (results.quantity(name), results.compare(index, name));
-                Claim::direction(&format!("{text} ({label})"), paper, quantity, expected, comparison)
-            };
-            labels(results).into_iter().enumerate().map(of).collect::<Vec<_>>()
-        };
-        let claims = claims.into_iter().flat_map(by_friction).collect();
-        Findings { claims, tables: vec![table], figures: vec![paths, forces], lines, ..Findings::default() }
+        ] {
+            for (index, label) in show.labels().into_iter().enumerate() {
+                show.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
+            }
+        }
     }
 }

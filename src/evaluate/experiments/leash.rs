@@ -1,19 +1,8 @@
 //! E5: how far a constant pull drags the robot off its command (Fig. 5).
 
-use serde::{Deserialize, Serialize};
-
-use super::{directions, polar};
-use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
-use crate::evaluate::plot;
-use crate::evaluate::plot::polar::Scales;
-use crate::evaluate::results::Results;
-use crate::evaluate::statistics::Expected;
-use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
-use crate::scenario::catalog::{Leash as Parameters, Scenario, Task, defaults};
-use crate::scenario::{Script, metrics};
-use crate::trace::Trace;
+use super::prelude::*;
+use crate::evaluate::plot::polar::{Scales, evenly};
+use crate::scenario::catalog::Leash as Pulled;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("offset_m_s", "velocity along the pull", "m/s", 3),
@@ -50,22 +39,15 @@ impl Experiment for Leash {
             method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in directions \
                      all around; the force keeps its direction in the world. The offset is the mean velocity minus the \
                      command, along the force, over the last seconds of the pull. E0 has the undisturbed error.",
+            quantities: QUANTITIES,
         }
     }
 
-    fn quantities(&self) -> &'static [Quantity] {
-        QUANTITIES
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Parameters = defaults("leash")?;
+        let base: Pulled = defaults("leash")?;
         let condition = |force_n: f64, direction_deg: f64| Condition {
             label: format!("{force_n} N, {direction_deg:.1}°"),
-            scenario: Scenario::Leash(Parameters {
+            scenario: Scenario::Leash(Pulled {
                 force_n,
                 direction_deg,
                 at_s: self.at_s,
@@ -74,61 +56,45 @@ impl Experiment for Leash {
             }),
         };
         let forces = self.forces_n.iter();
-        Ok(forces.flat_map(|force| directions(self.directions).map(|d| condition(*force, d))).collect())
+        Ok(forces.flat_map(|force| evenly(self.directions).map(|d| condition(*force, d))).collect())
     }
 
-    fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let mut values = vec![None, end.fell(), None];
-        if let (End::Upright, Some(pull)) = (end, script.pull) {
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
+        in_range("average_s", self.average_s, 0.1, self.for_s, "0.1 s to leash.for_s")?;
+        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let mut values = vec![None, trial.end.fell(), None];
+        if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
-            values[0] = metrics::offset_along_force(trace, pull.force, from_s, until_s);
-            values[2] = metrics::mean(metrics::window(trace, from_s, until_s), |frame| frame.power_w);
+            values[0] = metrics::offset_along_force(trial.trace, pull.force, from_s, until_s);
+            values[2] = metrics::mean(metrics::window(trial.trace, from_s, until_s), |frame| frame.power_w);
         }
-        Measured { values, series: Vec::new() }
+        values.into()
     }
 
-    fn findings(&self, results: &Results) -> Findings {
-        let offset = results.quantity("offset_m_s");
-        let count = self.directions as usize;
-        let (mut claims, mut rows, mut panels) = (Vec::new(), Vec::new(), Vec::new());
-        for (index, force) in self.forces_n.iter().enumerate() {
-            let conditions = index * count..(index + 1) * count;
-            let all: Vec<usize> = conditions.clone().collect();
+    fn show(&self, show: &mut Show) {
+        let groups = Group::all(self.forces_n.iter().map(|force| format!("{force} N")), show.results);
+        for Group { name, conditions } in &groups {
             let text = format!(
-                "Pulled with {force} N, compliant policies yield more (here: in {}; the numbers are means over directions)",
-                results.larger_in(&all, "offset_m_s"),
+                "Pulled with {name}, compliant policies yield more (here: in {}; the numbers are means over directions)",
+                show.results.larger_in(conditions, "offset_m_s"),
             );
-            let comparison = results.compare_over(&all, "offset_m_s");
-            claims.push(Claim::direction(&text, "yields more", offset, Expected::Higher, comparison));
-            for quantity in QUANTITIES {
-                rows.push(Row {
-                    condition: format!("{force} N"),
-                    quantity: *quantity,
-                    paper: String::new(),
-                    comparison: results.compare_over(&all, quantity.name),
-                });
-            }
-            panels.push(polar(format!("{force} N"), results, conditions, "offset_m_s"));
+            show.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
         }
-        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
-        let mut every =
-            Table::of_conditions("leash-all", "Velocity offset along the pull by direction.", results, &names);
-        every.in_page = false;
-        let caption = "Velocity offset along a constant pull, mean over all directions.".to_owned();
-        let table = Table { name: "leash".into(), caption, rows, in_page: true };
-        let svg = plot::polar::draw(
+        let rows = groups.iter().flat_map(|group| QUANTITIES.iter().map(|quantity| show.row(group, *quantity)));
+        show.table_of("Velocity offset along a constant pull, mean over all directions.", rows.collect());
+        show.table_in_file("all", "Velocity offset along the pull by direction.");
+        show.polar(
+            "",
             "Velocity offset along a pull, by direction",
-            &panels,
-            &results.names,
-            "velocity offset along the pull [m/s]",
+            ("offset_m_s", "velocity offset along the pull [m/s]"),
+            &groups,
             Scales::Shared,
-        );
-        let figure = Figure::new(
-            "leash",
             "Velocity offset along a constant pull, by the direction it pulls to, while walking at 0.5 m/s: mean and \
              ± standard deviation over seeds. Inside the darker circle the robot moves against the pull.",
-            svg,
         );
-        Findings { claims, tables: vec![table, every], figures: vec![figure], ..Findings::default() }
     }
 }

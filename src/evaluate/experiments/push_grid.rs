@@ -1,25 +1,20 @@
 //! E1: how large a push the robot withstands, over a grid of pushes (Fig. 2).
 
-use serde::{Deserialize, Serialize};
-
-use super::truth;
-use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Row, Table};
+use super::prelude::*;
+use crate::evaluate::findings::{Claim, Row};
 use crate::evaluate::grid::{self, Grid};
 use crate::evaluate::plot::heatmap::{self, Map};
 use crate::evaluate::results::Results;
-use crate::evaluate::statistics::{Comparison, Expected, PerSeed, Spread, estimate, mean};
+use crate::evaluate::statistics::{Comparison, Numbers, PerSeed, Spread, estimate, mean};
 use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, Info, Measured, Quantity};
-use crate::scenario::Script;
-use crate::scenario::catalog::{PushAway, Scenario, Task, defaults};
+use crate::scenario::catalog::PushAway;
 use crate::scenario::metrics::PHASE_S;
-use crate::trace::Trace;
 
-const SUCCESS: Quantity = Quantity::new("success", "success", "%", 0);
-const SHARE: Quantity = Quantity::new("share_of_grid", "grid points with enough success", "%", 1);
-const SHARE_BY_SEED: Quantity = Quantity::new("share_of_grid_by_seed", "the same for each seed alone", "%", 1);
-const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success over the whole grid", "%", 1);
+const SUCCESS: Quantity = Quantity::new("success", "success rate", "%", 0);
+const FRACTION: Quantity = Quantity::new("share_of_grid", "grid points with enough success", "%", 1);
+const FRACTION_BY_SEED: Quantity = Quantity::new("share_of_grid_by_seed", "the same for each seed alone", "%", 1);
+const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success rate over the whole grid", "%", 1);
+const QUANTITIES: &[Quantity] = &[SUCCESS];
 
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -44,7 +39,7 @@ impl PushGrid {
         Grid { coordinates: grid::coordinates(self.limit_m_s, self.points_per_side), values }
     }
 
-    /// Success averaged over some seeds of a set, by grid point.
+    /// Success rate over some seeds of a set, by grid point.
     fn success(&self, results: &Results, set: usize, seeds: &[u64]) -> Grid {
         let of_point = |point: usize| {
             let of_seed = |seed: &u64| {
@@ -56,13 +51,20 @@ impl PushGrid {
         self.grid((0..results.conditions.len()).map(of_point).collect())
     }
 
+    /// The same over all seeds of a set.
+    fn map(&self, results: &Results, set: usize) -> Grid {
+        self.success(results, set, &results.sets[set].keys().copied().collect::<Vec<u64>>())
+    }
+
     /// A number of the success map: of all seeds together, with the interval of the difference over pairs of seeds.
     fn compare(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
-        let all = |set: usize| results.sets[set].keys().copied().collect::<Vec<u64>>();
         let pooled = |set: usize| {
-            let seeds = all(set);
-            let mean = number(&self.success(results, set, &seeds));
-            (!seeds.is_empty()).then_some(Spread { mean, sd: None, seeds: seeds.len() })
+            let seeds = results.sets[set].len();
+            let mean = number(&self.map(results, set));
+            Numbers {
+                spread: (seeds > 0).then_some(Spread { mean, sd: None, seeds }),
+                ..results.numbers(set, PerSeed::new())
+            }
         };
         // Resampling re-reads the maps often: keep every seed's own.
         let common = results.common_seeds();
@@ -77,14 +79,10 @@ impl PushGrid {
         };
         let both = |chosen: &[usize]| (!chosen.is_empty()).then(|| [0, 1].map(|set| of_resample(chosen, set)));
         Comparison {
-            a: PerSeed::new(),
-            b: PerSeed::new(),
-            a_spread: pooled(0),
-            b_spread: pooled(1),
+            sets: (0..results.sets.len()).map(pooled).collect(),
             difference: estimate(common.len(), |chosen| both(chosen).map(|[a, b]| a - b)),
             relative: None,
             trials: None,
-            members: results.members(),
         }
     }
 
@@ -92,9 +90,10 @@ impl PushGrid {
     fn compare_by_seed(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
         let by_seed = |set: usize| {
             let seeds = results.sets[set].keys();
-            seeds.map(|seed| (*seed, number(&self.success(results, set, &[*seed])))).collect()
+            let of_seed = seeds.map(|seed| (*seed, number(&self.success(results, set, &[*seed]))));
+            results.numbers(set, of_seed.collect())
         };
-        Comparison::new(by_seed(0), by_seed(1), results.members())
+        Comparison::new((0..results.sets.len()).map(by_seed).collect())
     }
 }
 
@@ -108,17 +107,10 @@ impl Experiment for PushGrid {
             paper: "Fig. 2",
             method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
                      left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. \
-                     Success is averaged over the trials of all seeds; the share counts grid points at or above the \
-                     contour's level.",
+                     The success rate is that over the trials of all seeds; the fraction counts grid points at or \
+                     above the contour's level.",
+            quantities: QUANTITIES,
         }
-    }
-
-    fn quantities(&self) -> &'static [Quantity] {
-        const { &[SUCCESS] }
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -141,17 +133,26 @@ impl Experiment for PushGrid {
             .collect())
     }
 
-    fn measure(&self, _: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let until_s = script.pushes.first().map_or(script.duration_s, |push| push.time_s + self.watch_s);
-        let fell = trace.fall().is_some_and(|fall| fall.time_s <= until_s);
-        let success = !fell && end != End::Fault;
-        Measured { values: vec![truth(success)], series: Vec::new() }
+    fn check(&self) -> Result<(), ParameterError> {
+        let points = self.points_per_side;
+        in_range("points_per_side", points as f64, 2.0, 101.0, "2 to 101")?;
+        in_range("level", self.level, 0.0, 1.0, "0 to 1")?;
+        in_range("limit_m_s", self.limit_m_s, 0.1, 20.0, "0.1 to 20 m/s")?;
+        in_range("watch_s", self.watch_s, 0.1, 60.0, "0.1 to 60 s")
     }
 
-    fn findings(&self, results: &Results) -> Findings {
-        let share = |grid: &Grid| grid.share_at_least(self.level);
+    fn measure(&self, trial: &Trial) -> Measured {
+        let push = trial.script.pushes.first();
+        let until_s = push.map_or(trial.script.duration_s, |push| push.time_s + self.watch_s);
+        let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= until_s);
+        vec![truth(!fell && trial.end != End::Fault)].into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let results = show.results;
+        let fraction = |grid: &Grid| grid.fraction_at_least(self.level);
         let overall = |grid: &Grid| mean(grid.values.iter().copied()).unwrap_or(0.0);
-        let pooled = self.compare(results, share);
+        let pooled = self.compare(results, fraction);
         let row = |quantity, paper: &str, comparison| Row {
             condition: String::new(),
             quantity,
@@ -159,51 +160,36 @@ impl Experiment for PushGrid {
             comparison,
         };
         let rows = vec![
-            row(SHARE, "78 / 73", pooled.clone()),
-            row(SHARE_BY_SEED, "", self.compare_by_seed(results, share)),
+            row(FRACTION, "78 / 73", pooled.clone()),
+            row(FRACTION_BY_SEED, "", self.compare_by_seed(results, fraction)),
             row(MEAN_SUCCESS, "", self.compare_by_seed(results, overall)),
         ];
         let level = 100.0 * self.level;
-        let caption = format!("Push recovery: share of grid points with at least {level:.0} % success.");
-        let summary = Table { name: "push-grid".into(), caption, rows, in_page: true };
-        let mut every = Table::of_conditions(
-            "push-grid-points",
-            "Success at every grid point (forward, left).",
-            results,
-            &["success"],
+        show.table_of(
+            format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %."),
+            rows,
         );
-        every.in_page = false;
+        show.table_in_file("points", "Success rate at every grid point (forward, left).");
 
-        let maps = [0, 1].map(|set| {
-            let seeds: Vec<u64> = results.sets[set].keys().copied().collect();
-            self.success(results, set, &seeds)
-        });
-        let map = |set: usize| Map {
-            title: format!("{}: {:.1} % of grid points", results.names[set], 100.0 * share(&maps[set])),
-            grid: &maps[set],
-        };
+        let maps = show.by_set(|set| self.map(results, set));
+        let titled = maps
+            .iter()
+            .zip(&results.names)
+            .map(|(grid, name)| Map { title: format!("{name}: {:.1} % of grid points", 100.0 * fraction(grid)), grid });
         let svg = heatmap::draw(
             "Success after a push, by the push's forward and left part",
-            [map(0), map(1)],
+            &titled.collect::<Vec<_>>(),
             self.level,
-            ["forward push [m/s]", "push to the left [m/s]", "success [%]"],
+            ["forward push [m/s]", "push to the left [m/s]", "success rate [%]"],
         );
-        let figure = Figure::new(
-            "push-grid",
-            format!(
-                "Success after a push of given forward and left velocity while walking at 0.5 m/s, averaged over all \
-                 seeds and trials. The line is the {level:.0} % contour; above each map, the share of grid points at or \
-                 above {level:.0} %."
-            ),
-            svg,
+        let caption = format!(
+            "Success rate after a push of given forward and left velocity while walking at 0.5 m/s, over all \
+             seeds and trials. The line is the {level:.0} % contour; above each map, the fraction of grid points at or \
+             above {level:.0} %."
         );
-        let claim = Claim::direction(
-            &format!("The {level:.0} % contour of push recovery encloses more of the grid for compliant policies"),
-            "78 / 73 %",
-            SHARE,
-            Expected::Higher,
-            pooled,
-        );
-        Findings { claims: vec![claim], tables: vec![summary, every], figures: vec![figure], ..Findings::default() }
+        show.figure("", caption, svg);
+        let text =
+            format!("The {level:.0} % contour of push recovery encloses more of the grid for compliant policies");
+        show.findings.claims.push(Claim::direction(&text, "78 / 73 %", FRACTION, Expected::Higher, pooled));
     }
 }

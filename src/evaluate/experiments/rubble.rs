@@ -1,18 +1,7 @@
 //! E11: over wooden blocks and soft mats (Fig. 8c).
 
-use serde::{Deserialize, Serialize};
-
-use super::{by_condition, crossing, labels, truth, value};
-use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Table};
-use crate::evaluate::plot::dots;
-use crate::evaluate::results::Results;
-use crate::evaluate::statistics::Expected;
-use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, Info, Measured, Quantity};
-use crate::scenario::catalog::{Rubble as Parameters, Scenario, defaults};
-use crate::scenario::{Script, metrics};
-use crate::trace::Trace;
+use super::prelude::*;
+use crate::scenario::catalog::Rubble as Blocks;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall", "%", 0),
@@ -45,63 +34,46 @@ impl Experiment for Rubble {
                      brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side. The velocity \
                      error is the length of mean velocity minus command in the horizontal plane; it, the peak foot force and the power are those \
                      of the crossing, from the first edge to the last.",
+            quantities: QUANTITIES,
         }
     }
 
-    fn quantities(&self) -> &'static [Quantity] {
-        QUANTITIES
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Parameters = defaults("rubble")?;
+        let base: Blocks = defaults("rubble")?;
         let condition = |block_height_m: &f64| Condition {
             label: format!("blocks to {:.0} cm", 100.0 * block_height_m),
-            scenario: Scenario::Rubble(Parameters { block_height_m: *block_height_m, ..base.clone() }),
+            scenario: Scenario::Rubble(Blocks { block_height_m: *block_height_m, ..base.clone() }),
         };
         Ok(self.heights_m.iter().map(condition).collect())
     }
 
-    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let Scenario::Rubble(rubble) = scenario else { return Measured::default() };
-        let upright = end == End::Upright;
-        let found = scenario.metrics(script, trace);
-        let crossed = value(&found, "crossed");
-        let crossing = crossing(trace, rubble.distance_m, rubble.far_edge_m()).filter(|_| crossed == Some(1.0));
-        let on_rubble = crossing.into_iter().flat_map(|[first_s, last_s]| metrics::window(trace, first_s, last_s));
-        let values = vec![
-            truth(upright),
+    fn measure(&self, trial: &Trial) -> Measured {
+        let Scenario::Rubble(rubble) = trial.scenario else { return Measured::default() };
+        let crossed = trial.metric("crossed");
+        let crossing = metrics::crossing(trial.trace, rubble.distance_m, rubble.far_edge_m());
+        let crossing = crossing.filter(|_| crossed == Some(1.0));
+        let on_rubble = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
+        vec![
+            truth(trial.is_upright()),
             crossed,
-            crossing.and_then(|[first_s, last_s]| metrics::velocity_error(trace, first_s, last_s)),
+            crossing.and_then(|[from_s, to_s]| metrics::velocity_error(trial.trace, from_s, to_s)),
             metrics::largest(on_rubble.clone(), |frame| frame.peak_foot_force_n),
             metrics::mean(on_rubble, |frame| frame.power_w),
-        ];
-        Measured { values, series: Vec::new() }
+        ]
+        .into()
     }
 
-    fn findings(&self, results: &Results) -> Findings {
-        let names: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
-        let caption = "Over wooden blocks and soft mats, by the largest height of the blocks.";
-        let table = Table::of_conditions("rubble", caption, results, &names);
-        let panels = ["success", "crossed", "velocity_error_m_s"].map(|name| by_condition(results, name));
-        let figure = Figure::new(
-            "rubble",
+    fn show(&self, show: &mut Show) {
+        show.table("Over wooden blocks and soft mats, by the largest height of the blocks.");
+        show.dots(
+            "",
+            "Success and velocity error among blocks and mats",
+            &["success", "crossed", "velocity_error_m_s"],
             "Over wooden blocks and soft mats, by the largest height of the blocks: mean ± standard deviation over seeds, \
              single seeds as hollow marks. The velocity error is of trials that got across.",
-            dots::draw("Success and velocity error among blocks and mats", &panels, &labels(results), &results.names),
         );
-        let all: Vec<usize> = (0..results.conditions.len()).collect();
-        let claim = |text: &str, name: &str| {
-            let comparison = results.compare_over(&all, name);
-            Claim::direction(text, "superior", results.quantity(name), Expected::Higher, comparison)
-        };
-        let claims = vec![
-            claim("Among wooden blocks and soft mats, compliant policies fall less often", "success"),
-            claim("… and get across more often", "crossed"),
-        ];
-        Findings { claims, tables: vec![table], figures: vec![figure], ..Findings::default() }
+        let (all, text) = (show.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
+        show.claim(text, "superior", "success", Expected::Higher, &all);
+        show.claim("… and get across more often", "superior", "crossed", Expected::Higher, &all);
     }
 }

@@ -1,9 +1,10 @@
 //! Sideways velocity around a push, run by run: what the figures of E2 and E10 draw.
 
 use crate::evaluate::findings::{Line, Lines};
-use crate::evaluate::plot::curves::Curve;
+use crate::evaluate::plot::curves::{self, Curve};
 use crate::evaluate::results::Results;
-use crate::trace::Trace;
+use crate::evaluate::show::Show;
+use crate::scenario::trace::Trace;
 
 /// What is shown before the push and after it \[s\].
 const SHOWN_S: [f64; 2] = [1.0, 3.0];
@@ -26,8 +27,23 @@ pub(super) fn around(trace: &Trace, push_s: f64) -> Vec<Vec<f32>> {
     ]
 }
 
+/// A figure of a condition with a curve for each set, and a file with the points of all conditions' curves. `marked` adds
+/// to the curve of a set.
+pub(super) fn figure(
+    show: &mut Show,
+    [part, lines]: [&str; 2],
+    [title, x_label]: [&str; 2],
+    condition: usize,
+    marked: impl Fn(Curve, usize) -> Curve,
+    caption: String,
+) {
+    let curves = show.by_set(|set| marked(curve(show.results, set, condition), set));
+    show.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
+    show.lines([self::lines(lines, show.results)]);
+}
+
 /// Mean and extremes over the runs of a condition with the policy that figures show.
-pub(super) fn curve(results: &Results, set: usize, condition: usize) -> Curve {
+fn curve(results: &Results, set: usize, condition: usize) -> Curve {
     let seed = results.shown_seed(set);
     let runs = seed.and_then(|seed| results.sets[set].get(&seed)?.get(condition));
     let runs: Vec<_> = runs.into_iter().flatten().filter(|run| run.series.len() == 2).collect();
@@ -52,7 +68,7 @@ pub(super) fn curve(results: &Results, set: usize, condition: usize) -> Curve {
 }
 
 /// The points of all conditions' curves.
-pub(super) fn lines(name: &str, results: &Results) -> Lines {
+fn lines(name: &str, results: &Results) -> Lines {
     let line = |condition: usize, set: usize| {
         let curve = curve(results, set, condition);
         let label = format!("{}: {}", results.conditions[condition].label, curve.title);
@@ -65,6 +81,9 @@ pub(super) fn lines(name: &str, results: &Results) -> Lines {
     Lines {
         name: name.to_owned(),
         columns: COLUMNS.to_vec(),
-        lines: conditions.flat_map(|condition| [0, 1].map(|set| line(condition, set))).collect(),
+        lines: conditions
+            .flat_map(|condition| (0..results.sets.len()).map(move |set| (condition, set)))
+            .map(|(condition, set)| line(condition, set))
+            .collect(),
     }
 }

@@ -2,18 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
-
-use super::{by_condition, labels, value};
-use crate::config::ConfigError;
-use crate::evaluate::findings::{Claim, Figure, Findings, Table, difference, spread};
-use crate::evaluate::plot::dots;
+use super::prelude::*;
+use crate::evaluate::findings::{Claim, difference, spread};
 use crate::evaluate::results::Results;
-use crate::evaluate::trial::End;
-use crate::evaluate::{Condition, Experiment, FELL, Info, Measured, Quantity};
-use crate::scenario::catalog::{Scenario, Task, Walk as Parameters, defaults};
-use crate::scenario::{Script, metrics};
-use crate::trace::Trace;
+use crate::scenario::catalog::Walk as Undisturbed;
 
 const QUANTITIES: &[Quantity] = &[
     FELL,
@@ -25,13 +17,13 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("torque_n_m", "torque norm", "N·m", 1),
     Quantity::new("cost_of_transport", "cost of transport", "", 2),
     Quantity::new("stride_frequency_hz", "stride frequency", "Hz", 2),
-    Quantity::new("flight_share", "time in flight", "%", 0),
+    Quantity::new("flight_fraction", "time in flight", "%", 0),
     Quantity::new("swing_height_m", "foot height", "m", 3),
     Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
 ];
 
 /// Time in flight from which on a gait is called hopping; a trot at this speed has next to none.
-const HOPPING_SHARE: f64 = 0.3;
+const HOPPING_FRACTION: f64 = 0.3;
 
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -52,9 +44,9 @@ impl Walk {
         let mut notes = Vec::new();
         for (set, name) in results.names.iter().enumerate() {
             let errors = results.per_seed(set, 0, "velocity_error_m_s");
-            let flights = results.per_seed(set, 0, "flight_share");
-            for (seed, share) in flights.iter().filter(|(_, share)| **share > HOPPING_SHARE) {
-                let percent = 100.0 * share;
+            let flights = results.per_seed(set, 0, "flight_fraction");
+            for (seed, part) in flights.iter().filter(|(_, part)| **part > HOPPING_FRACTION) {
+                let percent = 100.0 * part;
                 notes.push(format!("{name}, seed {seed}, hops: {percent:.0} % of the time no foot is on the ground."));
             }
             let mut fell_at: BTreeMap<u64, Vec<&str>> = BTreeMap::new();
@@ -90,12 +82,8 @@ fn over_all(results: &Results) -> String {
     let quantity = results.quantity("velocity_error_m_s");
     let all: Vec<usize> = (0..results.conditions.len()).collect();
     let comparison = results.compare_over(&all, quantity.name);
-    let spreads = [comparison.a_spread, comparison.b_spread];
-    let cells: Vec<String> = (0..2)
-        .map(|set| {
-            format!("{} {}", spread(spreads[set], quantity, comparison.members[set], " m/s"), results.names[set])
-        })
-        .collect();
+    let sets = comparison.sets.iter().zip(&results.names);
+    let cells: Vec<String> = sets.map(|(set, name)| format!("{} {name}", spread(set, quantity, " m/s"))).collect();
     format!(
         "Velocity error, mean over all {} commands: {}; difference {}.",
         all.len(),
@@ -123,22 +111,15 @@ impl Experiment for Walk {
             method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
                      2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
                      drawn at random but the sensors' noise, where there are sensors.",
+            quantities: QUANTITIES,
         }
     }
 
-    fn quantities(&self) -> &'static [Quantity] {
-        QUANTITIES
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Parameters = defaults("walk")?;
+        let base: Undisturbed = defaults("walk")?;
         let condition = |[forward_m_s, left_m_s, yaw_rad_s]: &[f64; 3]| Condition {
             label: label([*forward_m_s, *left_m_s, *yaw_rad_s]),
-            scenario: Scenario::Walk(Parameters {
+            scenario: Scenario::Walk(Undisturbed {
                 task: Task {
                     forward_m_s: *forward_m_s,
                     left_m_s: *left_m_s,
@@ -150,53 +131,40 @@ impl Experiment for Walk {
         Ok(self.commands.iter().map(condition).collect())
     }
 
-    fn measure(&self, scenario: &Scenario, script: &Script, trace: &Trace, end: End) -> Measured {
-        let mut values = vec![None; QUANTITIES.len()];
-        values[0] = end.fell();
-        if end == End::Upright {
-            let errors = metrics::velocity_errors(trace, metrics::SETTLE_S, script.duration_s);
-            values[1] = metrics::velocity_error(trace, metrics::SETTLE_S, script.duration_s);
-            (0..3).for_each(|axis| values[2 + axis] = errors.map(|errors| errors[axis]));
-            let found = scenario.metrics(script, trace);
-            for (index, quantity) in QUANTITIES.iter().enumerate().skip(5) {
-                values[index] = value(&found, quantity.name);
-            }
-            values[9] = metrics::flight_share(trace, metrics::SETTLE_S, script.duration_s);
+    fn measure(&self, trial: &Trial) -> Measured {
+        if !trial.is_upright() {
+            let undefined = QUANTITIES[1..].iter().map(|_| None);
+            return std::iter::once(trial.end.fell()).chain(undefined).collect::<Vec<_>>().into();
         }
-        Measured { values, series: Vec::new() }
+        let (trace, end_s) = (trial.trace, trial.script.duration_s);
+        let errors = metrics::velocity_errors(trace, metrics::SETTLE_S, end_s);
+        let mut values = vec![trial.end.fell(), trial.velocity_error()];
+        values.extend((0..3).map(|axis| errors.map(|errors| errors[axis])));
+        values.extend(QUANTITIES[5..].iter().map(|quantity| match quantity.name {
+            "flight_fraction" => metrics::flight_fraction(trace, metrics::SETTLE_S, end_s),
+            name => trial.metric(name),
+        }));
+        values.into()
     }
 
-    fn findings(&self, results: &Results) -> Findings {
-        let all: Vec<&str> = QUANTITIES.iter().map(|quantity| quantity.name).collect();
+    fn show(&self, show: &mut Show) {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
-        let mut every = Table::of_conditions("walk-commands", caption, results, &all);
-        every.in_page = false;
-        let of_first = every.rows.iter().take(all.len()).cloned().collect();
-        let first = results.conditions.first().map_or(String::new(), |condition| condition.label.clone());
-        let caption = format!("Walking undisturbed at the command of the other experiments ({first}).");
-        let table = Table { name: "walk".into(), caption, rows: of_first, in_page: true };
-        let panels = ["velocity_error_m_s", "power_w"].map(|name| by_condition(results, name));
-        let claim = Claim::bound(
-            &format!(
-                "Walking undisturbed ({first}), both keep the velocity error below {} m/s in the mean",
-                self.error_bound_m_s
-            ),
-            "< 0.05 / < 0.05 m/s",
-            results.quantity("velocity_error_m_s"),
-            self.error_bound_m_s,
-            results.compare(0, "velocity_error_m_s"),
+        let (results, first) = (show.results, show.first_label());
+        let of_first = Group { name: first.to_owned(), conditions: vec![0] };
+        let rows = QUANTITIES.iter().map(|quantity| show.row(&of_first, *quantity)).collect();
+        show.table_of(format!("Walking undisturbed at the command of the other experiments ({first})."), rows);
+        show.table_in_file("commands", caption);
+        let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
+        let text = format!("Walking undisturbed ({first}), both keep the velocity error below {bound} m/s in the mean");
+        let (errors, quantity) = (results.compare(0, quantity), results.quantity(quantity));
+        show.findings.claims.push(Claim::bound(&text, "< 0.05 / < 0.05 m/s", quantity, bound, errors));
+        show.dots(
+            "",
+            "Velocity error and power by command",
+            &["velocity_error_m_s", "power_w"],
+            "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
+             the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
-        Findings {
-            claims: vec![claim],
-            tables: vec![table, every],
-            figures: vec![Figure::new(
-                "walk",
-                "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
-                 the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
-                dots::draw("Velocity error and power by command", &panels, &labels(results), &results.names),
-            )],
-            notes: std::iter::once(over_all(results)).chain(self.strangers(results)).collect(),
-            ..Findings::default()
-        }
+        show.notes(std::iter::once(over_all(results)).chain(self.strangers(results)));
     }
 }

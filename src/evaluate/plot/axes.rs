@@ -1,7 +1,7 @@
 //! A rectangular panel: data to pixels, grid lines, ticks and labels.
 
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{COLOURS, GREY, INK, LARGE, LINES, PALE, SMALL};
+use super::{GREY, INK, LARGE, PALE, SMALL, colour, line};
 
 /// A panel.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,10 +19,10 @@ pub struct Panel {
 impl Panel {
     /// Pixels of a point of data.
     pub fn at(&self, point: [f64; 2]) -> [f64; 2] {
-        let share = |value: f64, [low, high]: [f64; 2]| (value - low) / (high - low);
+        let part = |value: f64, [low, high]: [f64; 2]| (value - low) / (high - low);
         [
-            self.corner[0] + self.size[0] * share(point[0], self.x),
-            self.corner[1] + self.size[1] * (1.0 - share(point[1], self.y)),
+            self.corner[0] + self.size[0] * part(point[0], self.x),
+            self.corner[1] + self.size[1] * (1.0 - part(point[1], self.y)),
         ]
     }
 
@@ -64,32 +64,31 @@ impl Panel {
     }
 }
 
-/// Names of the two sets with their lines, centred at a point.
-pub fn draw_legend(svg: &mut Svg, at: [f64; 2], names: &[String; 2]) {
+/// Names of the sets with their lines, centred at a point.
+pub fn draw_legend(svg: &mut Svg, at: [f64; 2], names: &[String]) {
     let width = |name: &String| 34.0 + 0.6 * LARGE * name.chars().count() as f64 + 28.0;
     let mut x = at[0] - 0.5 * (names.iter().map(width).sum::<f64>() - 28.0);
     for (set, name) in names.iter().enumerate() {
-        svg.line([x, at[1] - 4.0], [x + 28.0, at[1] - 4.0], LINES[set]);
+        svg.line([x, at[1] - 4.0], [x + 28.0, at[1] - 4.0], line(set));
         draw_mark(svg, [x + 14.0, at[1] - 4.0], set, 4.0, true);
         svg.text([x + 34.0, at[1]], name, Text::new(LARGE, Anchor::Start));
         x += width(name);
     }
 }
 
-/// A set's mark: circles for the first, squares for the second.
-pub fn draw_mark(svg: &mut Svg, centre: [f64; 2], set: usize, radius: f64, filled: bool) {
-    let colour = COLOURS[set];
-    let fill = if filled { colour } else { "white" };
-    let stroke = Stroke::new(colour, 1.2);
-    if set == 0 {
-        svg.circle(centre, radius, fill, stroke);
-    } else {
-        let [x, y] = centre;
-        let r = 0.9 * radius;
-        let square = [[x - r, y - r], [x + r, y - r], [x + r, y + r], [x - r, y + r]];
-        svg.area(&[&square], fill, 1.0);
-        svg.outline(&square, stroke);
-    }
+/// A set's mark: circles for the first, squares for the second, then triangles and diamonds.
+pub fn draw_mark(svg: &mut Svg, [x, y]: [f64; 2], set: usize, radius: f64, filled: bool) {
+    let fill = if filled { colour(set) } else { "white" };
+    let stroke = Stroke::new(colour(set), 1.2);
+    let r = 0.9 * radius;
+    let corners: &[[f64; 2]] = match set % 4 {
+        0 => return svg.circle([x, y], radius, fill, stroke),
+        1 => &[[x - r, y - r], [x + r, y - r], [x + r, y + r], [x - r, y + r]],
+        2 => &[[x, y - radius], [x + radius, y + r], [x - radius, y + r]],
+        _ => &[[x, y - radius], [x + radius, y], [x, y + radius], [x - radius, y]],
+    };
+    svg.area(&[corners], fill, 1.0);
+    svg.outline(corners, stroke);
 }
 
 /// A cross where something is marked.

@@ -2,7 +2,7 @@
 
 use super::axes::Panel;
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{BAND, COLOURS, GREY, INK, SMALL, WIDTH};
+use super::{BAND, GREY, INK, SMALL, WIDTH, colour};
 
 /// Mean and extremes of several runs.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,9 +21,12 @@ pub struct Curve {
     pub tolerance: Option<[f64; 2]>,
 }
 
-/// Draws both curves.
-pub fn draw(title: &str, curves: [Curve; 2], x_label: &str, y_label: &str) -> String {
-    let mut svg = Svg::new(WIDTH, 300.0);
+/// Height of a row of panels \[px\].
+const ROW: f64 = 300.0;
+
+/// Draws all curves, two side by side.
+pub fn draw(title: &str, curves: &[Curve], x_label: &str, y_label: &str) -> String {
+    let mut svg = Svg::new(WIDTH, ROW * curves.len().div_ceil(2) as f64);
     let extremes = || curves.iter().flat_map(|curve| curve.least.iter().chain(&curve.largest));
     let range = |of: fn(&[f64; 2]) -> f64| {
         extremes().map(of).fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], v| [low.min(v), high.max(v)])
@@ -36,9 +39,10 @@ pub fn draw(title: &str, curves: [Curve; 2], x_label: &str, y_label: &str) -> St
     let margin = 0.06 * (high - low).max(1e-3);
     let width = 326.0;
     for (set, curve) in curves.iter().enumerate() {
-        let corner = [62.0 + set as f64 * (width + 26.0), 30.0];
+        let (row, column) = (set / 2, set % 2);
+        let corner = [62.0 + column as f64 * (width + 26.0), ROW * row as f64 + 30.0];
         let panel = Panel { corner, size: [width, 216.0], x, y: [low - margin, high + margin] };
-        panel.draw_axes(&mut svg, x_label, (set == 0).then_some(y_label));
+        panel.draw_axes(&mut svg, x_label, (column == 0).then_some(y_label));
         panel.draw_title(&mut svg, &curve.title);
         draw_curve(&mut svg, &panel, curve, set);
     }
@@ -49,7 +53,7 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve, set: usize) {
     let points = |of: &[[f64; 2]]| of.iter().map(|point| panel.at(*point)).collect::<Vec<_>>();
     let mut band = points(&curve.largest);
     band.extend(points(&curve.least).iter().rev());
-    svg.area(&[&band], COLOURS[set], BAND);
+    svg.area(&[&band], colour(set), BAND);
     if let Some([level, half]) = curve.tolerance {
         for value in [level - half, level + half] {
             let line = Stroke::new(GREY, 1.0).dashed("2 3");
@@ -57,7 +61,7 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve, set: usize) {
         }
     }
     svg.line(panel.at([0.0, panel.y[0]]), panel.at([0.0, panel.y[1]]), Stroke::new(GREY, 1.0));
-    svg.polyline(&points(&curve.mean), Stroke::new(COLOURS[set], 2.0));
+    svg.polyline(&points(&curve.mean), Stroke::new(colour(set), 2.0));
     if let Some((time, label)) = &curve.mark {
         let top = panel.at([*time, panel.y[1]]);
         svg.line(panel.at([*time, panel.y[0]]), top, Stroke::new(INK, 1.3).dashed("5 3"));
@@ -72,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_sets_are_drawn_on_one_scale() {
+    fn all_sets_are_drawn_on_one_scale() {
         let level = |size: f64| Curve {
             title: String::new(),
             mean: vec![[0.0, 0.5], [1.0, 0.5]],
@@ -81,7 +85,7 @@ mod tests {
             mark: None,
             tolerance: None,
         };
-        let svg = draw("", [level(1.0), level(10.0)], "", "");
+        let svg = draw("", &[level(1.0), level(10.0)], "", "");
         let heights: Vec<&str> = svg
             .split("<polyline points=\"")
             .skip(1)

@@ -1,13 +1,18 @@
-//! Quantities by condition: mean and ± standard deviation of both sets, and every seed as a small mark.
+//! Quantities by condition: mean and ± standard deviation of all sets, and every seed as a small mark.
 
 use super::axes::{Panel, draw_legend, draw_mark, range_from_zero};
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{COLOURS, GREY, PALE, SMALL, WIDTH};
+use super::{GREY, PALE, SMALL, WIDTH, colour};
 use crate::evaluate::Quantity;
 use crate::evaluate::statistics::{PerSeed, Spread};
 
+/// Height of a set's part of a condition's line \[px\].
+const SET: f64 = 14.0;
+
 /// Height of a condition's line \[px\].
-const LINE: f64 = 34.0;
+fn line_of(sets: usize) -> f64 {
+    SET * sets as f64 + 6.0
+}
 
 /// A panel: one quantity.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,19 +20,20 @@ pub struct Dots {
     /// Along x.
     pub quantity: Quantity,
     /// By condition, by set.
-    pub rows: Vec<[PerSeed; 2]>,
+    pub rows: Vec<Vec<PerSeed>>,
 }
 
 /// Draws panels side by side with the conditions in lines. `labels` has one text for each line.
-pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String; 2]) -> String {
-    let height = LINE * labels.len() as f64;
+pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String]) -> String {
+    let line = line_of(names.len());
+    let height = line * labels.len() as f64;
     let mut svg = Svg::new(WIDTH, height + 92.0);
     let longest = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0) as f64;
     let left = 20.0 + 0.56 * SMALL * longest;
     let gap = 24.0;
     let width = (WIDTH - left - 16.0) / panels.len().max(1) as f64 - gap;
     for (row, label) in labels.iter().enumerate() {
-        let y = 14.0 + LINE * (row as f64 + 0.5);
+        let y = 14.0 + line * (row as f64 + 0.5);
         svg.text([left - 4.0, y + 4.0], label, Text::new(SMALL, Anchor::End));
     }
     for (index, dots) in panels.iter().enumerate() {
@@ -58,7 +64,8 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
     svg.text([left + 0.5 * panel.size[0], bottom + 33.0], &dots.quantity.axis(), Text::new(SMALL, Anchor::Middle));
     for (row, sets) in dots.rows.iter().enumerate() {
         for (set, values) in sets.iter().enumerate() {
-            let y = top + LINE * (row as f64 + 0.5) + if set == 0 { -7.0 } else { 7.0 };
+            let from_middle = SET * (set as f64 - 0.5 * (sets.len() as f64 - 1.0));
+            let y = top + line_of(sets.len()) * (row as f64 + 0.5) + from_middle;
             // A standard deviation may reach beyond what is possible, and then beyond the panel.
             let at = |value: f64| [panel.at([scale * value, 0.0])[0].clamp(left, left + panel.size[0]), y];
             if values.len() > 1 {
@@ -71,7 +78,7 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
                 continue;
             };
             let sd = spread.sd.unwrap_or(0.0);
-            svg.line(at(spread.mean - sd), at(spread.mean + sd), Stroke::new(COLOURS[set], 2.0));
+            svg.line(at(spread.mean - sd), at(spread.mean + sd), Stroke::new(colour(set), 2.0));
             draw_mark(svg, at(spread.mean), set, 4.2, true);
         }
     }

@@ -1,4 +1,4 @@
-//! Two heat maps side by side with the contour of a level (Fig. 2).
+//! Heat maps, two side by side, with the contour of a level (Fig. 2).
 
 use super::axes::Panel;
 use super::svg::{Anchor, Stroke, Svg, Text};
@@ -23,20 +23,25 @@ const COLOURS: [[f64; 3]; 9] = [
 pub struct Map<'a> {
     /// Above it.
     pub title: String,
-    /// Shares, 0 to 1.
+    /// Fractions, 0 to 1.
     pub grid: &'a Grid,
 }
 
-/// Draws both maps; the grid's first coordinate runs to the right, its second up.
-pub fn draw(title: &str, maps: [Map; 2], level: f64, labels: [&str; 3]) -> String {
-    let mut svg = Svg::new(WIDTH, 366.0);
+/// Height of a row of maps \[px\].
+const ROW: f64 = 366.0;
+
+/// Draws all maps; the grid's first coordinate runs to the right, its second up.
+pub fn draw(title: &str, maps: &[Map], level: f64, labels: [&str; 3]) -> String {
+    let mut svg = Svg::new(WIDTH, ROW * maps.len().div_ceil(2) as f64);
     let side = 278.0;
     for (index, map) in maps.iter().enumerate() {
-        let panel = panel([62.0 + index as f64 * (side + 30.0), 32.0], side, map.grid);
+        let (row, column) = (index / 2, index % 2);
+        let corner = [62.0 + column as f64 * (side + 30.0), ROW * row as f64 + 32.0];
+        let panel = panel(corner, side, map.grid);
         draw_map(&mut svg, &panel, map.grid, level);
         panel.draw_frame(&mut svg);
         panel.draw_title(&mut svg, &map.title);
-        draw_labels(&mut svg, &panel, labels[0], (index == 0).then_some(labels[1]));
+        draw_labels(&mut svg, &panel, labels[0], (column == 0).then_some(labels[1]));
     }
     draw_scale(&mut svg, [62.0 + 2.0 * side + 52.0, 32.0], side, level, labels[2]);
     svg.finish(title)
@@ -96,9 +101,9 @@ fn draw_labels(svg: &mut Svg, panel: &Panel, x_label: &str, y_label: Option<&str
 fn draw_scale(svg: &mut Svg, corner: [f64; 2], height: f64, level: f64, label: &str) {
     let (width, steps) = (15.0, 50);
     for step in 0..steps {
-        let share = (step as f64 + 0.5) / steps as f64;
+        let fraction = (step as f64 + 0.5) / steps as f64;
         let y = corner[1] + height * (1.0 - (step + 1) as f64 / steps as f64);
-        svg.rectangle([corner[0], y], [width, height / steps as f64 + 0.3], &colour(share));
+        svg.rectangle([corner[0], y], [width, height / steps as f64 + 0.3], &colour(fraction));
     }
     for percent in [0.0, 20.0, 40.0, 60.0, 80.0, 100.0] {
         let y = corner[1] + height * (1.0 - percent / 100.0);
@@ -112,8 +117,8 @@ fn draw_scale(svg: &mut Svg, corner: [f64; 2], height: f64, level: f64, label: &
     svg.text(at, label, Text::new(SMALL, Anchor::Middle).upwards());
 }
 
-fn colour(share: f64) -> String {
-    let position = share.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
+fn colour(fraction: f64) -> String {
+    let position = fraction.clamp(0.0, 1.0) * (COLOURS.len() - 1) as f64;
     let lower = (position as usize).min(COLOURS.len() - 2);
     let part = position - lower as f64;
     let mix =

@@ -1,7 +1,7 @@
 /*! Figures as SVG, and as PNG rendered from the same SVG.
 
-Blue and orange of Okabe and Ito's palette are told apart by every kind of colour vision; the lines of the second method are
-dashed and its marks square, for print without colour. Both methods are always drawn on the same scale.
+The colours of Okabe and Ito's palette are told apart by every kind of colour vision; the lines of the second set of policies
+are dashed and its marks square, and so on, for print without colour. All sets are always drawn on the same scale.
 */
 
 pub mod axes;
@@ -24,11 +24,21 @@ pub const GREY: &str = "#777777";
 /// Grid lines.
 pub const PALE: &str = "#dddddd";
 
-/// The two sets of policies: blue, orange.
-pub const COLOURS: [&str; 2] = ["#0072B2", "#E69F00"];
+/// Colours of the sets of policies: blue, orange, green, purple, sky, vermilion.
+const COLOURS: [&str; 6] = ["#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00"];
 
-/// Lines of the two sets of policies.
-pub const LINES: [Stroke; 2] = [Stroke::new(COLOURS[0], 2.0), Stroke::new(COLOURS[1], 2.0).dashed("6 3")];
+/// Dashes of their lines.
+const DASHES: [&str; 4] = ["", "6 3", "2 3", "9 3 2 3"];
+
+/// Colour of a set of policies.
+pub fn colour(set: usize) -> &'static str {
+    COLOURS[set % COLOURS.len()]
+}
+
+/// Line of a set of policies.
+pub fn line(set: usize) -> Stroke {
+    Stroke::new(colour(set), 2.0).dashed(DASHES[set % DASHES.len()])
+}
 
 /// Opacity of bands.
 pub const BAND: f64 = 0.22;

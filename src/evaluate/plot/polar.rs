@@ -1,10 +1,10 @@
-//! A quantity by direction, both sets over one another, mean and ± standard deviation (Figs. 4 and 5).
+//! A quantity by direction, all sets over one another, mean and ± standard deviation (Figs. 4 and 5).
 
 use std::f64::consts::TAU;
 
 use super::axes::{draw_legend, draw_mark, tick_text, ticks};
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{BAND, COLOURS, GREY, LARGE, LINES, PALE, SMALL, WIDTH};
+use super::{BAND, GREY, LARGE, PALE, SMALL, WIDTH, colour, line};
 use crate::evaluate::statistics::Spread;
 
 /// Radius of a panel \[px\].
@@ -16,10 +16,10 @@ pub struct Polar {
     /// Above it.
     pub title: String,
     /// By set, by direction; none where it is not defined.
-    pub sets: [Vec<Option<Spread>>; 2],
+    pub sets: Vec<Vec<Option<Spread>>>,
 }
 
-/// Which panels have the same scale. Both sets always have.
+/// Which panels have the same scale. All sets always have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scales {
     /// All of them.
@@ -28,8 +28,13 @@ pub enum Scales {
     Own,
 }
 
+/// Directions that divide the circle evenly, counter-clockwise from forward \[deg\].
+pub fn evenly(count: u32) -> impl Iterator<Item = f64> {
+    (0..count).map(move |k| 360.0 * f64::from(k) / f64::from(count))
+}
+
 /// Draws panels side by side.
-pub fn draw(title: &str, panels: &[Polar], names: &[String; 2], axis: &str, scales: Scales) -> String {
+pub fn draw(title: &str, panels: &[Polar], names: &[String], axis: &str, scales: Scales) -> String {
     let mut svg = Svg::new(WIDTH, 410.0);
     for (index, panel) in panels.iter().enumerate() {
         let scale = match scales {
@@ -38,8 +43,8 @@ pub fn draw(title: &str, panels: &[Polar], names: &[String; 2], axis: &str, scal
         };
         let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64 - 6.0, 188.0];
         draw_rings(&mut svg, centre, scale, axis);
-        for set in [1, 0] {
-            draw_set(&mut svg, centre, scale, &panel.sets[set], set);
+        for (set, values) in panel.sets.iter().enumerate().rev() {
+            draw_set(&mut svg, centre, scale, values, set);
         }
         draw_ring_labels(&mut svg, centre, scale);
         svg.text([centre[0], 20.0], &panel.title, Text::new(LARGE, Anchor::Middle).bold());
@@ -121,8 +126,8 @@ fn draw_set(svg: &mut Svg, centre: [f64; 2], scale: Scale, values: &[Option<Spre
     };
     let all = |offset| (0..count).map(|direction| point(direction, offset)).collect::<Option<Vec<_>>>();
     if let (Some(outer), Some(inner), Some(middle)) = (all(1.0), all(-1.0), all(0.0)) {
-        svg.area(&[&outer, &inner], COLOURS[set], BAND);
-        svg.outline(&middle, LINES[set]);
+        svg.area(&[&outer, &inner], colour(set), BAND);
+        svg.outline(&middle, line(set));
     }
     // A direction without a number is a gap.
     let has_gap = all(0.0).is_none();
@@ -130,8 +135,8 @@ fn draw_set(svg: &mut Svg, centre: [f64; 2], scale: Scale, values: &[Option<Spre
         let between = |offset| Some([point(direction, offset)?, point(direction + 1, offset)?]);
         if let (true, Some([from, to]), Some(outer), Some(inner)) = (has_gap, between(0.0), between(1.0), between(-1.0))
         {
-            svg.area(&[&[outer[0], outer[1], inner[1], inner[0]]], COLOURS[set], BAND);
-            svg.line(from, to, LINES[set]);
+            svg.area(&[&[outer[0], outer[1], inner[1], inner[0]]], colour(set), BAND);
+            svg.line(from, to, line(set));
         }
         if let Some(at) = point(direction, 0.0) {
             draw_mark(svg, at, set, 2.6, true);

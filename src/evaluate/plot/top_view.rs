@@ -2,7 +2,7 @@
 
 use super::axes::Panel;
 use super::svg::{Stroke, Svg};
-use super::{COLOURS, GREY, INK, WIDTH};
+use super::{GREY, INK, WIDTH, colour};
 
 /// Where a box stands: x \[m\], y \[m\], yaw \[rad\].
 pub type BoxPose = [f64; 3];
@@ -29,8 +29,8 @@ pub struct View {
     pub runs: Vec<Run>,
 }
 
-/// Draws both views on one scale, with equal lengths along both axes.
-pub fn draw(title: &str, views: &[View; 2], box_size_m: f64) -> String {
+/// Draws all views on one scale, with equal lengths along both axes.
+pub fn draw(title: &str, views: &[View], box_size_m: f64) -> String {
     let points = || views.iter().flat_map(|view| &view.runs).flat_map(|run| corners_and_path(run, box_size_m));
     let range = |axis: usize| {
         points().map(|point| point[axis]).fold([-0.4_f64, 0.4], |[low, high], v| [low.min(v - 0.1), high.max(v + 0.1)])
@@ -42,11 +42,12 @@ pub fn draw(title: &str, views: &[View; 2], box_size_m: f64) -> String {
     let [width, height] = [scale * (x[1] - x[0]), scale * (y[1] - y[0])];
     let left = left + 0.5 * (most[0] - width);
 
-    let mut svg = Svg::new(WIDTH, 2.0 * (height + 34.0) + 52.0);
+    let sets = views.len() as f64;
+    let mut svg = Svg::new(WIDTH, sets * (height + 34.0) + (12.0 * sets + 28.0));
     for (set, view) in views.iter().enumerate() {
         let corner = [left, 30.0 + set as f64 * (height + 46.0)];
         let panel = Panel { corner, size: [width, height], x, y };
-        panel.draw_axes(&mut svg, if set == 1 { "forward [m]" } else { "" }, Some("left [m]"));
+        panel.draw_axes(&mut svg, if set + 1 == views.len() { "forward [m]" } else { "" }, Some("left [m]"));
         panel.draw_title(&mut svg, &view.title);
         for (index, run) in view.runs.iter().enumerate().rev() {
             draw_run(&mut svg, &panel, run, set, box_size_m, index == 0);
@@ -77,10 +78,10 @@ fn draw_run(svg: &mut Svg, panel: &Panel, run: &Run, set: usize, size_m: f64, in
         svg.outline(&first, Stroke::new(GREY, 1.5).dashed("4 3"));
         svg.area(&[&last], "#b58a55", 0.75);
         svg.outline(&last, Stroke::new(INK, 1.2));
-        svg.polyline(&pixels(&run.path), Stroke::new(COLOURS[set], 2.6));
+        svg.polyline(&pixels(&run.path), Stroke::new(colour(set), 2.6));
     } else {
         svg.outline(&last, Stroke::new("#b58a55", 0.8).faint(0.45));
-        svg.polyline(&pixels(&run.path), Stroke::new(COLOURS[set], 1.0).faint(0.45));
+        svg.polyline(&pixels(&run.path), Stroke::new(colour(set), 1.0).faint(0.45));
     }
     if let (true, Some(end)) = (run.fell, run.path.last()) {
         super::axes::draw_cross(svg, clipped(panel, *end), if in_full { 5.0 } else { 3.5 });

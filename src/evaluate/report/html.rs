@@ -38,14 +38,15 @@ const WORDS: &[(&str, &str)] = &[
     (
         "verdict",
         "effect in the paper's direction: the interval of the difference lies on the paper's side of zero; opposite: on \
-      the other side; no effect shown: it holds zero; too few pairs to tell: fewer than five. A bound holds if the means \
-      of both sets keep it.",
+      the other side; no effect shown: it includes zero; too few pairs to tell: fewer than five. A bound holds if the means \
+      of both sets keep it. Sets after the second have numbers alone.",
     ),
 ];
 
 /// The whole page.
 pub fn page(report: &Report) -> String {
-    let title = format!("{} against {} under disturbance", report.names[0], report.names[1]);
+    let (first, others) = report.names.split_first().map_or(("", String::new()), |(a, rest)| (a, rest.join(" and ")));
+    let title = format!("{first} against {others} under disturbance");
     let mut body = String::new();
     // Writing into a String cannot fail.
     let _ = write!(body, "<h1>{}</h1>\n{}", escaped(&title), introduction(report));
@@ -75,7 +76,7 @@ pub fn page(report: &Report) -> String {
 }
 
 fn introduction(report: &Report) -> String {
-    let trials: usize = report.sections.iter().flat_map(|section| section.ends).map(|ends| ends.trials).sum();
+    let trials: usize = report.sections.iter().flat_map(|section| &section.ends).map(|ends| ends.trials).sum();
     let navigation: String = report
         .sections
         .iter()
@@ -87,8 +88,8 @@ fn introduction(report: &Report) -> String {
     format!(
         "<nav>{navigation}</nav>\n\
          <p>Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with {trials} trials in \
-         simulation. Trials are paired: trial <i>k</i> of seed <i>s</i> is the same for both methods. A number is the mean \
-         over the trials of a policy, then mean ± standard deviation over policies of different seeds (the share of the \
+         simulation. Trials are paired: trial <i>k</i> of seed <i>s</i> is the same for all sets. A number is the mean \
+         over the trials of a policy, then mean ± standard deviation over policies of different seeds (the fraction of the \
          push grid is that of the map of all seeds together); intervals are 95 % bootstrap intervals over pairs of \
          seeds.</p>\n\
          {notes}<dl><dt>Command</dt><dd><code>{}</code></dd><dt>Protocol</dt><dd>{}</dd>\
@@ -115,17 +116,19 @@ fn claims(report: &Report) -> String {
 
 fn claim_row(claim: &Claim) -> String {
     // Intervals on lines of their own.
-    let cells = claim_cells(claim).map(|cell| escaped(&cell).replace(" [", "<br>["));
-    let [text, paper, a, b, difference, relative, verdict] = cells;
+    let cells: Vec<String> = claim_cells(claim).iter().map(|cell| escaped(cell).replace(" [", "<br>[")).collect();
     let class = match claim.verdict {
         Verdict::AsThePaper | Verdict::Holds => "yes",
         Verdict::Opposite | Verdict::Fails => "no",
         _ => "open",
     };
-    format!(
-        "<td>{text}</td><td>{paper}</td><td class=\"number\">{a}</td><td class=\"number\">{b}</td>\
-         <td class=\"number\">{difference}</td><td class=\"number\">{relative}</td><td class=\"{class}\">{verdict}</td>"
-    )
+    let last = cells.len() - 1;
+    let cell = |(column, text): (usize, &String)| match column {
+        0 | 1 => format!("<td>{text}</td>"),
+        column if column == last => format!("<td class=\"{class}\">{text}</td>"),
+        _ => format!("<td class=\"number\">{text}</td>"),
+    };
+    cells.iter().enumerate().map(cell).collect()
 }
 
 fn policies(report: &Report) -> String {
@@ -203,10 +206,10 @@ fn notes(notes: &[String]) -> String {
 }
 
 /// A table without the columns that are empty throughout.
-fn numbers(table: &Table, names: &[String; 2]) -> String {
-    let rows: Vec<[String; 7]> = table.rows.iter().map(cells).collect();
-    let used: Vec<usize> = (0..7).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
+fn numbers(table: &Table, names: &[String]) -> String {
+    let rows: Vec<Vec<String>> = table.rows.iter().map(cells).collect();
     let titles = columns(names);
+    let used: Vec<usize> = (0..titles.len()).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
     let head: String = used.iter().map(|column| format!("<th>{}</th>", escaped(&titles[*column]))).collect();
     let mut body = String::new();
     let mut last_condition = "";
@@ -228,7 +231,7 @@ fn provenance(section: &Section, report: &Report) -> String {
     let falls: Vec<String> = report
         .names
         .iter()
-        .zip(section.ends)
+        .zip(&section.ends)
         .map(|(name, ends)| format!("{}: {} of {} trials", escaped(name), ends.falls, ends.trials))
         .collect();
     let parameters: String = section

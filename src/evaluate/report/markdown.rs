@@ -3,62 +3,58 @@
 use super::{Report, duration};
 use crate::evaluate::findings::{Claim, Row, Table, difference, percent, spread};
 
-/// Cells of a row: condition, quantity, the paper's numbers, ours.
-pub fn cells(row: &Row) -> [String; 7] {
+/// Cells of a row: condition, quantity, the paper's numbers, ours of each set, difference, relative change.
+pub fn cells(row: &Row) -> Vec<String> {
     let c = &row.comparison;
-    [
-        row.condition.clone(),
-        row.quantity.axis(),
-        row.paper.clone(),
-        spread(c.a_spread, row.quantity, c.members[0], ""),
-        spread(c.b_spread, row.quantity, c.members[1], ""),
-        difference(c, row.quantity, ""),
-        if row.quantity.unit == "%" { String::new() } else { percent(c.relative, "") },
-    ]
+    let mut cells = vec![row.condition.clone(), row.quantity.axis(), row.paper.clone()];
+    cells.extend(c.sets.iter().map(|set| spread(set, row.quantity, "")));
+    cells.push(difference(c, row.quantity, ""));
+    cells.push(if row.quantity.unit == "%" { String::new() } else { percent(c.relative, "") });
+    cells
 }
 
 /// Titles of these columns.
-pub fn columns(names: &[String; 2]) -> [String; 7] {
-    let paper = "paper (compliant / baseline)".to_owned();
-    let fixed = ["condition", "quantity"].map(ToOwned::to_owned);
-    let [condition, quantity] = fixed;
-    let (a, b) = (names[0].clone(), names[1].clone());
-    [condition, quantity, paper, a, b, "difference [95 % interval]".into(), "relative [%]".into()]
+pub fn columns(names: &[String]) -> Vec<String> {
+    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [%]"]);
+    titled(["condition", "quantity", "paper (compliant / baseline)"], names, [difference, relative])
 }
 
-/// Cells of a claim: what the paper says, its numbers, ours, the verdict.
-pub fn claim_cells(claim: &Claim) -> [String; 7] {
+/// Cells of a claim: what the paper says, its numbers, ours of each set, difference, relative change, the verdict.
+pub fn claim_cells(claim: &Claim) -> Vec<String> {
     let (c, quantity) = (&claim.comparison, claim.quantity);
     let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
-    // The difference of two shares is not a share.
+    // The difference of two fractions is not a fraction.
     let unit_of_difference = unit.replace('%', "points");
-    [
-        claim.text.clone(),
-        claim.paper.clone(),
-        spread(c.a_spread, quantity, c.members[0], &unit),
-        spread(c.b_spread, quantity, c.members[1], &unit),
-        difference(c, quantity, &unit_of_difference),
-        if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") },
-        claim.verdict.text().to_owned(),
-    ]
+    let mut cells = vec![claim.text.clone(), claim.paper.clone()];
+    cells.extend(c.sets.iter().map(|set| spread(set, quantity, &unit)));
+    cells.push(difference(c, quantity, &unit_of_difference));
+    cells.push(if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") });
+    cells.push(claim.verdict.text().to_owned());
+    cells
 }
 
 /// Titles of these columns.
-pub fn claim_columns(names: &[String; 2]) -> [String; 7] {
-    [
-        "the paper's claim".into(),
-        "its numbers (compliant / baseline)".into(),
-        names[0].clone(),
-        names[1].clone(),
-        "difference [95 % interval]".into(),
-        "relative [95 % interval]".into(),
-        "verdict".into(),
-    ]
+pub fn claim_columns(names: &[String]) -> Vec<String> {
+    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [95 % interval]"]);
+    let paper = ["the paper's claim", "its numbers (compliant / baseline)"];
+    titled(paper, names, [difference, relative, "verdict".into()])
+}
+
+/// Of several sets, titles say which two are compared.
+fn of_pair<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
+    titles.map(|title| match names {
+        [a, b, _, ..] => format!("{title}, {a} and {b}"),
+        _ => title.to_owned(),
+    })
+}
+
+fn titled<const N: usize>(first: [&str; N], names: &[String], last: impl IntoIterator<Item = String>) -> Vec<String> {
+    first.map(ToOwned::to_owned).into_iter().chain(names.iter().cloned()).chain(last).collect()
 }
 
 /// A table with its caption.
-pub fn table(table: &Table, names: &[String; 2]) -> String {
-    let rows = table.rows.iter().map(|row| cells(row).to_vec());
+pub fn table(table: &Table, names: &[String]) -> String {
+    let rows = table.rows.iter().map(cells);
     format!("{}\n\n{}", table.caption, grid(&columns(names), rows))
 }
 
@@ -66,25 +62,25 @@ pub fn table(table: &Table, names: &[String; 2]) -> String {
 pub fn claims(report: &Report) -> String {
     let rows = report.sections.iter().flat_map(|section| {
         section.findings.claims.iter().map(|claim| {
-            let mut cells = claim_cells(claim).to_vec();
+            let mut cells = claim_cells(claim);
             cells.insert(0, format!("{} {}", section.info.id, section.info.paper));
             cells
         })
     });
-    let mut columns = claim_columns(&report.names).to_vec();
+    let mut columns = claim_columns(&report.names);
     columns.insert(0, "experiment".into());
     grid(&columns, rows)
 }
 
 /// `docs/results.md`, which looks for its figures in `images/`.
 pub fn document(report: &Report) -> String {
-    let [a, b] = &report.names;
     let mut text = format!(
         "# The paper's claims and our numbers\n\n\
          Made by `{}`; not edited by hand. [experiments.md](experiments.md) defines every number. A cell is the mean ± \
-         standard deviation over the seeds of {a} and {b} (E1: the map of all seeds together); intervals are 95 % bootstrap \
+         standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
          intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
         report.command.of(None),
+        report.names.join(" and "),
         report.protocol,
         report.revisions().join(", "),
         duration(report.wall_s()),
@@ -129,23 +125,17 @@ pub fn document(report: &Report) -> String {
     text.push_str(&grid(&columns, rows));
     text.push_str("\n## Trials\n\n");
     let rows = report.sections.iter().map(|section| {
-        let [a, b] = section.ends;
-        vec![
+        let counts = [
             format!("{} {}", section.info.id, section.info.title),
             section.conditions.to_string(),
             section.trials.to_string(),
-            format!("{} of {}", a.falls, a.trials),
-            format!("{} of {}", b.falls, b.trials),
-        ]
+        ];
+        let falls = section.ends.iter().map(|ends| format!("{} of {}", ends.falls, ends.trials));
+        counts.into_iter().chain(falls).collect()
     });
-    let columns = [
-        "experiment".to_owned(),
-        "conditions".to_owned(),
-        "trials of each with each policy".to_owned(),
-        format!("falls, {a}"),
-        format!("falls, {b}"),
-    ];
-    text.push_str(&grid(&columns, rows));
+    let counts = ["experiment", "conditions", "trials of each with each policy"];
+    let falls: Vec<String> = report.names.iter().map(|name| format!("falls, {name}")).collect();
+    text.push_str(&grid(&titled(counts, &falls, []), rows));
     text
 }
 

@@ -20,8 +20,8 @@ use super::results::Ends;
 use super::runner::Measurement;
 use super::sensing::SensingFindings;
 use super::{Experiment, Info};
-use crate::files;
 use crate::policy::Provenance;
+use crate::util::files;
 
 /// Why the report was not written.
 #[derive(Debug, thiserror::Error)]
@@ -55,7 +55,7 @@ pub struct PolicyLine {
     pub sha256: String,
     /// Name of its configuration.
     pub config: String,
-    /// Samples it has seen; none of a policy from elsewhere.
+    /// Samples it has seen; none of an external policy.
     pub samples: Option<u64>,
     /// Revision of the program that trained it.
     pub revision: String,
@@ -93,8 +93,8 @@ pub struct Section {
     pub conditions: usize,
     /// Trials of each condition with each policy.
     pub trials: u32,
-    /// How the trials of both sets ended.
-    pub ends: [Ends; 2],
+    /// How the trials of each set ended.
+    pub ends: Vec<Ends>,
     /// What it shows.
     pub findings: Findings,
     /// Time that its trials took \[s\].
@@ -108,8 +108,8 @@ impl Section {
     pub fn new(experiment: &dyn Experiment, measurement: &Measurement) -> Self {
         let results = &measurement.results;
         let mut findings = experiment.findings(results);
-        let ends = [results.ends(0), results.ends(1)];
-        for (name, ends) in results.names.iter().zip(ends) {
+        let ends: Vec<Ends> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
+        for (name, ends) in results.names.iter().zip(&ends) {
             if ends.trials > 0 && ends.falls == ends.trials {
                 findings
                     .notes
@@ -139,8 +139,8 @@ impl Section {
 /// The whole report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// Names of both sets.
-    pub names: [String; 2],
+    /// Names of all sets; claims and differences are about the first two.
+    pub names: Vec<String>,
     /// All policies.
     pub policies: Vec<PolicyLine>,
     /// `full`, `quick` or a file.
@@ -170,13 +170,13 @@ impl PolicyLine {
 }
 
 impl Report {
-    /// A report of two sets without experiments yet.
+    /// A report without experiments yet.
     pub fn new(contest: &Contest, protocol: String, command: Command) -> Self {
         let line = |set: &str, member: &super::contestants::Contestant| PolicyLine {
             set: set.to_owned(),
             seed: member.seed,
             sha256: member.agent.sha256.clone(),
-            config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "from elsewhere".into()),
+            config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "external".into()),
             samples: origin(member, |origin| origin.samples),
             revision: origin(member, |origin| origin.git_revision.clone()).unwrap_or_else(|| "–".into()),
         };
@@ -282,7 +282,7 @@ fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), 
     write(&folder.join(format!("{}.png", figure.name)), &png)
 }
 
-fn write_table(folder: &Path, table: &Table, names: &[String; 2]) -> Result<(), ReportError> {
+fn write_table(folder: &Path, table: &Table, names: &[String]) -> Result<(), ReportError> {
     write(&folder.join(format!("{}.csv", table.name)), tables::csv(table, names).as_bytes())?;
     write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names).as_bytes())
 }

@@ -5,7 +5,7 @@ use serde_json::{Map, Value, json};
 use super::{Report, Section};
 use crate::evaluate::Quantity;
 use crate::evaluate::findings::Table;
-use crate::evaluate::statistics::Comparison;
+use crate::evaluate::statistics::{Comparison, Numbers};
 
 /// The whole summary.
 pub fn json(report: &Report) -> String {
@@ -51,7 +51,7 @@ fn sensing(report: &Report) -> Value {
 }
 
 /// A table's name and rows.
-fn table(table: &Table, names: &[String; 2]) -> (String, Value) {
+fn table(table: &Table, names: &[String]) -> (String, Value) {
     let row = |row: &crate::evaluate::findings::Row| {
         json!({
             "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit, "paper": row.paper,
@@ -61,8 +61,8 @@ fn table(table: &Table, names: &[String; 2]) -> (String, Value) {
     (table.name.clone(), Value::Array(table.rows.iter().map(row).collect()))
 }
 
-fn experiment(section: &Section, names: &[String; 2]) -> Value {
-    let ends: Map<String, Value> = names.iter().cloned().zip(section.ends.map(|ends| json!(ends))).collect();
+fn experiment(section: &Section, names: &[String]) -> Value {
+    let ends: Map<String, Value> = names.iter().cloned().zip(section.ends.iter().map(|ends| json!(ends))).collect();
     let claims: Vec<Value> = section
         .findings
         .claims
@@ -90,11 +90,10 @@ fn experiment(section: &Section, names: &[String; 2]) -> Value {
 }
 
 /// In the quantity's unit; a relative change is 0.1 for 10 %.
-fn comparison(names: &[String; 2], comparison: &Comparison, quantity: Quantity) -> Value {
+fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> Value {
     let comparison = comparison.scaled(quantity.scale());
     let mut sets = Map::new();
-    let sides = [(&comparison.a, comparison.a_spread), (&comparison.b, comparison.b_spread)];
-    for (name, (seeds, spread)) in names.iter().zip(sides) {
+    for (name, Numbers { by_seed: seeds, spread, .. }) in names.iter().zip(&comparison.sets) {
         let by_seed: Map<String, Value> = seeds.iter().map(|(seed, value)| (seed.to_string(), json!(value))).collect();
         sets.insert(
             name.clone(),

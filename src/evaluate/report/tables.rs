@@ -5,7 +5,7 @@ use crate::evaluate::findings::{Lines, Table};
 use crate::evaluate::statistics::{Comparison, Estimate};
 
 /// A table.
-pub fn csv(table: &Table, names: &[String; 2]) -> String {
+pub fn csv(table: &Table, names: &[String]) -> String {
     let mut text = format!("condition,quantity,unit,paper,{}\n", header(names));
     for row in &table.rows {
         let cells = [&row.condition, row.quantity.name, row.quantity.unit, &row.paper].map(quoted);
@@ -40,22 +40,22 @@ pub fn claims_csv(report: &Report) -> String {
     text
 }
 
-fn header(names: &[String; 2]) -> String {
+fn header(names: &[String]) -> String {
     let of = |name: &String| {
         let name = name.replace([',', '"'], "_");
         format!("{name}_mean,{name}_sd,{name}_seeds")
     };
+    let sets: Vec<String> = names.iter().map(of).collect();
     format!(
-        "{},{},pairs,trials_used,trials,difference,difference_low,difference_high,relative,relative_low,relative_high",
-        of(&names[0]),
-        of(&names[1])
+        "{},pairs,trials_used,trials,difference,difference_low,difference_high,relative,relative_low,relative_high",
+        sets.join(",")
     )
 }
 
 /// A relative change is 0.1 for 10 %.
 fn numbers(comparison: &Comparison) -> String {
     let mut cells = Vec::new();
-    for spread in [comparison.a_spread, comparison.b_spread] {
+    for spread in comparison.sets.iter().map(|set| set.spread) {
         cells.push(cell(spread.map(|spread| spread.mean)));
         cells.push(cell(spread.and_then(|spread| spread.sd)));
         cells.push(spread.map_or(0, |spread| spread.seeds).to_string());

@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, truth};
 use crate::scenario::metrics::Metric;
+use crate::scenario::trace::Trace;
 use crate::scenario::{Goal, Script};
-use crate::scene::Buffers;
-use crate::trace::Trace;
+use crate::sim::Buffers;
 
 /// Ball pit: cross a field of loose balls.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -48,10 +48,6 @@ impl BallPit {
 }
 
 impl Parameters for BallPit {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
         // MuJoCo 2.2.2 counts its memory in 32 bits: rows times degrees of freedom, 24 bytes each, must stay below 2 GiB.
         in_range("balls", f64::from(self.balls), 0.0, 1000.0, "0 to 1000")?;
@@ -94,5 +90,14 @@ impl Parameters for BallPit {
 
     fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         found.push(truth("crossed", "got across", Some(trace.reached_goal())));
+    }
+
+    /// The obstacle is farther away by what the robot walks in that time.
+    fn delay(&mut self, phase_s: f64) {
+        self.distance_m += phase_s * self.task.forward_m_s;
+    }
+
+    fn cost(&self) -> f64 {
+        100.0
     }
 }

@@ -5,11 +5,11 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric, truth};
-use crate::random::{Purpose, stream};
 use crate::scenario::metrics::{self, Metric};
+use crate::scenario::trace::{Frame, Trace};
 use crate::scenario::{Goal, Script};
-use crate::scene::Buffers;
-use crate::trace::{Frame, Trace};
+use crate::sim::Buffers;
+use crate::util::random::{Purpose, stream};
 
 /// Box: walk into a free box.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,10 +36,6 @@ pub struct FreeBox {
 }
 
 impl Parameters for FreeBox {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         in_range("mass-kg", self.mass_kg, 1e-3, 1e4, "0.001 to 10000 kg")?;
         in_range("size-m", self.size_m, 0.01, 10.0, "0.01 to 10 m")?;
@@ -93,5 +89,14 @@ impl Parameters for FreeBox {
             Some(last.position[0] > box_x + 0.5 * self.size_m)
         });
         found.push(truth("passed", "got past", passed));
+    }
+
+    /// The obstacle is farther away by what the robot walks in that time.
+    fn delay(&mut self, phase_s: f64) {
+        self.distance_m += phase_s * self.task.forward_m_s;
+    }
+
+    fn cost(&self) -> f64 {
+        3.5
     }
 }

@@ -3,10 +3,10 @@
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric};
+use super::{ParameterError, Parameters, Task, in_range, metric, towards};
 use crate::scenario::metrics::{self, Metric};
+use crate::scenario::trace::Trace;
 use crate::scenario::{Pull, Script};
-use crate::trace::Trace;
 
 /// Leash: a constant pull on the trunk.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -30,17 +30,12 @@ pub struct Leash {
 }
 
 impl Parameters for Leash {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
         in_range("force-n", self.force_n, 0.0, 10_000.0, "0 to 10000 N")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
         in_range("for-s", self.for_s, 0.0, 3600.0, "0 to 3600 s")?;
-        let angle = self.direction_deg.to_radians();
-        let force = [self.force_n * angle.cos(), self.force_n * angle.sin()];
+        let force = towards(self.direction_deg).map(|part| self.force_n * part);
         script.pull = Some(Pull { from_s: self.at_s, until_s: self.at_s + self.for_s, force });
         Ok(())
     }
@@ -50,5 +45,10 @@ impl Parameters for Leash {
         let end_s = pull.until_s.min(script.duration_s);
         let offset = metrics::offset_along_force(trace, pull.force, (end_s - 5.0).max(pull.from_s), end_s);
         found.push(metric("leash_offset_m_s", "velocity along the pull", offset, "m/s"));
+    }
+
+    fn delay(&mut self, phase_s: f64) {
+        self.at_s += phase_s;
+        self.task.duration_s += phase_s;
     }
 }

@@ -2,19 +2,9 @@
 
 Parameters are flags of the `scenario` program and keys of the YAML files under `configs/scenarios/`, by the same names;
 the files hold the defaults, which are the protocols of the paper's experiments. Each scenario is a file of its own here:
-its parameters, what they make of the script, and the numbers it is about.
+its parameters, what they make of the script, and the numbers it is about; a line of the table below brings it into the
+programs.
 */
-
-mod ball_pit;
-mod free_box;
-mod leash;
-mod outdoor;
-mod pendulum;
-mod pulley;
-mod push;
-mod rubble;
-mod terrain;
-mod walk;
 
 use clap::{Args, Subcommand};
 use rand::RngExt;
@@ -24,38 +14,68 @@ use serde::{Deserialize, Serialize};
 
 use super::Script;
 use super::metrics::{self, Metric};
-use crate::config::{Config, ConfigError, layered};
-use crate::random::{Purpose, stream};
-use crate::scene::{RobotFile, Scene};
+use crate::config::{Config, ConfigError};
+use crate::robot::{Robot, RobotError};
+use crate::scenario::trace::Trace;
 use crate::sim::Conditions;
+use crate::sim::Scene;
 use crate::task::Command;
 use crate::task::episode::GRAVITY;
-use crate::trace::Trace;
+use crate::util::random::{Purpose, stream};
+use crate::util::yaml::layered;
 
-pub use ball_pit::BallPit;
-pub use free_box::FreeBox;
-pub use leash::Leash;
-pub use outdoor::Outdoor;
-pub use pendulum::{Impact, Pendulum};
-pub use pulley::Pulley;
-pub use push::PushAway;
-pub use rubble::Rubble;
-pub use terrain::{Terrain, TerrainKind};
-pub use walk::Walk;
+/// Makes a line for each scenario into its module, its variant and its name: `"name" => Variant(module::Type): "help"`. Its
+/// defaults are in `configs/scenarios/NAME.yaml`. (`cargo fmt` does not look into macros for modules: `.ci/run` formats
+/// these files by name.)
+macro_rules! scenarios {
+    ($($name:tt => $variant:ident($module:ident::$parameters:ident): $about:tt,)*) => {
+        $(mod $module; pub use $module::*;)*
 
-/// Default parameters, one file for each scenario.
-pub const DEFAULTS: &[(&str, &str)] = &[
-    ("walk", include_str!("../../../configs/scenarios/walk.yaml")),
-    ("push", include_str!("../../../configs/scenarios/push.yaml")),
-    ("leash", include_str!("../../../configs/scenarios/leash.yaml")),
-    ("box", include_str!("../../../configs/scenarios/box.yaml")),
-    ("ball-pit", include_str!("../../../configs/scenarios/ball-pit.yaml")),
-    ("terrain", include_str!("../../../configs/scenarios/terrain.yaml")),
-    ("pulley", include_str!("../../../configs/scenarios/pulley.yaml")),
-    ("pendulum", include_str!("../../../configs/scenarios/pendulum.yaml")),
-    ("rubble", include_str!("../../../configs/scenarios/rubble.yaml")),
-    ("outdoor", include_str!("../../../configs/scenarios/outdoor.yaml")),
-];
+        /// Default parameters, one file for each scenario.
+        pub const DEFAULTS: &[(&str, &str)] =
+            &[$(($name, include_str!(concat!("../../../configs/scenarios/", $name, ".yaml")))),*];
+
+        /// All scenarios.
+        #[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
+        #[serde(untagged)]
+        pub enum Scenario {
+            $(#[doc = $about] $variant($parameters),)*
+        }
+
+        impl Scenario {
+            /// Its name on the command line.
+            pub fn name(&self) -> &'static str {
+                match self { $(Scenario::$variant(_) => $name,)* }
+            }
+
+            /// What is asked of the policy.
+            pub fn task(&self) -> &Task {
+                match self { $(Scenario::$variant(scenario) => &scenario.task,)* }
+            }
+
+            fn parameters(&self) -> &dyn Parameters {
+                match self { $(Scenario::$variant(scenario) => scenario,)* }
+            }
+
+            fn parameters_mut(&mut self) -> &mut dyn Parameters {
+                match self { $(Scenario::$variant(scenario) => scenario,)* }
+            }
+        }
+    };
+}
+
+scenarios! {
+    "walk" => Walk(walk::Walk): "Walk without disturbance (E0)",
+    "push" => Push(push::PushAway): "Push the trunk once or again and again (E1 to E4)",
+    "leash" => Leash(leash::Leash): "Pull the trunk with a constant force (E5)",
+    "box" => Box(free_box::FreeBox): "Walk into a free box (E6)",
+    "ball-pit" => BallPit(ball_pit::BallPit): "Cross a field of loose balls (E7)",
+    "terrain" => Terrain(terrain::Terrain): "Walk over Perlin terrain, steps or a slope (E8)",
+    "pulley" => Pulley(pulley::Pulley): "Pull the trunk with a weight over a pulley (E9)",
+    "pendulum" => Pendulum(pendulum::Pendulum): "Swing a ball on a string into the trunk (E10)",
+    "rubble" => Rubble(rubble::Rubble): "Walk over wooden blocks and soft mats (E11)",
+    "outdoor" => Outdoor(outdoor::Outdoor): "Walk over hills of varied friction (E11)",
+}
 
 /// The default parameters of a scenario.
 ///
@@ -63,7 +83,7 @@ pub const DEFAULTS: &[(&str, &str)] = &[
 /// [`ConfigError`] if there is no scenario of this name, or its parameters are of another type.
 pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
     let text = DEFAULTS.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
-    layered(name, &[text])
+    Ok(layered(name, &[text])?)
 }
 
 /// Length still shown after a fall \[s\].
@@ -79,6 +99,17 @@ pub struct ParameterError {
     pub found: String,
     /// What would be valid.
     pub expected: &'static str,
+}
+
+/// Why a scenario cannot be played.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ScriptError {
+    /// A parameter.
+    #[error(transparent)]
+    Parameter(#[from] ParameterError),
+    /// The robot.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
 }
 
 /// What every scenario asks of the policy.
@@ -97,107 +128,63 @@ pub struct Task {
     #[arg(long)]
     pub duration_s: f64,
     /// What the encoders are off by, as a standard deviation; drawn from the seed (rad)
-    #[arg(long)]
-    pub joint_offset_sd_rad: f64,
+    #[arg(long, alias = "joint-offset-sd-rad")]
+    #[serde(alias = "joint_offset_sd_rad")]
+    pub encoder_bias_sd_rad: f64,
 }
 
-/// What a scenario's parameters do.
+/// What a scenario's parameters do; what they do not say is that of an undisturbed walk on a plane.
 trait Parameters {
-    /// What is asked of the policy.
-    fn task(&self) -> &Task;
-
-    /// Checks the parameters and puts into the script what the scenario adds to an undisturbed walk on a plane.
+    /// Checks the parameters and puts into the script what the scenario adds.
     fn prepare(&self, _: &mut Script, _seed: u64) -> Result<(), ParameterError> {
         Ok(())
     }
 
     /// Adds the numbers that the scenario is about to those that all have.
     fn metrics(&self, _: &Script, _: &Trace, _found: &mut Vec<Metric>) {}
-}
 
-/// All scenarios.
-#[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
-#[serde(untagged)]
-pub enum Scenario {
-    /// Walk without disturbance (E0)
-    Walk(Walk),
-    /// Push the trunk once or again and again (E1 to E4)
-    Push(PushAway),
-    /// Pull the trunk with a constant force (E5)
-    Leash(Leash),
-    /// Walk into a free box (E6)
-    Box(FreeBox),
-    /// Cross a field of loose balls (E7)
-    BallPit(BallPit),
-    /// Walk over Perlin terrain, steps or a slope (E8)
-    Terrain(Terrain),
-    /// Pull the trunk with a weight over a pulley (E9)
-    Pulley(Pulley),
-    /// Swing a ball on a string into the trunk (E10)
-    Pendulum(Pendulum),
-    /// Walk over wooden blocks and soft mats (E11)
-    Rubble(Rubble),
-    /// Walk over hills of varied friction (E11)
-    Outdoor(Outdoor),
+    /// Puts the disturbance off by this much \[s\]; nothing where no time is special.
+    fn delay(&mut self, _phase_s: f64) {}
+
+    /// How much slower it is to simulate than the robot alone.
+    fn cost(&self) -> f64 {
+        1.0
+    }
 }
 
 impl Scenario {
-    /// Its name on the command line.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Scenario::Walk(_) => "walk",
-            Scenario::Push(_) => "push",
-            Scenario::Leash(_) => "leash",
-            Scenario::Box(_) => "box",
-            Scenario::BallPit(_) => "ball-pit",
-            Scenario::Terrain(_) => "terrain",
-            Scenario::Pulley(_) => "pulley",
-            Scenario::Pendulum(_) => "pendulum",
-            Scenario::Rubble(_) => "rubble",
-            Scenario::Outdoor(_) => "outdoor",
-        }
+    /// Work that a trial is, in seconds of simulation of the robot alone: for progress bars.
+    pub fn cost(&self) -> f64 {
+        self.parameters().cost() * self.task().duration_s
     }
 
-    fn parameters(&self) -> &dyn Parameters {
-        match self {
-            Scenario::Walk(walk) => walk,
-            Scenario::Push(push) => push,
-            Scenario::Leash(leash) => leash,
-            Scenario::Box(free_box) => free_box,
-            Scenario::BallPit(pit) => pit,
-            Scenario::Terrain(terrain) => terrain,
-            Scenario::Pulley(pulley) => pulley,
-            Scenario::Pendulum(pendulum) => pendulum,
-            Scenario::Rubble(rubble) => rubble,
-            Scenario::Outdoor(outdoor) => outdoor,
-        }
-    }
-
-    /// Its task.
-    pub fn task(&self) -> &Task {
-        self.parameters().task()
+    /// The same with its disturbance later by this much \[s\], to meet the gait at another phase.
+    pub fn later(&self, phase_s: f64) -> Self {
+        let mut scenario = self.clone();
+        scenario.parameters_mut().delay(phase_s);
+        scenario
     }
 
     /// The script for a seed, for the robot and rates of a policy's configuration.
     ///
     /// # Errors
-    /// [`ParameterError`] that names the flag.
-    pub fn script(&self, seed: u64, config: &Config) -> Result<Script, ParameterError> {
+    /// [`ScriptError`] that names the flag, or says what does not fit in the robot.
+    pub fn script(&self, seed: u64, config: &Config) -> Result<Script, ScriptError> {
         let task = self.task();
         in_range("forward-m-s", task.forward_m_s, -5.0, 5.0, "-5 to 5 m/s")?;
         in_range("left-m-s", task.left_m_s, -5.0, 5.0, "-5 to 5 m/s")?;
         in_range("yaw-rad-s", task.yaw_rad_s, -10.0, 10.0, "-10 to 10 rad/s")?;
         in_range("duration-s", task.duration_s, 0.1, 3600.0, "0.1 to 3600 s")?;
-        in_range("joint-offset-sd-rad", task.joint_offset_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
+        in_range("encoder-bias-sd-rad", task.encoder_bias_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
         let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
-            scene: Scene::flat(RobotFile::from_name(&config.robot.model), config.simulation.timestep_s()),
+            scene: Scene::flat(Robot::load(&config.robot.model)?, config.simulation.timestep_s()),
             conditions: Conditions {
                 gravity: [0.0, 0.0, -GRAVITY],
                 friction: config.randomisation.default_friction,
-                joint_offsets: std::array::from_fn(|_| task.joint_offset_sd_rad * rng.sample::<f64, _>(StandardNormal)),
+                encoder_bias: std::array::from_fn(|_| task.encoder_bias_sd_rad * rng.sample::<f64, _>(StandardNormal)),
             },
-            command: Command { forward: task.forward_m_s, left: task.left_m_s, yaw: task.yaw_rad_s },
+            command: Command::velocity(task.forward_m_s, task.left_m_s, task.yaw_rad_s),
             duration_s: task.duration_s,
             after_fall_s: AFTER_FALL_S,
             pushes: Vec::new(),
@@ -236,8 +223,8 @@ impl Scenario {
         found.push(metric("cost_of_transport", "cost of transport", transport, ""));
         let strides = metrics::stride_frequency(trace, settled_s, end_s);
         found.push(metric("stride_frequency_hz", "stride frequency", strides, "Hz"));
-        let flight = metrics::flight_share(trace, settled_s, end_s);
-        found.push(metric("flight_percent", "in flight", flight.map(|share| 100.0 * share), "%"));
+        let flight = metrics::flight_fraction(trace, settled_s, end_s);
+        found.push(metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"));
         let swing = metrics::swing_height(trace, settled_s, end_s);
         found.push(metric("swing_height_m", "swing height", swing, "m"));
         // The first step from rest is harder than those of a walk.
@@ -259,12 +246,25 @@ fn truth(name: &'static str, label: &'static str, value: Option<bool>) -> Metric
     Metric { name, label, value: value.map(|truth| f64::from(u8::from(truth))), unit: metrics::TRUTH }
 }
 
+/// A direction from forward, counter-clockwise, as a unit vector: forward, left.
+fn towards(direction_deg: f64) -> [f64; 2] {
+    let angle = direction_deg.to_radians();
+    [angle.cos(), angle.sin()]
+}
+
 /// Loads on ropes are aimed at where a straight walk leads.
 fn no_turn(task: &Task) -> Result<(), ParameterError> {
     in_range("yaw-rad-s", task.yaw_rad_s, 0.0, 0.0, "0: the load is aimed at where a straight walk leads")
 }
 
-fn in_range(name: &'static str, found: f64, low: f64, high: f64, expected: &'static str) -> Result<(), ParameterError> {
+/// Refuses a number outside its range.
+pub(crate) fn in_range(
+    name: &'static str,
+    found: f64,
+    low: f64,
+    high: f64,
+    expected: &'static str,
+) -> Result<(), ParameterError> {
     if (low..=high).contains(&found) {
         Ok(())
     } else {

@@ -10,11 +10,11 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric};
-use crate::random::{Purpose, stream};
 use crate::scenario::metrics::{self, Metric};
+use crate::scenario::trace::{Frame, Trace};
 use crate::scenario::{Script, terrain};
-use crate::scene::{Buffers, Ground, Patches};
-use crate::trace::{Frame, Trace};
+use crate::sim::{Buffers, Ground, Patches};
+use crate::util::random::{Purpose, stream};
 
 /// Least and largest half-length of the ground \[m\].
 const HALF_SIZE_M: [f64; 2] = [6.0, 60.0];
@@ -67,10 +67,6 @@ impl Outdoor {
 }
 
 impl Parameters for Outdoor {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         in_range("steepest", self.steepest, 0.0, 2.0, "0 to 2")?;
         in_range("frequency-per-m", self.frequency_per_m, 0.01, 1.0, "0.01 to 1 per metre")?;
@@ -98,6 +94,10 @@ impl Parameters for Outdoor {
         found.push(metric("steepest_met_percent", "steepest slope on the way", steepest, "%"));
         found.push(metric("climb_m", "highest above lowest ground", climbed.map(|(high, low)| high + low), "m"));
     }
+
+    fn cost(&self) -> f64 {
+        4.0
+    }
 }
 
 /// Slope of the ground under a place, rise over run, over the length of the robot.
@@ -112,7 +112,7 @@ fn slope(ground: &Ground, [x, y, _]: [f64; 3]) -> f64 {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::go1::same_in_every_leg;
+    use crate::robot::same_in_every_leg;
     use crate::scenario::catalog::{Scenario, defaults};
     use crate::sim::{Push, Sim};
 
@@ -128,7 +128,7 @@ mod tests {
         sim.reset(script.conditions, &target).unwrap();
         sim.push(&Push { linear: [0.0, 0.5], angular: [0.0; 3] }).unwrap();
         let middle = |sim: &Sim| {
-            let feet = sim.robot().feet();
+            let feet = sim.parts().feet();
             feet.iter().map(|foot| sim.data().geom_positions()[3 * foot + 1]).sum::<f64>() / feet.len() as f64
         };
         let start = middle(&sim);

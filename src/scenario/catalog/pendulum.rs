@@ -11,17 +11,13 @@ use std::f64::consts::FRAC_PI_2;
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use super::pulley::rope;
-use super::{ParameterError, Parameters, Task, in_range, metric, no_turn};
+use super::{ParameterError, Parameters, Task, in_range, metric, no_turn, towards};
+use crate::robot::Extent;
+use crate::scenario::Script;
 use crate::scenario::metrics::{self, Decay, Metric, STRIDE_S};
-use crate::scenario::rig::Words;
-use crate::scenario::{Rig, Script};
-use crate::scene::Buffers;
+use crate::scenario::rig::{Holder, Load, Rig, Shape};
+use crate::scenario::trace::{Frame, Trace};
 use crate::task::episode::GRAVITY;
-use crate::trace::{Frame, Trace};
-
-/// From the trunk's origin to where it ends: ahead, behind, at the sides \[m\]. Those of the collision geometries.
-const TRUNK_ENDS_M: [f64; 3] = [0.286, 0.21, 0.075];
 
 /// The trunk has its largest velocity from a blow within this time \[s\].
 const LONGEST_BLOW_S: f64 = 0.2;
@@ -69,8 +65,7 @@ pub struct Impact {
 impl Pendulum {
     /// Where the ball moves at its lowest point, forward and left of the robot; a unit vector.
     pub fn direction(&self) -> [f64; 2] {
-        let angle = self.direction_deg.to_radians();
-        [angle.cos(), angle.sin()]
+        towards(self.direction_deg)
     }
 
     /// From the release to the lowest point \[s\]: `(π / 2) √(L / g) / agm(1, cos(θ / 2))`, exact for a point on a
@@ -97,28 +92,35 @@ impl Pendulum {
         metrics::decay(trace, impact.time_s, impact.push, threshold, STRIDE_S)
     }
 
-    fn rig(&self) -> Rig {
+    fn rig(&self, trunk: &Extent) -> Rig {
         let [ahead, left] = self.direction();
         // The ball comes from behind its direction and touches that end of the trunk.
-        let [front, back, side] = TRUNK_ENDS_M;
         let reach =
             |component: f64, end: f64| if component.abs() < 1e-9 { f64::INFINITY } else { end / component.abs() };
-        let trunk_m = reach(ahead, if ahead > 0.0 { back } else { front }).min(reach(left, side));
+        let along = if ahead > 0.0 { trunk.behind } else { trunk.ahead };
+        let trunk_m = reach(ahead, along).min(reach(left, trunk.side));
         let lowest_m = -(trunk_m + self.radius_m);
         let away_m = (self.string_m.powi(2) - (self.string_m - self.release_height_m).powi(2)).sqrt();
         let at = |along: f64, height: f64| [ahead * along, left * along, height];
         Rig {
-            holders: vec![("pivot", at(lowest_m, self.string_m))],
-            load: "ball",
-            load_place: at(lowest_m - away_m, self.release_height_m),
+            from: None,
+            holders: vec![Holder {
+                name: "pivot",
+                place: at(lowest_m, self.string_m),
+                radius_m: 0.025,
+                has_post: false,
+            }],
+            load: Load {
+                name: "ball",
+                place: at(lowest_m - away_m, self.release_height_m),
+                mass_kg: self.mass_kg,
+                shape: Shape::Ball(self.radius_m),
+            },
             is_level_with_trunk: true,
-            mass_kg: self.mass_kg,
-            path: vec!["pivot", "ball"],
             slack_m: 0.0,
             lead_s: self.fall_s(),
             release_s: self.at_s,
             until_s: f64::INFINITY,
-            words: Words { release: "the ball is let go", hit: "the ball hits", grounded: "the ball is on the ground" },
         }
     }
 }
@@ -131,10 +133,6 @@ fn arithmetic_geometric_mean(mut a: f64, mut b: f64) -> f64 {
 }
 
 impl Parameters for Pendulum {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
         no_turn(&self.task)?;
         in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
@@ -144,29 +142,7 @@ impl Parameters for Pendulum {
         in_range("release-height-m", self.release_height_m, 0.02, self.string_m, "0.02 m to the string's length")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
         in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
-        let rig = self.rig();
-        // Until the first step; high enough to touch nothing.
-        let at = |[x, y, z]: [f64; 3]| format!("{x} {y} {}", z + 1.0);
-        script.scene.obstacles = format!(
-            r#"    <body name="pivot" mocap="true" pos="{pivot}">
-      <geom name="pivot" type="sphere" size="0.025" contype="0" conaffinity="0" rgba="0.55 0.58 0.62 1"/>
-      <site name="pivot"/>
-    </body>
-    <body name="ball" pos="{ball}">
-      <freejoint name="ball"/>
-      <geom name="ball" type="sphere" size="{radius}" mass="{mass}" priority="1" friction="0.6 0.005 0.0001"
-            rgba="0.80 0.47 0.65 1"/>
-      <site name="ball"/>
-    </body>
-"#,
-            pivot = at(rig.holders[0].1),
-            ball = at(rig.load_place),
-            radius = self.radius_m,
-            mass = self.mass_kg,
-        );
-        script.scene.extras = rope(&rig);
-        script.scene.buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
-        script.rig = Some(rig);
+        self.rig(&script.scene.robot.trunk).hang_in(script);
         Ok(())
     }
 
@@ -192,6 +168,15 @@ impl Parameters for Pendulum {
         let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n).filter(|_| impact.is_some());
         found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
         found.push(metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s"));
+    }
+
+    fn delay(&mut self, phase_s: f64) {
+        self.at_s += phase_s;
+        self.task.duration_s += phase_s;
+    }
+
+    fn cost(&self) -> f64 {
+        1.5
     }
 }
 

@@ -9,13 +9,12 @@ legs, as one that is tied to a harness on the back would not touch them.
 use clap::Args;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric, no_turn};
-use crate::go1::HARNESS;
+use super::{ParameterError, Parameters, Task, in_range, metric, no_turn, towards};
+use crate::robot::HARNESS;
+use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
-use crate::scenario::rig::{ROPE, ROPE_LIMIT, Words};
-use crate::scenario::{Rig, Script};
-use crate::scene::Buffers;
-use crate::trace::{Frame, Trace};
+use crate::scenario::rig::{Holder, Load, Rig, Shape};
+use crate::scenario::trace::{Frame, Trace};
 
 /// Density of the weight, a cube of steel [kg/m³].
 const STEEL_KG_M3: f64 = 7850.0;
@@ -62,34 +61,32 @@ pub struct Pulley {
 impl Pulley {
     /// Where the pull goes, forward and left at the robot's heading when it begins; a unit vector.
     pub fn direction(&self) -> [f64; 2] {
-        let angle = self.direction_deg.to_radians();
-        [angle.cos(), angle.sin()]
+        towards(self.direction_deg)
     }
 
     /// The pulleys, the weight, and how they hang.
     fn rig(&self) -> Rig {
         let [ahead, left] = self.direction();
-        let upper = self.distance_m + UPPER_PULLEY_M;
-        let low = |distance: f64, height: f64| [ahead * distance, left * distance, height];
+        let upper_m = self.distance_m + UPPER_PULLEY_M;
+        let at = |distance: f64, height: f64| [ahead * distance, left * distance, height];
+        let pulley = |name, place, has_post| Holder { name, place, radius_m: 0.04, has_post };
         Rig {
+            from: Some(HARNESS),
             holders: vec![
-                ("pulley", low(self.distance_m, self.height_m)),
-                ("upper_pulley", low(upper, self.upper_height_m())),
+                pulley("pulley", at(self.distance_m, self.height_m), false),
+                pulley("upper_pulley", at(upper_m, self.upper_height_m()), true),
             ],
-            load: "weight",
-            load_place: low(upper, self.start_height_m()),
+            load: Load {
+                name: "weight",
+                place: at(upper_m, self.start_height_m()),
+                mass_kg: self.mass_kg,
+                shape: Shape::Cube(self.half_edge_m()),
+            },
             is_level_with_trunk: false,
-            mass_kg: self.mass_kg,
-            path: vec![HARNESS, "pulley", "upper_pulley", "weight"],
             slack_m: self.slack_m,
             lead_s: 0.5 * self.for_s,
             release_s: self.at_s,
             until_s: self.at_s + self.for_s,
-            words: Words {
-                release: "the weight is let go",
-                hit: "the weight hits",
-                grounded: "the weight is on the ground",
-            },
         }
     }
 
@@ -114,10 +111,6 @@ impl Pulley {
 }
 
 impl Parameters for Pulley {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
         no_turn(&self.task)?;
         in_range("mass-kg", self.mass_kg, 1e-3, 100.0, "0.001 to 100 kg")?;
@@ -130,35 +123,7 @@ impl Parameters for Pulley {
         let nearest_m = 0.5 + 0.5 * self.approach_m().abs();
         let expected = "0.5 m to 100 m from where the commanded walk leads (half the way of the pull is on each side)";
         in_range("distance-m", self.distance_m, nearest_m, 100.0, expected)?;
-        let rig = self.rig();
-        let [half, upper] = [self.half_edge_m(), self.upper_height_m()];
-        let at = |[x, y, z]: [f64; 3]| format!("{x} {y} {z}");
-        script.scene.obstacles = format!(
-            r#"    <body name="pulley" mocap="true" pos="{lower_place}">
-      <geom name="pulley" type="sphere" size="0.04" contype="0" conaffinity="0" rgba="0.55 0.58 0.62 1"/>
-      <site name="pulley"/>
-    </body>
-    <body name="upper_pulley" mocap="true" pos="{upper_place}">
-      <geom name="upper_pulley" type="sphere" size="0.04" contype="0" conaffinity="0" rgba="0.55 0.58 0.62 1"/>
-      <geom name="post" type="capsule" size="0.02" contype="0" conaffinity="0" rgba="0.42 0.45 0.5 1"
-            fromto="0 0 0 0 0 -{upper}"/>
-      <site name="upper_pulley"/>
-    </body>
-    <body name="weight" pos="{load_place}">
-      <freejoint name="weight"/>
-      <geom name="weight" type="box" size="{half} {half} {half}" mass="{mass}" priority="1" friction="0.6 0.005 0.0001"
-            rgba="0.80 0.47 0.65 1"/>
-      <site name="weight"/>
-    </body>
-"#,
-            lower_place = at(rig.holders[0].1),
-            upper_place = at(rig.holders[1].1),
-            load_place = at(rig.load_place),
-            mass = self.mass_kg,
-        );
-        script.scene.extras = rope(&rig);
-        script.scene.buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
-        script.rig = Some(rig);
+        self.rig().hang_in(script);
         Ok(())
     }
 
@@ -181,10 +146,13 @@ impl Parameters for Pulley {
         let power = metrics::mean(settled(), |frame| frame.power_w);
         found.push(metric("power_pulled_w", "power while pulled", power, "W"));
     }
-}
 
-/// The MJCF of a rig's rope.
-pub(super) fn rope(rig: &Rig) -> String {
-    let sites: String = rig.path.iter().map(|site| format!("<site site=\"{site}\"/>")).collect();
-    format!("  <tendon><spatial name=\"{ROPE}\" {ROPE_LIMIT}>{sites}</spatial></tendon>\n")
+    fn delay(&mut self, phase_s: f64) {
+        self.at_s += phase_s;
+        self.task.duration_s += phase_s;
+    }
+
+    fn cost(&self) -> f64 {
+        1.5
+    }
 }

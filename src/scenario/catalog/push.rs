@@ -4,12 +4,12 @@ use clap::Args;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, Task, in_range, metric};
-use crate::random::{Purpose, stream};
+use super::{ParameterError, Parameters, Task, in_range, metric, towards};
 use crate::scenario::metrics::{self, Metric, PHASE_S, STRIDE_S};
+use crate::scenario::trace::Trace;
 use crate::scenario::{Script, TimedPush};
 use crate::sim::Push;
-use crate::trace::Trace;
+use crate::util::random::{Purpose, stream};
 
 /// Push: a sudden change of the trunk's velocity.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -33,10 +33,6 @@ pub struct PushAway {
 }
 
 impl Parameters for PushAway {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         in_range("push-m-s", self.push_m_s, 0.0, 20.0, "0 to 20 m/s")?;
         in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
@@ -44,8 +40,7 @@ impl Parameters for PushAway {
         if self.every_s != 0.0 {
             in_range("every-s", self.every_s, 0.1, 3600.0, "0.1 to 3600 s, or 0 for a single push")?;
         }
-        let angle = self.direction_deg.to_radians();
-        let push = Push { linear: [self.push_m_s * angle.cos(), self.push_m_s * angle.sin()], angular: [0.0; 3] };
+        let push = Push { linear: towards(self.direction_deg).map(|part| self.push_m_s * part), angular: [0.0; 3] };
         // A push may come at any phase of the gait.
         let phase_s = PHASE_S * stream(seed, Purpose::Scenario, 0, 0).random_range(0.0..1.0);
         let mut time_s = self.at_s + phase_s;

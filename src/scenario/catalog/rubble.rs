@@ -13,11 +13,11 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range, metric, truth};
-use crate::random::{Purpose, stream};
 use crate::scenario::metrics::{self, Metric};
+use crate::scenario::trace::Trace;
 use crate::scenario::{Goal, Script};
-use crate::scene::Buffers;
-use crate::trace::Trace;
+use crate::sim::Buffers;
+use crate::util::random::{Purpose, stream};
 
 /// Of the blocks. Density of dry beech, spruce is lighter and oak heavier [kg/m³].
 const WOOD: &str = r#"density="650" priority="1" friction="0.5 0.005 0.0001""#;
@@ -156,10 +156,6 @@ impl Rubble {
 }
 
 impl Parameters for Rubble {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         in_range("blocks", f64::from(self.blocks), 0.0, 100.0, "0 to 100")?;
         in_range("block-edge-m", self.block_edge_m, 0.02, 0.5, "0.02 to 0.5 m")?;
@@ -197,6 +193,15 @@ impl Parameters for Rubble {
         found.push(truth("crossed", "got across", Some(trace.reached_goal())));
         let peak = metrics::largest(trace.frames.iter(), |frame| frame.peak_obstacle_force_n);
         found.push(metric("peak_contact_force_n", "peak force on blocks and mats", peak, "N"));
+    }
+
+    /// The obstacle is farther away by what the robot walks in that time.
+    fn delay(&mut self, phase_s: f64) {
+        self.distance_m += phase_s * self.task.forward_m_s;
+    }
+
+    fn cost(&self) -> f64 {
+        20.0
     }
 }
 
@@ -238,17 +243,17 @@ mod tests {
     #[test]
     fn feet_sink_into_a_mat_by_about_a_centimetre_and_hardly_into_the_floor() {
         use crate::config::Config;
-        use crate::go1::same_in_every_leg;
-        use crate::scene::{RobotFile, Scene};
-        use crate::sim::{Conditions, Sim};
+        use crate::robot::Robot;
+        use crate::robot::same_in_every_leg;
+        use crate::sim::{Conditions, Scene, Sim};
         let config = Config::load("compliant").unwrap();
         let sunk_m = |obstacle: String, top_m: f64| {
             let buffers = Buffers { contacts: 64, rows: 400, stack: 100_000 };
             let timestep_s = config.simulation.timestep_s();
-            let scene = Scene { obstacles: obstacle, buffers, ..Scene::flat(RobotFile::Embedded, timestep_s) };
+            let scene = Scene { obstacles: obstacle, buffers, ..Scene::flat(Robot::load("go1").unwrap(), timestep_s) };
             let mut sim = Sim::new(&scene, &config.simulation, 0.1).unwrap();
             let target = same_in_every_leg([0.0, 0.72, -1.44]);
-            let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, joint_offsets: [0.0; 12] };
+            let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; 12] };
             sim.reset(conditions, &target).unwrap();
             sim.data_mut().positions_mut()[2] += top_m;
             sim.refresh().unwrap();

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{ParameterError, Parameters, Task, in_range};
 use crate::scenario::{Script, terrain};
-use crate::scene::{Buffers, Ground};
+use crate::sim::{Buffers, Ground};
 
 /// Half-length of height fields along x and y at least \[m\].
 const LEAST_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];
@@ -54,10 +54,6 @@ pub struct Terrain {
 }
 
 impl Parameters for Terrain {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-
     fn prepare(&self, script: &mut Script, seed: u64) -> Result<(), ParameterError> {
         in_range("height-m", self.height_m, 0.0, 2.0, "0 to 2 m")?;
         in_range("frequency-per-m", self.frequency_per_m, 0.01, 10.0, "0.01 to 10 per metre")?;
@@ -80,5 +76,9 @@ impl Parameters for Terrain {
         script.scene.ground = Ground::Field(field);
         script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
         Ok(())
+    }
+
+    fn cost(&self) -> f64 {
+        4.0
     }
 }

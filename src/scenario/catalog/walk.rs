@@ -14,8 +14,4 @@ pub struct Walk {
     pub task: Task,
 }
 
-impl Parameters for Walk {
-    fn task(&self) -> &Task {
-        &self.task
-    }
-}
+impl Parameters for Walk {}

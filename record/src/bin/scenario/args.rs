@@ -1,0 +1,134 @@
+//! The command line: scenarios as subcommands, whose defaults come from `configs/scenarios/`.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use supple::scenario::Sensing;
+use supple::scenario::catalog::{DEFAULTS, Scenario};
+use supple::util::yaml::flat_parameters;
+
+/// Old names of parameters.
+const RENAMED: [(&str, &str); 1] = [("joint_offset_sd_rad", "encoder_bias_sd_rad")];
+
+/// Headings in the help, apart from the scenario's own parameters.
+const INPUT: &str = "Policies, robot and seed";
+const OUTPUT: &str = "Output";
+
+/// Disturb a walking robot and watch what it does.
+///
+/// Plays a scenario with one policy or two, prints what happened, and leaves a recording for the rerun viewer.
+#[derive(Parser, Debug)]
+#[command(version)]
+pub struct Args {
+    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: compliant]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
+    pub policy: Option<String>,
+    /// Second policy in the same recording, `none` for none [default: baseline, if --policy is not given and both ship]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
+    pub compare: Option<String>,
+    /// Another robot: its MJCF file, or a YAML file that names one and its joints [default: the policy's]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
+    pub model: Option<String>,
+    /// Seed of everything random in the scenario
+    #[arg(long, global = true, help_heading = INPUT, value_name = "N", default_value_t = 0)]
+    pub seed: u64,
+    /// What the policy acts on: the true state, or estimates from noisy sensors
+    #[arg(long, global = true, help_heading = INPUT, value_enum, default_value_t)]
+    pub sensing: Sensing,
+    /// YAML file with parameters of the scenario, by the names of its flags; flags win
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
+    pub params: Option<PathBuf>,
+    /// Recording to write [default: SCENARIO.rrd]
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE", conflicts_with = "no_record")]
+    pub record: Option<PathBuf>,
+    /// Write no recording
+    #[arg(long, global = true, help_heading = OUTPUT)]
+    pub no_record: bool,
+    /// Stream to a running rerun viewer instead of a file
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "URL", num_args = 0..=1, require_equals = true,
+          conflicts_with_all = ["record", "no_record"])]
+    pub connect: Option<Option<String>>,
+    /// Serve the viewer for a web browser on this port of this machine, until Ctrl-C; the next port carries the data
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "PORT", num_args = 0..=1, require_equals = true,
+          default_missing_value = "9090", conflicts_with_all = ["record", "no_record", "connect"])]
+    pub serve: Option<u16>,
+    /// Keep the last 2 s before a fall as a recording of their own in this folder
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "DIR")]
+    pub on_fall: Option<PathBuf>,
+    /// Print one JSON object on stdout and nothing else there
+    #[arg(long, global = true, help_heading = OUTPUT)]
+    pub json: bool,
+    /// Write the trace, one row for each policy step
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
+    pub csv: Option<PathBuf>,
+    /// What to play.
+    #[command(subcommand)]
+    pub what: What,
+}
+
+/// A scenario, or the list of them.
+#[derive(Subcommand, Debug)]
+pub enum What {
+    /// List the scenarios
+    List,
+    #[command(flatten)]
+    Play(Scenario),
+}
+
+/// Parses the command line. Errors of the command line itself are clap's, with exit code 2.
+pub fn parse() -> anyhow::Result<Args> {
+    let line: Vec<OsString> = std::env::args_os().collect();
+    let args = from_line(command(None)?, &line);
+    let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else {
+        return Ok(args);
+    };
+    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let parameters = flat_parameters(&file.display().to_string(), &text)?;
+    Ok(from_line(command(Some((scenario.name(), parameters)))?, &line))
+}
+
+fn from_line(command: clap::Command, line: &[OsString]) -> Args {
+    let matches = command.clone().get_matches_from(line);
+    Args::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command.clone()).exit())
+}
+
+/// The command with every default filled in, and those of a file over them.
+fn command(file: Option<(&str, Vec<(String, String)>)>) -> anyhow::Result<clap::Command> {
+    let mut command = Args::command();
+    for (name, text) in DEFAULTS {
+        command = with_defaults(command, name, flat_parameters(name, text)?)?;
+    }
+    match file {
+        Some((name, parameters)) => with_defaults(command, name, parameters),
+        None => Ok(command),
+    }
+}
+
+fn with_defaults(
+    command: clap::Command,
+    scenario: &str,
+    parameters: Vec<(String, String)>,
+) -> anyhow::Result<clap::Command> {
+    let modern = |(name, value): (String, String)| match RENAMED.iter().find(|(old, _)| *old == name) {
+        Some((_, new)) => ((*new).to_owned(), value),
+        None => (name, value),
+    };
+    let parameters: Vec<(String, String)> = parameters.into_iter().map(modern).collect();
+    let known: Vec<String> = command
+        .find_subcommand(scenario)
+        .into_iter()
+        .flat_map(clap::Command::get_arguments)
+        .map(|argument| argument.get_id().to_string())
+        .collect();
+    if let Some((unknown, _)) = parameters.iter().find(|(name, _)| !known.contains(name)) {
+        anyhow::bail!("scenario {scenario} has no parameter '{unknown}'; it has: {}", known.join(", "));
+    }
+    Ok(command.mut_subcommand(scenario, |subcommand| {
+        parameters.into_iter().fold(subcommand, |subcommand, (name, value)| {
+            subcommand
+                .mut_arg(name, |argument| argument.default_value(value).required(false).allow_negative_numbers(true))
+        })
+    }))
+}

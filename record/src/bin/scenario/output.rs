@@ -1,0 +1,133 @@
+//! What a scenario leaves behind: a summary for people, JSON, CSV.
+
+use std::io::{self, Write};
+use std::path::Path;
+
+use serde_json::{Value, json};
+use supple::scenario::Sensing;
+use supple::scenario::catalog::Scenario;
+use supple::scenario::metrics::{self, Metric};
+use supple::scenario::trace::Trace;
+use supple::util::provenance::GIT_REVISION;
+
+/// A finished rollout.
+pub struct Outcome<'a> {
+    /// Name of the policy.
+    pub policy: &'a str,
+    /// Its identity.
+    pub sha256: String,
+    /// Name or file of the robot.
+    pub robot: &'a str,
+    /// What happened.
+    pub trace: &'a Trace,
+    /// The scenario's numbers.
+    pub metrics: Vec<Metric>,
+}
+
+/// A table with a column for each policy, and the events.
+pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
+    let mut text = format!("{}\n", scenario.name());
+    let header: String = outcomes.iter().map(|outcome| format!("{:>16}", outcome.policy)).collect();
+    text.push_str(&format!("{:28}{header}\n", ""));
+    for index in 0..outcomes.first().map_or(0, |outcome| outcome.metrics.len()) {
+        let Metric { label, unit, .. } = outcomes[0].metrics[index];
+        let values: Vec<Option<f64>> = outcomes.iter().map(|outcome| outcome.metrics[index].value).collect();
+        if values.iter().all(Option::is_none) {
+            continue;
+        }
+        let is_truth = unit == metrics::TRUTH;
+        let cell = |value: &Option<f64>| match value {
+            None => format!("{:>16}", "-"),
+            Some(truth) if is_truth => format!("{:>16}", if *truth > 0.5 { "yes" } else { "no" }),
+            Some(value) => format!("{:>16}", format!("{value:.3} {unit}")),
+        };
+        text.push_str(&format!("  {label:26}{}\n", values.iter().map(cell).collect::<String>()));
+    }
+    for outcome in outcomes {
+        for event in &outcome.trace.events {
+            text.push_str(&format!("  {:6.2} s  {}: {}\n", event.time_s, outcome.policy, event.text));
+        }
+    }
+    text
+}
+
+/// Everything as one JSON object.
+pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
+    let run = |outcome: &Outcome<'_>| {
+        let metrics: serde_json::Map<String, Value> =
+            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.value))).collect();
+        json!({
+            "policy": outcome.policy,
+            "sha256": outcome.sha256,
+            "robot": outcome.robot,
+            "metrics": metrics,
+            "events": outcome.trace.events,
+        })
+    };
+    let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
+    let units: serde_json::Map<String, Value> =
+        metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
+    json!({
+        "scenario": scenario.name(),
+        "revision": GIT_REVISION,
+        "seed": seed,
+        "sensing": sensing,
+        "parameters": scenario,
+        "units": units,
+        "runs": outcomes.iter().map(run).collect::<Vec<_>>(),
+    })
+}
+
+/// Writes the traces as CSV, one row for each policy step.
+pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
+    let mut file = io::BufWriter::new(std::fs::File::create(path)?);
+    writeln!(
+        file,
+        "policy,time_s,x_m,y_m,height_m,roll_rad,pitch_rad,yaw_rad,forward_m_s,left_m_s,yaw_rad_s,\
+         command_forward_m_s,command_left_m_s,command_yaw_rad_s,power_w,torque_n_m,reward,peak_foot_force_n,\
+         peak_obstacle_force_n,rope_force_n,foot_fr_up_n,foot_fl_up_n,foot_rr_up_n,foot_rl_up_n,\
+         base_x_m_s,base_y_m_s,base_z_m_s,estimated_x_m,estimated_y_m,estimated_height_m,estimated_base_x_m_s,\
+         estimated_base_y_m_s,estimated_base_z_m_s"
+    )?;
+    for outcome in outcomes {
+        for frame in &outcome.trace.frames {
+            let [roll, pitch, yaw] = frame.roll_pitch_yaw;
+            let numbers = [
+                frame.time_s,
+                frame.position[0],
+                frame.position[1],
+                frame.height_m,
+                roll,
+                pitch,
+                yaw,
+                frame.velocity_in_heading[0],
+                frame.velocity_in_heading[1],
+                frame.yaw_rate,
+                frame.command.forward,
+                frame.command.left,
+                frame.command.yaw,
+                frame.power_w,
+                frame.torque_n_m,
+                frame.reward,
+                frame.peak_foot_force_n,
+                frame.peak_obstacle_force_n,
+                frame.rope.as_ref().map_or(0.0, |rope| rope.force_n),
+                frame.foot_forces[0][2],
+                frame.foot_forces[1][2],
+                frame.foot_forces[2][2],
+                frame.foot_forces[3][2],
+                frame.velocity[0],
+                frame.velocity[1],
+                frame.velocity[2],
+            ];
+            // Empty where the robot acts on its true state.
+            let estimated: [String; 6] = frame.sensed.map_or_else(Default::default, |sensed| {
+                let ([x, y, _], [u, v, w]) = (sensed.position, sensed.velocity);
+                [x, y, sensed.height_m, u, v, w].map(|value| value.to_string())
+            });
+            let row: Vec<String> = numbers.iter().map(f64::to_string).chain(estimated).collect();
+            writeln!(file, "{},{}", outcome.policy, row.join(","))?;
+        }
+    }
+    file.flush()
+}

@@ -1,0 +1,251 @@
+/*! From a MuJoCo model to rerun's solids.
+
+Every body becomes one entity with up to four archetypes, each a batch of its geometries of one kind in the body's
+frame, logged once. MuJoCo's conventions and rerun's differ in places: half-lengths against lengths, capsules about
+their middle against capsules from their first end, quaternions with w first against w last.
+*/
+
+use rerun::components::HalfSize3D;
+use rerun::{Boxes3D, Capsules3D, Color, Cylinders3D, Ellipsoids3D, EntityPath, FillMode, Points3D, Quaternion};
+
+use super::RecordError;
+use super::stream::Stream;
+use super::style::Rgb;
+use supple::mujoco::{Geom, Kind, Model, Shape};
+
+/// Visual groups that are drawn: looks, feet, obstacles. Group 3 is what only collides.
+const DRAWN_GROUPS: std::ops::RangeInclusive<i32> = 0..=2;
+/// From this many free balls on they are one entity.
+const FEWEST_BALLS: usize = 4;
+/// Share of the tint in light parts of a robot.
+const TINT_SHARE: f32 = 0.5;
+
+/// What moves in a model, and under which name.
+#[derive(Debug)]
+pub(super) struct Parts {
+    /// Body id of the trunk.
+    pub(super) trunk: usize,
+    /// Bodies that have their own entity.
+    pub(super) bodies: Vec<(usize, EntityPath)>,
+    /// Bodies that are single balls.
+    pub(super) balls: Vec<usize>,
+}
+
+/// Logs the looks of a model below `root`, but its ground; returns what moves.
+pub(super) fn log_model(
+    stream: &Stream,
+    root: &EntityPath,
+    model: &Model,
+    tint: Option<Rgb>,
+) -> Result<Parts, RecordError> {
+    let trunk = model.id(Kind::Body, "trunk")?;
+    let geoms: Vec<Geom> = (0..model.count(Kind::Geom)).map(|id| model.geom(id)).collect();
+    let count = model.count(Kind::Body);
+    let is_robot: Vec<bool> = (0..count).map(|body| is_below(model, body, trunk)).collect();
+    let looks: Vec<Vec<&Geom>> = (0..count).map(|body| looks_of(body, &geoms)).collect();
+
+    let is_ball = |&body: &usize| {
+        let alone = matches!(looks[body][..], [geom] if geom.shape == Shape::Sphere && geom.position == [0.0; 3]);
+        alone && !is_robot[body] && model.body_parent(body) == 0
+    };
+    let mut balls: Vec<usize> = (1..count).filter(is_ball).collect();
+    if balls.len() < FEWEST_BALLS {
+        balls.clear();
+    }
+
+    let mut bodies = Vec::new();
+    for body in (0..count).filter(|body| !balls.contains(body)) {
+        let mut solids = Solids::default();
+        for geom in &looks[body] {
+            solids.add(geom, colour(geom.rgba, tint.filter(|_| is_robot[body])));
+        }
+        let path = match (body, model.name(Kind::Body, body)) {
+            (0, _) => child(&scene_path(root), "fixed"),
+            (_, "") => child(root, &format!("body {body}")),
+            (_, name) => child(root, name),
+        };
+        solids.log(stream, &path)?;
+        if body != 0 {
+            bodies.push((body, path));
+        }
+    }
+    if !balls.is_empty() {
+        let geoms = balls.iter().flat_map(|ball| looks[*ball].first());
+        let (radii, colours): (Vec<f32>, Vec<Color>) =
+            geoms.map(|geom| (geom.size[0] as f32, colour(geom.rgba, None))).unzip();
+        let archetype = Points3D::update_fields().with_radii(radii).with_colors(colours);
+        stream.log_static(&balls_path(root), &archetype)?;
+    }
+    Ok(Parts { trunk, bodies, balls })
+}
+
+/// What of the scene is not a body of its own: grounds, what is fixed to the world, balls.
+pub(super) fn scene_path(root: &EntityPath) -> EntityPath {
+    child(root, "scene")
+}
+
+/// All balls together.
+pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
+    child(&scene_path(root), "balls")
+}
+
+/// Whether there is anything but the robot and grounds.
+pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
+    let trunk = model.id(Kind::Body, "trunk")?;
+    let is_obstacle =
+        |geom: Geom| !matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) && !is_below(model, geom.body, trunk);
+    Ok((0..model.count(Kind::Geom)).any(|id| is_obstacle(model.geom(id))))
+}
+
+/// An entity below another one; the name may hold anything.
+pub(super) fn child(parent: &EntityPath, name: &str) -> EntityPath {
+    parent.join(&EntityPath::from_single_string(name.to_owned()))
+}
+
+fn is_below(model: &Model, mut body: usize, ancestor: usize) -> bool {
+    while body != 0 && body != ancestor {
+        body = model.body_parent(body);
+    }
+    body == ancestor
+}
+
+/// What is drawn of a body: its looks, or what collides where it has no looks that can be drawn.
+fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
+    let solid = |geom: &&Geom| {
+        let flat = matches!(geom.shape, Shape::Plane | Shape::HeightField(_) | Shape::Mesh(_));
+        geom.body == body && !flat && geom.rgba[3] > 0.0
+    };
+    let (shown, hidden): (Vec<&Geom>, Vec<&Geom>) =
+        geoms.iter().filter(solid).partition(|geom| DRAWN_GROUPS.contains(&geom.group));
+    if shown.is_empty() && body != 0 { hidden } else { shown }
+}
+
+/// Light parts take on some of the tint, dark ones stay.
+fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
+    let lightness = red.max(green).max(blue);
+    let share = if lightness > 0.6 { TINT_SHARE } else { 0.0 };
+    let mixed = |own: f32, tint: u8| own + share * (f32::from(tint) / 255.0 * 1.1 - own);
+    let [red, green, blue] = match tint {
+        Some(tint) => [mixed(red, tint[0]), mixed(green, tint[1]), mixed(blue, tint[2])],
+        None => [red, green, blue],
+    };
+    let byte = |value: f32| (value.clamp(0.0, 1.0) * 255.0).round() as u8;
+    Color::from_unmultiplied_rgba(byte(red), byte(green), byte(blue), byte(alpha))
+}
+
+/// Geometries of one kind.
+#[derive(Default)]
+struct Batch {
+    /// As MuJoCo has them, see [`Shape`] \[m\].
+    sizes: Vec<[f32; 3]>,
+    positions: Vec<[f32; 3]>,
+    quaternions: Vec<Quaternion>,
+    colours: Vec<Color>,
+}
+
+impl Batch {
+    fn add(&mut self, size: [f32; 3], position: [f32; 3], quaternion: Quaternion, colour: Color) {
+        self.sizes.push(size);
+        self.positions.push(position);
+        self.quaternions.push(quaternion);
+        self.colours.push(colour);
+    }
+}
+
+/// The geometries of one body.
+#[derive(Default)]
+struct Solids {
+    boxes: Batch,
+    capsules: Batch,
+    cylinders: Batch,
+    ellipsoids: Batch,
+}
+
+impl Solids {
+    fn add(&mut self, geom: &Geom, colour: Color) {
+        let size = geom.size.map(|x| x as f32);
+        let position = geom.position.map(|x| x as f32);
+        let [w, x, y, z] = geom.quaternion.map(|x| x as f32);
+        let quaternion = Quaternion::from_xyzw([x, y, z, w]);
+        match geom.shape {
+            Shape::Box => self.boxes.add(size, position, quaternion, colour),
+            Shape::Cylinder => self.cylinders.add(size, position, quaternion, colour),
+            Shape::Ellipsoid => self.ellipsoids.add(size, position, quaternion, colour),
+            Shape::Sphere => self.ellipsoids.add([size[0]; 3], position, quaternion, colour),
+            Shape::Capsule => {
+                let start = capsule_start(size[1], position, [w, x, y, z]);
+                self.capsules.add(size, start, quaternion, colour);
+            }
+            // Grounds are drawn by `ground`; `looks_of` leaves out the rest.
+            Shape::Plane | Shape::HeightField(_) | Shape::Mesh(_) => {}
+        }
+    }
+
+    fn log(self, stream: &Stream, path: &EntityPath) -> Result<(), RecordError> {
+        let half_sizes = |batch: &Batch| batch.sizes.iter().copied().map(HalfSize3D::from).collect::<Vec<_>>();
+        let lengths = |batch: &Batch| batch.sizes.iter().map(|size| 2.0 * size[1]).collect::<Vec<f32>>();
+        let radii = |batch: &Batch| batch.sizes.iter().map(|size| size[0]).collect::<Vec<f32>>();
+        let Solids { boxes, capsules, cylinders, ellipsoids } = self;
+        if !boxes.sizes.is_empty() {
+            let archetype = Boxes3D::from_half_sizes(half_sizes(&boxes))
+                .with_centers(boxes.positions)
+                .with_quaternions(boxes.quaternions)
+                .with_colors(boxes.colours)
+                .with_fill_mode(FillMode::Solid);
+            stream.log_static(path, &archetype)?;
+        }
+        if !capsules.sizes.is_empty() {
+            let archetype = Capsules3D::from_lengths_and_radii(lengths(&capsules), radii(&capsules))
+                .with_translations(capsules.positions)
+                .with_quaternions(capsules.quaternions)
+                .with_colors(capsules.colours)
+                .with_fill_mode(FillMode::Solid);
+            stream.log_static(path, &archetype)?;
+        }
+        if !cylinders.sizes.is_empty() {
+            let archetype = Cylinders3D::from_lengths_and_radii(lengths(&cylinders), radii(&cylinders))
+                .with_centers(cylinders.positions)
+                .with_quaternions(cylinders.quaternions)
+                .with_colors(cylinders.colours)
+                .with_fill_mode(FillMode::Solid);
+            stream.log_static(path, &archetype)?;
+        }
+        if !ellipsoids.sizes.is_empty() {
+            let archetype = Ellipsoids3D::from_half_sizes(half_sizes(&ellipsoids))
+                .with_centers(ellipsoids.positions)
+                .with_quaternions(ellipsoids.quaternions)
+                .with_colors(ellipsoids.colours)
+                .with_fill_mode(FillMode::Solid);
+            stream.log_static(path, &archetype)?;
+        }
+        Ok(())
+    }
+}
+
+/// Centre of a capsule's lower cap: rerun's capsules begin there, MuJoCo's have their position in the middle.
+fn capsule_start(half_length: f32, position: [f32; 3], [w, x, y, z]: [f32; 4]) -> [f32; 3] {
+    let axis = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)];
+    std::array::from_fn(|k| position[k] - half_length * axis[k])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn capsule_turned_onto_the_x_axis_starts_half_its_length_behind_its_middle() {
+        // A quarter turn about y takes z to x.
+        let half = std::f32::consts::FRAC_1_SQRT_2;
+        let start = capsule_start(0.1, [1.0, 2.0, 3.0], [half, 0.0, half, 0.0]);
+        let expected = [0.9, 2.0, 3.0];
+        assert!(start.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-6), "{start:?}");
+    }
+
+    #[test]
+    fn tint_colours_light_parts_and_leaves_dark_ones() {
+        let dark = colour([0.1, 0.1, 0.1, 1.0], Some([230, 159, 0]));
+        assert_eq!(dark, Color::from_rgb(26, 26, 26));
+        let [red, _, blue, _] = colour([0.7, 0.7, 0.7, 1.0], Some([230, 159, 0])).to_array();
+        assert!(red > 190 && blue < 100);
+    }
+}

@@ -1,0 +1,277 @@
+/*! What is drawn beside bodies and grounds: forces, disturbances, trails, shadows and the label of an event.
+
+Shadows lie straight below trunk and feet and show how high they are. The trunk's trail lies on the ground, those of the
+feet where the feet were; both are short enough to be logged whole each time.
+*/
+
+use std::collections::VecDeque;
+
+use rerun::archetypes::Clear;
+use rerun::{
+    Arrows3D, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, Points3D, Quaternion, Radius, Transform3D,
+};
+
+use super::RecordError;
+use super::geometry::child;
+use super::stream::Stream;
+use super::style::*;
+use supple::scenario::trace::{Disturbance, Event, EventKind, Frame};
+use supple::sim::Ground;
+
+/// Time between two points of the trunk's trail \[s\], and how many there are.
+const TRUNK_TRAIL: (f64, usize) = (0.1, 100);
+/// As above, for the feet.
+const FOOT_TRAIL: (f64, usize) = (1.0 / 30.0, 22);
+/// Height of trails and shadows above the ground, so that both are seen \[m\].
+const ABOVE_GROUND_M: f32 = 0.003;
+/// Height of an event's label above the trunk \[m\].
+const LABEL_HEIGHT_M: f32 = 0.28;
+/// From the trunk's origin to its side \[m\].
+const TRUNK_RADIUS_M: f64 = 0.13;
+
+/// What is drawn now, and until when.
+#[derive(Debug)]
+pub(super) struct Overlay {
+    root: EntityPath,
+    ground: Ground,
+    /// The robot's colour.
+    colour: Rgb,
+    trunk: [f32; 3],
+    trunk_trail: VecDeque<[f32; 3]>,
+    foot_trails: [VecDeque<[f32; 3]>; 4],
+    next_trunk_trail_s: f64,
+    next_foot_trail_s: f64,
+    /// Until when, and the velocity.
+    push: Option<(f64, [f64; 3])>,
+    is_pulled: bool,
+    /// Whether a rope with a load is drawn.
+    is_tied: bool,
+    label_until_s: Option<f64>,
+}
+
+/// Where a robot's overlay is.
+pub(super) fn overlay_path(robot: &EntityPath) -> EntityPath {
+    child(robot, "overlay")
+}
+
+impl Overlay {
+    /// Logs what does not change.
+    pub(super) fn new(stream: &Stream, robot: &EntityPath, ground: &Ground, colour: Rgb) -> Result<Self, RecordError> {
+        let overlay = Overlay {
+            root: overlay_path(robot),
+            ground: ground.clone(),
+            colour,
+            trunk: [0.0; 3],
+            trunk_trail: VecDeque::new(),
+            foot_trails: Default::default(),
+            next_trunk_trail_s: f64::NEG_INFINITY,
+            next_foot_trail_s: f64::NEG_INFINITY,
+            push: None,
+            is_pulled: false,
+            is_tied: false,
+            label_until_s: None,
+        };
+        overlay.log_shadow_looks(stream)?;
+        Ok(overlay)
+    }
+
+    /// Logs a frame at the time that is set.
+    pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+        self.trunk = trunk;
+        self.log_trails(stream, frame, trunk)?;
+        self.log_shadows(stream, frame, trunk)?;
+        self.log_foot_forces(stream, frame)?;
+        self.log_disturbance(stream, frame, trunk)?;
+        self.log_rope(stream, frame)?;
+        self.log_label(stream, frame.time_s)
+    }
+
+    /// Logs the label of an event at the time that is set; that of a fall stays.
+    pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<(), RecordError> {
+        if self.label_until_s == Some(f64::INFINITY) {
+            return Ok(());
+        }
+        let (colour, shown_s) = match event.kind {
+            EventKind::Disturbance => (YELLOW, LABEL_SHOWN_S),
+            EventKind::Success => (LIGHT_GREEN, LABEL_SHOWN_S),
+            EventKind::Fall | EventKind::Fault => (ALARM, f64::INFINITY),
+        };
+        self.label_until_s = Some(event.time_s + shown_s);
+        let label = Points3D::new([self.label_position()])
+            .with_radii([Radius::new_ui_points(0.0)])
+            .with_colors([opaque(colour)])
+            .with_labels([event.text.as_str()])
+            .with_show_labels(true);
+        stream.log(&self.entity("label"), &label)
+    }
+
+    fn entity(&self, name: &str) -> EntityPath {
+        child(&self.root, name)
+    }
+
+    fn label_position(&self) -> [f32; 3] {
+        let [x, y, z] = self.trunk;
+        [x, y, z + LABEL_HEIGHT_M]
+    }
+
+    /// Moves the label of an event with the robot and takes it away in time.
+    fn log_label(&mut self, stream: &Stream, time_s: f64) -> Result<(), RecordError> {
+        match self.label_until_s {
+            Some(until) if time_s > until => {
+                self.label_until_s = None;
+                stream.log(&self.entity("label"), &Clear::flat())
+            }
+            Some(_) => {
+                let position = Points3D::update_fields().with_positions([self.label_position()]);
+                stream.log(&self.entity("label"), &position)
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn log_trails(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+        if is_due(&mut self.next_trunk_trail_s, frame.time_s, TRUNK_TRAIL.0) {
+            let below = self.on_ground(trunk);
+            push_limited(&mut self.trunk_trail, below, TRUNK_TRAIL.1);
+            let path = LineStrips3D::new([self.trunk_trail.iter().copied().collect::<Vec<_>>()])
+                .with_radii([Radius::new_scene_units(0.004)])
+                .with_colors([opaque(self.colour)]);
+            stream.log(&self.entity("path"), &path)?;
+        }
+        if !is_due(&mut self.next_foot_trail_s, frame.time_s, FOOT_TRAIL.0) {
+            return Ok(());
+        }
+        for (trail, foot) in self.foot_trails.iter_mut().zip(frame.foot_positions) {
+            push_limited(trail, foot.map(|x| x as f32), FOOT_TRAIL.1);
+        }
+        let feet = LineStrips3D::new(self.foot_trails.iter().map(|trail| trail.iter().copied().collect::<Vec<_>>()))
+            .with_radii([Radius::new_scene_units(0.0025)])
+            .with_colors([opaque(SKY)]);
+        stream.log(&self.entity("foot trails"), &feet)
+    }
+
+    /// The point of the ground below a point.
+    fn on_ground(&self, [x, y, _]: [f32; 3]) -> [f32; 3] {
+        [x, y, self.ground.height(f64::from(x), f64::from(y)) as f32 + ABOVE_GROUND_M]
+    }
+
+    /// Shadows are flat and dark: one with a soft rim below the trunk, unless the ground is uneven, and one for each foot.
+    fn log_shadow_looks(&self, stream: &Stream) -> Result<(), RecordError> {
+        let dark = |alpha| Color::from_unmultiplied_rgba(0, 0, 0, alpha);
+        if self.ground == Ground::Flat {
+            let rims = (0..8).map(|rim| 0.022 * rim as f32);
+            let trunk = Ellipsoids3D::from_half_sizes(rims.map(|rim| [0.2 + rim, 0.04 + rim, 0.0005]))
+                .with_colors([dark(20)])
+                .with_fill_mode(FillMode::Solid);
+            stream.log_static(&self.entity("trunk shadow"), &trunk)?;
+        }
+        let feet = Ellipsoids3D::update_fields()
+            .with_half_sizes([[0.03, 0.03, 0.0005]; 4])
+            .with_colors([dark(90)])
+            .with_fill_mode(FillMode::Solid);
+        stream.log_static(&self.entity("foot shadows"), &feet)
+    }
+
+    fn log_shadows(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+        if self.ground == Ground::Flat {
+            let half_yaw = (frame.roll_pitch_yaw[2] / 2.0) as f32;
+            let shadow = Transform3D::update_fields()
+                .with_translation(self.on_ground(trunk))
+                .with_quaternion(Quaternion::from_xyzw([0.0, 0.0, half_yaw.sin(), half_yaw.cos()]));
+            stream.log(&self.entity("trunk shadow"), &shadow)?;
+        }
+        let feet = frame.foot_positions.map(|foot| self.on_ground(foot.map(|x| x as f32)));
+        stream.log(&self.entity("foot shadows"), &Ellipsoids3D::update_fields().with_centers(feet))
+    }
+
+    fn log_foot_forces(&self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+        let vectors = frame.foot_forces.map(|force| force.map(|f| (f * METRES_PER_NEWTON) as f32));
+        let arrows = Arrows3D::from_vectors(vectors)
+            .with_origins(frame.foot_positions.map(|foot| foot.map(|x| x as f32)))
+            .with_radii([Radius::new_scene_units(0.006)])
+            .with_colors([opaque(LIGHT_GREEN)]);
+        stream.log(&self.entity("foot forces"), &arrows)
+    }
+
+    /// A push is an arrow that ends at the trunk, a pull a rope that begins there with the force at its far end.
+    fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+        let trunk = trunk.map(f64::from);
+        let path = self.entity("push");
+        if let Some(Disturbance::Push { velocity }) = frame.disturbance {
+            self.push = Some((frame.time_s + PUSH_SHOWN_S, velocity));
+        }
+        match self.push {
+            Some((until, _)) if frame.time_s > until => {
+                self.push = None;
+                stream.log(&path, &Clear::flat())?;
+            }
+            Some((_, velocity)) => {
+                let speed = velocity.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
+                let vector = velocity.map(|v| v * METRES_PER_PUSH);
+                // The tip is at the trunk's side.
+                let reach = METRES_PER_PUSH + TRUNK_RADIUS_M / speed;
+                let origin: [f64; 3] = std::array::from_fn(|k| trunk[k] - velocity[k] * reach);
+                stream.log(&path, &arrow(origin, vector, VERMILLION))?;
+            }
+            None => {}
+        }
+        let (rope, pull) = (self.entity("rope"), self.entity("pull"));
+        if let Some(Disturbance::Pull { force }) = frame.disturbance {
+            let size = force.iter().map(|f| f * f).sum::<f64>().sqrt().max(1e-9);
+            let end: [f64; 3] = std::array::from_fn(|k| trunk[k] + force[k] / size * ROPE_LENGTH_M);
+            let strip = LineStrips3D::new([[trunk, end].map(|point| point.map(|x| x as f32))])
+                .with_radii([Radius::new_scene_units(0.005)])
+                .with_colors([opaque(YELLOW)]);
+            stream.log(&rope, &strip)?;
+            stream.log(&pull, &arrow(end, force.map(|f| f * METRES_PER_NEWTON), VERMILLION))?;
+            self.is_pulled = true;
+        } else if self.is_pulled {
+            stream.log(&rope, &Clear::flat())?;
+            stream.log(&pull, &Clear::flat())?;
+            self.is_pulled = false;
+        }
+        Ok(())
+    }
+
+    /// A rope with a load: bright while it pulls, grey while it is slack.
+    fn log_rope(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
+        let path = self.entity("loaded rope");
+        let Some(rope) = frame.rope.as_ref().filter(|rope| rope.points.len() > 1) else {
+            if self.is_tied {
+                self.is_tied = false;
+                stream.log(&path, &Clear::flat())?;
+            }
+            return Ok(());
+        };
+        self.is_tied = true;
+        let colour = if rope.force_n > 0.0 { YELLOW } else { GREY };
+        let strip = LineStrips3D::new([rope.points.clone()])
+            .with_radii([Radius::new_scene_units(0.003)])
+            .with_colors([opaque(colour)]);
+        stream.log(&path, &strip)
+    }
+}
+
+fn arrow(origin: [f64; 3], vector: [f64; 3], colour: Rgb) -> Arrows3D {
+    Arrows3D::from_vectors([vector.map(|x| x as f32)])
+        .with_origins([origin.map(|x| x as f32)])
+        .with_radii([Radius::new_scene_units(0.012)])
+        .with_colors([opaque(colour)])
+}
+
+/// Whether it is time again; if so, sets when next.
+fn is_due(next_s: &mut f64, time_s: f64, period_s: f64) -> bool {
+    // Frames are not exactly at multiples of the period.
+    let due = time_s > *next_s - 1e-6;
+    if due {
+        *next_s = time_s + period_s;
+    }
+    due
+}
+
+fn push_limited<T>(queue: &mut VecDeque<T>, value: T, most: usize) {
+    if queue.len() == most {
+        queue.pop_front();
+    }
+    queue.push_back(value);
+}

@@ -1,0 +1,267 @@
+/*! The time series of a recording: one table that both the logging and the layout read.
+
+A plot shows every robot's quantity in the robot's colour and, where there is one, the first robot's command.
+*/
+
+use rerun::{EntityPath, Scalars, SeriesLines};
+
+use super::RecordError;
+use super::geometry::child;
+use super::stream::Stream;
+use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, lighter, opaque};
+use supple::scenario::trace::{Frame, Sensed};
+use supple::task::reward::{TERMS, Term};
+
+/// A plot.
+pub(super) struct Plot {
+    /// Name of its entities.
+    pub(super) entity: &'static str,
+    /// Title with the unit.
+    pub(super) title: &'static str,
+    /// Tab that it belongs to.
+    pub(super) tab: Tab,
+    /// What its series are.
+    pub(super) series: Series,
+    /// Fixed range of its axis; without, that of its values.
+    pub(super) range: Option<[f64; 2]>,
+    values: fn(&Frame) -> Vec<f64>,
+}
+
+/// Tabs of the plots.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Tab {
+    /// Where the robot goes.
+    Motion,
+    /// What it costs.
+    Effort,
+    /// What it is paid.
+    Reward,
+    /// What it believes.
+    Estimate,
+}
+
+/// What there is to show beside what every recording has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Shown {
+    /// There are obstacles.
+    pub(super) obstacles: bool,
+    /// A robot acts on its sensors.
+    pub(super) estimates: bool,
+}
+
+/// Tabs in their order; the first is open.
+const TABS: [(Tab, &str); 4] =
+    [(Tab::Estimate, "Estimate"), (Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward")];
+
+/// The tabs of a recording.
+pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
+    TABS.into_iter().filter(move |(tab, _)| shown.estimates || *tab != Tab::Estimate)
+}
+
+/// Series of a plot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Series {
+    /// One number in the robot's colour.
+    Single,
+    /// What was commanded, drawn first, and what happened.
+    Tracking,
+    /// What is so, in the robot's colour, and what the robot believes, in a lighter one.
+    Belief,
+    /// The terms of the reward, each robot in a plot of its own.
+    Terms,
+}
+
+/// Every plot.
+const PLOTS: &[Plot] = &[
+    Plot {
+        entity: "forward",
+        title: "Forward velocity [m/s]",
+        tab: Tab::Motion,
+        series: Series::Tracking,
+        range: None,
+        values: |frame| vec![frame.command.forward, frame.velocity[0]],
+    },
+    Plot {
+        entity: "left",
+        title: "Left velocity [m/s]",
+        tab: Tab::Motion,
+        series: Series::Tracking,
+        range: None,
+        values: |frame| vec![frame.command.left, frame.velocity[1]],
+    },
+    Plot {
+        entity: "yaw_rate",
+        title: "Yaw rate [rad/s]",
+        tab: Tab::Motion,
+        series: Series::Tracking,
+        range: None,
+        values: |frame| vec![frame.command.yaw, frame.yaw_rate],
+    },
+    Plot {
+        entity: "height",
+        title: "Base height [m]",
+        tab: Tab::Motion,
+        series: Series::Single,
+        range: None,
+        values: |frame| vec![frame.height_m],
+    },
+    Plot {
+        entity: "power",
+        title: "Mechanical power [W]",
+        tab: Tab::Effort,
+        series: Series::Single,
+        range: None,
+        values: |frame| vec![frame.power_w],
+    },
+    Plot {
+        entity: "torque",
+        title: "Torque norm [N·m]",
+        tab: Tab::Effort,
+        series: Series::Single,
+        range: None,
+        values: |frame| vec![frame.torque_n_m],
+    },
+    Plot {
+        entity: "foot_force",
+        title: "Largest foot force [N]",
+        tab: Tab::Effort,
+        series: Series::Single,
+        range: None,
+        values: |frame| vec![frame.peak_foot_force_n],
+    },
+    Plot {
+        entity: OBSTACLE_FORCE,
+        title: "Largest obstacle force [N]",
+        tab: Tab::Effort,
+        series: Series::Single,
+        range: None,
+        values: |frame| vec![frame.peak_obstacle_force_n],
+    },
+    Plot {
+        entity: "reward",
+        title: "Reward",
+        tab: Tab::Reward,
+        series: Series::Single,
+        range: None,
+        values: |frame| vec![frame.reward],
+    },
+    Plot {
+        entity: "terms",
+        title: "Reward terms",
+        tab: Tab::Reward,
+        series: Series::Terms,
+        // A robot on its back would make r_pose hide the rest.
+        range: Some([0.0, 1.1]),
+        values: |frame| shown_terms(frame).map(|(_, value)| value).collect(),
+    },
+    Plot {
+        entity: "estimate_forward",
+        title: "Forward velocity [m/s]",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: None,
+        values: |frame| believed(frame, frame.velocity[0], |sensed| sensed.velocity[0]),
+    },
+    Plot {
+        entity: "estimate_left",
+        title: "Left velocity [m/s]",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: None,
+        values: |frame| believed(frame, frame.velocity[1], |sensed| sensed.velocity[1]),
+    },
+    Plot {
+        entity: "estimate_height",
+        title: "Base height [m]",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: None,
+        values: |frame| believed(frame, frame.height_m, |sensed| sensed.height_m),
+    },
+    Plot {
+        entity: "estimate_contacts",
+        title: "Feet that touch",
+        tab: Tab::Estimate,
+        series: Series::Belief,
+        range: Some([0.0, 4.2]),
+        values: |frame| {
+            let truth = frame.sensed.map_or(f64::NAN, |sensed| count(sensed.true_contacts));
+            believed(frame, truth, |sensed| count(sensed.contacts))
+        },
+    },
+];
+
+/// Power and torque have plots of their own.
+fn shown_terms(frame: &Frame) -> impl Iterator<Item = (&'static Term, f64)> {
+    let terms = TERMS.iter().zip(frame.terms.fields().map(|(_, value)| value));
+    terms.filter(|(term, _)| !matches!(term.name, "energy" | "torque"))
+}
+
+/// Colours of the terms, over and over.
+const TERM_COLOURS: [Rgb; 6] = [BLUE, ORANGE, GREEN, PURPLE, SKY, GREY];
+
+fn count(feet: [bool; 4]) -> f64 {
+    feet.iter().filter(|touches| **touches).count() as f64
+}
+
+/// What is so, and what the robot believes; without a belief there is no second line.
+fn believed(frame: &Frame, truth: f64, belief: fn(&Sensed) -> f64) -> Vec<f64> {
+    vec![truth, frame.sensed.as_ref().map_or(f64::NAN, belief)]
+}
+
+/// Name of the plot that says nothing without obstacles.
+const OBSTACLE_FORCE: &str = "obstacle_force";
+
+/// The plots of a recording.
+pub(super) fn plots(shown: Shown) -> impl Iterator<Item = &'static Plot> {
+    let is_shown = move |plot: &&Plot| match plot.tab {
+        Tab::Estimate => shown.estimates,
+        _ => shown.obstacles || plot.entity != OBSTACLE_FORCE,
+    };
+    PLOTS.iter().filter(is_shown)
+}
+
+impl Plot {
+    /// The plot's entity of a robot.
+    pub(super) fn path(&self, robot: &str) -> EntityPath {
+        child(&child(&EntityPath::from("plots"), robot), self.entity)
+    }
+}
+
+/// Logs names and colours of a robot's series, once.
+pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<(), RecordError> {
+    for plot in PLOTS {
+        let estimated = format!("{robot}, estimated");
+        let (names, colours): (Vec<&str>, Vec<Rgb>) = match plot.series {
+            Series::Terms => {
+                let names = shown_terms(&Frame::default()).map(|(term, _)| term.symbol).collect::<Vec<_>>();
+                names.into_iter().zip(TERM_COLOURS.into_iter().cycle()).unzip()
+            }
+            Series::Belief => [(robot, colour), (estimated.as_str(), lighter(colour))].into_iter().unzip(),
+            Series::Tracking if is_first => [("commanded", GREY), (robot, colour)].into_iter().unzip(),
+            Series::Tracking | Series::Single => [(robot, colour)].into_iter().unzip(),
+        };
+        let style =
+            SeriesLines::new().with_names(names).with_colors(colours.into_iter().map(opaque)).with_widths([2.0]);
+        stream.log_static(&plot.path(robot), &style)?;
+    }
+    Ok(())
+}
+
+/// Logs a robot's values.
+pub(super) fn log_values(
+    stream: &Stream,
+    robot: &str,
+    is_first: bool,
+    shown: Shown,
+    frame: &Frame,
+) -> Result<(), RecordError> {
+    for plot in plots(shown) {
+        let mut values = (plot.values)(frame);
+        if plot.series == Series::Tracking && !is_first {
+            values.remove(0);
+        }
+        stream.log(&plot.path(robot), &Scalars::new(values))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,217 @@
+//! Recordings read back, and the ways in which they fail.
+
+use std::collections::BTreeSet;
+use std::fs::File;
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+
+use rerun::external::re_sdk_types::blueprint::archetypes::{EyeControls3D, ViewContents};
+use rerun::{ChunkStore, ChunkStoreConfig, StoreKind};
+
+use super::*;
+use supple::mujoco::Data;
+use supple::robot::Robot;
+use supple::scenario::trace::{Disturbance, EventKind, Pose, Rope, Sensed};
+use supple::sim::{Buffers, Ground, HeightField, Scene};
+use supple::task::{Command, Stage, Terms};
+
+fn obstacles() -> String {
+    let ball = |k: usize| {
+        format!(
+            r#"<body name="ball{k}" pos="1 {k} 1"><freejoint/><geom name="ball{k}" type="sphere" size="0.1"/></body>"#
+        )
+    };
+    let balls: String = (0..5).map(ball).collect();
+    format!(
+        r#"{balls}<body name="crate" pos="2 0 1"><freejoint/><geom name="crate" type="box" size="0.1 0.1 0.1"/></body>"#
+    )
+}
+
+fn scene(ground: Ground) -> Scene {
+    Scene {
+        ground,
+        obstacles: obstacles(),
+        buffers: Buffers { contacts: 100, rows: 500, stack: 200_000 },
+        ..Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0)
+    }
+}
+
+/// Poses of the scene's start; forces, commands and rewards are made up.
+fn frame(model: &Model, time_s: f64) -> Frame {
+    let mut data = Data::new(model.try_clone().unwrap()).unwrap();
+    data.step1().unwrap();
+    let pose = |(position, quaternion): (&[f64], &[f64])| Pose {
+        position: std::array::from_fn(|k| position[k] as f32),
+        quaternion: std::array::from_fn(|k| quaternion[k] as f32),
+    };
+    let bodies = data.body_positions().chunks(3).zip(data.body_quaternions().chunks(4)).map(pose).collect();
+    Frame {
+        time_s,
+        bodies,
+        command: Command::velocity(0.5, 0.0, 0.0),
+        velocity: [0.4, 0.0, 0.0],
+        velocity_in_heading: [0.4, 0.0, 0.0],
+        yaw_rate: 0.0,
+        roll_pitch_yaw: [0.0; 3],
+        height_m: 0.3,
+        power_w: 20.0,
+        torque_n_m: 10.0,
+        reward: 0.8,
+        terms: Terms::default(),
+        joint_angles: [0.0; 12],
+        joint_targets: [0.0; 12],
+        torques: [0.0; 12],
+        foot_positions: [[0.1, 0.1, 0.02]; 4],
+        foot_forces: [[0.0, 0.0, 30.0]; 4],
+        peak_foot_force_n: 40.0,
+        peak_obstacle_force_n: 0.0,
+        obstacle_impulse_n_s: 0.0,
+        disturbance: None,
+        stage: Some(Stage::Walking),
+        ..Frame::default()
+    }
+}
+
+/// Entities of the recording and of its layout, what the layout's views show, and what their eyes follow.
+struct Content {
+    recorded: BTreeSet<String>,
+    shown: Vec<String>,
+    followed: Vec<String>,
+}
+
+fn read(path: &std::path::Path) -> Content {
+    let mut content = Content { recorded: BTreeSet::new(), shown: Vec::new(), followed: Vec::new() };
+    let stores = ChunkStore::from_rrd_reader(&ChunkStoreConfig::DEFAULT, &mut File::open(path).unwrap()).unwrap();
+    for (id, store) in &stores {
+        for chunk in store.iter_physical_chunks() {
+            if id.kind() == StoreKind::Recording {
+                content.recorded.insert(chunk.entity_path().to_string());
+                continue;
+            }
+            let texts = |component, to: &mut Vec<String>| {
+                to.extend(chunk.iter_slices::<String>(component).flatten().map(|text| text.to_string()));
+            };
+            texts(ViewContents::descriptor_query().component, &mut content.shown);
+            texts(EyeControls3D::descriptor_tracking_entity().component, &mut content.followed);
+        }
+    }
+    content
+}
+
+#[test]
+fn a_recording_has_every_entity_that_its_layout_names() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("new folder").join("two.rrd");
+    let hills = Ground::Field(HeightField::sample([2.0, 2.0], 0.1, |x, y| 0.1 * (x + y).sin()));
+    let (flat, uneven) = (scene(Ground::Flat), scene(hills));
+    let models = [flat.compile_visual().unwrap(), uneven.compile_visual().unwrap()];
+    let views = [
+        RobotView { name: "compliant", model: &models[0], ground: &flat.ground, tint: Some(BLUE), estimates: true },
+        RobotView {
+            name: "the other one",
+            model: &models[1],
+            ground: &uneven.ground,
+            tint: Some(ORANGE),
+            estimates: false,
+        },
+    ];
+    let mut recorder = Recorder::new(Sink::File(path.clone()), "test", &views).unwrap();
+    for (robot, model) in models.iter().enumerate() {
+        for step in 0..40 {
+            let mut frame = frame(model, f64::from(step) / 60.0);
+            frame.sensed = Some(Sensed::default());
+            frame.disturbance = match step {
+                3 => Some(Disturbance::Push { velocity: [0.0, 1.0, 0.0] }),
+                20..30 => Some(Disturbance::Pull { force: [0.0, 50.0, 0.0] }),
+                _ => None,
+            };
+            // A rope that is tied in between, and is taken off.
+            let points = vec![[0.0, 0.0, 0.3], [0.0, 3.0, 0.3]];
+            frame.rope =
+                (5..30).contains(&step).then(|| Rope { points, force_n: f64::from(step % 2), ..Rope::default() });
+            recorder.frame(robot, &frame).unwrap();
+        }
+        let fall = Event { time_s: 0.7, kind: EventKind::Fall, text: "the base sank to 0.19 m".into() };
+        recorder.event(robot, &fall).unwrap();
+    }
+    recorder.finish().unwrap();
+
+    let Content { recorded, shown, followed } = read(&path);
+    // Two views of worlds, one of the events, nine plots of both robots and four of their estimates, and the one with
+    // parts twice.
+    assert_eq!((shown.len(), followed.len()), (2 + 2 + (9 + 4) * 2 + 2, 2), "{shown:?} {followed:?}");
+    for query in &shown {
+        let path = query.strip_prefix("+ ").unwrap();
+        let found = match path.strip_suffix("/**") {
+            Some(root) => recorded.iter().any(|entity| entity.starts_with(root)),
+            None => recorded.contains(path),
+        };
+        assert!(found, "{query} shows nothing of {recorded:#?}");
+    }
+    assert!(followed.iter().all(|entity| recorded.contains(entity)), "{followed:?}");
+    let overlay = ["push", "rope", "pull", "label", "path", "foot\\ forces", "loaded\\ rope"]
+        .map(|name| format!("overlay/{name}"));
+    let bodies = ["trunk", "FL_calf", "crate", "scene/balls", "scene/ground"].map(str::to_owned);
+    for name in bodies.iter().chain(&overlay) {
+        assert!(recorded.contains(&format!("/world/compliant/{name}")), "{name} of {recorded:#?}");
+    }
+    assert!(!recorded.iter().any(|entity| entity.contains("ball0")), "balls are one entity");
+}
+
+#[test]
+fn frames_of_another_scene_and_unknown_robots_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
+    let model = flat.compile_visual().unwrap();
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let mut recorder = Recorder::new(Sink::File(folder.path().join("a.rrd")), "test", &[view]).unwrap();
+    let other = frame(&scene(Ground::Flat).compile_visual().unwrap(), 0.0);
+    assert!(matches!(recorder.frame(0, &other), Err(RecordError::Bodies { expected: 14, found: 20, .. })));
+    assert!(matches!(recorder.frame(1, &frame(&model, 0.0)), Err(RecordError::Robot { index: 1, count: 1 })));
+    recorder.finish().unwrap();
+}
+
+#[test]
+fn places_where_nothing_can_be_written_are_errors() {
+    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
+    let model = flat.compile_visual().unwrap();
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let open = |sink| Recorder::new(sink, "test", &[view]);
+    assert!(matches!(open(Sink::File("/proc/none/a.rrd".into())), Err(RecordError::Create { .. })));
+    assert!(matches!(open(Sink::Connect(Some("nonsense".into()))), Err(RecordError::Viewer { .. })));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_is_an_error_at_the_latest_at_the_end() {
+    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
+    let model = flat.compile_visual().unwrap();
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let record = || {
+        let mut recorder = Recorder::new(Sink::File("/dev/full".into()), "test", &[view])?;
+        recorder.frame(0, &frame(&model, 0.0))?;
+        recorder.finish()
+    };
+    let error = record().unwrap_err();
+    assert!(matches!(error, RecordError::Write { .. } | RecordError::Rerun(_)), "{error}");
+}
+
+#[test]
+fn a_viewer_that_stopped_reading_is_an_error_and_not_a_wait_without_end() {
+    let deaf = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("rerun+http://{}/proxy", deaf.local_addr().unwrap());
+    let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
+    let model = flat.compile_visual().unwrap();
+    let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
+    let start = Instant::now();
+    let record = || {
+        let mut recorder = Recorder::new(Sink::Connect(Some(url)), "test", &[view])?;
+        for step in 0..10_000 {
+            recorder.frame(0, &frame(&model, f64::from(step) / 60.0))?;
+        }
+        recorder.finish()
+    };
+    let error = record().unwrap_err();
+    assert!(matches!(error, RecordError::Write { .. } | RecordError::Viewer { .. }), "{error}");
+    assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
+}

@@ -1,0 +1,234 @@
+//! `scenario` as a user runs it.
+
+#[path = "../../tests/it/support.rs"]
+mod support;
+
+use std::process::{Command, Stdio};
+
+use serde_json::Value;
+use support::{complaint, example, program, robot, run, standing_policy};
+
+#[test]
+fn a_closed_pipe_is_neither_a_panic_nor_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let scenario: &[&str] = &["walk", "--policy", "p.safetensors", "--duration-s", "0.2", "--no-record", "--json"];
+    let cases = [(program("scenario"), scenario), (program("scenario"), &["list"])];
+    for (program, arguments) in cases {
+        let mut child = Command::new(program)
+            .args(arguments)
+            .current_dir(folder.path())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        drop(child.stdout.take());
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success(), "{arguments:?}: {}", complaint(&output));
+        assert_eq!(complaint(&output), "", "{arguments:?}");
+    }
+}
+
+#[test]
+fn a_standard_output_that_is_full_is_an_error() {
+    let Ok(full) = std::fs::File::options().write(true).open("/dev/full") else { return };
+    let child = Command::new(program("scenario")).arg("list").stdout(full).stderr(Stdio::piped()).spawn();
+    let output = child.unwrap().wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).starts_with("error: cannot write to standard output: No space left"));
+}
+
+#[test]
+fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let play = |csv: &str, recording: &[&str]| {
+        let line = ["push", "--policy", "p.safetensors", "--duration-s", "2", "--at-s", "0.5", "--json", "--csv", csv];
+        let output = run("scenario", folder.path(), &[&line[..], recording].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+        (output.stdout, std::fs::read(folder.path().join(csv)).unwrap())
+    };
+    let plain = play("a.csv", &["--no-record"]);
+    let columns: Vec<usize> = String::from_utf8_lossy(&plain.1).lines().map(|row| row.split(',').count()).collect();
+    assert_eq!(columns, [columns[0]; 121]);
+    assert_eq!(plain, play("b.csv", &["--no-record"]));
+    assert_eq!(plain, play("c.csv", &["--record", "c.rrd"]));
+    assert!(folder.path().join("c.rrd").exists());
+}
+
+#[test]
+fn scenario_prints_one_json_object_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
+    let arguments = ["push", "--policy", "standing.safetensors", "--push-m-s", "0.1", "--json", "--csv", "t.csv"];
+    let output = run("scenario", folder.path(), &arguments);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(object["scenario"], "push");
+    assert_eq!(object["parameters"]["push_m_s"], 0.1);
+    assert!(object["runs"][0]["metrics"]["decay_10_s"].is_number(), "{object}");
+    assert_eq!(std::fs::read_to_string(folder.path().join("t.csv")).unwrap().lines().count(), 1 + 480);
+    assert!(folder.path().join("push.rrd").exists());
+}
+
+#[test]
+fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("standing.safetensors")).unwrap();
+    let walk = ["walk", "--policy", "standing.safetensors", "--duration-s", "1", "--json", "--no-record"];
+    let play = |sensing: &str| -> Value {
+        let output = run("scenario", folder.path(), &[&walk[..], &["--sensing", sensing]].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let (truth, estimated) = (play("true"), play("estimated"));
+    assert_eq!((&truth["sensing"], &estimated["sensing"]), (&"true".into(), &"estimated".into()));
+    assert_eq!(truth["runs"][0]["metrics"]["contact_f1"], Value::Null);
+    for name in ["estimate_velocity_rmse_m_s", "estimate_height_rmse_m", "estimate_drift_m", "contact_f1"] {
+        assert!(estimated["runs"][0]["metrics"][name].is_number(), "{name}: {estimated}");
+    }
+    // The estimates stand beside the truth in the CSV, which has none without sensors.
+    let last_row = |sensing: &str| -> Vec<String> {
+        let arguments = [&walk[..], &["--sensing", sensing, "--csv", "t.csv"]].concat();
+        assert!(run("scenario", folder.path(), &arguments).status.success());
+        let text = std::fs::read_to_string(folder.path().join("t.csv")).unwrap();
+        let rows: Vec<&str> = text.lines().collect();
+        let row: Vec<String> = rows[rows.len() - 1].split(',').map(ToOwned::to_owned).collect();
+        assert_eq!(row.len(), rows[0].split(',').count());
+        let column = |name: &str| rows[0].split(',').position(|found| found == name).unwrap();
+        ["height_m", "estimated_height_m"].map(|name| row[column(name)].clone()).into()
+    };
+    let heights: Vec<f64> = last_row("estimated").iter().map(|cell| cell.parse().unwrap()).collect();
+    assert!(heights[0] != heights[1] && (heights[0] - heights[1]).abs() < 0.01, "{heights:?}");
+    assert_eq!(last_row("true")[1], "");
+    // A standing robot knows that it stands.
+    assert!(estimated["runs"][0]["metrics"]["estimate_velocity_rmse_m_s"].as_f64().unwrap() < 0.05);
+}
+
+#[test]
+fn scenario_refuses_bad_input_with_exit_code_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let policy = standing_policy();
+    policy.save(&folder.path().join("standing.safetensors")).unwrap();
+    let bytes = policy.to_bytes().unwrap();
+    std::fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() / 2]).unwrap();
+    std::fs::write(folder.path().join("odd.yaml"), "push_m_ss: 1\n").unwrap();
+    std::fs::write(folder.path().join("hard.yaml"), "push_m_s: 30\n").unwrap();
+    let mut other = standing_policy();
+    other.actor.layers[1].bias.pop();
+    let rows = other.actor.layers[1].weight.len() - other.actor.layers[1].inputs();
+    other.actor.layers[1].weight.truncate(8 * 11.min(rows));
+    std::fs::write(folder.path().join("other.safetensors"), other.to_bytes().unwrap()).unwrap();
+    let cases: [(&[&str], &str); 9] = [
+        (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
+        (&["push", "--policy", "cut.safetensors"], "was it cut off"),
+        (&["push", "--policy", "other.safetensors"], "11 outputs, expected 12"),
+        (&["push", "--policy", "standing.safetensors", "--push-m-s", "-1"], "--push-m-s is -1, expected 0 to 20 m/s"),
+        (&["box", "--policy", "standing.safetensors", "--mass-kg", "0"], "--mass-kg is 0, expected 0.001"),
+        (&["push", "--policy", "standing.safetensors", "--params", "odd.yaml"], "no parameter 'push_m_ss'"),
+        (
+            &["push", "--policy", "standing.safetensors", "--params", "hard.yaml"],
+            "with the parameters of hard.yaml: --push-m-s is 30, expected 0 to 20 m/s",
+        ),
+        (&["walk", "--policy", "standing.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
+        (
+            &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],
+            "--duration-s is 100, expected a way",
+        ),
+    ];
+    for (arguments, expected) in cases {
+        let output = run("scenario", folder.path(), arguments);
+        let complaint = complaint(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
+        assert!(output.stdout.is_empty());
+    }
+}
+
+#[test]
+fn policies_in_the_styles_of_rsl_rl_and_playground_are_played_from_their_examples() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["rsl_rl", "playground"] {
+        example(folder.path(), name);
+        let arguments = ["push", "--policy", &format!("{name}.yaml"), "--duration-s", "1", "--json", "--no-record"];
+        let output = run("scenario", folder.path(), &arguments);
+        assert!(output.status.success(), "{}", complaint(&output));
+        let object: Value = serde_json::from_slice(&output.stdout).unwrap();
+        assert_eq!(object["runs"][0]["policy"], name);
+        assert_eq!(object["runs"][0]["sha256"].as_str().unwrap().len(), 64);
+    }
+}
+
+#[test]
+fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(example(folder.path(), "rsl_rl")).unwrap();
+    let write = |name: &str, from: &str, to: &str| {
+        assert!(text.contains(from), "{from}");
+        std::fs::write(folder.path().join(name), text.replacen(from, to, 1)).unwrap();
+    };
+    write("short.yaml", "  - {quantity: last_action}\n", "");
+    write("joint.yaml", "FL_hip,", "tail,");
+    write("twice.yaml", "FL_hip,", "FL_thigh,");
+    write("key.yaml", "observation_clip:", "observation_klip:");
+    write("fast.yaml", "physics_rate_hz: 200", "physics_rate_hz: 4000000000");
+    write("axis.yaml", "{quantity: projected_gravity}", "{quantity: projected_gravity, elements: [up, yaw]}");
+    write("scale.yaml", "scale: [2.0, 2.0, 0.25]", "scale: [2.0, 2.0]");
+    write("old.yaml", "{quantity: projected_gravity}", "{quantity: projected_gravity, steps_ago: 4000000000}");
+    write("gone.yaml", "rsl_rl.onnx", "gone.onnx");
+    write("cut.yaml", "rsl_rl.onnx", "cut.onnx");
+    let network = std::fs::read(folder.path().join("rsl_rl.onnx")).unwrap();
+    std::fs::write(folder.path().join("cut.onnx"), &network[..network.len() / 2]).unwrap();
+    let bomb: String = (1..40).map(|k| format!("a{k}: &a{k} [*a{j}, *a{j}, *a{j}]\n", j = k - 1)).collect();
+    std::fs::write(folder.path().join("bomb.yaml"), format!("a0: &a0 [1, 1, 1]\n{bomb}")).unwrap();
+    // Its keyframe would no longer have the right length.
+    let xml = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
+    let (before, after) = (xml.find("<keyframe>").unwrap(), xml.find("</keyframe>").unwrap() + "</keyframe>".len());
+    let xml = format!("{}{}", &xml[..before], &xml[after..]);
+    let assets = robot("assets").display().to_string();
+    let model = |name: &str, from: &str, to: &str| {
+        assert!(xml.contains(from), "{from}");
+        let changed = xml.replace("meshdir=\"assets\"", &format!("meshdir=\"{assets}\"")).replace(from, to);
+        std::fs::write(folder.path().join(name), changed).unwrap();
+    };
+    model("fixed.xml", "<freejoint/>", "");
+    model(
+        "tail.xml",
+        "<site name=\"imu\"",
+        "<body><joint name=\"tail\"/><geom size=\"0.01\"/></body><site name=\"imu\"",
+    );
+    model("nameless.xml", "RL_calf_joint", "left_rear_bottom");
+    model("loop.xml", "<mujoco model=\"quadruped\">", "<mujoco><include file=\"loop.xml\"/>");
+    model("broken.xml", "</default>", "");
+    standing_policy().save(&folder.path().join("ours.safetensors")).unwrap();
+
+    let cases: [(&[&str], &str); 19] = [
+        (&["--policy", "rsl_rl.onnx"], "describe it in a YAML file"),
+        (&["--policy", "short.yaml"], "its observation has 36 numbers (BaseVelocity 3,"),
+        (&["--policy", "short.yaml"], "but the input 'obs' of rsl_rl.onnx takes 48"),
+        (&["--policy", "joint.yaml"], "`joints` has 'tail', which is no joint of the robot"),
+        (&["--policy", "twice.yaml"], "must name each of these once"),
+        (&["--policy", "key.yaml"], "unknown field `observation_klip`"),
+        (&["--policy", "fast.yaml"], "up to 20000"),
+        (&["--policy", "axis.yaml"], "entry 3 (ProjectedGravity): `elements` has 'yaw'"),
+        (&["--policy", "scale.yaml"], "`scale` has 2 numbers, expected one, or 3"),
+        (&["--policy", "old.yaml"], "ages from 0 to 200 policy steps"),
+        (&["--policy", "gone.yaml"], "gone.onnx: No such file"),
+        (&["--policy", "cut.yaml"], "cut.onnx: it is cut off or not ONNX"),
+        (&["--policy", "bomb.yaml"], "repetition limit exceeded"),
+        (&["--policy", "ours.safetensors", "--model", "fixed.xml"], "its trunk is fixed to the world"),
+        (&["--policy", "ours.safetensors", "--model", "tail.xml"], "joints beside those of four legs: tail"),
+        (&["--policy", "ours.safetensors", "--model", "nameless.xml"], "no joint 'RL_calf'; its joints are: "),
+        (&["--policy", "ours.safetensors", "--model", "loop.xml"], "does one include itself?"),
+        (&["--policy", "ours.safetensors", "--model", "broken.xml"], "is not XML"),
+        (&["--policy", "ours.safetensors", "--model", "none.xml"], "cannot read none.xml"),
+    ];
+    for (arguments, expected) in cases {
+        let output = run("scenario", folder.path(), &[&["walk", "--no-record"], arguments].concat());
+        let complaint = complaint(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
+        let lines = complaint.lines().filter(|line| !line.ends_with(".xml:")).count();
+        assert_eq!(lines, 1, "{complaint}");
+    }
+}

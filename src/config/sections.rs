@@ -1,0 +1,301 @@
+//! What a configuration is made of. Every struct is a section of the file.
+
+use std::fmt;
+
+use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
+use serde::de::{MapAccess, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use crate::observation::{Layout, Nominal, Observed, Scales, paper_layout};
+use crate::robot::same_in_every_leg;
+
+/// Everything that defines a training run but its seed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Config {
+    /// The robot.
+    pub robot: RobotModel,
+    /// Rates, gains, latency.
+    pub simulation: Simulation,
+    /// From network outputs to joint targets.
+    pub action: Action,
+    /// What the policy sees, in order.
+    #[serde(deserialize_with = "observation")]
+    pub observation: Vec<Observed>,
+    /// Velocity commands and their curriculum.
+    pub command: CommandRange,
+    /// Stages, pushes, slopes, termination.
+    pub episode: Episode,
+    /// Weights and targets of Table II.
+    pub reward: Reward,
+    /// Dynamics randomisation.
+    pub randomisation: Randomisation,
+    /// Table III.
+    pub ppo: Ppo,
+    /// Length of the run.
+    pub run: Run,
+}
+
+/// The robot's model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotModel {
+    /// Name of a robot that ships, or path of an MJCF file, or of a YAML file about one.
+    pub model: String,
+}
+
+/// Section IV: physics at 240 Hz, policy at 60 Hz, PD control with delayed targets.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Simulation {
+    /// Physics steps per second.
+    pub physics_rate_hz: u32,
+    /// Policy queries per second; divides the physics rate.
+    pub policy_rate_hz: u32,
+    /// `K_p` [N·m/rad].
+    pub kp_n_m_per_rad: f64,
+    /// `K_d` [N·m·s/rad].
+    pub kd_n_m_s_per_rad: f64,
+    /// Delay of the joint target \[s\].
+    pub latency_s: f64,
+}
+
+impl Simulation {
+    /// Physics steps per policy step.
+    pub fn substeps(&self) -> usize {
+        (self.physics_rate_hz / self.policy_rate_hz) as usize
+    }
+
+    /// Duration of a physics step \[s\].
+    pub fn timestep_s(&self) -> f64 {
+        1.0 / f64::from(self.physics_rate_hz)
+    }
+
+    /// Duration of a policy step \[s\].
+    pub fn policy_period_s(&self) -> f64 {
+        1.0 / f64::from(self.policy_rate_hz)
+    }
+
+    /// Policy steps in a duration.
+    pub fn policy_steps(&self, duration_s: f64) -> usize {
+        (duration_s * f64::from(self.policy_rate_hz)).round() as usize
+    }
+}
+
+/// Joint target = nominal pose + scale · action.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Action {
+    /// Hip, thigh and calf of every leg \[rad\].
+    pub nominal_pose_rad: [f64; 3],
+    /// \[rad\] per unit of action.
+    pub scale_rad: f64,
+}
+
+/// Commands are drawn uniformly from ± range · fraction.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CommandRange {
+    /// `v_z*` of the paper [m/s].
+    pub forward_m_s: f64,
+    /// `v_x*` of the paper [m/s].
+    pub left_m_s: f64,
+    /// `ω_y*` of the paper [rad/s].
+    pub yaw_rad_s: f64,
+    /// Fraction of the range that is open at first.
+    #[serde(alias = "initial_share")]
+    pub initial_fraction: f64,
+    /// Widening per iteration.
+    #[serde(alias = "share_step")]
+    pub fraction_step: f64,
+    /// Mean `r_lin` above which it is widened.
+    #[serde(alias = "share_gate")]
+    pub fraction_gate: f64,
+}
+
+/// Section III-C and III-D.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Episode {
+    /// Duration of the walking stage \[s\].
+    pub walking_s: f64,
+    /// Duration of the recovery stage, which starts with the push \[s\].
+    pub recovery_s: f64,
+    /// Duration of the post-recovery stage \[s\].
+    pub post_recovery_s: f64,
+    /// Whether tracking rewards are replaced in the recovery stage; false is the baseline.
+    pub recovery_stage: bool,
+    /// Mean `r_lin` of an iteration's walking stages above which episodes go on to the push, from then on.
+    pub push_gate: f64,
+    /// Largest push along forward and left [m/s].
+    pub push_speed_m_s: f64,
+    /// Largest rotational push about each axis [rad/s].
+    pub push_rate_rad_s: f64,
+    /// Largest incline (rise over run).
+    pub slope: f64,
+    /// Base height below which the robot has fallen \[m\].
+    pub min_height_m: f64,
+}
+
+/// Table II and equations 1–3.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reward {
+    /// `w_lin`.
+    pub linear_velocity: f64,
+    /// `w_ang`.
+    pub angular_velocity: f64,
+    /// `w_e`.
+    pub energy: f64,
+    /// `w_τ`.
+    pub torque: f64,
+    /// `w_pose`.
+    pub pose: f64,
+    /// `w_cl`.
+    pub foot_clearance: f64,
+    /// `w_h`.
+    pub foot_height: f64,
+    /// `w_f`, not in the paper: time in flight.
+    pub flight: f64,
+    /// The 8 in `r_lin` and `r_ang`.
+    pub tracking_sharpness: f64,
+    /// The 10 in `r_pose` [1/m²].
+    pub height_sharpness: f64,
+    /// The 0.45 of equation 3.
+    pub negative_sharpness: f64,
+    /// `y_des` \[m\].
+    pub base_height_m: f64,
+    /// `p_des` \[m\].
+    pub foot_height_m: f64,
+}
+
+/// Section IV-D.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Randomisation {
+    /// Off for the simulation experiments.
+    pub enabled: bool,
+    /// Range of the floor's sliding friction.
+    pub friction: [f64; 2],
+    /// Standard deviation of the encoders' biases, the paper's calibration offsets \[rad\].
+    #[serde(alias = "joint_offset_sd_rad")]
+    pub encoder_bias_sd_rad: f64,
+    /// Sliding friction when randomisation is off.
+    pub default_friction: f64,
+}
+
+/// Table III and what Stable-Baselines3 does where the paper is silent.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ppo {
+    /// Samples per iteration.
+    pub batch_size: usize,
+    /// Samples per gradient step.
+    pub minibatch_size: usize,
+    /// Passes over the batch.
+    pub epochs: usize,
+    /// What computes the updates.
+    #[serde(default)]
+    pub learner: LearnerKind,
+    /// Whether half of the samples are learnt from with left and right exchanged.
+    #[serde(alias = "mirror")]
+    pub symmetry: bool,
+    /// Clip range of the probability ratio.
+    pub clip_range: f64,
+    /// Weight of the entropy bonus.
+    pub entropy_coefficient: f64,
+    /// γ.
+    pub discount: f64,
+    /// λ of generalised advantage estimation.
+    pub gae_lambda: f64,
+    /// KL divergence at which the learning rate aims.
+    pub desired_kl: f64,
+    /// Logarithm of the initial standard deviation.
+    pub initial_log_std: f64,
+    /// Widths of the hidden layers of both networks.
+    pub hidden_layers: Vec<usize>,
+    /// Parallel environments; divides the batch size.
+    pub environments: usize,
+    /// Weight of the value loss.
+    pub value_coefficient: f64,
+    /// Largest norm of the joint gradient.
+    pub max_gradient_norm: f64,
+    /// ε of Adam.
+    pub adam_epsilon: f64,
+    /// Learning rate of the first gradient step.
+    pub initial_learning_rate: f64,
+    /// Lower bound of the adaptive rate.
+    pub min_learning_rate: f64,
+    /// Upper bound of the adaptive rate.
+    pub max_learning_rate: f64,
+}
+
+/// What computes PPO's updates: see [`crate::ppo`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LearnerKind {
+    /// The fast one.
+    #[default]
+    Fused,
+    /// The one to read and to change.
+    Candle,
+}
+
+impl Ppo {
+    /// Steps of each environment in a batch.
+    pub fn steps(&self) -> usize {
+        self.batch_size / self.environments
+    }
+}
+
+/// Length of the run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Run {
+    /// Samples in all.
+    pub samples: u64,
+    /// Iterations between checkpoints.
+    pub checkpoint_every: u64,
+}
+
+impl Config {
+    /// What the policy sees, made ready.
+    ///
+    /// # Errors
+    /// In words: the entry, what was found and what was expected.
+    pub fn layout(&self) -> Result<Layout, String> {
+        Layout::new(&self.observation, &self.nominal())
+    }
+
+    /// What offsets and scales in words stand for.
+    pub fn nominal(&self) -> Nominal {
+        Nominal {
+            pose: same_in_every_leg(self.action.nominal_pose_rad),
+            height_m: self.reward.base_height_m,
+            action_scale_rad: self.action.scale_rad,
+        }
+    }
+}
+
+/// A list of quantities, or, in files from before it could be written, the scales of the paper's.
+fn observation<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Observed>, D::Error> {
+    struct ListOrScales;
+
+    impl<'de> Visitor<'de> for ListOrScales {
+        type Value = Vec<Observed>;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a list of quantities")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Self::Value, A::Error> {
+            Deserialize::deserialize(SeqAccessDeserializer::new(list))
+        }
+
+        fn visit_map<A: MapAccess<'de>>(self, scales: A) -> Result<Self::Value, A::Error> {
+            Scales::deserialize(MapAccessDeserializer::new(scales)).map(|scales| paper_layout(&scales))
+        }
+    }
+
+    deserializer.deserialize_any(ListOrScales)
+}

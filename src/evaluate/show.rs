@@ -1,0 +1,153 @@
+//! How an experiment puts together what it shows: claims, tables and figures of its results, under its name.
+
+use super::Quantity;
+use super::findings::{Claim, Figure, Findings, Lines, Row, Table};
+use super::plot::dots::{self, Dots};
+use super::plot::polar::{self, Polar, Scales};
+use super::results::Results;
+use super::statistics::{Expected, PerSeed, Spread};
+
+/// Conditions that belong together, such as all directions at one command.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Group {
+    /// What they have in common.
+    pub name: String,
+    /// Their indices.
+    pub conditions: Vec<usize>,
+}
+
+impl Group {
+    /// Conditions in the order of their groups, which are all of one size.
+    pub fn all(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<Group> {
+        let size = results.conditions.len() / names.len().max(1);
+        names.enumerate().map(|(k, name)| Group { name, conditions: (k * size..(k + 1) * size).collect() }).collect()
+    }
+}
+
+/// The findings of an experiment, being put together.
+#[derive(Debug)]
+pub struct Show<'a> {
+    name: &'static str,
+    /// What was measured.
+    pub results: &'a Results,
+    /// What there is so far.
+    pub findings: Findings,
+}
+
+impl<'a> Show<'a> {
+    /// Nothing yet.
+    pub fn new(name: &'static str, results: &'a Results) -> Self {
+        Show { name, results, findings: Findings::default() }
+    }
+
+    /// The experiment's name, or `NAME-part`.
+    fn named(&self, part: &str) -> String {
+        if part.is_empty() { self.name.to_owned() } else { format!("{}-{part}", self.name) }
+    }
+
+    /// Indices of all conditions.
+    pub fn all(&self) -> Vec<usize> {
+        (0..self.results.conditions.len()).collect()
+    }
+
+    /// What was varied, by condition.
+    pub fn labels(&self) -> Vec<String> {
+        self.results.conditions.iter().map(|condition| condition.label.clone()).collect()
+    }
+
+    /// Of the first condition.
+    pub fn first_label(&self) -> &'a str {
+        self.results.conditions.first().map_or("", |condition| &condition.label)
+    }
+
+    /// Claims that the first set lies above or below the second in a quantity, in the mean over some conditions.
+    pub fn claim(&mut self, text: &str, paper: &str, quantity: &str, expected: Expected, over: &[usize]) {
+        let comparison = self.results.compare_over(over, quantity);
+        let claim = Claim::direction(text, paper, self.results.quantity(quantity), expected, comparison);
+        self.findings.claims.push(claim);
+    }
+
+    /// A table of all quantities in all conditions.
+    pub fn table(&mut self, caption: &str) -> &mut Table {
+        self.add_table(Table::of_conditions(self.named(""), caption, self.results))
+    }
+
+    /// The same in a file of its own, not in the page.
+    pub fn table_in_file(&mut self, part: &str, caption: &str) -> &mut Table {
+        let table = Table::of_conditions(self.named(part), caption, self.results);
+        self.add_table(Table { in_page: false, ..table })
+    }
+
+    /// A table of these rows.
+    pub fn table_of(&mut self, caption: impl Into<String>, rows: Vec<Row>) {
+        self.add_table(Table { name: self.named(""), caption: caption.into(), rows, in_page: true });
+    }
+
+    fn add_table(&mut self, table: Table) -> &mut Table {
+        let index = self.findings.tables.len();
+        self.findings.tables.push(table);
+        &mut self.findings.tables[index]
+    }
+
+    /// A row of a quantity's mean over a group.
+    pub fn row(&self, group: &Group, quantity: Quantity) -> Row {
+        let comparison = self.results.compare_over(&group.conditions, quantity.name);
+        Row { condition: group.name.clone(), quantity, paper: String::new(), comparison }
+    }
+
+    /// A figure.
+    pub fn figure(&mut self, part: &str, caption: impl Into<String>, svg: String) {
+        self.findings.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
+    }
+
+    /// A figure of quantities by condition, a panel each.
+    pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], caption: &str) {
+        let panel = |name: &&str| {
+            let rows = self.all().into_iter().map(|condition| self.per_seed(condition, name));
+            Dots { quantity: self.results.quantity(name), rows: rows.collect() }
+        };
+        let panels: Vec<Dots> = quantities.iter().map(panel).collect();
+        let svg = dots::draw(title, &panels, &self.labels(), &self.results.names);
+        self.figure(part, caption, svg);
+    }
+
+    /// A figure of a quantity by direction, a panel for each group of directions that divide the circle evenly.
+    pub fn polar(
+        &mut self,
+        part: &str,
+        title: &str,
+        (quantity, axis): (&str, &str),
+        groups: &[Group],
+        scales: Scales,
+        caption: impl Into<String>,
+    ) {
+        let spread = |set, condition: &usize| Spread::of(&self.results.per_seed(set, *condition, quantity));
+        let panel = |group: &Group| Polar {
+            title: group.name.clone(),
+            sets: self.by_set(|set| group.conditions.iter().map(|condition| spread(set, condition)).collect()),
+        };
+        let panels: Vec<Polar> = groups.iter().map(panel).collect();
+        let svg = polar::draw(title, &panels, &self.results.names, axis, scales);
+        self.figure(part, caption, svg);
+    }
+
+    /// The points of a figure's lines, in a file.
+    pub fn lines(&mut self, lines: impl IntoIterator<Item = Lines>) {
+        self.findings.lines.extend(lines);
+    }
+
+    /// What a reader has to know.
+    pub fn notes(&mut self, notes: impl IntoIterator<Item = String>) {
+        self.findings.notes.extend(notes);
+    }
+
+    /// Something of each set.
+    pub fn by_set<T>(&self, of: impl Fn(usize) -> T) -> Vec<T> {
+        (0..self.results.sets.len()).map(of).collect()
+    }
+
+    /// A quantity in a condition, by set and seed.
+    pub fn per_seed(&self, condition: usize, quantity: &str) -> Vec<PerSeed> {
+        self.by_set(|set| self.results.per_seed(set, condition, quantity))
+    }
+}

@@ -1,0 +1,267 @@
+//! An entry of an observation: as it is written in a file, and checked.
+
+use serde::{Deserialize, Serialize};
+
+use super::Quantity;
+use super::quantity::Kind;
+use crate::robot::{JOINTS, Joints};
+
+/// Longest history \[policy steps\].
+const MAX_STEPS_AGO: u32 = 200;
+
+/// Longest observation.
+pub(super) const MAX_LENGTH: usize = 1 << 16;
+
+/// An entry of an observation, as it is written in a file. What is left out has the value in brackets.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Observed {
+    /// What it is.
+    pub quantity: Quantity,
+    /// Parts of a vector, in order: forward, left, up, or backward, right, down; yaw of a command [forward, left, up].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub elements: Option<Vec<String>>,
+    /// How old, in policy steps, or several ages in order \[0\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps_ago: Option<Ages>,
+    /// Subtracted \[0\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub offset: Option<Numbers>,
+    /// Multiplied with after that \[1\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<Numbers>,
+    /// Limit after that; none if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clip: Option<f64>,
+    /// Of clocks \[Hz\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub frequency_hz: Option<f64>,
+    /// Of clocks, as fractions of a period \[0\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub phases: Option<Vec<f64>>,
+    /// Of constants.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub values: Option<Vec<f64>>,
+}
+
+impl Observed {
+    /// A quantity of now as it is.
+    pub fn now(quantity: Quantity) -> Self {
+        Observed {
+            quantity,
+            elements: None,
+            steps_ago: None,
+            offset: None,
+            scale: None,
+            clip: None,
+            frequency_hz: None,
+            phases: None,
+            values: None,
+        }
+    }
+}
+
+/// A number, one for each element, or a number that the robot or the action decides.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected a number, a list of numbers, `nominal` (an offset) or `action` (a scale)")]
+pub enum Numbers {
+    /// The same for all elements.
+    All(f64),
+    /// In order.
+    Each(Vec<f64>),
+    /// See [`Word`].
+    Word(Word),
+}
+
+/// A number in words.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Word {
+    /// As an offset: what the quantity is in the nominal pose, for base height, joint angles and targets.
+    Nominal,
+    /// As a scale: one over that of the action, so that joint targets become what the network has put out.
+    Action,
+}
+
+/// An age, or several.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "expected a number of steps or a list of them")]
+pub enum Ages {
+    /// One.
+    One(u32),
+    /// Several, in order.
+    Several(Vec<u32>),
+}
+
+/// What offsets and scales in words stand for.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Nominal {
+    /// Joint angles, our order \[rad\].
+    pub pose: Joints,
+    /// Base height \[m\].
+    pub height_m: f64,
+    /// \[rad\] per unit of action.
+    pub action_scale_rad: f64,
+}
+
+/// A stretch of the observation, at one age or several.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Block {
+    /// What it is.
+    pub quantity: Quantity,
+    /// For vectors, which of (forward, left, up or yaw) each element is, and its sign.
+    pub axes: Vec<(usize, f64)>,
+    /// Policy steps ago, in order.
+    pub steps_ago: Vec<u32>,
+    /// Of clocks \[Hz\].
+    pub frequency_hz: f64,
+    /// Of clocks, their phases; of constants, their values.
+    pub values: Vec<f64>,
+    pub(super) width: usize,
+    /// Where it begins in a frame.
+    pub(super) start: usize,
+}
+
+impl Block {
+    /// Numbers in all.
+    pub fn length(&self) -> usize {
+        self.width * self.steps_ago.len()
+    }
+
+    /// Unit of its numbers; of a command, three.
+    pub fn unit(&self) -> &'static str {
+        self.quantity.about().2
+    }
+
+    /// Its parts in words, such as left, up, forward; empty if it is no vector.
+    pub fn elements(&self) -> Vec<&'static str> {
+        let command = self.quantity.about().0 == Kind::Command;
+        self.axes.iter().map(|(axis, sign)| part(*axis, *sign, command)).collect()
+    }
+}
+
+pub(super) fn block(entry: &Observed) -> Result<Block, String> {
+    let (kind, ..) = entry.quantity.about();
+    let is_vector = matches!(kind, Kind::Polar | Kind::Axial | Kind::Command);
+    let third = if kind == Kind::Command { "yaw" } else { "up" };
+    let axes = match &entry.elements {
+        Some(_) if !is_vector => return Err("it has no axes: leave out `elements`".into()),
+        Some(elements) => elements.iter().map(|name| axis(name, third)).collect::<Result<Vec<_>, _>>()?,
+        None if is_vector => (0..3).map(|axis| (axis, 1.0)).collect(),
+        None => Vec::new(),
+    };
+    let values = match (kind, entry.values.clone(), entry.phases.clone()) {
+        (Kind::Constant, Some(values), None) => values,
+        (Kind::Constant, ..) => return Err("a constant needs `values`, and no `phases`".into()),
+        (Kind::Clock, None, phases) => phases.unwrap_or_else(|| vec![0.0]),
+        (_, None, None) => Vec::new(),
+        _ => return Err("only constants have `values`, only clocks have `phases`".into()),
+    };
+    let frequency_hz = match entry.frequency_hz {
+        Some(frequency) if kind == Kind::Clock && (0.0..=1e3).contains(&frequency) => frequency,
+        None if kind != Kind::Clock => 0.0,
+        _ => return Err("clocks, and they alone, need a `frequency_hz` of 0 to 1000 Hz".into()),
+    };
+    let width = match kind {
+        Kind::Scalar => 1,
+        Kind::Polar | Kind::Axial | Kind::Command => axes.len(),
+        Kind::Joints => JOINTS,
+        Kind::Clock | Kind::Constant => values.len(),
+    };
+    if !values.iter().all(|value| value.is_finite()) || width > MAX_LENGTH {
+        return Err("its `values` or `phases` are not finite, or too many".into());
+    }
+    let steps_ago = match &entry.steps_ago {
+        None => vec![0],
+        Some(Ages::One(age)) => vec![*age],
+        Some(Ages::Several(ages)) => ages.clone(),
+    };
+    ages("steps_ago", &steps_ago)?;
+    Ok(Block { quantity: entry.quantity, axes, steps_ago, frequency_hz, values, width, start: 0 })
+}
+
+pub(super) fn offset(
+    entry: &Observed,
+    block: &Block,
+    order: &[usize; JOINTS],
+    nominal: &Nominal,
+) -> Result<Vec<f64>, String> {
+    match (&entry.offset, entry.quantity) {
+        (Some(Numbers::Word(Word::Nominal)), Quantity::BaseHeight) => Ok(vec![nominal.height_m]),
+        (Some(Numbers::Word(Word::Nominal)), Quantity::JointAngles | Quantity::LastTarget) => {
+            Ok(order.iter().map(|joint| nominal.pose[*joint]).collect())
+        }
+        (Some(Numbers::Word(_)), _) => {
+            Err("its `offset` must be a number: only base_height, joint_angles and last_target have a `nominal` one"
+                .into())
+        }
+        (found, _) => numbers("offset", found.as_ref(), block.width, 0.0),
+    }
+}
+
+pub(super) fn scale(entry: &Observed, block: &Block, nominal: &Nominal) -> Result<Vec<f64>, String> {
+    match &entry.scale {
+        Some(Numbers::Word(Word::Action)) => Ok(vec![1.0 / nominal.action_scale_rad; block.width]),
+        Some(Numbers::Word(_)) => Err("its `scale` must be a number, or `action`".into()),
+        found => numbers("scale", found.as_ref(), block.width, 1.0),
+    }
+}
+
+/// A part of a vector in words.
+fn part(axis: usize, sign: f64, command: bool) -> &'static str {
+    match (axis, sign > 0.0) {
+        (0, true) => "forward",
+        (0, false) => "backward",
+        (1, true) => "left",
+        (1, false) => "right",
+        (_, _) if command => "yaw rate",
+        (_, true) => "up",
+        (_, false) => "down",
+    }
+}
+
+fn axis(name: &str, third: &str) -> Result<(usize, f64), String> {
+    match name {
+        "forward" => Ok((0, 1.0)),
+        "backward" => Ok((0, -1.0)),
+        "left" => Ok((1, 1.0)),
+        "right" => Ok((1, -1.0)),
+        "down" if third == "up" => Ok((2, -1.0)),
+        other if other == third => Ok((2, 1.0)),
+        other => Err(format!("`elements` has '{other}', expected forward, backward, left, right or {third}")),
+    }
+}
+
+/// One number for each element, finite.
+pub(crate) fn numbers(key: &str, found: Option<&Numbers>, width: usize, default: f64) -> Result<Vec<f64>, String> {
+    let numbers = match found {
+        None => vec![default; width],
+        Some(Numbers::All(number)) => vec![*number; width],
+        Some(Numbers::Each(numbers)) => numbers.clone(),
+        Some(Numbers::Word(_)) => return Err(format!("`{key}` must be a number, or a list of {width}")),
+    };
+    if numbers.len() != width {
+        return Err(format!("`{key}` has {} numbers, expected one, or {width}", numbers.len()));
+    }
+    if !numbers.iter().all(|number| number.is_finite()) {
+        return Err(format!("`{key}` is {numbers:?}, expected finite numbers"));
+    }
+    Ok(numbers)
+}
+
+/// A limit, infinite if there is none.
+pub(crate) fn limit(key: &str, found: Option<f64>) -> Result<f64, String> {
+    match found {
+        None => Ok(f64::INFINITY),
+        Some(limit) if limit > 0.0 => Ok(limit),
+        Some(other) => Err(format!("`{key}` is {other}, expected a positive number")),
+    }
+}
+
+pub(super) fn ages(key: &str, ages: &[u32]) -> Result<(), String> {
+    if !ages.is_empty() && ages.len() <= 1 + MAX_STEPS_AGO as usize && ages.iter().all(|age| *age <= MAX_STEPS_AGO) {
+        Ok(())
+    } else {
+        Err(format!("`{key}` must be one or more ages from 0 to {MAX_STEPS_AGO} policy steps"))
+    }
+}

@@ -1,0 +1,374 @@
+//! A list of observed quantities, checked and made ready: what is measured, where each number of the observation comes from.
+
+use super::Quantity;
+use super::entry::{Block, MAX_LENGTH, Nominal, Observed, ages, block, limit, offset, scale};
+use super::observer::Moment;
+use super::quantity::Kind;
+use crate::robot::{JOINTS, Robot, joint_name};
+
+/// Where a number of the observation comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Source {
+    /// Steps ago.
+    pub(super) age: usize,
+    /// Within the frame of that step.
+    pub(super) index: usize,
+}
+
+/// A checked observation.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Layout {
+    blocks: Vec<Block>,
+    /// For each of the policy's joints, its place in our order.
+    order: [usize; JOINTS],
+    /// Steps ago of each repetition of the whole, in order.
+    history: Vec<u32>,
+    sources: Vec<Source>,
+    /// Shape (length) each, in the observation's units.
+    offset: Vec<f64>,
+    scale: Vec<f64>,
+    clip: Vec<f64>,
+    depth: usize,
+}
+
+impl Layout {
+    /// The observation of `entries`, of a policy that has the joints in our order.
+    ///
+    /// # Errors
+    /// In words: the entry, what was found and what was expected.
+    pub fn new(entries: &[Observed], nominal: &Nominal) -> Result<Self, String> {
+        Self::repeated(entries, &[0], None, std::array::from_fn(|joint| joint), nominal)
+    }
+
+    /// As [`Layout::new`], repeated as of so many steps ago, limited to ± `clip`, with the joints in another order.
+    ///
+    /// # Errors
+    /// As [`Layout::new`].
+    pub fn repeated(
+        entries: &[Observed],
+        history: &[u32],
+        clip: Option<f64>,
+        order: [usize; JOINTS],
+        nominal: &Nominal,
+    ) -> Result<Self, String> {
+        ages("history", history)?;
+        let clip = limit("observation_clip", clip)?;
+        let (mut blocks, mut offsets, mut scales, mut clips) =
+            (Vec::<Block>::new(), Vec::new(), Vec::new(), Vec::new());
+        let mut width = 0;
+        for (index, entry) in entries.iter().enumerate() {
+            let fail = |problem| format!("observation, entry {} ({:?}): {problem}", index + 1, entry.quantity);
+            let mut block = block(entry).map_err(fail)?;
+            block.start = width;
+            width += block.width;
+            offsets.push(offset(entry, &block, &order, nominal).map_err(fail)?);
+            scales.push(scale(entry, &block, nominal).map_err(fail)?);
+            clips.push(limit("clip", entry.clip).map_err(fail)?.min(clip));
+            blocks.push(block);
+        }
+        let length = history.len() * blocks.iter().map(Block::length).sum::<usize>();
+        if length > MAX_LENGTH || length == 0 {
+            return Err(format!("its observation has {length} numbers, expected 1 to {MAX_LENGTH}"));
+        }
+        let mut layout = Layout {
+            order,
+            history: history.to_vec(),
+            sources: Vec::with_capacity(length),
+            offset: Vec::with_capacity(length),
+            scale: Vec::with_capacity(length),
+            clip: Vec::with_capacity(length),
+            depth: 0,
+            blocks: Vec::new(),
+        };
+        for frame in history {
+            for (k, block) in blocks.iter().enumerate() {
+                for steps in &block.steps_ago {
+                    let age = (frame + steps) as usize;
+                    layout.depth = layout.depth.max(age + 1);
+                    layout.sources.extend((0..block.width).map(|index| Source { age, index: block.start + index }));
+                    layout.offset.extend(&offsets[k]);
+                    layout.scale.extend(&scales[k]);
+                    layout.clip.extend(std::iter::repeat_n(clips[k], block.width));
+                }
+            }
+        }
+        layout.blocks = blocks;
+        Ok(layout)
+    }
+
+    /// Numbers of the observation.
+    pub fn length(&self) -> usize {
+        self.sources.len()
+    }
+
+    /// Its parts, in order; each repeated as of the [`Layout::history`].
+    pub fn blocks(&self) -> &[Block] {
+        &self.blocks
+    }
+
+    /// Steps ago of each repetition of the whole.
+    pub fn history(&self) -> &[u32] {
+        &self.history
+    }
+
+    /// For each of the policy's joints, its place in our order.
+    pub fn order(&self) -> &[usize; JOINTS] {
+        &self.order
+    }
+
+    /// Subtracted from each number, shape (length), in its unit.
+    pub fn offset(&self) -> &[f64] {
+        &self.offset
+    }
+
+    /// What each number is multiplied with after that, shape (length).
+    pub fn scale(&self) -> &[f64] {
+        &self.scale
+    }
+
+    /// Limit of each number after that, shape (length); infinite for none.
+    pub fn clip(&self) -> &[f64] {
+        &self.clip
+    }
+
+    /// Whether any number is limited.
+    pub fn clips(&self) -> bool {
+        self.clip.iter().any(|clip| clip.is_finite())
+    }
+
+    /// The same observation with other offsets and scales, shape (length) each.
+    ///
+    /// # Errors
+    /// In words, if they have other lengths.
+    pub fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, String> {
+        let (found, expected) = ([offset.len(), scale.len()], self.length());
+        if found != [expected; 2] {
+            return Err(format!("its normaliser has {} and {} numbers, expected {expected}", found[0], found[1]));
+        }
+        (self.offset, self.scale) = (offset, scale);
+        Ok(self)
+    }
+
+    /// Number `k` of the observation as the network sees it.
+    pub fn normalised(&self, k: usize, raw: f64) -> f32 {
+        ((raw - self.offset[k]) * self.scale[k]).clamp(-self.clip[k], self.clip[k]) as f32
+    }
+
+    /// Name and unit of every number, such as `previous gravity left [m/s^2]`.
+    pub fn names(&self) -> Vec<String> {
+        let mut names = Vec::with_capacity(self.length());
+        for frame in &self.history {
+            for block in &self.blocks {
+                let (kind, what, unit) = block.quantity.about();
+                let units: Vec<&str> = unit.split(", ").collect();
+                for steps in &block.steps_ago {
+                    // What was last is of one step ago by itself.
+                    let last = matches!(block.quantity, Quantity::LastAction | Quantity::LastTarget);
+                    let when = match frame + steps + u32::from(last) {
+                        0 => String::new(),
+                        1 => "previous ".to_owned(),
+                        steps => format!("{steps} steps ago: "),
+                    };
+                    for k in 0..block.width {
+                        let name = match kind {
+                            Kind::Scalar => what.to_owned(),
+                            Kind::Polar | Kind::Axial | Kind::Command => format!("{what} {}", block.elements()[k]),
+                            Kind::Joints => format!("{} {what}", joint_name(self.order[k])),
+                            Kind::Clock | Kind::Constant => format!("{what} {k}"),
+                        };
+                        let unit = units[block.axes.get(k).map_or(0, |(axis, _)| axis % units.len())];
+                        names.push(format!("{when}{name} [{unit}]"));
+                    }
+                }
+            }
+        }
+        names
+    }
+
+    /// For each number, the one that becomes it in a mirror between left and right, and its sign.
+    ///
+    /// # Errors
+    /// In words: what has no mirror image, or is not scaled like its image.
+    pub fn mirrored(&self, robot: &Robot) -> Result<Vec<(usize, f32)>, String> {
+        let mut images = Vec::with_capacity(self.length());
+        for _ in &self.history {
+            for block in &self.blocks {
+                for _ in &block.steps_ago {
+                    let start = images.len();
+                    for k in 0..block.width {
+                        let (index, sign) = self.image(block, k, robot)?;
+                        images.push((start + index, sign as f32));
+                    }
+                }
+            }
+        }
+        for (k, (image, sign)) in images.iter().enumerate() {
+            let alike = self.scale[k] == self.scale[*image] && self.offset[k] == f64::from(*sign) * self.offset[*image];
+            if !alike {
+                return Err(format!(
+                    "'{}' and its mirror image have offsets and scales that are no images of one another",
+                    self.names()[k]
+                ));
+            }
+        }
+        Ok(images)
+    }
+
+    /// Within a block.
+    fn image(&self, block: &Block, k: usize, robot: &Robot) -> Result<(usize, f64), String> {
+        let sign = |signs: [f64; 3]| Ok((k, signs[block.axes[k].0]));
+        match block.quantity.about().0 {
+            Kind::Scalar => Ok((k, 1.0)),
+            Kind::Polar => sign([1.0, -1.0, 1.0]),
+            Kind::Axial => sign([-1.0, 1.0, -1.0]),
+            Kind::Command => sign([1.0, -1.0, -1.0]),
+            Kind::Joints => {
+                let (joint, sign) = robot.mirrored(self.order[k]);
+                let index = self.order.iter().position(|place| *place == joint).unwrap_or(k);
+                Ok((index, sign))
+            }
+            Kind::Clock | Kind::Constant => Err(format!("{:?} has no mirror image", block.quantity)),
+        }
+    }
+
+    /// Measures all blocks into a frame.
+    pub(super) fn measure(&self, now: &Moment<'_>, frame: &mut [f64]) {
+        for block in &self.blocks {
+            let (clock, out) = ((block.frequency_hz, &block.values[..]), &mut frame[block.start..][..block.width]);
+            block.quantity.measure(&block.axes, clock, &self.order, now, out);
+        }
+    }
+
+    /// Numbers that are measured in a step.
+    pub fn frame_width(&self) -> usize {
+        self.blocks.iter().map(|block| block.width).sum()
+    }
+
+    /// Frames that have to be kept.
+    pub(super) fn depth(&self) -> usize {
+        self.depth
+    }
+
+    pub(super) fn sources(&self) -> &[Source] {
+        &self.sources
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::observation::{Command, Numbers, Observer, Scales, paper_layout};
+    use crate::robot::{FootState, RobotState, same_in_every_leg};
+
+    fn state() -> RobotState {
+        RobotState {
+            position: Vector3::new(7.0, 8.0, 9.0),
+            world_from_base: UnitQuaternion::identity(),
+            height: 0.25,
+            velocity_in_base: Vector3::new(1.0, 2.0, 3.0),
+            angular_velocity_in_base: Vector3::new(4.0, 5.0, 6.0),
+            gravity_in_base: Vector3::new(-0.1, -0.2, -9.8),
+            joint_angles: std::array::from_fn(|k| k as f64),
+            joint_rates: std::array::from_fn(|k| 100.0 + k as f64),
+            feet: [FootState::default(); 4],
+        }
+    }
+
+    fn paper() -> Layout {
+        let scales = Scales {
+            height_scale: 10.0,
+            gravity_scale: 0.1019368,
+            joint_angle_scale: 1.0,
+            velocity_scale: 1.0,
+            angular_velocity_scale: 0.25,
+            joint_rate_scale: 0.05,
+        };
+        let nominal = Nominal { pose: same_in_every_leg([0.0, 0.72, -1.44]), height_m: 0.31, action_scale_rad: 0.3 };
+        Layout::new(&paper_layout(&scales), &nominal).unwrap()
+    }
+
+    fn observe(observer: &mut Observer, layout: &Layout, state: &RobotState, target: f64) -> Vec<f64> {
+        let command = Command::velocity(0.5, 0.25, -0.125);
+        let (last_action, last_target, nominal) = ([0.0; 12], [target; 12], [0.0; 12]);
+        let (last_action, last_target, nominal) = (&last_action, &last_target, &nominal);
+        let now = Moment { state, command: &command, last_action, last_target, nominal, time_s: 0.0 };
+        observer.measure(layout, &now);
+        observer.raw(layout)
+    }
+
+    #[test]
+    fn the_papers_observation_has_83_numbers_in_its_order_and_axes() {
+        let layout = paper();
+        assert_eq!(layout.length(), 83);
+        let mut observer = Observer::new();
+        let first = observe(&mut observer, &layout, &state(), 2.0);
+        let mut later = state();
+        later.height = 0.35;
+        let values = observe(&mut observer, &layout, &later, 3.0);
+        // ô_{t−1}: y, g, q, v, ω, q̇; a_{t−1}; ô_t; left, forward, yaw.
+        assert_eq!(values[0], 0.25);
+        assert_eq!(values[1..4], [-0.2, -9.8, -0.1]);
+        assert_eq!(values[4..7], [0.0, 1.0, 2.0]);
+        assert_eq!(values[16..19], [2.0, 3.0, 1.0]);
+        assert_eq!(values[19..22], [5.0, 6.0, 4.0]);
+        assert_eq!(values[22], 100.0);
+        assert_eq!(values[34..46], [3.0; 12]);
+        assert_eq!(values[46], 0.35);
+        assert_eq!(values[80..], [0.25, 0.5, -0.125]);
+        // Before the first measurement all was as it is in it.
+        assert_eq!(first[..34], first[46..80]);
+    }
+
+    #[test]
+    fn nominal_pose_at_desired_height_and_rest_is_zero_but_for_gravity() {
+        let pose = same_in_every_leg([0.0, 0.72, -1.44]);
+        let mut rest = state();
+        (rest.height, rest.joint_angles, rest.joint_rates) = (0.31, pose, [0.0; 12]);
+        (rest.velocity_in_base, rest.angular_velocity_in_base) = (Vector3::zeros(), Vector3::zeros());
+        rest.gravity_in_base = Vector3::new(0.0, 0.0, -9.81);
+        let (layout, mut observer) = (paper(), Observer::new());
+        let (command, zero) = (Command::default(), [0.0; 12]);
+        let now = Moment {
+            state: &rest,
+            command: &command,
+            last_action: &zero,
+            last_target: &pose,
+            nominal: &pose,
+            time_s: 0.0,
+        };
+        observer.measure(&layout, &now);
+        let mut seen = vec![0.0; layout.length()];
+        observer.normalised(&layout, &mut seen);
+        for (index, value) in seen.iter().enumerate() {
+            let expected = if index == 2 || index == 46 + 2 { -1.0 } else { 0.0 };
+            assert!((value - expected).abs() < 1e-6, "element {index} is {value}");
+        }
+    }
+
+    #[test]
+    fn every_number_of_the_observation_has_a_name_and_a_unit() {
+        let names = paper().names();
+        assert_eq!(names.len(), 83);
+        assert_eq!(names[0], "previous base height [m]");
+        assert_eq!(names[1], "previous gravity left [m/s^2]");
+        assert_eq!(names[34], "previous FR_hip target [rad]");
+        assert_eq!(names[46], "base height [m]");
+        assert_eq!(names[80..], ["commanded left [m/s]", "commanded forward [m/s]", "commanded yaw rate [rad/s]"]);
+        assert_eq!(names.iter().collect::<std::collections::BTreeSet<_>>().len(), 83);
+    }
+
+    #[test]
+    fn what_has_no_side_and_what_is_scaled_for_one_side_has_no_mirror_image() {
+        let robot = Robot::load("go1").unwrap();
+        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: 0.3 };
+        let mirrored = |entry: Observed| Layout::new(&[entry], &nominal).unwrap().mirrored(&robot);
+        let clock = Observed { frequency_hz: Some(2.0), ..Observed::now(Quantity::ClockSin) };
+        assert!(mirrored(clock).unwrap_err().contains("ClockSin has no mirror image"));
+        let offset = Some(Numbers::Each(vec![0.0, 0.1, 0.0]));
+        assert!(mirrored(Observed { offset, ..Observed::now(Quantity::BaseVelocity) }).is_err());
+        let velocity = mirrored(Observed::now(Quantity::BaseVelocity)).unwrap();
+        assert_eq!(velocity, [(0, 1.0), (1, -1.0), (2, 1.0)]);
+    }
+}

@@ -1,0 +1,116 @@
+//! What is put to the test in a scenario: a policy of ours, or an external one.
+
+use std::path::Path;
+
+use super::controller::Controller;
+use super::external::{ExternalError, ExternalPolicy};
+use super::file::{Policy, PolicyError};
+use super::inference::Inference;
+use crate::config::Config;
+use crate::robot::Robot;
+use crate::util::files;
+
+/// Why there is no agent.
+#[derive(Debug, thiserror::Error)]
+pub enum AgentError {
+    /// A policy file of ours.
+    #[error(transparent)]
+    Policy(#[from] PolicyError),
+    /// An external policy.
+    #[error(transparent)]
+    External(#[from] ExternalError),
+}
+
+/// A policy with the robot, rates, gains and latency that it runs with.
+#[derive(Debug)]
+pub struct Agent {
+    /// What it runs with.
+    pub config: Config,
+    /// Identity of the policy: SHA-256 of its files.
+    pub sha256: String,
+    mind: Mind,
+}
+
+#[derive(Debug)]
+enum Mind {
+    Ours(Box<Policy>),
+    External(Box<Inference>),
+}
+
+impl Agent {
+    /// Reads a policy: a YAML file describes an external one, everything else is a policy file of ours.
+    ///
+    /// # Errors
+    /// [`AgentError`]
+    pub fn load(path: &Path) -> Result<Self, AgentError> {
+        if files::is_yaml(path) {
+            return Ok(ExternalPolicy::load(path)?.into());
+        }
+        let mut agent = Agent::from(Policy::load(path)?);
+        agent.find_robot(path.parent().unwrap_or(Path::new("")));
+        Ok(agent)
+    }
+
+    /// The file of a robot that does not ship goes by its name alone: it lies beside the policy, or where the run had it.
+    fn find_robot(&mut self, folder: &Path) {
+        let model = &mut self.config.robot.model;
+        if Robot::ships(model) || Path::new(model).is_absolute() {
+            return;
+        }
+        let beside = folder.join(&*model);
+        let of_run = || {
+            let name = folder.join("config.yaml").to_string_lossy().into_owned();
+            Config::load(&name).ok().map(|config| config.robot.model)
+        };
+        let found = if beside.exists() { Some(beside.to_string_lossy().into_owned()) } else { of_run() };
+        *model = found.unwrap_or_else(|| std::mem::take(model));
+    }
+
+    /// A controller of one robot.
+    pub fn controller(&self) -> Box<dyn Controller + '_> {
+        Box::new(self.inference().controller())
+    }
+
+    /// What turns states into joint targets.
+    pub fn inference(&self) -> &Inference {
+        match &self.mind {
+            Mind::Ours(policy) => policy.inference(),
+            Mind::External(inference) => inference,
+        }
+    }
+
+    /// Runs it on another robot.
+    pub fn run_on(&mut self, robot: &Robot) {
+        self.config.robot.model.clone_from(&robot.name);
+    }
+
+    /// The policy file, if it is ours.
+    pub fn policy(&self) -> Option<&Policy> {
+        match &self.mind {
+            Mind::Ours(policy) => Some(policy),
+            Mind::External(_) => None,
+        }
+    }
+
+    /// As [`Agent::policy`], to keep.
+    pub fn into_policy(self) -> Option<Policy> {
+        match self.mind {
+            Mind::Ours(policy) => Some(*policy),
+            Mind::External(_) => None,
+        }
+    }
+}
+
+impl From<Policy> for Agent {
+    fn from(policy: Policy) -> Self {
+        let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
+        Agent { config, sha256, mind: Mind::Ours(Box::new(policy)) }
+    }
+}
+
+impl From<ExternalPolicy> for Agent {
+    fn from(policy: ExternalPolicy) -> Self {
+        let ExternalPolicy { inference, config, sha256 } = policy;
+        Agent { config, sha256, mind: Mind::External(Box::new(inference)) }
+    }
+}

@@ -1,0 +1,157 @@
+//! The YAML file of an external policy, checked.
+
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::ExternalError;
+use crate::config::{Config, ConfigError, Simulation};
+use crate::observation::{Layout, Nominal, Numbers, Observed, limit, numbers};
+use crate::policy::inference::{Action, Meaning};
+use crate::policy::onnx::Network;
+use crate::robot::{JOINTS, joint_names};
+use crate::util::yaml;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawAction {
+    meaning: Meaning,
+    scale_rad: Numbers,
+    clip: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RawSpec {
+    onnx: PathBuf,
+    simulation: Simulation,
+    joints: Vec<String>,
+    nominal_pose_rad: Vec<f64>,
+    observation: Vec<Observed>,
+    history: Option<Vec<u32>>,
+    observation_clip: Option<f64>,
+    action: RawAction,
+}
+
+/// A checked file: everything but the network.
+#[derive(Debug)]
+pub(super) struct Spec {
+    pub(super) onnx: PathBuf,
+    pub(super) layout: Layout,
+    pub(super) action: Action,
+    /// Rates, gains and latency to run it with; all else is that of the paper's configuration.
+    pub(super) config: Config,
+}
+
+impl Spec {
+    /// Checks the text of the file at `path`.
+    pub(super) fn parse(path: &Path, text: &str) -> Result<Self, ExternalError> {
+        let name = path.display().to_string();
+        let raw: RawSpec = yaml::layered(&name, &[text]).map_err(ConfigError::from)?;
+        let mut config = Config::load("compliant")?;
+        config.simulation = raw.simulation.clone();
+        config.check().map_err(|error| ConfigError::Value { name, error })?;
+        Self::new(raw, config).map_err(|problem| ExternalError::Invalid { path: path.to_owned(), problem })
+    }
+
+    fn new(raw: RawSpec, config: Config) -> Result<Self, String> {
+        let order = joint_order(&raw.joints)?;
+        let pose: [f64; JOINTS] = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| {
+            format!("nominal_pose_rad has {} angles, expected {JOINTS}, in the order of `joints`", pose.len())
+        })?;
+        if !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU) {
+            return Err(format!("nominal_pose_rad is {pose:?}, expected angles of at most one turn"));
+        }
+        let mut nominal_pose = [0.0; JOINTS];
+        for (place, angle) in order.iter().zip(pose) {
+            nominal_pose[*place] = angle;
+        }
+        let scale = numbers("action.scale_rad", Some(&raw.action.scale_rad), JOINTS, 1.0)?;
+        let nominal = Nominal { pose: nominal_pose, height_m: config.reward.base_height_m, action_scale_rad: scale[0] };
+        let history = raw.history.unwrap_or_else(|| vec![0]);
+        Ok(Spec {
+            onnx: raw.onnx,
+            layout: Layout::repeated(&raw.observation, &history, raw.observation_clip, order, &nominal)?,
+            action: Action {
+                nominal_pose,
+                meaning: raw.action.meaning,
+                scale_rad: std::array::from_fn(|joint| scale[joint]),
+                clip: limit("action.clip", raw.action.clip)?,
+            },
+            config,
+        })
+    }
+
+    /// Checks that the network takes and gives as many numbers as the file says.
+    pub(super) fn check(&self, network: &Network) -> Result<(), String> {
+        let (length, onnx) = (self.layout.length(), self.onnx.display());
+        if length != network.inputs() {
+            let blocks = self.layout.blocks().iter();
+            let lengths: Vec<String> = blocks.map(|block| format!("{:?} {}", block.quantity, block.length())).collect();
+            let times = self.layout.history().len();
+            let times = if times == 1 { String::new() } else { format!(", {times} times") };
+            return Err(format!(
+                "its observation has {length} numbers ({}{times}), but the input '{}' of {onnx} takes {}",
+                lengths.join(", "),
+                network.input_name(),
+                network.inputs()
+            ));
+        }
+        if network.outputs() != JOINTS {
+            return Err(format!("{onnx} has {} outputs, expected one for each of {JOINTS} joints", network.outputs()));
+        }
+        Ok(())
+    }
+}
+
+/// Where each of the policy's joints is in our order. Names are ours, with or without `_joint`.
+fn joint_order(names: &[String]) -> Result<[usize; JOINTS], String> {
+    let known = joint_names();
+    let place = |name: &String| {
+        let short = name.strip_suffix("_joint").unwrap_or(name);
+        known.iter().position(|known| known == short).ok_or_else(|| {
+            format!("`joints` has '{name}', which is no joint of the robot; they are: {}", known.join(", "))
+        })
+    };
+    let order = names.iter().map(place).collect::<Result<Vec<_>, _>>()?;
+    match <[usize; JOINTS]>::try_from(order) {
+        Ok(order) if (0..JOINTS).all(|joint| order.contains(&joint)) => Ok(order),
+        _ => Err(format!("`joints` must name each of these once, in the policy's order: {}", known.join(", "))),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const EXAMPLE: &str = include_str!("../../../examples/policies/rsl_rl.yaml");
+
+    #[test]
+    fn the_example_parses() {
+        let spec = Spec::parse(Path::new("rsl_rl.yaml"), EXAMPLE).unwrap();
+        assert_eq!(spec.layout.length(), 48);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn descriptions_changed_at_random_never_panic(
+            changes in prop::collection::vec((any::<prop::sample::Index>(), "[ -~\n]{0,3}"), 1..6),
+        ) {
+            // Comments are most of the example.
+            let bare: Vec<&str> =
+                EXAMPLE.lines().filter_map(|line| line.split('#').next()).filter(|line| !line.trim().is_empty()).collect();
+            let mut text = bare.join("\n");
+            for (place, new) in changes {
+                let at = place.index(text.len());
+                text.replace_range(at..at + 1, &new);
+            }
+            // Whatever is accepted is bounded.
+            if let Ok(spec) = Spec::parse(Path::new("changed"), &text) {
+                prop_assert!(spec.layout.length() <= 1 << 16);
+            }
+        }
+    }
+}

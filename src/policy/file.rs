@@ -1,0 +1,493 @@
+/*! The deployable policy: one safetensors file with everything that is needed to run it on a robot.
+
+Weights and normaliser are tensors; what they mean (observation layout with units, joint order, nominal pose, scale,
+gains, latency, rates, where it came from) is JSON under the metadata key `supple`. Three observations with the joint
+targets they lead to are stored with it, so that every reader can check itself.
+*/
+
+use std::path::{Path, PathBuf};
+
+use rand::RngExt;
+use rand_distr::StandardNormal;
+use safetensors::SafeTensors;
+use serde::{Deserialize, Serialize};
+
+use super::inference::{Action, Buffers, Inference, Meaning, Network};
+use crate::config::{Config, Simulation};
+use crate::network::{ActorCritic, Layer, Mlp, PackedMlp};
+use crate::observation::Layout;
+use crate::robot::{JOINTS, Joints, Robot, joint_names, same_in_every_leg};
+use crate::util::files;
+use crate::util::random::{Purpose, stream};
+use crate::util::tensors::{self, Tensor};
+
+/// Version of the file format that is written.
+pub const FORMAT: u32 = 2;
+
+/// The oldest that is read: its configuration states scales of the paper's observation instead of a list.
+const OLDEST_FORMAT: u32 = 1;
+
+/// Larger files are not policies.
+const MAX_BYTES: u64 = 64 << 20;
+
+/// Stored pairs of observation and joint targets.
+const GOLDEN: usize = 3;
+
+/// Joint targets may differ by this much from the stored ones on another machine \[rad\].
+const GOLDEN_TOLERANCE: f64 = 1e-5;
+
+/// Why a policy file was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum PolicyError {
+    /// Reading or writing failed.
+    #[error("policy {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The content is not a policy of this format.
+    #[error("policy {}: {problem}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What was found and expected.
+        problem: String,
+    },
+}
+
+/// A stretch of the observation, in words for other programs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct BlockInfo {
+    /// What it is.
+    quantity: String,
+    /// Policy steps ago that it was measured.
+    age: u32,
+    /// How many numbers.
+    length: usize,
+    /// Their unit.
+    unit: String,
+}
+
+/// Where a policy came from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Provenance {
+    /// Name of the configuration.
+    pub config_name: String,
+    /// The whole configuration.
+    pub config: Config,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Samples it has seen.
+    pub samples: u64,
+    /// Git revision of the program that trained it.
+    pub git_revision: String,
+    /// MuJoCo version it was trained on.
+    pub mujoco_version: String,
+}
+
+/// In words and numbers, what a program in another language needs to run the policy.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Usage {
+    /// Name and unit of every number of the observation, in order.
+    pub observation_elements: Vec<String>,
+    /// What the first layer sees.
+    pub network_input: String,
+    /// What is between the layers.
+    pub activation: String,
+    /// What the last layer's outputs are.
+    pub joint_target: String,
+    /// Ranges of the joints \[rad\]; none in old files of imported robots.
+    pub joint_limits_rad: Option<[[f64; 2]; JOINTS]>,
+    /// Limits of the PD law's torques [N·m]; none in old files of imported robots.
+    pub torque_limits_n_m: Option<Joints>,
+}
+
+impl Usage {
+    fn new(layout: &Layout, robot: &Robot) -> Self {
+        let clipped = if layout.clips() { ", clipped as the configuration has it" } else { "" };
+        Usage {
+            observation_elements: layout.names(),
+            network_input: format!("(observation - normaliser.offset) * normaliser.scale{clipped}"),
+            activation: "elu after every layer but the last; layer k is policy.k.weight, policy.k.bias".into(),
+            joint_target: "nominal_pose_rad + scale_rad * output, held until the next step, for the PD law".into(),
+            joint_limits_rad: Some(robot.joint_limits),
+            torque_limits_n_m: Some(robot.torque_limits),
+        }
+    }
+}
+
+/// The JSON under the metadata key `supple`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Metadata {
+    format: u32,
+    observation: Vec<BlockInfo>,
+    joints: Vec<String>,
+    nominal_pose_rad: Joints,
+    scale_rad: f64,
+    simulation: Simulation,
+    provenance: Provenance,
+    usage: Usage,
+}
+
+/// A trained policy with what is needed to use it.
+#[derive(Debug)]
+pub struct Policy {
+    /// From normalised observation to action, mean only.
+    pub actor: Mlp,
+    /// Where it came from; rates, gains and latency are those of its configuration.
+    pub provenance: Provenance,
+    /// For other programs.
+    pub usage: Usage,
+    inference: Inference,
+    /// Of the file that it was read from, or would be written to.
+    sha256: String,
+}
+
+impl Policy {
+    /// The deterministic policy of a network in training, which sees `layout` of `robot`.
+    pub fn new(network: &ActorCritic, robot: &Robot, layout: Layout, mut provenance: Provenance) -> Self {
+        let config = &mut provenance.config;
+        // Files go to other machines, on which this one's folders mean nothing.
+        if let (false, Some(name)) = (Robot::ships(&robot.name), Path::new(&robot.name).file_name()) {
+            config.robot.model = name.to_string_lossy().into_owned();
+        }
+        let usage = Usage::new(&layout, robot);
+        let nominal_pose = same_in_every_leg(config.action.nominal_pose_rad);
+        let inference = inference(&network.policy, layout, nominal_pose, config.action.scale_rad, &config.simulation);
+        let mut policy = Policy { actor: network.policy.clone(), usage, inference, provenance, sha256: String::new() };
+        // What was built from whole tensors can be serialised.
+        policy.sha256 = files::sha256(&[&policy.to_bytes().unwrap_or_default()]);
+        policy
+    }
+
+    /// What it sees.
+    pub fn layout(&self) -> &Layout {
+        &self.inference.layout
+    }
+
+    /// Joint targets at action zero \[rad\].
+    pub fn nominal_pose(&self) -> &Joints {
+        &self.inference.action.nominal_pose
+    }
+
+    /// \[rad\] per unit of action.
+    pub fn scale_rad(&self) -> f64 {
+        self.inference.action.scale_rad[0]
+    }
+
+    /// What turns states into joint targets.
+    pub fn inference(&self) -> &Inference {
+        &self.inference
+    }
+
+    /// Joint targets \[rad\] for an observation in physical units, shape (length of the layout).
+    pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
+        let layout = self.layout();
+        let seen: Vec<f32> = observation.iter().enumerate().map(|(k, raw)| layout.normalised(k, *raw)).collect();
+        self.inference.act(&seen, buffers).1
+    }
+
+    /// Bytes of the policy file.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
+        let mut all = Vec::new();
+        for (index, layer) in self.actor.layers.iter().enumerate() {
+            let shape = vec![layer.outputs(), layer.inputs()];
+            all.push(Tensor::f32(format!("policy.{index}.weight"), shape, &layer.weight));
+            all.push(Tensor::f32(format!("policy.{index}.bias"), vec![layer.outputs()], &layer.bias));
+        }
+        let (observations, targets) = self.golden();
+        let length = self.layout().length();
+        all.push(Tensor::f64("normaliser.offset", vec![length], self.layout().offset()));
+        all.push(Tensor::f64("normaliser.scale", vec![length], self.layout().scale()));
+        all.push(Tensor::f64("golden.observation", vec![GOLDEN, length], &observations));
+        all.push(Tensor::f64("golden.joint_target", vec![GOLDEN, JOINTS], &targets));
+        tensors::serialize(&all, self.metadata_json())
+    }
+
+    /// The metadata as JSON.
+    pub fn metadata_json(&self) -> String {
+        let metadata = Metadata {
+            format: FORMAT,
+            observation: block_infos(self.layout()),
+            joints: joint_names().to_vec(),
+            nominal_pose_rad: *self.nominal_pose(),
+            scale_rad: self.scale_rad(),
+            simulation: self.provenance.config.simulation.clone(),
+            provenance: self.provenance.clone(),
+            usage: self.usage.clone(),
+        };
+        // Plain structs of finite numbers and strings: serialising them cannot fail.
+        serde_json::to_string(&metadata).unwrap_or_default()
+    }
+
+    /// Identity: the SHA-256 of the policy file.
+    pub fn sha256(&self) -> &str {
+        &self.sha256
+    }
+
+    /// Writes the policy file atomically.
+    ///
+    /// # Errors
+    /// [`PolicyError`] with the file's name.
+    pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
+        let bytes = self.to_bytes().map_err(|error| invalid(path, error))?;
+        files::write_atomically(path, &bytes).map_err(|source| PolicyError::Io { path: path.to_owned(), source })
+    }
+
+    /// Reads a policy file and checks everything in it, the golden pairs included.
+    ///
+    /// # Errors
+    /// [`PolicyError`] that says what was found and what was expected.
+    pub fn load(path: &Path) -> Result<Self, PolicyError> {
+        let bytes =
+            files::read_bounded(path, MAX_BYTES).map_err(|source| PolicyError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// As [`Policy::load`] from memory; `path` is for messages.
+    ///
+    /// # Errors
+    /// See [`Policy::load`].
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, PolicyError> {
+        let fail = |problem: String| PolicyError::Invalid { path: path.to_owned(), problem };
+        let (tensors, json) = tensors::deserialize(bytes).map_err(fail)?;
+        let format: Format =
+            serde_json::from_str(&json).map_err(|error| fail(format!("its metadata do not parse: {error}")))?;
+        format.check().map_err(fail)?;
+        let metadata: Metadata =
+            serde_json::from_str(&json).map_err(|error| fail(format!("its metadata do not parse: {error}")))?;
+        let layout = metadata.check().map_err(fail)?;
+        let length = layout.length();
+
+        let read = |name: &str, shape: &[usize]| tensors::read_f64(&tensors, name, shape).map_err(fail);
+        let (offset, scale) = (read("normaliser.offset", &[length])?, read("normaliser.scale", &[length])?);
+        let layout = layout.with_normaliser(offset, scale).map_err(fail)?;
+        let actor = read_actor(&tensors, length).map_err(fail)?;
+        let Metadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
+        let inference = inference(&actor, layout, nominal_pose_rad, scale_rad, &provenance.config.simulation);
+        let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
+        let observations = read("golden.observation", &[GOLDEN, length])?;
+        let expected = read("golden.joint_target", &[GOLDEN, JOINTS])?;
+        let found = policy.targets_of(&observations);
+        let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        if worst.is_nan() || worst > GOLDEN_TOLERANCE {
+            return Err(fail(format!(
+                "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: \
+                 the file is damaged"
+            )));
+        }
+        Ok(policy)
+    }
+
+    fn targets_of(&self, observations: &[f64]) -> Vec<f64> {
+        let mut buffers = Buffers::default();
+        let rows = observations.chunks_exact(self.layout().length());
+        rows.flat_map(|row| self.joint_targets(row, &mut buffers)).collect()
+    }
+
+    /// Plausible observations and the joint targets they lead to.
+    fn golden(&self) -> (Vec<f64>, Vec<f64>) {
+        let mut rng = stream(0, Purpose::Weights, u64::MAX, 0);
+        let (layout, length) = (self.layout(), self.layout().length());
+        let observations: Vec<f64> = (0..GOLDEN * length)
+            .map(|k| {
+                let (offset, scale) = (layout.offset()[k % length], layout.scale()[k % length]);
+                offset + 0.5 * rng.sample::<f64, _>(StandardNormal) / scale
+            })
+            .collect();
+        let targets = self.targets_of(&observations);
+        (observations, targets)
+    }
+}
+
+fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, simulation: &Simulation) -> Inference {
+    Inference {
+        layout,
+        action: Action {
+            nominal_pose,
+            meaning: Meaning::OffsetFromNominal,
+            scale_rad: [scale_rad; JOINTS],
+            clip: f64::INFINITY,
+        },
+        network: Network::Mlp(PackedMlp::new(actor)),
+        period_s: simulation.policy_period_s(),
+    }
+}
+
+/// What decides whether the rest can be read.
+#[derive(Deserialize)]
+struct Format {
+    format: u32,
+}
+
+impl Format {
+    fn check(&self) -> Result<(), String> {
+        if (OLDEST_FORMAT..=FORMAT).contains(&self.format) {
+            return Ok(());
+        }
+        let found = self.format;
+        Err(format!("its format is {found}, this program reads {OLDEST_FORMAT} to {FORMAT}: it is of a newer one"))
+    }
+}
+
+impl Metadata {
+    /// The observation that it describes.
+    fn check(&self) -> Result<Layout, String> {
+        let config = &self.provenance.config;
+        config.check().map_err(|error| error.to_string())?;
+        let layout = config.layout()?;
+        let named = self.usage.observation_elements.len();
+        let lengths: usize = self.observation.iter().map(|block| block.length).sum();
+        if [named, lengths] != [layout.length(); 2] {
+            return Err(format!(
+                "it describes {lengths} numbers of the observation and names {named}, its configuration has {}",
+                layout.length()
+            ));
+        }
+        if self.joints != joint_names() {
+            return Err(format!("its joints are {:?}, expected {:?}", self.joints, joint_names()));
+        }
+        let finite = self.nominal_pose_rad.iter().all(|angle| angle.is_finite()) && self.scale_rad.is_finite();
+        if !finite {
+            return Err("its nominal pose or scale is not finite".into());
+        }
+        if self.simulation != config.simulation {
+            return Err("its simulation differs from that of the configuration it was trained with".into());
+        }
+        Ok(layout)
+    }
+}
+
+/// The observation in words and numbers.
+fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
+    let mut infos = Vec::new();
+    for block in layout.blocks() {
+        // As YAML and JSON spell it.
+        let quantity = serde_json::to_value(block.quantity).unwrap_or_default();
+        let quantity = quantity.as_str().unwrap_or_default();
+        infos.extend(block.steps_ago.iter().map(|age| BlockInfo {
+            quantity: quantity.to_owned(),
+            age: *age,
+            length: block.length() / block.steps_ago.len(),
+            unit: block.unit().to_owned(),
+        }));
+    }
+    infos
+}
+
+fn read_actor(tensors: &SafeTensors<'_>, length: usize) -> Result<Mlp, String> {
+    let (mut layers, mut inputs) = (Vec::new(), length);
+    while let Ok(view) = tensors.tensor(&format!("policy.{}.weight", layers.len())) {
+        let index = layers.len();
+        let outputs = view.shape().first().copied().unwrap_or(0);
+        let weight = tensors::read_f32(tensors, &format!("policy.{index}.weight"), &[outputs, inputs])?;
+        let bias = tensors::read_f32(tensors, &format!("policy.{index}.bias"), &[outputs])?;
+        if outputs == 0 {
+            return Err(format!("its tensor policy.{index}.weight has no rows"));
+        }
+        layers.push(Layer { weight, bias });
+        inputs = outputs;
+    }
+    if layers.is_empty() || inputs != JOINTS {
+        let found = layers.len();
+        return Err(format!("its network has {found} layers and {inputs} outputs, expected {JOINTS} outputs"));
+    }
+    Ok(Mlp { layers })
+}
+
+fn invalid(path: &Path, error: impl ToString) -> PolicyError {
+    PolicyError::Invalid { path: path.to_owned(), problem: error.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn policy() -> Policy {
+        let config = Config::load("compliant").unwrap();
+        let mut rng = stream(5, Purpose::Weights, 0, 0);
+        let layout = config.layout().unwrap();
+        let network = ActorCritic::orthogonal(layout.length(), &[32, 16], JOINTS, -1.0, &mut rng);
+        let provenance = Provenance {
+            config_name: "compliant".into(),
+            config,
+            seed: 5,
+            samples: 0,
+            git_revision: "test".into(),
+            mujoco_version: "2.2.2".into(),
+        };
+        Policy::new(&network, &Robot::load("go1").unwrap(), layout, provenance)
+    }
+
+    #[test]
+    fn a_policy_survives_its_file_bit_for_bit() {
+        let policy = policy();
+        let bytes = policy.to_bytes().unwrap();
+        let read = Policy::from_bytes(&bytes, Path::new("test")).unwrap();
+        assert_eq!(read.actor, policy.actor);
+        assert_eq!(read.provenance, policy.provenance);
+        assert_eq!(read.to_bytes().unwrap(), bytes);
+    }
+
+    #[test]
+    fn the_identity_of_a_policy_is_that_of_its_file_whatever_its_format() {
+        for (name, bytes) in crate::policy::shipped::EMBEDDED {
+            let policy = Policy::from_bytes(bytes, Path::new(name)).unwrap();
+            assert_eq!(policy.sha256(), files::sha256(&[bytes]), "{name}");
+        }
+        let policy = policy();
+        assert_eq!(policy.sha256(), files::sha256(&[&policy.to_bytes().unwrap()]));
+    }
+
+    #[test]
+    fn every_truncation_is_refused_without_panic() {
+        let bytes = policy().to_bytes().unwrap();
+        for length in (0..bytes.len()).step_by(97) {
+            assert!(Policy::from_bytes(&bytes[..length], Path::new("cut")).is_err());
+        }
+    }
+
+    #[test]
+    fn a_flipped_weight_is_caught_by_the_golden_pairs() {
+        let bytes = policy().to_bytes().unwrap();
+        let mut caught = 0;
+        for position in (bytes.len() / 2..bytes.len()).step_by(1009) {
+            let mut damaged = bytes.clone();
+            damaged[position] ^= 0x40;
+            caught += usize::from(Policy::from_bytes(&damaged, Path::new("damaged")).is_err());
+        }
+        assert!(caught > 0);
+    }
+
+    #[test]
+    fn a_network_of_other_dimensions_is_named() {
+        let mut other = policy();
+        other.actor.layers.pop();
+        let error = Policy::from_bytes(&other.to_bytes().unwrap(), Path::new("other")).unwrap_err().to_string();
+        assert!(error.contains("16 outputs, expected 12"), "{error}");
+    }
+
+    proptest::proptest! {
+        #![proptest_config(proptest::prelude::ProptestConfig {
+            cases: 200, failure_persistence: None, ..proptest::prelude::ProptestConfig::default()
+        })]
+
+        #[test]
+        fn headers_changed_at_random_never_panic(
+            changes in proptest::collection::vec((0_usize..6000, proptest::prelude::any::<u8>()), 1..8),
+        ) {
+            static BYTES: std::sync::OnceLock<Vec<u8>> = std::sync::OnceLock::new();
+            let mut bytes = BYTES.get_or_init(|| policy().to_bytes().unwrap()).clone();
+            for (place, byte) in changes {
+                bytes[place] = byte;
+            }
+            // Refused or harmless: what is read has sane rates, and so a short queue of delayed targets.
+            if let Ok(policy) = Policy::from_bytes(&bytes, Path::new("changed")) {
+                policy.joint_targets(&vec![0.0; policy.layout().length()], &mut Buffers::default());
+                proptest::prop_assert!(policy.provenance.config.simulation.physics_rate_hz <= 20_000);
+            }
+        }
+    }
+}

@@ -1,0 +1,235 @@
+//! From the robot's state to joint targets: what a policy sees, its network, what its outputs mean.
+
+use super::controller::Controller;
+use super::onnx;
+use crate::network::{PackedMlp, Scratch};
+use crate::observation::{Command, Layout, Moment, Observer};
+use crate::robot::{JOINTS, Joints, RobotState};
+
+/// What an output of a network is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Meaning {
+    /// Joint target = nominal pose + scale · output.
+    OffsetFromNominal,
+    /// Joint target = scale · output.
+    JointAngle,
+}
+
+/// From outputs to joint targets.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Action {
+    /// Our order \[rad\].
+    pub nominal_pose: Joints,
+    /// What an output is.
+    pub meaning: Meaning,
+    /// The policy's order \[rad\].
+    pub scale_rad: Joints,
+    /// Limit of every output, before it is scaled.
+    pub clip: f64,
+}
+
+/// A network of ours or an external one.
+#[derive(Debug)]
+pub enum Network {
+    /// Of a policy file.
+    Mlp(PackedMlp),
+    /// Of an ONNX file.
+    Onnx(onnx::Network),
+}
+
+/// Everything that turns states into joint targets.
+#[derive(Debug)]
+pub struct Inference {
+    /// What the network sees.
+    pub layout: Layout,
+    /// What it puts out.
+    pub action: Action,
+    /// The network.
+    pub network: Network,
+    /// Between two steps \[s\].
+    pub period_s: f64,
+}
+
+/// Buffers of a network; one for each thread.
+#[derive(Debug, Default)]
+pub struct Buffers {
+    output: Vec<f32>,
+    mlp: Scratch,
+    onnx: onnx::Scratch,
+}
+
+impl Network {
+    /// One output for each joint.
+    fn forward<'a>(&self, seen: &[f32], buffers: &'a mut Buffers) -> &'a [f32] {
+        match self {
+            Network::Mlp(mlp) => {
+                buffers.output.resize(mlp.outputs(), 0.0);
+                mlp.forward(1, seen, &mut buffers.output, &mut buffers.mlp);
+                &buffers.output
+            }
+            Network::Onnx(network) => network.forward(seen, &mut buffers.onnx),
+        }
+    }
+}
+
+impl Inference {
+    /// Clipped outputs, in the policy's order, and the joint targets that they mean, in ours \[rad\].
+    pub fn act(&self, seen: &[f32], buffers: &mut Buffers) -> (Joints, Joints) {
+        let output = self.network.forward(seen, buffers);
+        let Action { nominal_pose, meaning, scale_rad, clip } = &self.action;
+        let (mut actions, mut targets) = ([0.0; JOINTS], [0.0; JOINTS]);
+        for (index, joint) in self.layout.order().iter().enumerate() {
+            actions[index] = f64::from(output[index]).clamp(-clip, *clip);
+            let scaled = scale_rad[index] * actions[index];
+            targets[*joint] = match meaning {
+                Meaning::OffsetFromNominal => nominal_pose[*joint] + scaled,
+                Meaning::JointAngle => scaled,
+            };
+        }
+        (actions, targets)
+    }
+
+    /// As a controller of one robot.
+    pub fn controller(&self) -> PolicyController<'_> {
+        PolicyController {
+            inference: self,
+            observer: Observer::new(),
+            step: 0,
+            last_action: [0.0; JOINTS],
+            last_target: self.action.nominal_pose,
+            seen: vec![0.0; self.layout.length()],
+            buffers: Buffers::default(),
+        }
+    }
+}
+
+/// A policy at work on one robot, with the history that its observation needs (section III-A).
+#[derive(Debug)]
+pub struct PolicyController<'a> {
+    inference: &'a Inference,
+    observer: Observer,
+    step: u64,
+    /// The policy's order.
+    last_action: Joints,
+    /// Our order.
+    last_target: Joints,
+    seen: Vec<f32>,
+    buffers: Buffers,
+}
+
+impl PolicyController<'_> {
+    /// What the network saw in the last step.
+    pub fn seen(&self) -> &[f32] {
+        &self.seen
+    }
+}
+
+impl Controller for PolicyController<'_> {
+    fn rest(&self) -> Joints {
+        self.inference.action.nominal_pose
+    }
+
+    fn begin(&mut self, _: &RobotState) {
+        self.observer = Observer::new();
+        self.step = 0;
+        self.last_action = [0.0; JOINTS];
+        self.last_target = self.rest();
+    }
+
+    fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
+        let layout = &self.inference.layout;
+        let now = Moment {
+            state,
+            command,
+            last_action: &self.last_action,
+            last_target: &self.last_target,
+            nominal: &self.inference.action.nominal_pose,
+            time_s: self.step as f64 * self.inference.period_s,
+        };
+        self.observer.measure(layout, &now);
+        self.observer.normalised(layout, &mut self.seen);
+        (self.last_action, self.last_target) = self.inference.act(&self.seen, &mut self.buffers);
+        self.step += 1;
+        self.last_target
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::policy::Agent;
+    use crate::robot::FootState;
+
+    fn state(time: f64) -> RobotState {
+        RobotState {
+            position: Vector3::zeros(),
+            world_from_base: UnitQuaternion::identity(),
+            height: 0.3,
+            velocity_in_base: Vector3::new(0.25 + time, 0.125, 9.0),
+            angular_velocity_in_base: Vector3::zeros(),
+            gravity_in_base: Vector3::new(0.0, 0.0, -9.81),
+            joint_angles: std::array::from_fn(|joint| joint as f64 + 100.0 * time),
+            joint_rates: [0.0; JOINTS],
+            feet: [FootState::default(); 4],
+        }
+    }
+
+    /// 48 numbers for the fixture's network, twice 24.
+    const SPEC: &str = "
+onnx: rsl_rl.onnx
+simulation: {physics_rate_hz: 200, policy_rate_hz: 50, kp_n_m_per_rad: 20.0, kd_n_m_s_per_rad: 0.5, latency_s: 0.0}
+joints: [FL_hip, FL_thigh, FL_calf, FR_hip, FR_thigh, FR_calf, RL_hip, RL_thigh, RL_calf, RR_hip, RR_thigh, RR_calf]
+nominal_pose_rad: [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]
+observation:
+  - {quantity: joint_angles}
+  - {quantity: base_velocity, elements: [left, backward], offset: [0.0, 1.0], scale: 2.0, clip: 3.0}
+  - {quantity: command, elements: [yaw]}
+  - {quantity: clock_sin, frequency_hz: 12.5, phases: [0.0, 0.25]}
+  - {quantity: projected_gravity, elements: [down], steps_ago: [1, 0]}
+  - {quantity: constant, values: [5, 6, 7, 8, 9]}
+history: [1, 0]
+action: {meaning: offset_from_nominal, scale_rad: 0.25, clip: 1.0}
+";
+
+    #[test]
+    fn an_observation_is_in_the_order_axes_scales_and_ages_of_its_description() {
+        let folder = tempfile::tempdir().unwrap();
+        let network = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx/rsl_rl.onnx");
+        std::fs::copy(network, folder.path().join("rsl_rl.onnx")).unwrap();
+        std::fs::write(folder.path().join("p.yaml"), SPEC).unwrap();
+        let agent = Agent::load(&folder.path().join("p.yaml")).unwrap();
+        let inference = agent.inference();
+        let mut controller = inference.controller();
+        controller.begin(&state(0.0));
+        let command = Command::velocity(1.0, 2.0, 0.5);
+        controller.joint_targets(&state(0.0), &command);
+        let first = controller.seen().to_vec();
+        // Before the first step all was as it was then.
+        assert_eq!(first[..24], first[24..]);
+        // FL before FR; 2 · 0.125; 2 · (−0.25 − 1) = −2.5; sin 0, sin π/2; down is 1, twice.
+        assert_eq!(first[..6], [3.0, 4.0, 5.0, 0.0, 1.0, 2.0]);
+        assert_eq!(first[12..16], [0.25, -2.5, 0.5, 0.0]);
+        assert!((first[16] - 1.0).abs() < 1e-6);
+        assert_eq!(first[17..24], [1.0, 1.0, 5.0, 6.0, 7.0, 8.0, 9.0]);
+
+        let targets = controller.joint_targets(&state(1.0), &command);
+        let second = controller.seen().to_vec();
+        assert_eq!(second[..24], first[24..]);
+        assert_eq!(second[24..27], [103.0, 104.0, 105.0]);
+        // 2 · (−1.25 − 1) = −4.5, clipped to −3; a quarter of a period at 12.5 Hz and 50 Hz: sin π/2, sin π.
+        assert_eq!(second[37], -3.0);
+        assert!((second[39] - 1.0).abs() < 1e-6 && second[40].abs() < 1e-6);
+        // Outputs are clipped to ±1 and scaled to ±0.25 about the nominal pose, in our order.
+        for (index, joint) in inference.layout.order().iter().enumerate() {
+            let expected = inference.action.nominal_pose[*joint] + 0.25 * controller.last_action[index];
+            assert_eq!(targets[*joint], expected);
+            assert!(controller.last_action[index].abs() <= 1.0);
+        }
+        assert_eq!(inference.action.nominal_pose[..6], [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5]);
+    }
+}

@@ -1,0 +1,123 @@
+/*! A policy of ours as ONNX, for every other runtime.
+
+One graph goes from the raw observation (`observation`, shape (batch, observation), in its units) to the joint targets
+(`joint_target`, shape (batch, 12), rad): the normaliser and the action's scale and nominal pose are inside, so that
+nobody has to know them. The policy file's metadata travel in `metadata_props`.
+*/
+
+use prost::Message;
+
+use super::proto::{
+    ATTRIBUTE_FLOAT, ATTRIBUTE_INT, Attribute, Dimension, FLOAT, Graph, Model, Node, OperatorSet, Property, Shape,
+    Size, Tensor, TensorType, Type, ValueInfo,
+};
+use crate::network::Layer;
+use crate::policy::Policy;
+
+/// IR version of the file; understood by every runtime since 2022.
+const IR_VERSION: i64 = 8;
+
+/// Operator set; `Gemm`, `Elu`, `Sub`, `Mul`, `Add`, `Min` and `Max` have not changed since.
+const OPSET: i64 = 17;
+
+/// The policy as the bytes of an ONNX file.
+pub fn export(policy: &Policy) -> Vec<u8> {
+    let mut builder = Builder::default();
+    let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
+    let (inputs, outputs) = (policy.layout().length(), policy.nominal_pose().len());
+
+    builder.constant("normaliser.offset", &[inputs], &single(policy.layout().offset()));
+    builder.constant("normaliser.scale", &[inputs], &single(policy.layout().scale()));
+    builder.node("Sub", &["observation", "normaliser.offset"], "centred", Vec::new());
+    builder.node("Mul", &["centred", "normaliser.scale"], "normalised", Vec::new());
+    let mut value = "normalised".to_owned();
+    if policy.layout().clips() {
+        for (operator, name, sign) in [("Min", "at_most", 1.0), ("Max", "at_least", -1.0)] {
+            let limits: Vec<f32> = policy.layout().clip().iter().map(|clip| sign * *clip as f32).collect();
+            builder.constant(&format!("normaliser.{name}"), &[inputs], &limits);
+            builder.node(operator, &[&value, &format!("normaliser.{name}")], name, Vec::new());
+            value = name.to_owned();
+        }
+    }
+    for (index, layer) in policy.actor.layers.iter().enumerate() {
+        value = builder.dense(index, layer, &value);
+        if index + 1 < policy.actor.layers.len() {
+            let activated = format!("elu.{index}");
+            builder.node("Elu", &[&value], &activated, vec![float("alpha", 1.0)]);
+            value = activated;
+        }
+    }
+    builder.constant("action.scale", &[1], &single(&[policy.scale_rad()]));
+    builder.constant("action.nominal_pose", &[outputs], &single(policy.nominal_pose()));
+    builder.node("Mul", &[&value, "action.scale"], "offset_from_nominal", Vec::new());
+    builder.node("Add", &["offset_from_nominal", "action.nominal_pose"], "joint_target", Vec::new());
+
+    let graph = Graph {
+        node: builder.nodes,
+        name: "policy".into(),
+        initializer: builder.constants,
+        input: vec![value_info("observation", inputs, "raw observation, see the metadata for its layout and units")],
+        output: vec![value_info("joint_target", outputs, "joint targets for the PD controller [rad]")],
+    };
+    let model = Model {
+        ir_version: IR_VERSION,
+        producer_name: "supple".into(),
+        producer_version: env!("CARGO_PKG_VERSION").into(),
+        doc_string: "locomotion policy: raw observation to joint targets".into(),
+        graph: Some(graph),
+        opset_import: vec![OperatorSet { domain: String::new(), version: OPSET }],
+        metadata_props: vec![Property { key: "supple".into(), value: policy.metadata_json() }],
+    };
+    model.encode_to_vec()
+}
+
+#[derive(Default)]
+struct Builder {
+    nodes: Vec<Node>,
+    constants: Vec<Tensor>,
+}
+
+impl Builder {
+    fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) {
+        self.constants.push(Tensor {
+            dims: shape.iter().map(|size| *size as i64).collect(),
+            data_type: FLOAT,
+            name: name.into(),
+            raw_data: values.iter().flat_map(|value| value.to_le_bytes()).collect(),
+            ..Tensor::default()
+        });
+    }
+
+    fn node(&mut self, op_type: &str, inputs: &[&str], output: &str, attribute: Vec<Attribute>) {
+        self.nodes.push(Node {
+            input: inputs.iter().map(ToString::to_string).collect(),
+            output: vec![output.into()],
+            name: output.into(),
+            op_type: op_type.into(),
+            attribute,
+            domain: String::new(),
+        });
+    }
+
+    /// `y = x · Wᵀ + b`; returns the name of `y`.
+    fn dense(&mut self, index: usize, layer: &Layer, input: &str) -> String {
+        let (weight, bias) = (format!("policy.{index}.weight"), format!("policy.{index}.bias"));
+        self.constant(&weight, &[layer.outputs(), layer.inputs()], &layer.weight);
+        self.constant(&bias, &[layer.outputs()], &layer.bias);
+        let output = format!("dense.{index}");
+        let transposed = Attribute { name: "transB".into(), i: 1, kind: ATTRIBUTE_INT, ..Attribute::default() };
+        self.node("Gemm", &[input, &weight, &bias], &output, vec![transposed]);
+        output
+    }
+}
+
+fn float(name: &str, value: f32) -> Attribute {
+    Attribute { name: name.into(), f: value, kind: ATTRIBUTE_FLOAT, ..Attribute::default() }
+}
+
+fn value_info(name: &str, width: usize, doc: &str) -> ValueInfo {
+    let dim =
+        vec![Dimension { size: Some(Size::Name("batch".into())) }, Dimension { size: Some(Size::Value(width as i64)) }];
+    let tensor_type = Some(TensorType { elem_type: FLOAT, shape: Some(Shape { dim }) });
+    ValueInfo { name: name.into(), kind: Some(Type { tensor_type }), doc_string: doc.into() }
+}

@@ -1,0 +1,17 @@
+/*! ONNX in and out: [`export`] writes a policy of ours for every other runtime, [`Network`] runs an external one.
+
+The reader is an interpreter of the operators that policy networks of dense layers use. A general runtime would be a
+hundred crates, or a shared library to install, for networks that take a few microseconds; what it refuses, it names.
+*/
+
+mod arithmetic;
+mod export;
+mod network;
+mod operators;
+#[allow(missing_docs)] // The schema's own names; each message is described.
+mod proto;
+mod tensor;
+mod wire;
+
+pub use export::export;
+pub use network::{MAX_BYTES, Network, OnnxError, Scratch};

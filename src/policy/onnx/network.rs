@@ -1,0 +1,411 @@
+//! A network from an ONNX file, ready to be evaluated with one observation at a time.
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+
+use prost::Message;
+
+use super::operators::Call;
+use super::proto::{Graph, Model, Node, Size, ValueInfo};
+use super::tensor::{Tensor, elements};
+use super::wire;
+use crate::util::files;
+
+/// Larger files are not policies.
+pub const MAX_BYTES: u64 = 32 << 20;
+
+/// Versions of the operator set whose meaning is that of `operators`.
+const OPERATOR_SETS: std::ops::RangeInclusive<i64> = 7..=22;
+
+/// Operators of one network.
+const MAX_NODES: usize = 2000;
+
+/// Elements of all values together: 64 MiB.
+const MAX_TOTAL: usize = 1 << 24;
+
+/// Place of the input among the values.
+const INPUT: usize = 0;
+
+/// Why an ONNX file was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum OnnxError {
+    /// Reading failed.
+    #[error("ONNX file {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// Not a network that can be run.
+    #[error("ONNX file {}: {problem}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What was found and expected.
+        problem: String,
+    },
+}
+
+/// An operator with the places of its inputs and outputs among all values.
+#[derive(Debug)]
+struct Step {
+    node: Node,
+    inputs: Vec<Option<usize>>,
+    outputs: Vec<usize>,
+}
+
+/// A network with one input and one output.
+#[derive(Debug)]
+pub struct Network {
+    input: String,
+    input_shape: Vec<usize>,
+    output_slot: usize,
+    outputs: usize,
+    steps: Vec<Step>,
+    /// By place; none where a value depends on the observation.
+    constants: Vec<Option<Tensor>>,
+}
+
+/// Values of an evaluation of [`Network::forward`]; one for each robot.
+#[derive(Debug, Default)]
+pub struct Scratch(Vec<Option<Tensor>>);
+
+impl Network {
+    /// Reads a file and evaluates the network once.
+    ///
+    /// # Errors
+    /// [`OnnxError`] that names the operator or shape that cannot be run.
+    pub fn load(path: &Path) -> Result<Self, OnnxError> {
+        let bytes =
+            files::read_bounded(path, MAX_BYTES).map_err(|source| OnnxError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes, path)
+    }
+
+    /// As [`Network::load`] from memory; `path` is for messages.
+    ///
+    /// # Errors
+    /// See [`Network::load`].
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, OnnxError> {
+        Self::read(bytes).map_err(|problem| OnnxError::Invalid { path: path.to_owned(), problem })
+    }
+
+    fn read(bytes: &[u8]) -> Result<Self, String> {
+        wire::check(bytes)?;
+        let model = Model::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?;
+        let versions = model.opset_import.iter().filter(|set| matches!(set.domain.as_str(), "" | "ai.onnx"));
+        let version =
+            versions.map(|set| set.version).max().ok_or("it does not say which operator set it is made of")?;
+        if !OPERATOR_SETS.contains(&version) {
+            let (first, last) = (OPERATOR_SETS.start(), OPERATOR_SETS.end());
+            return Err(format!(
+                "its operator set is {version}, expected {first} to {last}; export it with another one"
+            ));
+        }
+        let graph = model.graph.ok_or("it has no graph")?;
+        if graph.node.len() > MAX_NODES {
+            return Err(format!("it has {} operators, at most {MAX_NODES} are expected", graph.node.len()));
+        }
+        let input = only_input(&graph)?.clone();
+        let input_shape = shape_of(&input)?;
+        let mut slots = HashMap::from([(input.name.clone(), INPUT)]);
+        let mut constants: Vec<Option<Tensor>> = vec![None];
+        for constant in &graph.initializer {
+            let tensor =
+                Tensor::read(constant).map_err(|problem| format!("constant '{}': {problem}", constant.name))?;
+            slots.insert(constant.name.clone(), constants.len());
+            constants.push(Some(tensor));
+        }
+        let mut values = vec![None; constants.len()];
+        values[INPUT] = Some(Tensor::float(input_shape.clone(), vec![0.0; elements(&input_shape)?])?);
+        // Constants are no larger than the file; what is computed from them may be.
+        let (mut steps, mut total) = (Vec::new(), 0);
+        for (index, node) in graph.node.into_iter().enumerate() {
+            let title = title(index, &node);
+            let named = |problem: String| format!("{title}: {problem}");
+            let step = Step::new(node, &mut slots, &mut constants).map_err(named)?;
+            values.resize(constants.len(), None);
+            let changes = step.inputs.iter().flatten().any(|slot| values[*slot].is_some());
+            let is_constant = !changes || step.node.op_type == "Shape";
+            step.evaluate(&constants, &mut values).map_err(named)?;
+            let sizes = step.outputs.iter().filter_map(|slot| values[*slot].as_ref());
+            total += sizes.map(|value| value.shape().iter().product::<usize>()).sum::<usize>();
+            if total > MAX_TOTAL {
+                return Err(named(format!("its values and those before it are more than {MAX_TOTAL}")));
+            }
+            if is_constant {
+                // Computed once, here.
+                step.outputs.iter().for_each(|slot| constants[*slot] = values[*slot].take());
+            } else {
+                steps.push(step);
+            }
+        }
+        let [output] = &graph.output[..] else {
+            return Err(format!("it has {} outputs ({}), expected one", graph.output.len(), names(&graph.output)));
+        };
+        let output_slot = *slots.get(&output.name).ok_or_else(|| format!("nothing computes '{}'", output.name))?;
+        let mut network = Network { input: input.name, input_shape, output_slot, outputs: 0, steps, constants };
+        network.outputs = network.output(&values)?.len();
+        Ok(network)
+    }
+
+    /// Name of the input.
+    pub fn input_name(&self) -> &str {
+        &self.input
+    }
+
+    /// Numbers that it takes.
+    pub fn inputs(&self) -> usize {
+        self.input_shape.iter().product()
+    }
+
+    /// Numbers that it gives.
+    pub fn outputs(&self) -> usize {
+        self.outputs
+    }
+
+    /// Evaluates the network. `scratch` may come from [`Scratch::default`], and serves this network from then on.
+    ///
+    /// # Panics
+    /// When there are not [`Network::inputs`] observations.
+    pub fn forward<'a>(&self, observation: &[f32], scratch: &'a mut Scratch) -> &'a [f32] {
+        assert_eq!(observation.len(), self.inputs(), "the observation must have the input's length");
+        scratch.0.resize(self.constants.len(), None);
+        let whole = Tensor::float(self.input_shape.clone(), observation.to_vec()).and_then(|input| {
+            scratch.0[INPUT] = Some(input);
+            self.steps.iter().try_for_each(|step| step.evaluate(&self.constants, &mut scratch.0))
+        });
+        // Shapes and types do not depend on the observation, and reading the file evaluated it once.
+        whole.and_then(|()| self.output(&scratch.0)).expect("a network that was evaluated once can be evaluated again")
+    }
+
+    fn output<'a>(&self, values: &'a [Option<Tensor>]) -> Result<&'a [f32], String> {
+        let output = values[self.output_slot].as_ref();
+        output.ok_or("its output does not depend on its input")?.floats()
+    }
+}
+
+impl Step {
+    /// Gives every input and output of a node its place.
+    fn new(
+        node: Node,
+        slots: &mut HashMap<String, usize>,
+        constants: &mut Vec<Option<Tensor>>,
+    ) -> Result<Self, String> {
+        let place = |name: &String| match slots.get(name) {
+            Some(slot) => Ok(Some(*slot)),
+            None if name.is_empty() => Ok(None),
+            None => Err(format!("its input '{name}' is not computed before it")),
+        };
+        let inputs = node.input.iter().map(place).collect::<Result<Vec<_>, String>>()?;
+        let outputs: Vec<usize> = (constants.len()..constants.len() + node.output.len()).collect();
+        for (name, slot) in node.output.iter().zip(&outputs) {
+            slots.insert(name.clone(), *slot);
+        }
+        constants.resize(constants.len() + node.output.len(), None);
+        Ok(Step { node, inputs, outputs })
+    }
+
+    /// Runs the operator on constants and on values that depend on the observation. Outputs beyond those that it names
+    /// are left out.
+    fn evaluate(&self, constants: &[Option<Tensor>], values: &mut [Option<Tensor>]) -> Result<(), String> {
+        let value = |slot: usize| values[slot].as_ref().or(constants[slot].as_ref());
+        let inputs: Vec<Option<&Tensor>> = self.inputs.iter().map(|slot| slot.and_then(value)).collect();
+        if inputs.iter().zip(&self.inputs).any(|(value, slot)| value.is_none() && slot.is_some()) {
+            return Err("one of its inputs is an output that is not supported".into());
+        }
+        let outputs = Call { node: &self.node, inputs: &inputs }.evaluate()?;
+        for (slot, output) in self.outputs.iter().zip(outputs) {
+            values[*slot] = Some(output);
+        }
+        Ok(())
+    }
+}
+
+/// The one input that is not a constant; older files list those too.
+fn only_input(graph: &Graph) -> Result<&ValueInfo, String> {
+    let constant = |input: &&ValueInfo| graph.initializer.iter().any(|constant| constant.name == input.name);
+    let inputs: Vec<&ValueInfo> = graph.input.iter().filter(|input| !constant(input)).collect();
+    match inputs[..] {
+        [input] => Ok(input),
+        _ => {
+            let names = inputs.iter().map(|input| input.name.as_str()).collect::<Vec<_>>().join(", ");
+            Err(format!(
+                "it has {} inputs ({names}), expected one, the observation; recurrent policies cannot be run",
+                inputs.len()
+            ))
+        }
+    }
+}
+
+/// The input's shape with one observation: what is open is 1.
+fn shape_of(input: &ValueInfo) -> Result<Vec<usize>, String> {
+    let name = &input.name;
+    let shape = input.kind.as_ref().and_then(|kind| kind.tensor_type.as_ref()).and_then(|kind| kind.shape.as_ref());
+    let dimensions = &shape.ok_or_else(|| format!("its input '{name}' has no shape"))?.dim;
+    let size = |(index, dimension): (usize, &super::proto::Dimension)| match dimension.size {
+        Some(Size::Value(size)) if size > 0 => Ok(size as usize),
+        _ if index + 1 < dimensions.len() => Ok(1),
+        _ => Err(format!("the last dimension of its input '{name}' is open, expected the observation's length")),
+    };
+    let shape = dimensions.iter().enumerate().map(size).collect::<Result<Vec<_>, String>>()?;
+    let count = elements(&shape)?;
+    if count == 0 || shape.last() != Some(&count) {
+        return Err(format!("its input '{name}' has the shape {shape:?}, expected (1, N): one observation"));
+    }
+    Ok(shape)
+}
+
+/// Which operator of the file this is.
+fn title(index: usize, node: &Node) -> String {
+    match node.name.as_str() {
+        "" => format!("operator {index}, {}", node.op_type),
+        name => format!("operator {index}, {} '{name}'", node.op_type),
+    }
+}
+
+fn names(values: &[ValueInfo]) -> String {
+    values.iter().map(|value| value.name.as_str()).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::onnx::proto::{self, FLOAT, OperatorSet};
+    use proptest::prelude::*;
+
+    #[derive(serde::Deserialize)]
+    struct Golden {
+        file: String,
+        inputs: Vec<Vec<f32>>,
+        outputs: Vec<Vec<f32>>,
+    }
+
+    fn fixture(file: &str) -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx").join(file)
+    }
+
+    #[test]
+    fn networks_in_the_styles_of_torch_and_brax_and_every_operator_give_what_onnxruntime_gives() {
+        let golden: Vec<Golden> = serde_json::from_slice(&std::fs::read(fixture("golden.json")).unwrap()).unwrap();
+        assert_eq!(golden.len(), 3);
+        for Golden { file, inputs, outputs } in golden {
+            let network = Network::load(&fixture(&file)).unwrap();
+            let mut scratch = Scratch::default();
+            for (input, expected) in inputs.iter().zip(&outputs) {
+                let found = network.forward(input, &mut scratch);
+                assert_eq!(found.len(), expected.len(), "{file}");
+                for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
+                    let tolerance = 2e-6 * expected.abs().max(1.0);
+                    assert!((found - expected).abs() <= tolerance, "{file}, output {index}: {found} {expected}");
+                }
+            }
+        }
+    }
+
+    fn node(op_type: &str, input: &[&str], output: &str) -> Node {
+        let input = input.iter().map(ToString::to_string).collect();
+        Node { op_type: op_type.into(), input, output: vec![output.into()], ..Node::default() }
+    }
+
+    fn value(name: &str, width: i64) -> ValueInfo {
+        let dim = [1, width].map(|size| proto::Dimension { size: Some(Size::Value(size)) }).to_vec();
+        let tensor_type = Some(proto::TensorType { elem_type: FLOAT, shape: Some(proto::Shape { dim }) });
+        ValueInfo { name: name.into(), kind: Some(proto::Type { tensor_type }), doc_string: String::new() }
+    }
+
+    fn constant(name: &str, dims: &[i64], values: Vec<f32>) -> proto::Tensor {
+        let dims = dims.to_vec();
+        proto::Tensor { dims, data_type: FLOAT, float_data: values, name: name.into(), ..proto::Tensor::default() }
+    }
+
+    fn file(graph: Graph) -> Vec<u8> {
+        let opset_import = vec![OperatorSet { domain: String::new(), version: 17 }];
+        Model { ir_version: 8, graph: Some(graph), opset_import, ..Model::default() }.encode_to_vec()
+    }
+
+    fn graph(node: Vec<Node>, initializer: Vec<proto::Tensor>) -> Graph {
+        Graph { node, initializer, input: vec![value("obs", 3)], output: vec![value("y", 2)], ..Graph::default() }
+    }
+
+    fn refusal(graph: Graph) -> String {
+        Network::from_bytes(&file(graph), Path::new("test.onnx")).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn what_cannot_be_run_is_named() {
+        let unknown = refusal(graph(vec![node("Softmax", &["obs"], "y")], vec![]));
+        assert!(unknown.contains("operator 0, Softmax: the operator Softmax is not supported"), "{unknown}");
+        let weight = constant("w", &[4, 2], vec![0.0; 8]);
+        let misfit = refusal(graph(vec![node("MatMul", &["obs", "w"], "y")], vec![weight]));
+        assert!(misfit.contains("multiplies 3 values with a matrix for 4"), "{misfit}");
+        let open = refusal(graph(vec![node("Relu", &["nowhere"], "y")], vec![]));
+        assert!(open.contains("its input 'nowhere' is not computed before it"), "{open}");
+        let short = refusal(graph(vec![], vec![constant("w", &[4, 2], vec![0.0; 7])]));
+        assert!(short.contains("constant 'w': 7 values for the shape [4, 2]"), "{short}");
+        let mut two = graph(vec![node("Relu", &["obs"], "y")], vec![]);
+        two.input.push(value("hidden", 8));
+        assert!(refusal(two).contains("2 inputs (obs, hidden), expected one"));
+        let mut still = graph(vec![], vec![constant("y", &[1, 2], vec![1.0; 2])]);
+        still.node.push(node("Relu", &["obs"], "unused"));
+        assert!(refusal(still).contains("does not depend on its input"));
+    }
+
+    #[test]
+    fn small_files_that_would_grow_are_refused() {
+        // A shape of 2⁶² elements.
+        let huge = refusal(graph(vec![], vec![constant("w", &[1 << 31, 1 << 31], vec![])]));
+        assert!(huge.contains("too large"), "{huge}");
+        // Outer sums of 2000 numbers, again and again.
+        let (row, column) =
+            (constant("row", &[1, 2000], vec![0.0; 2000]), constant("column", &[2000, 1], vec![0.0; 2000]));
+        let sums = (0..100).map(|index| node("Add", &["row", "column"], &format!("sum {index}"))).collect();
+        let refused = refusal(graph(sums, vec![row, column]));
+        assert!(refused.contains("more than 16777216"), "{refused}");
+        let reshape = proto::Tensor {
+            data_type: crate::policy::onnx::proto::INT64,
+            int64_data: vec![i64::MAX, -1],
+            name: "shape".into(),
+            dims: vec![2],
+            ..proto::Tensor::default()
+        };
+        let refused = refusal(graph(vec![node("Reshape", &["obs", "shape"], "y")], vec![reshape]));
+        assert!(refused.contains("too large"), "{refused}");
+    }
+
+    #[test]
+    fn every_truncation_is_refused_or_runs() {
+        let bytes = std::fs::read(fixture("operators.onnx")).unwrap();
+        for length in 0..bytes.len() {
+            if let Ok(network) = Network::from_bytes(&bytes[..length], Path::new("cut")) {
+                network.forward(&vec![0.5; network.inputs()], &mut Scratch::default());
+            }
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn bytes_changed_at_random_never_panic(
+            which in 0_usize..3,
+            changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
+        ) {
+            let name = ["operators.onnx", "rsl_rl.onnx", "playground.onnx"][which];
+            let mut bytes = std::fs::read(fixture(name)).unwrap();
+            for (place, byte) in changes {
+                // Weights are most of the file; what they are changed to does not matter. Aim at the structure.
+                let length = bytes.len();
+                bytes[place.index(length)] = byte;
+            }
+            if let Ok(network) = Network::from_bytes(&bytes, Path::new("changed")) {
+                network.forward(&vec![0.5; network.inputs()], &mut Scratch::default());
+            }
+        }
+
+        #[test]
+        fn bytes_at_random_never_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+            prop_assert!(Network::from_bytes(&bytes, Path::new("random")).is_err());
+        }
+    }
+}

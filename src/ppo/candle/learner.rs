@@ -1,0 +1,131 @@
+/*!
+The candle learner: one PPO update, line by line.
+*/
+
+use candle_core::backprop::GradStore;
+use candle_core::{DType, Tensor, Var};
+use candle_nn::Optimizer;
+
+use super::networks::{numbers, tensors};
+use super::{Adam, Loss, Networks};
+use crate::network::ActorCritic;
+use crate::ppo::loss::Minibatch;
+use crate::ppo::update::{Progress, check};
+use crate::ppo::{Batch, Hyperparameters, Learner, LearnerState, UpdateFault, UpdateStatistics};
+
+/// A smaller divergence is zero: candle's means differ from those of the rollout in their last bits, which must not
+/// look like a policy that moves too little (see [`Hyperparameters::adapted_learning_rate`]). One gradient step of the
+/// lowest learning rate makes a hundred times more.
+const KL_ROUNDING: f64 = 1e-8;
+
+/// Trains an [`ActorCritic`] by PPO with candle's networks and gradients.
+///
+/// What it keeps is plain numbers; candle's variables live for one update.
+#[derive(Debug)]
+pub struct CandleLearner {
+    settings: Hyperparameters,
+    state: LearnerState,
+}
+
+impl CandleLearner {
+    /// Continues from `state`.
+    ///
+    /// # Panics
+    /// When the minibatch size is zero.
+    pub fn new(state: LearnerState, settings: Hyperparameters) -> Self {
+        assert!(settings.minibatch_size > 0, "a minibatch needs samples");
+        Self { settings, state }
+    }
+
+    /// The update: loss, gradient, clipped and with the adapted learning rate a step of Adam, minibatch by minibatch.
+    fn epochs(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
+        let Self { settings, state } = self;
+        let networks = Networks::new(&state.parameters, DType::F32)?;
+        let mut adam = Adam::new(networks.variables.clone(), settings.clone())?;
+        adam.first_moment = tensors(&state.first_moment)?;
+        adam.second_moment = tensors(&state.second_moment)?;
+        adam.steps = state.steps;
+        let mut progress = Progress::new(state.steps, state.learning_rate, settings, permutations);
+
+        for minibatch in Minibatch::all(batch, settings, permutations) {
+            let loss = Loss::new(&networks, &minibatch)?;
+            let mut gradients = loss.total.backward()?;
+            let norm = norm(&gradients, &networks.variables)?;
+            progress.conclude(&minibatch, statistics(&loss, norm, settings)?);
+            let Some(step) = progress.step else { break };
+            scale(&mut gradients, &networks.variables, step.gradient_scale)?;
+            adam.set_learning_rate(step.learning_rate);
+            adam.step(&gradients)?;
+            networks.clamp_log_std()?;
+        }
+
+        let parameters = &state.parameters;
+        *state = LearnerState {
+            first_moment: numbers(parameters, &adam.first_moment)?,
+            second_moment: numbers(parameters, &adam.second_moment)?,
+            parameters: numbers(parameters, networks.variables.iter().map(Var::as_tensor))?,
+            steps: progress.steps,
+            learning_rate: progress.learning_rate,
+        };
+        progress.fault.map_or(Ok(progress.statistics), Err)
+    }
+}
+
+impl Learner for CandleLearner {
+    fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
+        let policy = &self.state.parameters.policy;
+        check(batch, permutations, policy.inputs(), policy.outputs())?;
+        // One thread: the products of single layers are so small that waking others costs more than they bring.
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+        let pool = pool.map_err(|error| UpdateFault::Candle(error.to_string()))?;
+        pool.install(|| self.epochs(batch, permutations))
+    }
+
+    fn state(&self) -> LearnerState {
+        self.state.clone()
+    }
+
+    fn parameters(&self) -> ActorCritic {
+        self.state.parameters.clone()
+    }
+}
+
+/// Norm of the joint gradient.
+fn norm(gradients: &GradStore, variables: &[Var]) -> candle_core::Result<f64> {
+    let squares = variables
+        .iter()
+        .filter_map(|variable| gradients.get(variable))
+        .map(|gradient| scalar(&gradient.sqr()?.sum_all()?));
+    Ok(squares.sum::<candle_core::Result<f64>>()?.sqrt())
+}
+
+fn scale(gradients: &mut GradStore, variables: &[Var], factor: f64) -> candle_core::Result<()> {
+    for variable in variables {
+        if let Some(gradient) = gradients.remove(variable) {
+            gradients.insert(variable, (gradient * factor)?);
+        }
+    }
+    Ok(())
+}
+
+fn statistics(loss: &Loss, gradient_norm: f64, settings: &Hyperparameters) -> candle_core::Result<UpdateStatistics> {
+    let ratios = loss.ratio.to_vec1::<f64>()?;
+    let clipped = ratios.iter().filter(|&ratio| (ratio - 1.0).abs() > settings.clip_range).count();
+    let kl = scalar(&loss.kl)?;
+    Ok(UpdateStatistics {
+        policy_loss: scalar(&loss.policy)?,
+        value_loss: scalar(&loss.value)?,
+        entropy: scalar(&loss.entropy)?,
+        kl: if kl.abs() < KL_ROUNDING { 0.0 } else { kl },
+        clip_fraction: clipped as f64 / ratios.len() as f64,
+        // Finite, so that it can be logged.
+        max_ratio: ratios.iter().copied().fold(0.0, f64::max).min(f64::MAX),
+        gradient_norm,
+        max_gradient_norm: gradient_norm,
+        learning_rate: 0.0,
+    })
+}
+
+fn scalar(tensor: &Tensor) -> candle_core::Result<f64> {
+    tensor.to_dtype(DType::F64)?.to_scalar()
+}

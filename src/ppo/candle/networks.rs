@@ -1,0 +1,80 @@
+/*!
+Policy and value function as candle's variables, and back as plain numbers.
+*/
+
+use candle_core::{DType, Device, Error, Result, Tensor, Var};
+use candle_nn::{Linear, Module};
+
+use crate::config::LOG_STD_RANGE;
+use crate::network::{ActorCritic, Mlp};
+
+/// Differentiable copy of an [`ActorCritic`].
+pub struct Networks {
+    policy: Vec<Linear>,
+    value: Vec<Linear>,
+    log_std: Var,
+    /// All that is trained, in the order of [`ActorCritic::tensors`].
+    pub variables: Vec<Var>,
+}
+
+impl Networks {
+    /// Copies the weights, as `dtype`.
+    ///
+    /// # Errors
+    /// Only candle's.
+    pub fn new(network: &ActorCritic, dtype: DType) -> Result<Self> {
+        let variable = |tensor: Tensor| Var::from_tensor(&tensor.to_dtype(dtype)?);
+        let variables: Vec<Var> = tensors(network)?.into_iter().map(variable).collect::<Result<_>>()?;
+        let mut in_order = variables.iter().map(|variable| variable.as_tensor().clone());
+        let mut mlp = |mlp: &Mlp| -> Vec<Linear> {
+            let pairs = mlp.layers.iter().filter_map(|_| in_order.next().zip(in_order.next()));
+            pairs.map(|(weight, bias)| Linear::new(weight, Some(bias))).collect()
+        };
+        let (policy, value) = (mlp(&network.policy), mlp(&network.value));
+        let log_std = variables.last().cloned().ok_or_else(|| Error::msg("no log_std"))?;
+        Ok(Self { policy, value, log_std, variables })
+    }
+
+    /// Means of the actions, shape (rows, actions), their `ln σ`, shape (actions), and values, shape (rows), all in f64.
+    ///
+    /// # Errors
+    /// When the observations do not have the shape (rows, observations).
+    pub fn forward(&self, observations: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
+        let observations = observations.to_dtype(self.log_std.dtype())?;
+        let means = forward(&self.policy, &observations)?.to_dtype(DType::F64)?;
+        let values = forward(&self.value, &observations)?.squeeze(1)?.to_dtype(DType::F64)?;
+        Ok((means, self.log_std.to_dtype(DType::F64)?, values))
+    }
+
+    /// Keeps `ln σ` within [`LOG_STD_RANGE`].
+    ///
+    /// # Errors
+    /// Only candle's.
+    pub fn clamp_log_std(&self) -> Result<()> {
+        let [low, high] = LOG_STD_RANGE;
+        self.log_std.set(&self.log_std.detach().clamp(low, high)?)
+    }
+}
+
+fn forward(layers: &[Linear], observations: &Tensor) -> Result<Tensor> {
+    let mut x = observations.clone();
+    for (i, layer) in layers.iter().enumerate() {
+        x = layer.forward(&x)?;
+        if i + 1 < layers.len() {
+            x = x.elu(1.0)?;
+        }
+    }
+    Ok(x)
+}
+
+/// Numbers as tensors, in the order of [`ActorCritic::tensors`].
+pub fn tensors(numbers: &ActorCritic) -> Result<Vec<Tensor>> {
+    numbers.tensors().into_iter().map(|(_, shape, values)| Tensor::from_slice(values, shape, &Device::Cpu)).collect()
+}
+
+/// The inverse of [`tensors`], for networks of the shapes of `like`.
+pub fn numbers<'a>(like: &ActorCritic, tensors: impl IntoIterator<Item = &'a Tensor>) -> Result<ActorCritic> {
+    let named = like.tensors().into_iter().zip(tensors);
+    let named = named.map(|((name, shape, _), tensor)| Ok((name, shape, tensor.flatten_all()?.to_vec1()?)));
+    ActorCritic::from_tensors(named.collect::<Result<Vec<_>>>()?).map_err(Error::wrap)
+}

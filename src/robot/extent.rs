@@ -1,0 +1,53 @@
+//! How far a trunk reaches, from its collision shapes.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use crate::mujoco::{Geom, Model, Shape};
+
+/// From the trunk's origin to where it ends \[m\].
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Extent {
+    /// Ahead, of all its shapes.
+    pub ahead: f64,
+    /// Behind, of all its shapes.
+    pub behind: f64,
+    /// At the sides, of the largest one: the body between head and tail.
+    pub side: f64,
+}
+
+impl Extent {
+    /// Of a body; zero if nothing of it collides.
+    pub(super) fn of(model: &Model, body: usize) -> Self {
+        let is_shape = |geom: &usize| model.geom_body(*geom) == body && model.geom_contact(*geom).collides();
+        let shapes: Vec<Geom> =
+            (0..model.count(crate::mujoco::Kind::Geom)).filter(is_shape).map(|geom| model.geom(geom)).collect();
+        let reach = |shape: &Geom, direction: Vector3<f64>| {
+            Vector3::from(shape.position).dot(&direction) + half_width(shape, direction)
+        };
+        let farthest = |direction| shapes.iter().map(|shape| reach(shape, direction)).fold(0.0, f64::max);
+        let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()];
+        let volume = |shape: &&Geom| [x, y, z].map(|axis| half_width(shape, axis)).iter().product::<f64>();
+        let largest = shapes.iter().max_by(|a, b| volume(a).total_cmp(&volume(b)));
+        Extent {
+            ahead: farthest(x),
+            behind: farthest(-x),
+            side: largest.map_or(0.0, |shape| reach(shape, y).max(reach(shape, -y))),
+        }
+    }
+}
+
+/// Half of a shape's width along a unit vector of its body's frame \[m\].
+fn half_width(shape: &Geom, direction: Vector3<f64>) -> f64 {
+    let [w, x, y, z] = shape.quaternion;
+    let along = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)).inverse() * direction;
+    let size = Vector3::from(shape.size);
+    match shape.shape {
+        Shape::Sphere => size.x,
+        Shape::Capsule => size.x + size.y * along.z.abs(),
+        Shape::Cylinder => size.x * along.xy().norm() + size.y * along.z.abs(),
+        Shape::Ellipsoid => along.component_mul(&size).norm(),
+        // The sizes of a mesh are those of the box around it.
+        Shape::Box | Shape::Mesh(_) => along.abs().dot(&size),
+        Shape::Plane | Shape::HeightField(_) => 0.0,
+    }
+}

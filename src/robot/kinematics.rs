@@ -1,0 +1,264 @@
+/*! Where a foot is and how it moves, from joint angles and rates: any leg of three hinges in closed form.
+
+A leg is read from the model as it stands at zero angles, all in the base frame: the hip's place, the vectors from hip to
+thigh joint, from there to the knee, from there to the foot, and the axes that the joints turn about. Thigh and calf turn
+about parallel axes, so that their angles add. `golden.c` prints what MuJoCo makes of the Go1's legs, and a test compares.
+*/
+
+use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+
+use super::legs::{Joints, LEGS, PARTS, of_leg};
+use crate::mujoco::{Kind, Model};
+
+/// A foot as the trunk sees it: what changes if the trunk is held still.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Foot {
+    /// Centre of the foot's sphere, base frame \[m\].
+    pub position: Vector3<f64>,
+    /// Rate of change of `position`, base frame [m/s].
+    pub velocity: Vector3<f64>,
+    /// Angular velocity of the calf, and with it of the sphere, relative to the trunk, base frame [rad/s].
+    pub spin: Vector3<f64>,
+}
+
+/// A leg at zero angles, base frame \[m\].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Leg {
+    /// Angles of the joints in that pose, as the model counts them \[rad\].
+    zero: [f64; 3],
+    /// Axes of hip and thigh, unit vectors.
+    hip_axis: Vector3<f64>,
+    thigh_axis: Vector3<f64>,
+    /// 1 if the calf turns about the thigh's axis, −1 if about the opposite one.
+    calf_sign: f64,
+    /// From the trunk's origin to the hip joint.
+    hip: Vector3<f64>,
+    /// From the hip joint to the thigh joint.
+    thigh: Vector3<f64>,
+    /// From the thigh joint to the knee.
+    knee: Vector3<f64>,
+    /// From the knee to the foot's centre.
+    foot: Vector3<f64>,
+    /// Radius of the foot's sphere \[m\].
+    pub foot_radius_m: f64,
+}
+
+/// Axes count as parallel up to this angle \[rad\].
+const PARALLEL: f64 = 1e-3;
+
+impl Leg {
+    /// Reads leg `leg` of a model with our names.
+    ///
+    /// # Errors
+    /// In words: a part that the model lacks, or thigh and calf that turn about different axes.
+    pub(super) fn of(model: &Model, leg: usize) -> Result<Self, String> {
+        let name = LEGS[leg];
+        let id = |kind, name: String| model.id(kind, &name).map_err(|error| error.to_string());
+        let trunk = id(Kind::Body, "trunk".into())?;
+        // Place and orientation of the frame walked so far.
+        let (mut place, mut turn) = (Vector3::zeros(), UnitQuaternion::identity());
+        let (mut links, mut axes, mut zero) = (Vec::new(), Vec::new(), [0.0; 3]);
+        let mut above = trunk;
+        for (part, zero) in PARTS.iter().zip(&mut zero) {
+            let joint = id(Kind::Joint, format!("{name}_{part}_joint"))?;
+            walk(model, above, model.joint_body(joint), &mut place, &mut turn);
+            above = model.joint_body(joint);
+            let anchor = turn * Vector3::from(model.joint_anchor(joint));
+            // From the joint before to this one.
+            links.push(place + anchor);
+            place = -anchor;
+            axes.push(turn * Vector3::from(model.joint_axis(joint)));
+            *zero = model.rest_positions()[model.joint_position_index(joint)];
+        }
+        let foot = model.geom(id(Kind::Geom, format!("{name}_foot"))?);
+        walk(model, above, foot.body, &mut place, &mut turn);
+        let along = axes[1].dot(&axes[2]);
+        if axes[1].cross(&axes[2]).norm() > PARALLEL {
+            return Err(format!("the thigh and the calf of leg {name} turn about different axes"));
+        }
+        Ok(Leg {
+            zero,
+            hip_axis: axes[0],
+            thigh_axis: axes[1],
+            calf_sign: along.signum(),
+            hip: links[0],
+            thigh: links[1],
+            knee: links[2],
+            foot: place + turn * Vector3::from(foot.position),
+            foot_radius_m: foot.size[0],
+        })
+    }
+
+    /// Centre of the foot, base frame \[m\], from the leg's hip, thigh and calf angle \[rad\].
+    pub fn foot_position(&self, angles: [f64; 3]) -> Vector3<f64> {
+        let [hip, ..] = self.turned(angles);
+        let (thigh, calf) = self.links(angles);
+        self.hip + about(&self.hip_axis, hip, &((thigh + calf) + self.thigh))
+    }
+
+    /// Derivative of [`Leg::foot_position`] by the three angles, a column each [m/rad].
+    pub fn foot_jacobian(&self, angles: [f64; 3]) -> Matrix3<f64> {
+        let [hip, ..] = self.turned(angles);
+        let (thigh, calf) = self.links(angles);
+        let in_hip = (thigh + calf) + self.thigh;
+        // Turning about an axis moves a point by axis × arm; the arms are those from hip, thigh and knee to the foot.
+        let columns = [
+            self.hip_axis.cross(&in_hip),
+            self.thigh_axis.cross(&(thigh + calf)),
+            self.thigh_axis.cross(&calf) * self.calf_sign,
+        ];
+        Matrix3::from_columns(&columns.map(|column| about(&self.hip_axis, hip, &column)))
+    }
+
+    /// Position and motion of the foot.
+    pub fn foot(&self, angles: [f64; 3], rates: [f64; 3]) -> Foot {
+        let spin = self.thigh_axis * (rates[1] + self.calf_sign * rates[2]);
+        Foot {
+            position: self.foot_position(angles),
+            velocity: self.foot_jacobian(angles) * Vector3::from(rates),
+            spin: self.hip_axis * rates[0] + about(&self.hip_axis, self.turned(angles)[0], &spin),
+        }
+    }
+
+    /// The hip joint, base frame \[m\].
+    pub fn hip(&self) -> Point3<f64> {
+        self.hip.into()
+    }
+
+    /// Axes of hip, thigh and calf at zero angles, base frame.
+    pub(super) fn axes(&self) -> [Vector3<f64>; 3] {
+        [self.hip_axis, self.thigh_axis, self.thigh_axis * self.calf_sign]
+    }
+
+    /// How far each joint has turned from the pose that the vectors are of \[rad\].
+    fn turned(&self, angles: [f64; 3]) -> [f64; 3] {
+        std::array::from_fn(|part| angles[part] - self.zero[part])
+    }
+
+    /// Thigh and calf, turned about the thigh's axis.
+    fn links(&self, angles: [f64; 3]) -> (Vector3<f64>, Vector3<f64>) {
+        let [_, thigh, calf] = self.turned(angles);
+        let turn = |angle, link| about(&self.thigh_axis, angle, link);
+        (turn(thigh, &self.knee), turn(thigh + self.calf_sign * calf, &self.foot))
+    }
+}
+
+/// All feet, in the order of [`LEGS`].
+pub fn feet(legs: &[Leg; 4], angles: &Joints, rates: &Joints) -> [Foot; 4] {
+    std::array::from_fn(|leg| legs[leg].foot(of_leg(angles, leg), of_leg(rates, leg)))
+}
+
+/// From the frame of body `from` to that of body `to` below it, all joints at zero.
+fn walk(model: &Model, from: usize, to: usize, place: &mut Vector3<f64>, turn: &mut UnitQuaternion<f64>) {
+    let mut down = Vec::new();
+    let mut body = to;
+    while body != from && body != 0 {
+        down.push(body);
+        body = model.body_parent(body);
+    }
+    for body in down.into_iter().rev() {
+        *place += *turn * Vector3::from(model.body_position(body));
+        *turn *= model.body_rotation(body);
+    }
+}
+
+/// A vector turned about a unit axis: what lies along the axis stays, the rest goes round.
+fn about(axis: &Vector3<f64>, angle: f64, vector: &Vector3<f64>) -> Vector3<f64> {
+    let (sin, cos) = angle.sin_cos();
+    let along = axis * axis.dot(vector);
+    along + (vector - along) * cos + axis.cross(vector) * sin
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::Robot;
+
+    const ANGLES: Joints = [0.2, 0.7, -1.5, -0.3, 0.9, -1.8, -0.1, 0.5, -1.2, 0.4, 1.1, -2.1];
+    const RATES: Joints = [1.5, -2.0, 3.0, -0.5, 4.0, -1.0, 2.0, 0.5, 0.7, -1.0, -3.0, 2.5];
+
+    /// Position, velocity, spin of each foot as `golden.c` prints them.
+    const GOLDEN: [[[f64; 3]; 3]; 4] = [
+        [
+            [0.203678479980, -0.063307593748, -0.320997989489],
+            [0.177424242692, 0.566375194087, -0.443553745394],
+            [1.500000000000, 0.980066577841, 0.198669330795],
+        ],
+        [
+            [0.188100000000, 0.044921440652, -0.276620304212],
+            [-0.926820462692, -0.089003009970, 0.160310865746],
+            [-0.500000000000, 2.866009467377, -0.886560619984],
+        ],
+        [
+            [-0.152999272341, -0.161275703447, -0.340102073051],
+            [-0.288956205911, 0.668862748407, -0.342087084975],
+            [2.000000000000, 1.194004998334, -0.119800099976],
+        ],
+        [
+            [-0.198693847929, 0.202874884730, -0.163835481245],
+            [0.347390117166, 0.023032690525, -0.598109674192],
+            [-1.000000000000, -0.460530497001, -0.194709171154],
+        ],
+    ];
+
+    fn legs() -> [Leg; 4] {
+        Robot::load("go1").unwrap().legs
+    }
+
+    #[test]
+    fn feet_are_where_mujoco_has_them() {
+        for (foot, golden) in feet(&legs(), &ANGLES, &RATES).iter().zip(GOLDEN) {
+            for (ours, theirs) in [foot.position, foot.velocity, foot.spin].iter().zip(golden) {
+                assert!((ours - Vector3::from(theirs)).norm() < 1e-11, "{ours} {theirs:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_jacobian_is_the_derivative_of_the_position() {
+        for (index, leg) in legs().iter().enumerate() {
+            let angles = of_leg(&ANGLES, index);
+            let jacobian = leg.foot_jacobian(angles);
+            for joint in 0..3 {
+                let moved = |by: f64| {
+                    let mut angles = angles;
+                    angles[joint] += by;
+                    leg.foot_position(angles)
+                };
+                let difference = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                assert!((difference - jacobian.column(joint)).norm() < 1e-9, "leg {index}, joint {joint}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_straight_leg_hangs_down_from_its_thigh_joint() {
+        // Left, front: 0.04675 + 0.08 = 0.12675 to the side, 2 · 0.213 = 0.426 below.
+        let foot = legs()[1].foot_position([0.0; 3]);
+        assert!((foot - Vector3::new(0.1881, 0.12675, -0.426)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn legs_in_turned_bodies_with_turned_axes_and_other_zeros_are_read_alike() {
+        // A leg whose bodies are turned about z by 180° and whose axes point the other way, with a joint angle of 0.3 rad
+        // in the pose that the file draws.
+        let robot = Robot::load("go1").unwrap();
+        let straight = Model::from_xml(&[("robot.xml", robot.mjcf())]).unwrap();
+        let turned = robot
+            .mjcf()
+            .replace(
+                r#"<body name="FR_calf" pos="0 0 -0.213">"#,
+                r#"<body name="FR_calf" pos="0 0 -0.213" quat="0 0 0 1">"#,
+            )
+            .replace(
+                r#"<joint name="FR_calf_joint" class="go1_calf"/>"#,
+                r#"<joint name="FR_calf_joint" class="go1_calf" ref="0.3"/>"#,
+            );
+        assert_ne!(turned, robot.mjcf());
+        let turned = Model::from_xml(&[("robot.xml", &turned)]).unwrap();
+        let [straight, turned] = [&straight, &turned].map(|model| Leg::of(model, 0).unwrap());
+        // Half a turn about z turns the axis of the calf around.
+        let found = turned.foot_position([0.2, 0.7, 0.3 - -1.5]);
+        assert!((found - straight.foot_position([0.2, 0.7, -1.5])).norm() < 1e-12, "{found}");
+    }
+}

@@ -1,0 +1,65 @@
+/*! What there is to know about a robot at one instant.
+
+Vectors are in MuJoCo's axes: x forward, y left, z up.
+*/
+
+use nalgebra::{UnitQuaternion, Vector3};
+
+use super::Joints;
+
+/// Where a foot is.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Foothold {
+    /// Bottom of the foot's sphere above the ground under it \[m\].
+    pub height: f64,
+    /// Whether it touches anything.
+    pub contact: bool,
+}
+
+/// A foot at the end of a policy step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FootState {
+    /// Bottom of the foot's sphere above the ground under it \[m\].
+    pub height: f64,
+    /// Velocity of its centre, world frame [m/s].
+    pub velocity: [f64; 3],
+    /// Whether it touches anything.
+    pub contact: bool,
+}
+
+/// What there is to know about the robot at one instant.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotState {
+    /// Origin of the trunk, world frame \[m\].
+    pub position: Vector3<f64>,
+    /// Rotation from the base frame to the world frame.
+    pub world_from_base: UnitQuaternion<f64>,
+    /// Height of the base above the ground under it \[m\].
+    pub height: f64,
+    /// Velocity of the trunk's origin, base frame [m/s].
+    pub velocity_in_base: Vector3<f64>,
+    /// Angular velocity of the trunk, base frame [rad/s].
+    pub angular_velocity_in_base: Vector3<f64>,
+    /// Gravity, base frame [m/s²].
+    pub gravity_in_base: Vector3<f64>,
+    /// Joint angles \[rad\].
+    pub joint_angles: Joints,
+    /// Joint rates [rad/s].
+    pub joint_rates: Joints,
+    /// Feet in the order of [`LEGS`](crate::robot::LEGS).
+    pub feet: [FootState; 4],
+}
+
+impl RobotState {
+    /// Roll, pitch and yaw of the trunk relative to the world \[rad\].
+    pub fn roll_pitch_yaw(&self) -> (f64, f64, f64) {
+        self.world_from_base.euler_angles()
+    }
+
+    /// Velocity in the heading frame (world rotated by yaw alone) [m/s].
+    pub fn velocity_in_heading(&self) -> Vector3<f64> {
+        let (_, _, yaw) = self.roll_pitch_yaw();
+        let in_world = self.world_from_base * self.velocity_in_base;
+        UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * in_world
+    }
+}

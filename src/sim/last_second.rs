@@ -1,0 +1,93 @@
+/*! What an environment did in the last second before a physics fault.
+
+MuJoCo resets a simulation that has become unstable, so what led there is gone when the fault is noticed. Every
+environment therefore notes down where it is and what it is told to do before each policy step, in a ring that is
+written over and over: no allocation, some hundred bytes copied per step. Only a fault reads it.
+*/
+
+use crate::robot::{JOINTS, Joints, joint_names};
+
+/// A ring of policy steps: positions, velocities and joint targets before each.
+#[derive(Debug, Clone)]
+pub struct LastSecond {
+    positions: usize,
+    velocities: usize,
+    /// Shape (steps kept, positions + velocities + targets).
+    rows: Vec<f64>,
+    /// Steps noted since the episode began.
+    noted: usize,
+}
+
+impl LastSecond {
+    /// A ring of `steps` for a model with that many positions and velocities.
+    pub fn new(steps: usize, positions: usize, velocities: usize) -> Self {
+        let width = positions + velocities + JOINTS;
+        LastSecond { positions, velocities, rows: vec![0.0; steps.max(1) * width], noted: 0 }
+    }
+
+    /// A new episode: what was before does not belong to it.
+    pub fn clear(&mut self) {
+        self.noted = 0;
+    }
+
+    /// Notes down the state before a policy step, in MuJoCo's coordinates, and the joint targets \[rad\] of that step.
+    ///
+    /// # Panics
+    /// If positions or velocities have other lengths than those that the ring was made for.
+    pub fn note(&mut self, positions: &[f64], velocities: &[f64], targets: &Joints) {
+        let width = self.width();
+        let kept = self.rows.len() / width;
+        let row = &mut self.rows[self.noted % kept * width..][..width];
+        let (first, rest) = row.split_at_mut(self.positions);
+        let (second, third) = rest.split_at_mut(self.velocities);
+        first.copy_from_slice(positions);
+        second.copy_from_slice(velocities);
+        third.copy_from_slice(targets);
+        self.noted += 1;
+    }
+
+    /// As CSV, oldest step first: the first column counts down to 0, the step in which the physics failed.
+    pub fn csv(&self) -> String {
+        let positions = (0..self.positions).map(|k| format!(",position_{k}"));
+        let velocities = (0..self.velocities).map(|k| format!(",velocity_{k}"));
+        let targets = joint_names().map(|joint| format!(",target_{joint}_rad"));
+        let columns: String = positions.chain(velocities).chain(targets).collect();
+        let width = self.width();
+        let kept = self.rows.len() / width;
+        let rows = (self.noted.saturating_sub(kept)..self.noted).map(|noted| {
+            let row = &self.rows[noted % kept * width..][..width];
+            let numbers: String = row.iter().map(|number| format!(",{number}")).collect();
+            format!("{}{numbers}\n", self.noted - 1 - noted)
+        });
+        format!("steps_before_fault{columns}\n{}", rows.collect::<String>())
+    }
+
+    fn width(&self) -> usize {
+        self.positions + self.velocities + JOINTS
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ring_keeps_the_newest_steps_in_order_and_forgets_the_episode_before() {
+        let mut ring = LastSecond::new(3, 2, 1);
+        ring.note(&[9.0, 9.0], &[9.0], &[9.0; 12]);
+        ring.clear();
+        for step in 0..5 {
+            let value = f64::from(step);
+            ring.note(&[value, f64::NAN], &[-value], &[0.5; 12]);
+        }
+        let csv = ring.csv();
+        let lines: Vec<&str> = csv.lines().collect();
+        assert!(
+            lines[0].starts_with("steps_before_fault,position_0,position_1,velocity_0,target_FR_hip_rad,"),
+            "{csv}"
+        );
+        let starts: Vec<&str> = lines[1..].iter().map(|line| line.split_at(11).0).collect();
+        assert_eq!(starts, ["2,2,NaN,-2,", "1,3,NaN,-3,", "0,4,NaN,-4,"]);
+        assert!(lines.iter().all(|line| line.split(',').count() == 1 + 2 + 1 + 12));
+    }
+}

@@ -1,0 +1,340 @@
+/*! The simulated robot: PD control, latency, pushes and physics at 240 Hz under one policy step at 60 Hz.
+
+A physics step is taken as MuJoCo's second half (forces, integration) followed by its first half (kinematics,
+contacts), so that positions, velocities, feet and contacts all belong to the same instant when a policy looks at them,
+with no work done twice. Contact forces exist only between the two halves; a [`StepObserver`] sees them there.
+*/
+
+use std::sync::Arc;
+
+use nalgebra::{UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+pub mod control;
+pub mod ground;
+pub mod last_second;
+mod parts;
+pub mod scene;
+
+use control::{Gains, Latency, mechanical_power, squared_torque};
+pub use ground::{Ground, HeightField, Patches};
+pub use parts::Parts;
+pub use scene::{Buffers, GROUND, Scene};
+
+use crate::config::Simulation;
+use crate::mujoco::{Data, Error, Kind, Result};
+use crate::robot::{Foothold, JOINTS, Joints, Robot, RobotState};
+
+/// Why the robot counts as fallen (section III-D).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum Fall {
+    /// The base is too low: its height above the ground \[m\].
+    Low(f64),
+    /// The geometry of this id, not a foot, touches the ground.
+    Touch(usize),
+}
+
+/// Priority of feet that carry the friction of their place: above that of grounds and obstacles.
+const FOOT_PRIORITY: i32 = 3;
+
+/// What happened in one policy step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StepSummary {
+    /// `Σ|τ·q̇|`, mean over the physics steps \[W\].
+    pub power_w: f64,
+    /// `‖τ‖₂`, mean over the physics steps [N·m].
+    pub torque_n_m: f64,
+    /// `‖τ‖₂²`, mean over the physics steps [N²·m²].
+    pub squared_torque: f64,
+    /// The first fall within the step.
+    pub fall: Option<Fall>,
+}
+
+/// Physical conditions of an episode.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Conditions {
+    /// Gravity, world frame [m/s²]; a tilted one is a slope.
+    pub gravity: [f64; 3],
+    /// Sliding friction of the ground.
+    pub friction: f64,
+    /// What the encoders read too much \[rad\].
+    #[serde(alias = "joint_offsets")]
+    pub encoder_bias: Joints,
+}
+
+/// An instantaneous change of the trunk's velocity.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Push {
+    /// Forward and left, heading frame [m/s].
+    pub linear: [f64; 2],
+    /// About the base's three axes [rad/s].
+    pub angular: [f64; 3],
+}
+
+/// Looks at every physics step of a policy step.
+pub trait StepObserver {
+    /// Called between the two halves, when contact forces exist: with the state after integration, and contacts and
+    /// forces that led to it.
+    fn forces(&mut self, _data: &Data, _parts: &Parts, _torques: &Joints) {}
+
+    /// Called at the end, with the feet where they are now.
+    fn feet(&mut self, _feet: &[Foothold; 4]) {}
+}
+
+/// Sees nothing.
+impl StepObserver for () {}
+
+/// Everything that a resumed simulation needs to give the same bits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SimState {
+    positions: Vec<f64>,
+    velocities: Vec<f64>,
+    warm_start: Vec<f64>,
+    time_s: f64,
+    latency: Latency,
+    conditions: Conditions,
+}
+
+/// The robot in its scene.
+#[derive(Debug)]
+pub struct Sim {
+    data: Data,
+    robot: Arc<Robot>,
+    parts: Parts,
+    ground: Ground,
+    gains: Gains,
+    latency: Latency,
+    conditions: Conditions,
+    substeps: usize,
+    fall_height_m: f64,
+    start: Vec<f64>,
+    /// Positions as the last first half-step found them. It normalises quaternions, which is not idempotent to the last
+    /// bit: resuming from positions after it would not give the same bits.
+    unnormalised: Vec<f64>,
+}
+
+impl Sim {
+    /// Compiles the scene; the robot starts as it stands. It has fallen below `fall_height_m`, unless its own description says
+    /// otherwise.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo, or a name that the model lacks.
+    pub fn new(scene: &Scene, config: &Simulation, fall_height_m: f64) -> Result<Self> {
+        let mut model = scene.compile()?;
+        let parts = Parts::new(&model)?;
+        if scene.ground.patches().is_some() {
+            // Where friction differs by place, each foot carries that of its own place.
+            parts.feet().into_iter().for_each(|foot| model.set_priority(foot, FOOT_PRIORITY));
+        }
+        let mut start = scene.robot.stand.clone();
+        start[2] += scene.ground.height(start[0], start[1]);
+        let conditions = Conditions { gravity: model.gravity(), friction: 0.8, encoder_bias: [0.0; JOINTS] };
+        Ok(Sim {
+            data: Data::new(model)?,
+            parts,
+            robot: Arc::clone(&scene.robot),
+            ground: scene.ground.clone(),
+            gains: Gains { proportional: config.kp_n_m_per_rad, derivative: config.kd_n_m_s_per_rad },
+            latency: Latency::new(config.latency_s, config.timestep_s(), [0.0; JOINTS]),
+            conditions,
+            substeps: config.substeps(),
+            fall_height_m: scene.robot.fall_height_m.unwrap_or(fall_height_m),
+            unnormalised: start.clone(),
+            start,
+        })
+    }
+
+    /// Puts the robot back to its start, at rest, holding `target`.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn reset(&mut self, conditions: Conditions, target: &Joints) -> Result<()> {
+        self.data.reset()?;
+        self.data.positions_mut()[..self.start.len()].copy_from_slice(&self.start);
+        self.latency.reset(*target);
+        self.apply(conditions);
+        self.look()
+    }
+
+    /// Makes what was written into [`Sim::data_mut`] count: bodies that were moved, tendons that were cut.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn refresh(&mut self) -> Result<()> {
+        self.look()
+    }
+
+    /// Gives each foot the friction of the ground where it was at the last look.
+    fn feel_ground(&mut self) {
+        let Some(patches) = self.ground.patches() else { return };
+        for foot in self.parts.feet() {
+            let place = &self.data.geom_positions()[3 * foot..];
+            let friction = patches.at(place[0], place[1]);
+            self.data.set_sliding_friction(foot, friction);
+        }
+    }
+
+    /// The first half of a physics step.
+    fn look(&mut self) -> Result<()> {
+        self.feel_ground();
+        self.unnormalised.clear();
+        self.unnormalised.extend_from_slice(self.data.positions());
+        self.data.step1()
+    }
+
+    fn apply(&mut self, conditions: Conditions) {
+        self.data.set_gravity(conditions.gravity);
+        self.data.set_sliding_friction(self.parts.ground(), conditions.friction);
+        self.conditions = conditions;
+    }
+
+    /// One policy step towards joint targets \[rad\].
+    ///
+    /// # Errors
+    /// A fault of MuJoCo; the simulation must be reset before it goes on.
+    pub fn step(&mut self, target: &Joints, observer: &mut impl StepObserver) -> Result<StepSummary> {
+        let mut summary = StepSummary { power_w: 0.0, torque_n_m: 0.0, squared_torque: 0.0, fall: None };
+        let limits = self.parts.torque_limits();
+        for _ in 0..self.substeps {
+            let acting = self.latency.delay(target);
+            let rates = self.parts.joint_rates(&self.data);
+            let torques = self.gains.torques(&acting, &self.measured_angles(), &rates, &limits);
+            self.parts.set_torques(&mut self.data, &torques);
+            self.data.step2()?;
+            observer.forces(&self.data, &self.parts, &torques);
+            self.look()?;
+            observer.feet(&self.parts.footholds(&self.data, &self.ground));
+            let squared = squared_torque(&torques);
+            summary.power_w += mechanical_power(&torques, &rates);
+            summary.torque_n_m += squared.sqrt();
+            summary.squared_torque += squared;
+            summary.fall = summary.fall.or_else(|| self.fall());
+        }
+        let substeps = self.substeps as f64;
+        summary.power_w /= substeps;
+        summary.torque_n_m /= substeps;
+        summary.squared_torque /= substeps;
+        Ok(summary)
+    }
+
+    /// Joint angles as the encoders read them \[rad\].
+    pub fn measured_angles(&self) -> Joints {
+        let angles = self.parts.joint_angles(&self.data);
+        std::array::from_fn(|joint| angles[joint] + self.conditions.encoder_bias[joint])
+    }
+
+    /// The state now, with joint angles as the encoders read them.
+    pub fn state(&self) -> RobotState {
+        let mut state = self.parts.state(&self.data, &self.ground);
+        state.joint_angles = self.measured_angles();
+        state
+    }
+
+    /// Adds a push to the trunk's velocity at this instant.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn push(&mut self, push: &Push) -> Result<()> {
+        let (_, _, yaw) = self.state().roll_pitch_yaw();
+        let linear =
+            UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(push.linear[0], push.linear[1], 0.0);
+        self.parts.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
+        self.look()
+    }
+
+    /// Sets the force that acts on the trunk from now on, world frame \[N\].
+    pub fn set_trunk_force(&mut self, force: Vector3<f64>) {
+        self.parts.set_trunk_force(&mut self.data, force);
+    }
+
+    fn fall(&self) -> Option<Fall> {
+        if let Some(geom) = self.parts.part_on_ground(&self.data) {
+            return Some(Fall::Touch(geom));
+        }
+        let trunk = &self.data.body_positions()[3 * self.parts.trunk()..];
+        let height = trunk[2] - self.ground.height(trunk[0], trunk[1]);
+        (height < self.fall_height_m).then_some(Fall::Low(height))
+    }
+
+    /// In words, such as "the base sank to 0.19 m" or "RL_calf touched the ground".
+    pub fn describe(&self, fall: Fall) -> String {
+        match fall {
+            Fall::Low(height) => format!("the base sank to {height:.2} m"),
+            Fall::Touch(geom) => {
+                let body = self.data.model().geom_body(geom);
+                format!("{} touched the ground", self.data.model().name(Kind::Body, body))
+            }
+        }
+    }
+
+    /// The physics, for recorders and metrics.
+    pub fn data(&self) -> &Data {
+        &self.data
+    }
+
+    /// The physics, for scenarios that move obstacles or inject faults.
+    pub fn data_mut(&mut self) -> &mut Data {
+        &mut self.data
+    }
+
+    /// The robot.
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// The robot, to keep.
+    pub fn shared_robot(&self) -> Arc<Robot> {
+        Arc::clone(&self.robot)
+    }
+
+    /// Where the robot's parts are in the model.
+    pub fn parts(&self) -> &Parts {
+        &self.parts
+    }
+
+    /// What the robot walks on.
+    pub fn ground(&self) -> &Ground {
+        &self.ground
+    }
+
+    /// Duration of a policy step \[s\].
+    pub fn policy_period_s(&self) -> f64 {
+        self.substeps as f64 * self.data.model().timestep_s()
+    }
+
+    /// What has to be kept to go on exactly from here.
+    pub fn save(&self) -> SimState {
+        SimState {
+            positions: self.unnormalised.clone(),
+            velocities: self.data.velocities().to_vec(),
+            warm_start: self.data.warm_start().to_vec(),
+            time_s: self.data.time_s(),
+            latency: self.latency.clone(),
+            conditions: self.conditions,
+        }
+    }
+
+    /// Goes back to a saved state.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo, or a state of another model.
+    pub fn restore(&mut self, state: &SimState) -> Result<()> {
+        let model = self.data.model();
+        if state.positions.len() != model.nq()
+            || state.velocities.len() != model.nv()
+            || state.warm_start.len() != model.nv()
+            || !self.latency.fits(&state.latency)
+        {
+            let message = "it belongs to another model or latency".into();
+            return Err(Error::Load { what: "a saved state".into(), message });
+        }
+        self.data.reset()?;
+        self.apply(state.conditions);
+        self.data.positions_mut().copy_from_slice(&state.positions);
+        self.data.velocities_mut().copy_from_slice(&state.velocities);
+        self.data.warm_start_mut().copy_from_slice(&state.warm_start);
+        self.data.set_time_s(state.time_s);
+        self.latency = state.latency.clone();
+        self.look()
+    }
+}

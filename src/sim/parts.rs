@@ -1,0 +1,189 @@
+//! The robot in a compiled model: where its parts are, and its state read from there.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+use super::ground::Ground;
+use super::scene::GROUND;
+use crate::mujoco::{Data, Kind, Model, Result};
+use crate::robot::{FootState, Foothold, JOINTS, Joints, LEGS, RobotState, joint_name};
+
+/// Where the robot's parts are in a compiled model.
+#[derive(Debug, Clone)]
+pub struct Parts {
+    trunk: usize,
+    root_position: usize,
+    root_velocity: usize,
+    joint_position: [usize; JOINTS],
+    joint_velocity: [usize; JOINTS],
+    actuators: [usize; JOINTS],
+    torque_limits: Joints,
+    feet: [usize; 4],
+    foot_radius: [f64; 4],
+    ground: usize,
+    /// For each geometry: part of the robot other than a foot.
+    is_body_part: Vec<bool>,
+}
+
+impl Parts {
+    /// Looks up every name once.
+    ///
+    /// # Errors
+    /// [`crate::mujoco::Error::Name`] if the model lacks a part.
+    pub fn new(model: &Model) -> Result<Self> {
+        let trunk = model.id(Kind::Body, "trunk")?;
+        let root = model.id(Kind::Joint, "root")?;
+        let joints = try_array(|k| model.id(Kind::Joint, &format!("{}_joint", joint_name(k))))?;
+        let actuators = try_array(|k| model.id(Kind::Actuator, &joint_name(k)))?;
+        let feet: [usize; 4] = try_array(|leg| model.id(Kind::Geom, &format!("{}_foot", LEGS[leg])))?;
+        let in_robot = |mut body: usize| {
+            while body != 0 && body != trunk {
+                body = model.body_parent(body);
+            }
+            body == trunk
+        };
+        let is_body_part =
+            (0..model.count(Kind::Geom)).map(|geom| in_robot(model.geom_body(geom)) && !feet.contains(&geom)).collect();
+        Ok(Parts {
+            trunk,
+            root_position: model.joint_position_index(root),
+            root_velocity: model.joint_velocity_index(root),
+            joint_position: joints.map(|joint| model.joint_position_index(joint)),
+            joint_velocity: joints.map(|joint| model.joint_velocity_index(joint)),
+            actuators,
+            torque_limits: actuators.map(|actuator| model.control_range(actuator)[1]),
+            feet,
+            foot_radius: feet.map(|geom| model.geom(geom).size[0]),
+            ground: model.id(Kind::Geom, GROUND)?,
+            is_body_part,
+        })
+    }
+
+    /// Body id of the trunk.
+    pub fn trunk(&self) -> usize {
+        self.trunk
+    }
+
+    /// Geometry id of the ground.
+    pub fn ground(&self) -> usize {
+        self.ground
+    }
+
+    /// Geometry ids of the feet.
+    pub fn feet(&self) -> [usize; 4] {
+        self.feet
+    }
+
+    /// Whether a geometry belongs to the robot.
+    pub fn is_part(&self, geom: usize) -> bool {
+        self.is_body_part[geom] || self.feet.contains(&geom)
+    }
+
+    /// Largest torque of each joint [N·m].
+    pub fn torque_limits(&self) -> Joints {
+        self.torque_limits
+    }
+
+    /// True joint angles \[rad\].
+    pub fn joint_angles(&self, data: &Data) -> Joints {
+        self.joint_position.map(|index| data.positions()[index])
+    }
+
+    /// Joint rates [rad/s].
+    pub fn joint_rates(&self, data: &Data) -> Joints {
+        self.joint_velocity.map(|index| data.velocities()[index])
+    }
+
+    /// Velocity of the trunk: linear in the world frame [m/s], angular in the base frame [rad/s].
+    pub fn trunk_velocity(&self, data: &Data) -> (Vector3<f64>, Vector3<f64>) {
+        let v = &data.velocities()[self.root_velocity..];
+        (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
+    }
+
+    /// Rotation from the base frame to the world frame.
+    pub fn world_from_base(&self, data: &Data) -> UnitQuaternion<f64> {
+        let q = &data.positions()[self.root_position + 3..];
+        UnitQuaternion::new_normalize(Quaternion::new(q[0], q[1], q[2], q[3]))
+    }
+
+    /// Sets the motors' torques [N·m].
+    pub fn set_torques(&self, data: &mut Data, torques: &Joints) {
+        let controls = data.controls_mut();
+        for (actuator, torque) in self.actuators.iter().zip(torques) {
+            controls[*actuator] = *torque;
+        }
+    }
+
+    /// Adds to the trunk's velocity: linear in the world frame [m/s], angular in the base frame [rad/s].
+    pub fn add_velocity(&self, data: &mut Data, linear: Vector3<f64>, angular_in_base: Vector3<f64>) {
+        let start = self.root_velocity;
+        let velocity = &mut data.velocities_mut()[start..start + 6];
+        for axis in 0..3 {
+            velocity[axis] += linear[axis];
+            velocity[3 + axis] += angular_in_base[axis];
+        }
+    }
+
+    /// Sets the force on the trunk at its centre of mass, world frame \[N\]. It acts until it is set anew.
+    pub fn set_trunk_force(&self, data: &mut Data, force: Vector3<f64>) {
+        let start = 6 * self.trunk;
+        data.applied_forces_mut()[start..start + 3].copy_from_slice(force.as_slice());
+    }
+
+    /// The state as of the last first half-step.
+    pub fn state(&self, data: &Data, ground: &Ground) -> RobotState {
+        let q = &data.positions()[self.root_position..];
+        let (velocity, angular_velocity_in_base) = self.trunk_velocity(data);
+        let world_from_base = self.world_from_base(data);
+        let position = Vector3::new(q[0], q[1], q[2]);
+        let base_from_world = world_from_base.inverse();
+        let gravity = data.model().gravity();
+        let footholds = self.footholds(data, ground);
+        let feet = std::array::from_fn(|leg| {
+            let Foothold { height, contact } = footholds[leg];
+            FootState { height, contact, velocity: data.geom_velocity(self.feet[leg]) }
+        });
+        RobotState {
+            height: position.z - ground.height(position.x, position.y),
+            velocity_in_base: base_from_world * velocity,
+            angular_velocity_in_base,
+            gravity_in_base: base_from_world * Vector3::from(gravity),
+            joint_angles: self.joint_angles(data),
+            joint_rates: self.joint_rates(data),
+            position,
+            world_from_base,
+            feet,
+        }
+    }
+
+    /// Height and contact of every foot as of the last first half-step.
+    pub fn footholds(&self, data: &Data, ground: &Ground) -> [Foothold; 4] {
+        let mut contact = [false; 4];
+        for touching in data.contacts() {
+            for (foot, geom) in contact.iter_mut().zip(self.feet) {
+                *foot |= touching.geoms.contains(&geom);
+            }
+        }
+        std::array::from_fn(|leg| {
+            let centre = &data.geom_positions()[3 * self.feet[leg]..];
+            let height = centre[2] - self.foot_radius[leg] - ground.height(centre[0], centre[1]);
+            Foothold { height, contact: contact[leg] }
+        })
+    }
+
+    /// A part other than a foot that touches the ground, if there is one.
+    pub fn part_on_ground(&self, data: &Data) -> Option<usize> {
+        data.contacts().find_map(|contact| match contact.geoms {
+            [a, b] if a == self.ground && self.is_body_part[b] => Some(b),
+            [a, b] if b == self.ground && self.is_body_part[a] => Some(a),
+            _ => None,
+        })
+    }
+}
+
+fn try_array<T: Copy + Default, const N: usize>(get: impl Fn(usize) -> Result<T>) -> Result<[T; N]> {
+    let mut array = [T::default(); N];
+    for (index, slot) in array.iter_mut().enumerate() {
+        *slot = get(index)?;
+    }
+    Ok(array)
+}

@@ -1,0 +1,236 @@
+/*! Everything that a run needs to go on with the same bits, in one file that is whole or not there.
+
+The tensors are the learner's (parameters and Adam's moments); the rest (configuration, seed, counters, curriculum, the
+state of every environment) is JSON, exact to the bit. A checksum guards both. The checkpoint before is kept: if the
+newest cannot be read, the run goes on from there and says so.
+*/
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use safetensors::SafeTensors;
+use serde::{Deserialize, Serialize};
+
+use crate::config::Config;
+use crate::network::ActorCritic;
+use crate::ppo::LearnerState;
+use crate::task::Curriculum;
+use crate::train::environment::EnvState;
+use crate::util::files;
+use crate::util::tensors::{self, Tensor};
+
+/// File of the newest checkpoint in a run's folder.
+pub const NEWEST: &str = "checkpoint.safetensors";
+
+/// File of the checkpoint before.
+pub const PREVIOUS: &str = "checkpoint.previous.safetensors";
+
+/// File of a newest checkpoint that could not be read and was set aside.
+pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
+
+/// Version of the format that is written.
+const FORMAT: u32 = 2;
+
+/// The oldest that is read: environments noted down the paper's observation only, and keys had other names.
+const OLDEST_FORMAT: u32 = 1;
+
+/// Larger files are not checkpoints.
+const MAX_BYTES: u64 = 4 << 30;
+
+/// Why a checkpoint could not be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// Reading or writing failed.
+    #[error("checkpoint {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// The content is damaged or of another format.
+    #[error("checkpoint {}: {problem}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// What was found and expected.
+        problem: String,
+    },
+}
+
+/// The state of a run after a whole number of iterations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checkpoint {
+    /// What is not a tensor.
+    pub run: RunState,
+    /// What the learner needs.
+    pub learner: LearnerState,
+}
+
+/// The part of a checkpoint that is not tensors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunState {
+    /// Name of the configuration.
+    pub config_name: String,
+    /// The configuration.
+    pub config: Config,
+    /// Git revision of the program that wrote this.
+    pub git_revision: String,
+    /// Identity of the robot that it is trained with.
+    pub robot_sha256: String,
+    /// The seed.
+    pub seed: u64,
+    /// Iterations done.
+    pub iteration: u64,
+    /// Samples collected.
+    pub samples: u64,
+    /// Wall-clock time spent training, over all sessions \[s\].
+    pub elapsed_s: f64,
+    /// How far the curriculum has got.
+    pub curriculum: Curriculum,
+    /// Every environment, in the middle of its episode.
+    pub environments: Vec<EnvState>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Metadata {
+    format: u32,
+    /// Of the run's JSON and the parameters' and moments' bytes.
+    sha256: String,
+    optimiser_steps: u64,
+    learning_rate: f64,
+    /// [`RunState`] as JSON text, so that the checksum covers exactly these bytes.
+    run: String,
+}
+
+impl Checkpoint {
+    /// Writes the checkpoint into a run's folder; the newest one there becomes the previous one.
+    ///
+    /// # Errors
+    /// [`CheckpointError`] with the file's name; the older checkpoints are untouched then.
+    pub fn save(&self, folder: &Path) -> Result<(), CheckpointError> {
+        let (newest, previous) = (folder.join(NEWEST), folder.join(PREVIOUS));
+        let staged = folder.join("checkpoint.staged.safetensors");
+        let bytes = self.to_bytes().map_err(|problem| CheckpointError::Invalid { path: newest.clone(), problem })?;
+        let move_along = || {
+            files::write_atomically(&staged, &bytes)?;
+            if newest.exists() {
+                std::fs::rename(&newest, &previous)?;
+            }
+            std::fs::rename(&staged, &newest)?;
+            files::sync_folder(&newest)
+        };
+        move_along().map_err(|source| CheckpointError::Io { path: newest.clone(), source })
+    }
+
+    /// Reads the newest checkpoint of a run's folder, or the previous one with the reason why the newest was no good.
+    ///
+    /// # Errors
+    /// The newest one's [`CheckpointError`] if neither can be read.
+    pub fn load(folder: &Path) -> Result<(Self, Option<CheckpointError>), CheckpointError> {
+        match Self::load_file(&folder.join(NEWEST)) {
+            Ok(checkpoint) => Ok((checkpoint, None)),
+            Err(error) => match Self::load_file(&folder.join(PREVIOUS)) {
+                Ok(checkpoint) => Ok((checkpoint, Some(error))),
+                Err(_) => Err(error),
+            },
+        }
+    }
+
+    fn load_file(path: &Path) -> Result<Self, CheckpointError> {
+        let bytes = files::read_bounded(path, MAX_BYTES)
+            .map_err(|source| CheckpointError::Io { path: path.to_owned(), source })?;
+        Self::from_bytes(&bytes).map_err(|problem| CheckpointError::Invalid { path: path.to_owned(), problem })
+    }
+
+    /// The file's bytes.
+    ///
+    /// # Errors
+    /// In words, if the state cannot be represented (numbers that are not finite).
+    pub fn to_bytes(&self) -> Result<Vec<u8>, String> {
+        let run = serde_json::to_string(&self.run).map_err(|error| error.to_string())?;
+        let mut all = Vec::new();
+        for (group, networks) in self.groups() {
+            for (name, shape, values) in networks.tensors() {
+                all.push(Tensor::f32(format!("{group}.{name}"), shape, values));
+            }
+        }
+        let metadata = Metadata {
+            format: FORMAT,
+            sha256: checksum(&run, &self.learner),
+            optimiser_steps: self.learner.steps,
+            learning_rate: self.learner.learning_rate,
+            run,
+        };
+        let json = serde_json::to_string(&metadata).map_err(|error| error.to_string())?;
+        tensors::serialize(&all, json).map_err(|error| error.to_string())
+    }
+
+    /// The inverse of [`Checkpoint::to_bytes`].
+    ///
+    /// # Errors
+    /// In words: damaged, of another format, or inconsistent.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+        let (tensors, json) = tensors::deserialize(bytes)?;
+        let metadata: Metadata =
+            serde_json::from_str(&json).map_err(|error| format!("its metadata do not parse: {error}"))?;
+        if !(OLDEST_FORMAT..=FORMAT).contains(&metadata.format) {
+            let found = metadata.format;
+            return Err(format!(
+                "its format is {found}, this program reads {OLDEST_FORMAT} to {FORMAT}: it is of a newer one"
+            ));
+        }
+        let run: RunState =
+            serde_json::from_str(&metadata.run).map_err(|error| format!("its run state does not parse: {error}"))?;
+        run.config.check().map_err(|error| error.to_string())?;
+        let learner = LearnerState {
+            parameters: read_group(&tensors, "parameters")?,
+            first_moment: read_group(&tensors, "first_moment")?,
+            second_moment: read_group(&tensors, "second_moment")?,
+            steps: metadata.optimiser_steps,
+            learning_rate: metadata.learning_rate,
+        };
+        let found = checksum(&metadata.run, &learner);
+        if found != metadata.sha256 {
+            return Err("its checksum does not match: the file is damaged".into());
+        }
+        Ok(Checkpoint { run, learner })
+    }
+
+    fn groups(&self) -> [(&'static str, &ActorCritic); 3] {
+        groups(&self.learner)
+    }
+}
+
+fn groups(learner: &LearnerState) -> [(&'static str, &ActorCritic); 3] {
+    [
+        ("parameters", &learner.parameters),
+        ("first_moment", &learner.first_moment),
+        ("second_moment", &learner.second_moment),
+    ]
+}
+
+fn checksum(run: &str, learner: &LearnerState) -> String {
+    let mut bytes = run.as_bytes().to_vec();
+    bytes.extend(learner.steps.to_le_bytes());
+    bytes.extend(learner.learning_rate.to_le_bytes());
+    for (_, networks) in groups(learner) {
+        for (_, _, values) in networks.tensors() {
+            bytes.extend(values.iter().flat_map(|value| value.to_le_bytes()));
+        }
+    }
+    files::sha256(&[&bytes])
+}
+
+fn read_group(tensors: &SafeTensors<'_>, group: &str) -> Result<ActorCritic, String> {
+    let prefix = format!("{group}.");
+    let mut named = Vec::new();
+    for name in tensors.names() {
+        if let Some(inner) = name.strip_prefix(&prefix) {
+            let shape = tensors.tensor(name).map_err(|error| error.to_string())?.shape().to_vec();
+            let values = tensors::read_f32(tensors, name, &shape)?;
+            named.push((inner.to_owned(), shape, values));
+        }
+    }
+    ActorCritic::from_tensors(named).map_err(|error| format!("{group}: {error}"))
+}

@@ -1,0 +1,352 @@
+/*! Collecting a batch: every worker steps its own environments, the policy sees all of a worker's at once.
+
+Samples are stored environment by environment, `row = environment · steps + step`, so that a worker writes one stretch
+of every array. Noise comes from a stream of each environment, and a row's network outputs have the same bits in any
+batch: the result does not depend on the number of workers.
+*/
+
+use rand::RngExt;
+use rand_distr::StandardNormal;
+
+use crate::mujoco;
+use crate::network::{ActorCritic, PackedMlp, Scratch};
+use crate::ppo::{Batch, DiagonalGaussian};
+use crate::task::Curriculum;
+use crate::train::environment::{End, EpisodeReport, LocomotionEnv};
+use crate::util::random::{Purpose, stream};
+
+/// A batch of `n = environments · steps` samples.
+#[derive(Debug, Clone, Default)]
+pub struct Rollout {
+    /// Steps of each environment.
+    pub steps: usize,
+    /// Normalised observations, shape (n, observation).
+    pub observations: Vec<f32>,
+    /// Actions as sampled, shape (n, actions).
+    pub actions: Vec<f32>,
+    /// Means of the policy that sampled them, shape (n, actions).
+    pub means: Vec<f32>,
+    /// Log-probabilities of the actions, shape (n).
+    pub log_probs: Vec<f32>,
+    /// Rewards, shape (n).
+    pub rewards: Vec<f32>,
+    /// Values of the observations, shape (n).
+    pub values: Vec<f32>,
+    /// Which steps ended an episode, shape (n).
+    pub ends: Vec<Option<End>>,
+    /// Value of the state after each step that the return goes on with: at time limits and at the end of the batch;
+    /// 0 elsewhere. Shape (n).
+    pub bootstraps: Vec<f32>,
+    /// Finished episodes, by environment and then time.
+    pub episodes: Vec<EpisodeReport>,
+}
+
+/// What the collection needs beside the environments.
+#[derive(Debug, Clone, Copy)]
+pub struct Collection<'a> {
+    /// Policy and value function.
+    pub network: &'a ActorCritic,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Iteration, for the noise streams.
+    pub iteration: u64,
+    /// Steps of each environment.
+    pub steps: usize,
+    /// For episodes that start now.
+    pub curriculum: Curriculum,
+    /// Worker threads.
+    pub threads: usize,
+}
+
+impl Collection<'_> {
+    /// Steps all environments.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo while an episode is set up. Faults within an episode end that episode only.
+    pub fn collect(&self, envs: &mut [LocomotionEnv]) -> mujoco::Result<Rollout> {
+        let chunk = envs.len().div_ceil(self.threads.max(1)).max(1);
+        let networks = Networks {
+            policy: PackedMlp::new(&self.network.policy),
+            value: PackedMlp::new(&self.network.value),
+            gaussian: DiagonalGaussian::new(&self.network.log_std),
+            std: self.network.log_std.iter().map(|log_std| log_std.exp()).collect(),
+        };
+        let parts: mujoco::Result<Vec<Rollout>> = std::thread::scope(|scope| {
+            let workers: Vec<_> = envs
+                .chunks_mut(chunk)
+                .enumerate()
+                .map(|(k, envs)| {
+                    let networks = &networks;
+                    scope.spawn(move || self.collect_chunk(envs, k * chunk, networks))
+                })
+                .collect();
+            // A worker that panicked has broken an invariant: pass the panic on.
+            workers.into_iter().map(|worker| worker.join().unwrap_or_else(|p| std::panic::resume_unwind(p))).collect()
+        });
+        let mut whole = Rollout { steps: self.steps, ..Rollout::default() };
+        for part in parts? {
+            whole.observations.extend(part.observations);
+            whole.actions.extend(part.actions);
+            whole.means.extend(part.means);
+            whole.log_probs.extend(part.log_probs);
+            whole.rewards.extend(part.rewards);
+            whole.values.extend(part.values);
+            whole.ends.extend(part.ends);
+            whole.bootstraps.extend(part.bootstraps);
+            whole.episodes.extend(part.episodes);
+        }
+        Ok(whole)
+    }
+
+    fn collect_chunk(&self, envs: &mut [LocomotionEnv], first: usize, networks: &Networks) -> mujoco::Result<Rollout> {
+        let (count, steps) = (envs.len(), self.steps);
+        let (length, width) = (self.network.policy.inputs(), self.network.log_std.len());
+        let rows = count * steps;
+        let mut rollout = Rollout {
+            steps,
+            observations: vec![0.0; rows * length],
+            actions: vec![0.0; rows * width],
+            means: vec![0.0; rows * width],
+            log_probs: vec![0.0; rows],
+            rewards: vec![0.0; rows],
+            values: vec![0.0; rows],
+            ends: vec![None; rows],
+            bootstraps: vec![0.0; rows],
+            episodes: Vec::new(),
+        };
+        let mut noise: Vec<_> =
+            (0..count).map(|env| stream(self.seed, Purpose::Action, (first + env) as u64, self.iteration)).collect();
+        let mut scratch = Scratch::default();
+        let (mut seen, mut means) = (vec![0.0; count * length], vec![0.0; count * width]);
+        // Rows after which the return goes on with a value, and the observations that it is the value of.
+        let (mut continued, mut final_observations) = (Vec::new(), Vec::new());
+        // By environment: sums over them must not depend on which environments a worker has.
+        let mut episodes: Vec<Vec<EpisodeReport>> = vec![Vec::new(); count];
+
+        for step in 0..steps {
+            for (env, seen) in envs.iter().zip(seen.chunks_exact_mut(length)) {
+                env.normalised_observation(seen);
+            }
+            networks.policy.forward(count, &seen, &mut means, &mut scratch);
+            for (index, env) in envs.iter_mut().enumerate() {
+                let row = index * steps + step;
+                let mean = &means[index * width..(index + 1) * width];
+                let action = &mut rollout.actions[row * width..(row + 1) * width];
+                for (k, value) in action.iter_mut().enumerate() {
+                    *value = mean[k] + networks.std[k] * noise[index].sample::<f32, _>(StandardNormal);
+                }
+                rollout.log_probs[row] = networks.gaussian.log_prob(mean, action) as f32;
+                rollout.means[row * width..(row + 1) * width].copy_from_slice(mean);
+                rollout.observations[row * length..(row + 1) * length]
+                    .copy_from_slice(&seen[index * length..(index + 1) * length]);
+
+                let (outcome, report) = env.step(action);
+                rollout.rewards[row] = outcome.reward as f32;
+                rollout.ends[row] = outcome.end;
+                episodes[index].extend(report);
+                let goes_on = outcome.end == Some(End::TimeLimit) || (outcome.end.is_none() && step + 1 == steps);
+                if goes_on {
+                    let start = final_observations.len();
+                    final_observations.resize(start + length, 0.0);
+                    env.normalised_observation(&mut final_observations[start..]);
+                    continued.push(row);
+                }
+                if outcome.end.is_some() {
+                    env.reset(self.curriculum)?;
+                }
+            }
+        }
+
+        rollout.episodes = episodes.into_iter().flatten().collect();
+        networks.value.forward(rows, &rollout.observations, &mut rollout.values, &mut scratch);
+        let mut final_values = vec![0.0; continued.len()];
+        networks.value.forward(continued.len(), &final_observations, &mut final_values, &mut scratch);
+        for (row, value) in continued.into_iter().zip(final_values) {
+            rollout.bootstraps[row] = value;
+        }
+        Ok(rollout)
+    }
+}
+
+struct Networks {
+    policy: PackedMlp,
+    value: PackedMlp,
+    gaussian: DiagonalGaussian,
+    std: Vec<f32>,
+}
+
+impl Rollout {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.rewards.len()
+    }
+
+    /// Whether there are no samples.
+    pub fn is_empty(&self) -> bool {
+        self.rewards.is_empty()
+    }
+
+    /// What a learner needs of it. `log_std` is that of the policy which acted; advantages and returns have shape (n).
+    pub fn batch<'a>(&'a self, log_std: &'a [f32], advantages: &'a [f32], returns: &'a [f32]) -> Batch<'a> {
+        Batch {
+            observations: &self.observations,
+            actions: &self.actions,
+            means: &self.means,
+            log_std,
+            log_probs: &self.log_probs,
+            advantages,
+            returns,
+        }
+    }
+
+    /// Generalised advantage estimation: advantages and returns (`advantage + value`), shape (n) each.
+    ///
+    /// `δ_t = r_t + γ V(s_{t+1}) − V(s_t)`, `A_t = δ_t + γ λ A_{t+1}`, where a fall has `V(s_{t+1}) = 0`, a time limit
+    /// the value of its final observation, and neither lets `A_{t+1}` of the next episode in. The step in which physics
+    /// failed has no next state and teaches nothing: `A_t = 0`.
+    pub fn advantages(&self, discount: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
+        let (mut advantages, mut returns) = (vec![0.0; self.len()], vec![0.0; self.len()]);
+        for first in (0..self.len()).step_by(self.steps.max(1)) {
+            let mut advantage = 0.0;
+            for row in (first..first + self.steps).rev() {
+                let last = row + 1 == first + self.steps;
+                let next = if self.ends[row].is_some() || last { self.bootstraps[row] } else { self.values[row + 1] };
+                let value = f64::from(self.values[row]);
+                let delta = f64::from(self.rewards[row]) + discount * f64::from(next) - value;
+                advantage = match self.ends[row] {
+                    None => delta + discount * lambda * advantage,
+                    Some(End::Fall | End::TimeLimit) => delta,
+                    Some(End::Fault) => 0.0,
+                };
+                advantages[row] = advantage as f32;
+                returns[row] = (advantage + value) as f32;
+            }
+        }
+        (advantages, returns)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Of the paper's observation.
+    const LENGTH: usize = 83;
+
+    fn rollout(ends: [Option<End>; 3], bootstraps: [f32; 3]) -> Rollout {
+        Rollout {
+            steps: 3,
+            rewards: vec![1.0, 2.0, 3.0],
+            values: vec![10.0, 20.0, 30.0],
+            ends: ends.to_vec(),
+            bootstraps: bootstraps.to_vec(),
+            ..Rollout::default()
+        }
+    }
+
+    fn close(found: &[f32], expected: [f32; 3]) {
+        for (found, expected) in found.iter().zip(expected) {
+            assert!((found - expected).abs() < 1e-4, "{found} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn an_unfinished_episode_continues_with_the_value_of_its_last_observation() {
+        // γ = 0.5, λ = 0.5: δ = [1 + 10 − 10, 2 + 15 − 20, 3 + 20 − 30] = [1, −3, −7]
+        // A₂ = −7, A₁ = −3 − 1.75 = −4.75, A₀ = 1 − 1.1875
+        let (advantages, returns) = rollout([None; 3], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [-0.1875, -4.75, -7.0]);
+        close(&returns, [9.8125, 15.25, 23.0]);
+    }
+
+    #[test]
+    fn a_fall_ends_the_return_and_keeps_the_next_episode_out() {
+        // step 1 falls: δ₁ = 2 − 20 = −18; A₀ = 1 + 10 − 10 − 0.25·18
+        let (advantages, _) = rollout([None, Some(End::Fall), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [-3.5, -18.0, -7.0]);
+    }
+
+    #[test]
+    fn a_time_limit_bootstraps_from_the_final_observation_and_keeps_the_next_episode_out() {
+        // step 1 is cut with final value 24: δ₁ = 2 + 12 − 20 = −6; A₀ = 1 − 0.25·6
+        let (advantages, _) = rollout([None, Some(End::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [-0.5, -6.0, -7.0]);
+    }
+
+    #[test]
+    fn a_step_in_which_physics_failed_teaches_nothing_and_the_ones_before_it_go_by_its_value() {
+        // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
+        let (advantages, returns) = rollout([None, Some(End::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        close(&advantages, [1.0, 0.0, -7.0]);
+        close(&returns, [11.0, 20.0, 23.0]);
+    }
+
+    fn collect(threads: usize, disturb: impl Fn(&mut [LocomotionEnv])) -> Rollout {
+        let config = crate::config::Config::load("compliant").unwrap();
+        let mut rng = stream(2, Purpose::Weights, 0, 0);
+        let network = ActorCritic::orthogonal(LENGTH, &[16], 12, -1.0, &mut rng);
+        let mut envs: Vec<_> =
+            (0..5).map(|index| LocomotionEnv::new(&config, 2, index, Curriculum::complete()).unwrap()).collect();
+        disturb(&mut envs);
+        let network = &network;
+        Collection { network, seed: 2, iteration: 0, steps: 60, curriculum: Curriculum::complete(), threads }
+            .collect(&mut envs)
+            .unwrap()
+    }
+
+    /// Breaks four of the five environments, each in another way.
+    fn break_four(envs: &mut [LocomotionEnv]) {
+        // Not a number.
+        envs[1].sim_mut().data_mut().velocities_mut()[3] = f64::NAN;
+        // A robot that is shot into the ground.
+        envs[2].sim_mut().data_mut().velocities_mut()[2] = -1e8;
+        // A robot that lies in the ground, with more contacts than there is room for.
+        envs[3].sim_mut().data_mut().limit_contacts(8);
+        envs[3].sim_mut().data_mut().positions_mut()[2] = 0.0;
+        // An error raised inside MuJoCo, on one worker's thread.
+        envs[4].sim_mut().data_mut().exhaust_stack();
+    }
+
+    #[test]
+    fn physics_faults_end_their_episodes_are_counted_and_kept_and_leave_the_others_alone() {
+        let calm = collect(2, |_| {});
+        let faulty = collect(2, break_four);
+        let faults: Vec<_> = faulty.episodes.iter().filter_map(|episode| episode.fault.as_ref()).collect();
+        let found: Vec<(u64, String)> =
+            faults.iter().map(|fault| (fault.environment, fault.error.to_string())).collect();
+        assert_eq!(found.iter().map(|fault| fault.0).collect::<Vec<_>>(), [1, 2, 3, 4], "{found:?}");
+        for ((_, message), expected) in
+            found.iter().zip(["unstable", "Contacts is full at 32", "Contacts is full at 8", "Stack overflow"])
+        {
+            assert!(message.contains(expected), "{found:?}");
+        }
+        assert!(faults[0].last_second.contains("NaN"));
+        let rows = |fault: &crate::train::environment::Fault| fault.last_second.lines().count() - 1;
+        assert!(faults.iter().all(|fault| rows(fault) == (fault.step + 1).min(60)), "{found:?}");
+        for (env, fault) in (1..5).zip(&faults) {
+            assert_eq!(faulty.ends[60 * env + fault.step], Some(End::Fault));
+        }
+        assert!(faulty.observations.iter().chain(&faulty.rewards).all(|value| value.is_finite()));
+        let untouched =
+            |rollout: &Rollout| (rollout.observations[..60 * LENGTH].to_vec(), rollout.rewards[..60].to_vec());
+        assert!(untouched(&calm) == untouched(&faulty), "the other environment must not notice");
+    }
+
+    #[test]
+    fn faults_do_not_depend_on_the_number_of_workers() {
+        let (one, three) = (collect(1, break_four), collect(3, break_four));
+        let faults = |rollout: &Rollout| {
+            let faults = rollout.episodes.iter().filter_map(|episode| episode.fault.clone());
+            faults.map(|fault| (fault.environment, fault.step, fault.error, fault.last_second)).collect::<Vec<_>>()
+        };
+        assert_eq!(faults(&one), faults(&three));
+        assert!(one.observations == three.observations && one.rewards == three.rewards);
+    }
+
+    #[test]
+    fn batches_do_not_depend_on_the_number_of_workers() {
+        let (one, three) = (collect(1, |_| {}), collect(3, |_| {}));
+        assert!(one.observations == three.observations && one.actions == three.actions && one.values == three.values);
+        assert!(one.rewards == three.rewards && one.bootstraps == three.bootstraps && one.episodes == three.episodes);
+    }
+}

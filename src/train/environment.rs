@@ -1,0 +1,457 @@
+/*! The training environment: the simulated robot and the task, one policy step at a time.
+
+An environment draws each episode from its own random stream, keeps the history that the observation needs, and tells
+apart how an episode ended: a fall ends the return, a time limit does not, a physics fault is neither and is counted.
+*/
+
+use std::sync::Arc;
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use crate::config::Config;
+use crate::mujoco;
+use crate::observation::{Layout, Moment, Observer};
+use crate::robot::{JOINTS, Joints, Robot, RobotError, RobotState, same_in_every_leg};
+use crate::sim::last_second::LastSecond;
+use crate::sim::{Scene, Sim, SimState};
+use crate::task::reward;
+use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
+use crate::util::random::{Purpose, stream};
+
+/// Why there is no environment.
+#[derive(Debug, thiserror::Error)]
+pub enum EnvironmentError {
+    /// The robot's file.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// What the policy is to see.
+    #[error("{0}")]
+    Observation(String),
+    /// The physics.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+}
+
+/// How an episode ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum End {
+    /// The robot collapsed: the return ends here.
+    Fall,
+    /// Time was up, or there are no pushes yet: the value of the last state continues the return.
+    TimeLimit,
+    /// The physics failed: the step teaches nothing, and is counted.
+    Fault,
+}
+
+/// Outcome of one step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Reward of equation 3, or of the recovery stage.
+    pub reward: f64,
+    /// Set if this step ended the episode. The observation afterwards is the final one.
+    pub end: Option<End>,
+}
+
+/// Summary of a finished episode.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodeReport {
+    /// How it ended.
+    pub end: End,
+    /// Steps it lasted.
+    pub steps: usize,
+    /// Whether the robot was pushed.
+    pub pushed: bool,
+    /// Sum of rewards.
+    pub reward: f64,
+    /// Sums of the terms over all steps, as measured (never replaced).
+    pub terms: Terms,
+    /// Mean `r_lin` of the walking stage, if the episode went through the whole of it.
+    pub walking_linear: Option<f64>,
+    /// Mean peak height of the swings that ended in this episode \[m\].
+    pub swing_height_m: Option<f64>,
+    /// What led to a physics fault.
+    pub fault: Option<Box<Fault>>,
+}
+
+/// A physics fault, to be inspected.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Fault {
+    /// What MuJoCo reported.
+    pub error: mujoco::Error,
+    /// Index of the environment in its run.
+    pub environment: u64,
+    /// Episodes of this environment before this one.
+    pub episode: u64,
+    /// Steps of the episode before the one that failed.
+    pub step: usize,
+    /// See [`LastSecond::csv`].
+    pub last_second: String,
+}
+
+/// Where an episode is. Plain data: saved as it is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Progress {
+    plan: EpisodePlan,
+    step: usize,
+    /// Episodes started before this one.
+    episode: u64,
+    /// Steps after which the first episode is cut, so that environments are not all in the same phase.
+    cut: usize,
+    pushed: bool,
+    reward: f64,
+    terms: Terms,
+    walking: Terms,
+    swings: SwingTracker,
+    swing_sum_m: f64,
+    swing_count: usize,
+    #[serde(default)]
+    observer: Observer,
+    #[serde(default)]
+    last_action: Joints,
+    last_target: Joints,
+    /// Of checkpoints from before observations were lists: `ô_{t−1}` and `ô_t`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    previous: Vec<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    current: Vec<f64>,
+}
+
+impl Progress {
+    /// What the observer of the paper's 83 numbers had noted down: a frame is `ô`, the last target, `ô` again, the command.
+    fn observer_of_old(&self) -> Observer {
+        let command = &self.plan.command;
+        let frame = |reduced: &[f64]| {
+            [reduced, &self.last_target, reduced, &[command.left, command.forward, command.yaw]].concat()
+        };
+        Observer::with_frames(vec![frame(&self.current), frame(&self.previous)])
+    }
+}
+
+/// Everything an environment needs to go on with the same bits.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EnvState {
+    sim: SimState,
+    progress: Progress,
+}
+
+/// A robot on a tilted plane with commands and pushes.
+#[derive(Debug)]
+pub struct LocomotionEnv {
+    config: Config,
+    layout: Arc<Layout>,
+    stages: Stages,
+    nominal: Joints,
+    seed: u64,
+    index: u64,
+    sim: Sim,
+    progress: Progress,
+    /// Not part of the saved state: nothing depends on it, and after a resumption it starts anew.
+    last_second: LastSecond,
+}
+
+impl LocomotionEnv {
+    /// Environment `index` of a run, at the start of its first episode.
+    ///
+    /// # Errors
+    /// What does not fit in the robot or the observation, or a fault of MuJoCo.
+    pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, EnvironmentError> {
+        let layout = config.layout().map_err(EnvironmentError::Observation)?;
+        let robot = Robot::load(&config.robot.model)?;
+        Ok(Self::of(config, robot, Arc::new(layout), seed, index, curriculum)?)
+    }
+
+    /// As [`LocomotionEnv::new`] with the robot and the observation of `config`, for many environments.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn of(
+        config: &Config,
+        robot: Arc<Robot>,
+        layout: Arc<Layout>,
+        seed: u64,
+        index: u64,
+        curriculum: Curriculum,
+    ) -> mujoco::Result<Self> {
+        let scene = Scene::flat(robot, config.simulation.timestep_s());
+        let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
+        let stages = Stages::new(&config.episode, &config.simulation);
+        let nominal = same_in_every_leg(config.action.nominal_pose_rad);
+        let cut = stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start);
+        let mut env = LocomotionEnv {
+            progress: start(config, seed, index, 0, curriculum, cut, nominal),
+            config: config.clone(),
+            layout,
+            stages,
+            nominal,
+            seed,
+            index,
+            last_second: LastSecond::new(
+                config.simulation.policy_rate_hz as usize,
+                sim.data().model().nq(),
+                sim.data().model().nv(),
+            ),
+            sim,
+        };
+        env.begin()?;
+        Ok(env)
+    }
+
+    /// Starts the next episode.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn reset(&mut self, curriculum: Curriculum) -> mujoco::Result<()> {
+        let episode = self.progress.episode + 1;
+        let cut = usize::MAX;
+        self.progress = start(&self.config, self.seed, self.index, episode, curriculum, cut, self.nominal);
+        self.begin()
+    }
+
+    fn begin(&mut self) -> mujoco::Result<()> {
+        self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
+        self.last_second.clear();
+        let state = self.sim.state();
+        self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
+        self.observe(&state);
+        Ok(())
+    }
+
+    fn observe(&mut self, state: &RobotState) {
+        let p = &mut self.progress;
+        let now = Moment {
+            state,
+            command: &p.plan.command,
+            last_action: &p.last_action,
+            last_target: &p.last_target,
+            nominal: &self.nominal,
+            time_s: p.step as f64 * self.config.simulation.policy_period_s(),
+        };
+        p.observer.measure(&self.layout, &now);
+    }
+
+    /// What the observation is made of.
+    pub fn layout(&self) -> &Layout {
+        &self.layout
+    }
+
+    /// The observation now, in physical units.
+    pub fn observation(&self) -> Vec<f64> {
+        self.progress.observer.raw(&self.layout)
+    }
+
+    /// The observation now as the networks see it, into a slice of the layout's length.
+    pub fn normalised_observation(&self, out: &mut [f32]) {
+        self.progress.observer.normalised(&self.layout, out);
+    }
+
+    /// One policy step with an action, one number for each joint.
+    ///
+    /// # Panics
+    /// If the action is shorter.
+    pub fn step(&mut self, action: &[f32]) -> (Step, Option<EpisodeReport>) {
+        match self.try_step(action) {
+            Ok((step, report)) => (step, report),
+            Err(error) => {
+                let fault = Fault {
+                    error,
+                    environment: self.index,
+                    episode: self.progress.episode,
+                    step: self.progress.step,
+                    last_second: self.last_second.csv(),
+                };
+                let step = Step { reward: 0.0, end: Some(End::Fault) };
+                (step, Some(self.report(End::Fault, Some(Box::new(fault)))))
+            }
+        }
+    }
+
+    fn try_step(&mut self, action: &[f32]) -> mujoco::Result<(Step, Option<EpisodeReport>)> {
+        let scale = self.config.action.scale_rad;
+        let target: Joints = std::array::from_fn(|joint| self.nominal[joint] + scale * f64::from(action[joint]));
+        self.last_second.note(self.sim.data().positions(), self.sim.data().velocities(), &target);
+        let stage = self.stages.at(self.progress.step);
+        if self.progress.step == self.stages.recovery_start {
+            // Without a push the episode ended with the step before.
+            if let Some(push) = &self.progress.plan.push {
+                self.sim.push(push)?;
+                self.progress.pushed = true;
+            }
+        }
+        let summary = self.sim.step(&target, &mut self.progress.swings)?;
+        let state = self.sim.state();
+
+        let p = &mut self.progress;
+        let landings = p.swings.take();
+        let step = reward::Step {
+            state: &state,
+            command: &p.plan.command,
+            summary: &summary,
+            landings: &landings,
+            config: &self.config.reward,
+        };
+        let terms = Terms::new(&step);
+        p.terms.add(&terms);
+        p.swing_sum_m += landings.peak_sum_m;
+        p.swing_count += landings.count;
+        let mut paid = terms;
+        match stage {
+            Stage::Walking => p.walking.add(&terms),
+            Stage::Recovery if self.config.episode.recovery_stage => {
+                paid = paid.with_tracking_of(&p.walking.divided(self.stages.recovery_start as f64));
+            }
+            Stage::Recovery | Stage::PostRecovery => {}
+        }
+        let reward = paid.total(&self.config.reward);
+        p.reward += reward;
+        p.step += 1;
+        p.last_action = std::array::from_fn(|joint| f64::from(action[joint]));
+        p.last_target = target;
+        self.observe(&state);
+
+        let end = self.end(summary.fall.is_some());
+        let report = end.map(|end| self.report(end, None));
+        Ok((Step { reward, end }, report))
+    }
+
+    fn end(&self, fell: bool) -> Option<End> {
+        let p = &self.progress;
+        let last = if p.plan.push.is_some() { self.stages.end } else { self.stages.recovery_start };
+        if fell {
+            Some(End::Fall)
+        } else if p.step >= last.min(p.cut) {
+            Some(End::TimeLimit)
+        } else {
+            None
+        }
+    }
+
+    fn report(&self, end: End, fault: Option<Box<Fault>>) -> EpisodeReport {
+        let p = &self.progress;
+        let walked = p.step >= self.stages.recovery_start;
+        EpisodeReport {
+            end,
+            steps: p.step,
+            pushed: p.pushed,
+            reward: p.reward,
+            terms: p.terms,
+            walking_linear: walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64),
+            swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
+            fault,
+        }
+    }
+
+    /// The simulation, to look at or to disturb.
+    pub fn sim_mut(&mut self) -> &mut Sim {
+        &mut self.sim
+    }
+
+    /// Sees another observation from now on, of the same quantities.
+    #[cfg(test)]
+    pub(super) fn see(&mut self, layout: &Arc<Layout>) {
+        self.layout = Arc::clone(layout);
+    }
+
+    /// What has to be kept to go on exactly from here.
+    pub fn save(&self) -> EnvState {
+        EnvState { sim: self.sim.save(), progress: self.progress.clone() }
+    }
+
+    /// Goes back to a saved state.
+    ///
+    /// # Errors
+    /// A state of another model, or a fault of MuJoCo.
+    pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
+        self.sim.restore(&state.sim)?;
+        self.last_second.clear();
+        self.progress = state.progress.clone();
+        if !self.progress.current.is_empty() {
+            self.progress.observer = self.progress.observer_of_old();
+            (self.progress.previous, self.progress.current) = (Vec::new(), Vec::new());
+        }
+        if self.progress.observer.fits(&self.layout) {
+            Ok(())
+        } else {
+            let message = "it belongs to another observation".into();
+            Err(mujoco::Error::Load { what: "a saved state".into(), message })
+        }
+    }
+}
+
+fn start(
+    config: &Config,
+    seed: u64,
+    index: u64,
+    episode: u64,
+    curriculum: Curriculum,
+    cut: usize,
+    nominal: Joints,
+) -> Progress {
+    let plan = EpisodePlan::draw(config, curriculum, &mut stream(seed, Purpose::Episode, index, episode));
+    Progress {
+        plan,
+        step: 0,
+        episode,
+        cut,
+        pushed: false,
+        reward: 0.0,
+        terms: Terms::default(),
+        walking: Terms::default(),
+        swings: SwingTracker::default(),
+        swing_sum_m: 0.0,
+        swing_count: 0,
+        observer: Observer::new(),
+        last_action: [0.0; JOINTS],
+        last_target: nominal,
+        previous: Vec::new(),
+        current: Vec::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Actions of a clumsy trot.
+    fn action(step: usize) -> [f32; 12] {
+        std::array::from_fn(|joint| {
+            let phase = step as f32 * 0.3 + if matches!(joint / 3, 0 | 3) { 0.0 } else { std::f32::consts::PI };
+            0.8 * (phase + (joint % 3) as f32).sin()
+        })
+    }
+
+    #[test]
+    fn an_episode_tells_the_fraction_of_its_time_in_flight() {
+        let mut config = Config::load("compliant").unwrap();
+        config.episode.walking_s = 0.25;
+        // From 0.5 m above the ground, a fall takes 0.32 s: longer than the episode.
+        for (lifted_m, expected) in [(0.0, 0.0), (0.5, 1.0)] {
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            env.reset(Curriculum::new(&config.command)).unwrap();
+            env.sim_mut().data_mut().positions_mut()[2] += lifted_m;
+            env.sim_mut().refresh().unwrap();
+            let report = (0..15).find_map(|_| env.step(&[0.0; 12]).1).unwrap();
+            assert_eq!((report.end, report.terms.flight()), (End::TimeLimit, 15.0 * expected));
+        }
+    }
+
+    #[test]
+    fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
+        let mut config = Config::load("compliant").unwrap();
+        config.episode.walking_s = 0.5;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
+        for step in 0..200 {
+            let json = serde_json::to_string(&env.save()).unwrap();
+            other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
+            assert_eq!(env.save(), other.save(), "step {step}");
+            let (outcome, report) = env.step(&action(step));
+            assert_eq!((outcome, report), other.step(&action(step)), "step {step}");
+            assert_eq!(env.observation(), other.observation(), "step {step}");
+            if outcome.end.is_some() {
+                env.reset(Curriculum::complete()).unwrap();
+            }
+        }
+    }
+}

@@ -1,0 +1,233 @@
+/*! What one iteration of training did, as a flat list of named numbers: one JSON object, one TensorBoard step.
+*/
+
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::ppo::UpdateStatistics;
+use crate::task::Terms;
+use crate::train::collection::Rollout;
+use crate::train::environment::{End, EpisodeReport};
+
+/// One iteration. Means over episodes are over those that finished in it; `None` if there were none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct IterationMetrics {
+    /// Iterations done, this one included.
+    pub iteration: u64,
+    /// Samples collected, this iteration's included.
+    pub samples: u64,
+    /// Mean reward of a step.
+    pub step_reward: f64,
+    /// Episodes that finished.
+    pub episodes: usize,
+    /// Of those, how many fell.
+    pub falls: usize,
+    /// Of those, how many ended in a physics fault.
+    pub faults: usize,
+    /// Falls over episodes.
+    #[serde(alias = "fall_share")]
+    pub fall_rate: Option<f64>,
+    /// Falls over episodes, of those that were pushed.
+    #[serde(alias = "pushed_fall_share")]
+    pub pushed_fall_rate: Option<f64>,
+    /// Pushed episodes over completed walking stages.
+    #[serde(alias = "push_share")]
+    pub push_fraction: Option<f64>,
+    /// Mean sum of rewards of an episode.
+    pub episode_reward: Option<f64>,
+    /// Mean length of an episode \[steps\].
+    pub episode_steps: Option<f64>,
+    /// Mean `r_lin` of completed walking stages, 0 to 1: the fraction of its maximum.
+    pub walking_linear: Option<f64>,
+    /// Mean peak height of swings \[m\].
+    pub swing_height_m: Option<f64>,
+    /// Mean terms of Table II per step.
+    pub terms: Option<Terms>,
+    /// Open fraction of the command range.
+    #[serde(alias = "command_share")]
+    pub command_fraction: f64,
+    /// Mean standard deviation of the actions.
+    pub action_std: f64,
+    /// Fraction of the variance of the returns that the values explain.
+    pub explained_variance: f64,
+    /// What the learner did.
+    pub learner: LearnerMetrics,
+    /// How long it took; the only numbers that differ between two runs of the same seed.
+    pub time: Timing,
+}
+
+/// Statistics of the update, means over its gradient steps.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct LearnerMetrics {
+    /// Clipped surrogate, negated.
+    pub policy_loss: f64,
+    /// Mean squared error of the values.
+    pub value_loss: f64,
+    /// Entropy of the policy.
+    pub entropy: f64,
+    /// Divergence from the policy of the rollout.
+    pub kl: f64,
+    /// Fraction of samples outside the clip range.
+    #[serde(alias = "clip_share")]
+    pub clip_fraction: f64,
+    /// Largest probability ratio of a sample.
+    pub max_ratio: f64,
+    /// Norm of the joint gradient before clipping.
+    pub gradient_norm: f64,
+    /// Largest norm of the joint gradient before clipping.
+    pub max_gradient_norm: f64,
+    /// Learning rate.
+    pub learning_rate: f64,
+}
+
+impl From<UpdateStatistics> for LearnerMetrics {
+    fn from(statistics: UpdateStatistics) -> Self {
+        LearnerMetrics {
+            policy_loss: statistics.policy_loss,
+            value_loss: statistics.value_loss,
+            entropy: statistics.entropy,
+            kl: statistics.kl,
+            clip_fraction: statistics.clip_fraction,
+            max_ratio: statistics.max_ratio,
+            gradient_norm: statistics.gradient_norm,
+            max_gradient_norm: statistics.max_gradient_norm,
+            learning_rate: statistics.learning_rate,
+        }
+    }
+}
+
+/// Wall-clock times.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Timing {
+    /// Collecting \[s\].
+    pub rollout_s: f64,
+    /// Learning \[s\].
+    pub update_s: f64,
+    /// Samples over the whole iteration's time [1/s].
+    pub samples_per_s: f64,
+    /// Training time of the run, over all sessions \[s\].
+    pub elapsed_s: f64,
+}
+
+impl Timing {
+    /// From the parts of an iteration.
+    pub fn new(samples: usize, rollout: Duration, update: Duration, whole: Duration, elapsed_s: f64) -> Self {
+        Timing {
+            rollout_s: rollout.as_secs_f64(),
+            update_s: update.as_secs_f64(),
+            samples_per_s: samples as f64 / whole.as_secs_f64().max(1e-9),
+            elapsed_s,
+        }
+    }
+}
+
+/// Means over the episodes that finished in a rollout.
+#[derive(Debug, Clone, PartialEq)]
+pub struct EpisodeMeans {
+    /// Finished episodes.
+    pub episodes: usize,
+    /// Of those, fallen.
+    pub falls: usize,
+    /// Of those, ended by a physics fault.
+    pub faults: usize,
+    /// Falls over episodes.
+    pub fall_rate: Option<f64>,
+    /// Falls over pushed episodes.
+    pub pushed_fall_rate: Option<f64>,
+    /// Completed walking stages.
+    pub walks: usize,
+    /// Pushed episodes over completed walking stages.
+    pub push_fraction: Option<f64>,
+    /// Sum of rewards.
+    pub reward: Option<f64>,
+    /// Steps.
+    pub steps: Option<f64>,
+    /// Mean `r_lin` of completed walking stages.
+    pub walking_linear: Option<f64>,
+    /// Peak height of swings \[m\].
+    pub swing_height_m: Option<f64>,
+    /// Terms per step.
+    pub terms: Option<Terms>,
+}
+
+impl EpisodeMeans {
+    /// Of a rollout's finished episodes.
+    pub fn new(episodes: &[EpisodeReport]) -> Self {
+        let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
+        let pushed = || episodes.iter().filter(|episode| episode.pushed);
+        let walks = || episodes.iter().filter_map(|episode| episode.walking_linear);
+        let fraction = |part: usize, whole: usize| (whole > 0).then(|| part as f64 / whole as f64);
+        let mut terms = Terms::default();
+        episodes.iter().for_each(|episode| terms.add(&episode.terms));
+        let steps: usize = episodes.iter().map(|episode| episode.steps).sum();
+        EpisodeMeans {
+            episodes: episodes.len(),
+            falls: count(End::Fall),
+            faults: count(End::Fault),
+            fall_rate: fraction(count(End::Fall), episodes.len()),
+            pushed_fall_rate: fraction(pushed().filter(|episode| episode.end == End::Fall).count(), pushed().count()),
+            walks: walks().count(),
+            push_fraction: fraction(pushed().count(), walks().count()),
+            reward: mean(episodes.iter().map(|episode| episode.reward)),
+            steps: mean(episodes.iter().map(|episode| episode.steps as f64)),
+            walking_linear: mean(walks()),
+            swing_height_m: mean(episodes.iter().filter_map(|episode| episode.swing_height_m)),
+            terms: (steps > 0).then(|| terms.divided(steps as f64)),
+        }
+    }
+}
+
+/// `1 − Var(returns − values) / Var(returns)`, 0 if the returns do not vary.
+pub fn explained_variance(rollout: &Rollout, returns: &[f32]) -> f64 {
+    let variance = |values: &mut dyn Iterator<Item = f64>| {
+        let values: Vec<f64> = values.collect();
+        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+        values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len().max(1) as f64
+    };
+    let total = variance(&mut returns.iter().map(|value| f64::from(*value)));
+    let errors = returns.iter().zip(&rollout.values).map(|(a, b)| f64::from(*a) - f64::from(*b));
+    let unexplained = variance(&mut { errors });
+    if total > 0.0 { 1.0 - unexplained / total } else { 0.0 }
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+impl IterationMetrics {
+    /// The numbers for TensorBoard, grouped by what they are about.
+    pub fn scalars(&self) -> Vec<(String, f64)> {
+        let mut scalars: Vec<(String, f64)> = Vec::new();
+        let mut put = |name: &str, value: Option<f64>| scalars.extend(value.map(|value| (name.to_owned(), value)));
+        put("episode/reward", self.episode_reward);
+        put("episode/steps", self.episode_steps);
+        put("episode/step_reward", Some(self.step_reward));
+        put("episode/fall_rate", self.fall_rate);
+        put("episode/pushed_fall_rate", self.pushed_fall_rate);
+        put("episode/faults", Some(self.faults as f64));
+        put("episode/walking_linear", self.walking_linear);
+        put("episode/swing_height_m", self.swing_height_m);
+        put("curriculum/command_fraction", Some(self.command_fraction));
+        put("curriculum/push_fraction", self.push_fraction);
+        for (name, value) in self.terms.iter().flat_map(Terms::fields) {
+            put(&format!("reward/{name}"), Some(value));
+        }
+        put("learner/policy_loss", Some(self.learner.policy_loss));
+        put("learner/value_loss", Some(self.learner.value_loss));
+        put("learner/entropy", Some(self.learner.entropy));
+        put("learner/kl", Some(self.learner.kl));
+        put("learner/clip_fraction", Some(self.learner.clip_fraction));
+        put("learner/max_ratio", Some(self.learner.max_ratio));
+        put("learner/gradient_norm", Some(self.learner.gradient_norm));
+        put("learner/max_gradient_norm", Some(self.learner.max_gradient_norm));
+        put("learner/learning_rate", Some(self.learner.learning_rate));
+        put("learner/action_std", Some(self.action_std));
+        put("learner/explained_variance", Some(self.explained_variance));
+        put("time/rollout_s", Some(self.time.rollout_s));
+        put("time/update_s", Some(self.time.update_s));
+        put("time/samples_per_s", Some(self.time.samples_per_s));
+        scalars
+    }
+}

@@ -1,0 +1,16 @@
+/*! Training, from environments to a run's folder.
+
+[`environment`] steps one robot through its episodes, [`collection`] many of them under the policy; [`Trainer`] collects,
+learns and widens the curriculum; [`run`] keeps all of it on disk.
+*/
+
+pub mod checkpoint;
+pub mod collection;
+pub mod environment;
+pub mod metrics;
+pub mod run;
+pub mod symmetry;
+mod tensorboard;
+mod trainer;
+
+pub use trainer::{TrainError, Trainer};

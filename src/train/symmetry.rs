@@ -1,0 +1,194 @@
+/*! Left–right symmetry: every sample of a batch teaches the same thing to the other side.
+
+A quadruped is nearly its own mirror image about the plane between its left and right legs, and so is the task. A learner
+that is shown samples in the mirror about half of the time gets twice the variety from the same physics, and its robot
+drifts to neither side. rsl_rl has the same by the name of symmetry augmentation. It is off in Table III; the fast presets
+use it.
+*/
+
+use rand::{Rng, RngExt};
+
+use crate::network::{Mlp, PackedMlp, Scratch};
+use crate::observation::Layout;
+use crate::ppo::{Batch, Samples};
+use crate::robot::{JOINTS, Robot};
+
+/// What becomes of observations and actions in the mirror: for each number, the one that becomes it, and its sign.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Mirror {
+    observation: Vec<(usize, f32)>,
+    action: Vec<(usize, f32)>,
+}
+
+fn reflect(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
+    rows.chunks_exact(sources.len()).flat_map(|row| sources.iter().map(|(index, sign)| sign * row[*index])).collect()
+}
+
+impl Mirror {
+    /// For a robot and what its policy sees.
+    ///
+    /// # Errors
+    /// In words: what has no mirror image.
+    pub fn new(layout: &Layout, robot: &Robot) -> Result<Self, String> {
+        let action = |joint| {
+            let (image, sign) = robot.mirrored(joint);
+            (image, sign as f32)
+        };
+        Ok(Mirror { observation: layout.mirrored(robot)?, action: (0..JOINTS).map(action).collect() })
+    }
+
+    /// Mirror images of normalised observations, shape (n, observation).
+    fn observations(&self, rows: &[f32]) -> Vec<f32> {
+        reflect(&self.observation, rows)
+    }
+
+    /// Mirror images of actions, shape (n, actions).
+    fn actions(&self, rows: &[f32]) -> Vec<f32> {
+        reflect(&self.action, rows)
+    }
+
+    /// The n samples of a batch and, as samples n to 2 n, their mirror images.
+    ///
+    /// Rewards and values have no side, and an image was as likely as its sample, from the mirror image of the policy that
+    /// sampled. The means are those of that policy itself: the learning rate follows how far it moves, not how far it is from
+    /// its image.
+    pub fn doubled(&self, batch: &Batch<'_>, policy: &Mlp, threads: usize) -> Samples {
+        let (seen, done) = (self.observations(batch.observations), self.actions(batch.actions));
+        let means = evaluate(&PackedMlp::new(policy), &seen, threads);
+        Samples {
+            observations: [batch.observations, &seen].concat(),
+            actions: [batch.actions, &done].concat(),
+            means: [batch.means, &means].concat(),
+            log_std: batch.log_std.to_vec(),
+            log_probs: batch.log_probs.repeat(2),
+            advantages: batch.advantages.repeat(2),
+            returns: batch.returns.repeat(2),
+        }
+    }
+}
+
+/// Replaces samples of `order`, all of them below `samples`, by their images with probability ½.
+pub fn flip(order: &mut [u32], samples: usize, rng: &mut impl Rng) {
+    for row in order {
+        if rng.random() {
+            *row += samples as u32;
+        }
+    }
+}
+
+/// Outputs have the same bits for any number of threads.
+fn evaluate(network: &PackedMlp, inputs: &[f32], threads: usize) -> Vec<f32> {
+    let (width, rows) = (network.outputs(), inputs.len() / network.inputs());
+    let chunk = rows.div_ceil(threads.max(1)).max(1);
+    let mut outputs = vec![0.0; rows * width];
+    std::thread::scope(|scope| {
+        for (inputs, outputs) in inputs.chunks(chunk * network.inputs()).zip(outputs.chunks_mut(chunk * width)) {
+            scope.spawn(move || network.forward(outputs.len() / width, inputs, outputs, &mut Scratch::default()));
+        }
+    });
+    outputs
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::config::Config;
+    use crate::network::ActorCritic;
+    use crate::observation::{Command, Moment, Observer};
+    use crate::robot::{FootState, RobotState};
+    use crate::util::random::{Purpose, stream};
+
+    const LENGTH: usize = 83;
+
+    fn layout() -> Layout {
+        Config::load("compliant").unwrap().layout().unwrap()
+    }
+
+    fn mirror() -> Mirror {
+        Mirror::new(&layout(), &Robot::load("go1").unwrap()).unwrap()
+    }
+
+    /// A robot that leans, turns, moves and is commanded to its left, or to its right with the legs' roles swapped.
+    fn leaning(side: f64) -> Vec<f32> {
+        let joint = |values: [f64; 12]| -> [f64; 12] {
+            if side > 0.0 {
+                values
+            } else {
+                std::array::from_fn(|k| {
+                    let swapped = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8][k];
+                    if k % 3 == 0 { -values[swapped] } else { values[swapped] }
+                })
+            }
+        };
+        let angles = joint([0.1, 0.7, -1.4, 0.2, 0.8, -1.5, -0.1, 0.6, -1.3, 0.3, 0.9, -1.6]);
+        let state = |age: f64| RobotState {
+            position: Vector3::zeros(),
+            world_from_base: UnitQuaternion::identity(),
+            height: 0.3 + age,
+            velocity_in_base: Vector3::new(0.5, side * 0.2, -0.1),
+            angular_velocity_in_base: Vector3::new(side * 0.3, 0.4, side * (0.5 + age)),
+            gravity_in_base: Vector3::new(-0.5, side * 0.7, -9.7),
+            joint_angles: angles,
+            joint_rates: joint([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0]),
+            feet: [FootState::default(); 4],
+        };
+        let command = Command::velocity(0.9, side * 0.4, side * -0.3);
+        let (mut observer, layout, zero) = (Observer::new(), layout(), [0.0; 12]);
+        for age in [0.01, 0.0] {
+            let (state, last_target) = (&state(age), &angles);
+            let now = Moment { state, command: &command, last_action: &zero, last_target, nominal: &zero, time_s: 0.0 };
+            observer.measure(&layout, &now);
+        }
+        let mut seen = vec![0.0; LENGTH];
+        observer.normalised(&layout, &mut seen);
+        seen
+    }
+
+    #[test]
+    fn image_of_a_robot_leaning_to_the_left_is_one_leaning_to_the_right() {
+        assert_ne!(leaning(1.0), leaning(-1.0));
+        assert_eq!(mirror().observations(&leaning(1.0)), leaning(-1.0));
+        assert_eq!(mirror().observations(&mirror().observations(&leaning(1.0))), leaning(1.0));
+    }
+
+    #[test]
+    fn actions_change_sides_and_hips_turn_around() {
+        let done: Vec<f32> = (1..=12).map(|k| k as f32).collect();
+        assert_eq!(mirror().actions(&done), [-4.0, 5.0, 6.0, -1.0, 2.0, 3.0, -10.0, 11.0, 12.0, -7.0, 8.0, 9.0]);
+    }
+
+    #[test]
+    fn images_keep_what_has_no_side_and_have_means_of_their_own() {
+        let network = ActorCritic::orthogonal(LENGTH, &[16], 12, -1.0, &mut stream(0, Purpose::Weights, 0, 0));
+        let seen = [leaning(1.0), leaning(-1.0), leaning(1.0)].concat();
+        let evaluated = evaluate(&PackedMlp::new(&network.policy), &seen, 1);
+        let batch = Batch {
+            observations: &seen,
+            actions: &[[0.5; 12]; 3].concat(),
+            means: &evaluated,
+            log_std: &network.log_std,
+            log_probs: &[1.0, 2.0, 3.0],
+            advantages: &[4.0, 5.0, 6.0],
+            returns: &[7.0, 8.0, 9.0],
+        };
+        let images = |threads| mirror().doubled(&batch, &network.policy, threads);
+        let both = images(1);
+        assert_eq!(both.means, images(2).means);
+        // Samples 1 and 3 are the image of sample 2, which therefore has their means.
+        assert_eq!(both.means[4 * 12..5 * 12], evaluated[..12]);
+        assert_eq!(both.means[3 * 12..4 * 12], evaluated[12..24]);
+        assert_eq!((both.advantages.as_slice(), both.returns[5]), (&[4.0, 5.0, 6.0, 4.0, 5.0, 6.0][..], 9.0));
+        assert_eq!(both.log_probs, [1.0, 2.0, 3.0, 1.0, 2.0, 3.0]);
+    }
+
+    #[test]
+    fn flipping_leaves_every_sample_once_on_either_side() {
+        let mut order: Vec<u32> = (0..1000).rev().collect();
+        flip(&mut order, 1000, &mut stream(0, Purpose::Shuffle, 0, 0));
+        let flipped = order.iter().filter(|row| **row >= 1000).count();
+        assert!((400..600).contains(&flipped), "{flipped} of 1000");
+        assert!(order.iter().map(|row| row % 1000).eq((0..1000).rev()));
+    }
+}

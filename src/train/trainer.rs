@@ -1,0 +1,415 @@
+/*! Training: collect, estimate advantages, learn, widen the curriculum, again.
+
+A [`Trainer`] is a run in memory; [`RunFolder`](crate::train::run::RunFolder) is its place on disk.
+*/
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use rand::seq::SliceRandom;
+
+use super::checkpoint::{Checkpoint, RunState};
+use super::collection::{Collection, Rollout};
+use super::environment::{End, Fault, LocomotionEnv};
+use super::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
+use super::symmetry::{self, Mirror};
+use crate::config::{Config, ValueError};
+use crate::mujoco;
+use crate::network::ActorCritic;
+use crate::observation::Layout;
+use crate::policy::{Policy, Provenance};
+use crate::ppo::{Batch, Hyperparameters, Learner, LearnerState, Samples, UpdateFault, learner};
+use crate::robot::{JOINTS, Robot, RobotError};
+use crate::task::Curriculum;
+use crate::util::provenance;
+use crate::util::random::{Purpose, stream};
+
+/// Why training stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// The configuration.
+    #[error(transparent)]
+    Config(#[from] ValueError),
+    /// The robot's file.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// An environment could not be set up.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+    /// What is to be learnt from in the mirror has no mirror image.
+    #[error("ppo.symmetry is true, but {0}: make it false")]
+    Symmetry(String),
+    /// The update met numbers that are not finite.
+    #[error("the learner stopped in iteration {iteration}: {fault}")]
+    Learner {
+        /// Iterations done before.
+        iteration: u64,
+        /// What it met.
+        fault: Box<UpdateFault>,
+        /// The minibatch it met it in, as CSV: a row for each sample. Empty if no minibatch is to blame.
+        minibatch: String,
+        /// What the update and the rollout before it were like, as JSON.
+        circumstances: String,
+    },
+    /// A checkpoint that does not fit its own configuration.
+    #[error("the checkpoint does not fit its configuration: {0}")]
+    Checkpoint(String),
+}
+
+/// A training run.
+#[derive(Debug)]
+pub struct Trainer {
+    config_name: String,
+    config: Config,
+    robot: Arc<Robot>,
+    layout: Arc<Layout>,
+    /// If samples are learnt from in it.
+    mirror: Option<Mirror>,
+    seed: u64,
+    threads: usize,
+    learner: Box<dyn Learner>,
+    environments: Vec<LocomotionEnv>,
+    curriculum: Curriculum,
+    iteration: u64,
+    samples: u64,
+    elapsed_s: f64,
+    /// Physics faults of the last iteration.
+    faults: Vec<Fault>,
+}
+
+impl Trainer {
+    /// A new run.
+    ///
+    /// # Errors
+    /// If a value of the configuration is out of its range, or the robot's model cannot be simulated.
+    pub fn new(config_name: &str, config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
+        config.check()?;
+        let (robot, layout, mirror) = parts(&config)?;
+        let mut rng = stream(seed, Purpose::Weights, 0, 0);
+        let ppo = &config.ppo;
+        let log_std = ppo.initial_log_std as f32;
+        let network = ActorCritic::orthogonal(layout.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
+        let learner = learner(ppo, LearnerState::new(network, &Hyperparameters::from(ppo)), threads);
+        let curriculum = Curriculum::new(&config.command);
+        Ok(Trainer {
+            environments: environments(&config, &robot, &layout, seed, curriculum)?,
+            config_name: config_name.to_owned(),
+            robot,
+            layout,
+            mirror,
+            config,
+            seed,
+            threads,
+            learner,
+            curriculum,
+            iteration: 0,
+            samples: 0,
+            elapsed_s: 0.0,
+            faults: Vec::new(),
+        })
+    }
+
+    /// Goes on from a checkpoint.
+    ///
+    /// # Errors
+    /// If the checkpoint does not fit its own configuration, or the model cannot be simulated.
+    pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
+        let Checkpoint { run, learner: state } = checkpoint;
+        let (found, expected) = (run.environments.len(), run.config.ppo.environments);
+        if found != expected {
+            return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected}")));
+        }
+        let shapes = |networks: &ActorCritic| -> Vec<_> {
+            networks.tensors().into_iter().map(|(name, shape, _)| (name, shape)).collect()
+        };
+        let expected = shapes(&state.parameters);
+        if [&state.first_moment, &state.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
+            return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
+        }
+        let (robot, layout, mirror) = parts(&run.config)?;
+        // What another revision makes of a file is its own affair: the caller has been told that revisions differ.
+        if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::GIT_REVISION {
+            let problem = format!("the robot {} has changed since; put it back, or start anew", robot.name);
+            return Err(TrainError::Checkpoint(problem));
+        }
+        let mut environments = environments(&run.config, &robot, &layout, run.seed, run.curriculum)?;
+        let (inputs, outputs) = (state.parameters.policy.inputs(), state.parameters.policy.outputs());
+        if (inputs, outputs) != (layout.length(), JOINTS) {
+            let expected = layout.length();
+            let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {expected} to {JOINTS}");
+            return Err(TrainError::Checkpoint(problem));
+        }
+        for (environment, saved) in environments.iter_mut().zip(&run.environments) {
+            environment.restore(saved)?;
+        }
+        Ok(Trainer {
+            learner: learner(&run.config.ppo, state, threads),
+            config_name: run.config_name,
+            config: run.config,
+            robot,
+            layout,
+            mirror,
+            seed: run.seed,
+            threads,
+            environments,
+            curriculum: run.curriculum,
+            iteration: run.iteration,
+            samples: run.samples,
+            elapsed_s: run.elapsed_s,
+            faults: Vec::new(),
+        })
+    }
+
+    /// One iteration: a batch and the update on it.
+    ///
+    /// # Errors
+    /// If an environment cannot be reset, or the update meets numbers that are not finite.
+    pub fn iterate(&mut self) -> Result<IterationMetrics, TrainError> {
+        let started = Instant::now();
+        let network = self.learner.parameters();
+        let ppo = &self.config.ppo;
+        let collection = Collection {
+            network: &network,
+            seed: self.seed,
+            iteration: self.iteration,
+            steps: ppo.steps(),
+            curriculum: self.curriculum,
+            threads: self.threads,
+        };
+        let rollout = collection.collect(&mut self.environments)?;
+        self.faults = rollout.episodes.iter().filter_map(|episode| episode.fault.as_deref().cloned()).collect();
+        let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
+        let collected = started.elapsed();
+
+        let batch = rollout.batch(&network.log_std, &advantages, &returns);
+        let mut permutations = permutations(self.seed, self.iteration, ppo.epochs, rollout.len());
+        let images = self.mirror.as_ref().map(|mirror| mirror.doubled(&batch, &network.policy, self.threads));
+        if images.is_some() {
+            for (epoch, order) in permutations.iter_mut().enumerate() {
+                let mut rng = stream(self.seed, Purpose::Mirror, self.iteration, epoch as u64);
+                symmetry::flip(order, rollout.len(), &mut rng);
+            }
+        }
+        let batch = images.as_ref().map_or(batch, Samples::batch);
+        let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
+            iteration: self.iteration,
+            minibatch: minibatch_csv(&fault, &rollout, &batch),
+            circumstances: circumstances(&fault, &rollout, &returns, &network.log_std),
+            fault: Box::new(fault),
+        })?;
+
+        let means = EpisodeMeans::new(&rollout.episodes);
+        // The few that walk among many that fall are no measure.
+        if let Some(mean) = means.walking_linear.filter(|_| 2 * means.walks >= means.episodes) {
+            self.curriculum.update(mean, &self.config);
+        }
+        self.iteration += 1;
+        self.samples += rollout.len() as u64;
+        let whole = started.elapsed();
+        self.elapsed_s += whole.as_secs_f64();
+        let log_std = &network.log_std;
+        Ok(IterationMetrics {
+            iteration: self.iteration,
+            samples: self.samples,
+            step_reward: rollout.rewards.iter().map(|reward| f64::from(*reward)).sum::<f64>() / rollout.len() as f64,
+            episodes: means.episodes,
+            falls: means.falls,
+            faults: means.faults,
+            fall_rate: means.fall_rate,
+            pushed_fall_rate: means.pushed_fall_rate,
+            push_fraction: means.push_fraction,
+            episode_reward: means.reward,
+            episode_steps: means.steps,
+            walking_linear: means.walking_linear,
+            swing_height_m: means.swing_height_m,
+            terms: means.terms,
+            command_fraction: self.curriculum.command_fraction,
+            action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
+            explained_variance: explained_variance(&rollout, &returns),
+            learner: statistics.into(),
+            time: Timing::new(rollout.len(), collected, whole - collected, whole, self.elapsed_s),
+        })
+    }
+
+    /// Physics faults of the last iteration, by environment and then time.
+    pub fn faults(&self) -> &[Fault] {
+        &self.faults
+    }
+
+    /// The state to go on from.
+    pub fn checkpoint(&self) -> Checkpoint {
+        let run = RunState {
+            config_name: self.config_name.clone(),
+            config: self.config.clone(),
+            git_revision: provenance::GIT_REVISION.to_owned(),
+            robot_sha256: self.robot.sha256(),
+            seed: self.seed,
+            iteration: self.iteration,
+            samples: self.samples,
+            elapsed_s: self.elapsed_s,
+            curriculum: self.curriculum,
+            environments: self.environments.iter().map(LocomotionEnv::save).collect(),
+        };
+        Checkpoint { run, learner: self.learner.state() }
+    }
+
+    /// The policy as it is now, to be deployed.
+    pub fn policy(&self) -> Policy {
+        let provenance = Provenance {
+            config_name: self.config_name.clone(),
+            config: self.config.clone(),
+            seed: self.seed,
+            samples: self.samples,
+            git_revision: provenance::GIT_REVISION.to_owned(),
+            mujoco_version: provenance::MUJOCO_VERSION.to_owned(),
+        };
+        Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)
+    }
+
+    /// The configuration.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// Name of the configuration.
+    pub fn config_name(&self) -> &str {
+        &self.config_name
+    }
+
+    /// The seed.
+    pub fn seed(&self) -> u64 {
+        self.seed
+    }
+
+    /// Iterations done.
+    pub fn iteration(&self) -> u64 {
+        self.iteration
+    }
+
+    /// Samples collected.
+    pub fn samples(&self) -> u64 {
+        self.samples
+    }
+}
+
+type Parts = (Arc<Robot>, Arc<Layout>, Option<Mirror>);
+
+/// The robot, what its policy sees, and the mirror if it is used.
+fn parts(config: &Config) -> Result<Parts, TrainError> {
+    let robot = Robot::load(&config.robot.model)?;
+    let layout = config.layout().map_err(ValueError::Observation)?;
+    let mirror = || Mirror::new(&layout, &robot).map_err(TrainError::Symmetry);
+    let mirror = config.ppo.symmetry.then(mirror).transpose()?;
+    Ok((robot, Arc::new(layout), mirror))
+}
+
+fn environments(
+    config: &Config,
+    robot: &Arc<Robot>,
+    layout: &Arc<Layout>,
+    seed: u64,
+    curriculum: Curriculum,
+) -> mujoco::Result<Vec<LocomotionEnv>> {
+    let environment =
+        |index| LocomotionEnv::of(config, Arc::clone(robot), Arc::clone(layout), seed, index as u64, curriculum);
+    (0..config.ppo.environments).map(environment).collect()
+}
+
+/// The samples of the minibatch in which an update failed.
+fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>) -> String {
+    let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
+    let length = batch.observations.len() / batch.returns.len().max(1);
+    let columns = |name: &str, count: usize| (0..count).map(|k| format!(",{name}_{k}")).collect::<String>();
+    let mut csv = format!(
+        "sample,reward,value,advantage,return,log_prob{}{}\n",
+        columns("action", JOINTS),
+        columns("observation", length)
+    );
+    for row in samples.iter().map(|sample| *sample as usize) {
+        // A mirror image has the reward and the value of its sample.
+        let (reward, value) = (rollout.rewards[row % rollout.len()], rollout.values[row % rollout.len()]);
+        let numbers = [reward, value, batch.advantages[row], batch.returns[row], batch.log_probs[row]];
+        let action = &batch.actions[row * JOINTS..(row + 1) * JOINTS];
+        let observation = &batch.observations[row * length..(row + 1) * length];
+        let numbers: String =
+            numbers.iter().chain(action).chain(observation).map(|number| format!(",{number}")).collect();
+        csv.push_str(&format!("{row}{numbers}\n"));
+    }
+    csv
+}
+
+/// The numbers around a failed update, as JSON; numbers that are not finite are `null`.
+fn circumstances(fault: &UpdateFault, rollout: &Rollout, returns: &[f32], log_std: &[f32]) -> String {
+    let range = |values: &[f32]| {
+        let low = values.iter().copied().fold(f32::INFINITY, f32::min);
+        let high = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let not_finite = values.iter().filter(|value| !value.is_finite()).count();
+        serde_json::json!({ "low": low, "high": high, "not_finite": not_finite })
+    };
+    let count = |end: End| rollout.episodes.iter().filter(|episode| episode.end == end).count();
+    let statistics = match fault {
+        UpdateFault::NotFinite { summary, .. } => Some(summary),
+        UpdateFault::Shape { .. } | UpdateFault::Sample { .. } | UpdateFault::Candle(_) => None,
+    };
+    let told = serde_json::json!({
+        "message": fault.to_string(),
+        "minibatch": statistics,
+        "rollout": {
+            "observations": range(&rollout.observations),
+            "actions": range(&rollout.actions),
+            "log_probs": range(&rollout.log_probs),
+            "rewards": range(&rollout.rewards),
+            "values": range(&rollout.values),
+            "returns": range(returns),
+            "falls": count(End::Fall),
+            "faults": count(End::Fault),
+            "explained_variance": explained_variance(rollout, returns),
+        },
+        "log_std": log_std,
+    });
+    format!("{told:#}\n")
+}
+
+/// An order of all samples for every epoch.
+fn permutations(seed: u64, iteration: u64, epochs: usize, samples: usize) -> Vec<Vec<u32>> {
+    (0..epochs)
+        .map(|epoch| {
+            let mut order: Vec<u32> = (0..samples as u32).collect();
+            order.shuffle(&mut stream(seed, Purpose::Shuffle, iteration, epoch as u64));
+            order
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_update_that_meets_nan_names_the_iteration_and_hands_over_the_minibatch() {
+        let mut config = Config::load("compliant").unwrap();
+        config.ppo.batch_size = 64;
+        config.ppo.minibatch_size = 32;
+        config.ppo.environments = 2;
+        config.ppo.hidden_layers = vec![8];
+        let mut trainer = Trainer::new("test", config, 0, 1).unwrap();
+        trainer.iterate().unwrap();
+        let before = trainer.policy().to_bytes().unwrap();
+        let layout = Layout::clone(&trainer.layout);
+        let (offset, mut scale) = (layout.offset().to_vec(), layout.scale().to_vec());
+        scale[0] = f64::NAN;
+        let blind = Arc::new(layout.with_normaliser(offset, scale).unwrap());
+        trainer.environments.iter_mut().for_each(|environment| environment.see(&blind));
+        let error = trainer.iterate().unwrap_err();
+        assert!(error.to_string().contains("iteration 1"), "{error}");
+        let TrainError::Learner { minibatch, circumstances, .. } = error else { panic!("another error") };
+        let told: serde_json::Value = serde_json::from_str(&circumstances).unwrap();
+        // At least the first number of each of the 64.
+        assert!(told["rollout"]["observations"]["not_finite"].as_u64() >= Some(64), "{told}");
+        assert!(told["minibatch"]["policy_loss"].is_null() && told["log_std"].as_array().unwrap().len() == 12);
+        assert_eq!(minibatch.lines().count(), 1 + 32);
+        assert!(minibatch.lines().nth(1).unwrap().contains("NaN"));
+        // The parameters are those before the step that failed.
+        assert!(trainer.policy().to_bytes().unwrap() == before);
+    }
+}

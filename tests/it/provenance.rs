@@ -1,0 +1,41 @@
+//! What a kept measurement of `evaluate` depends on: code that decides its numbers, and nothing else.
+
+#[path = "../../build/measured.rs"]
+mod measured;
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use measured::{files_in, hash_of, measured_files};
+
+#[test]
+fn a_measurement_depends_on_what_it_imports_and_not_on_training_and_showing() {
+    // Cargo runs tests where the manifest is.
+    let files = measured_files();
+    let has = |file: &str| files.contains(&PathBuf::from(file));
+    for file in ["src/evaluate/trial.rs", "src/sim/mod.rs", "src/robot/kinematics.rs", "src/task/reward.rs"] {
+        assert!(has(file), "{file}");
+    }
+    assert!(files.iter().any(|file| file.ends_with("models/go1.xml")), "texts that code includes");
+    let within = |folder: &str| files.iter().any(|file| file.starts_with(folder));
+    for folder in ["src/train", "src/ppo", "src/bin", "src/evaluate/report", "src/evaluate/plot", "record", "docs"] {
+        assert!(!within(folder), "{folder}");
+    }
+}
+
+#[test]
+fn comments_blank_lines_and_unit_tests_are_no_code() {
+    let folder = tempfile::tempdir().unwrap();
+    let hash = |text: &str| {
+        std::fs::write(folder.path().join("file.rs"), text).unwrap();
+        hash_of(&BTreeSet::from_iter(files_in(folder.path())))
+    };
+    let bare = hash("fn f() -> &'static str {\n    \"// no comment\"\n}\n");
+    let dressed =
+        "/*! Header\nover lines. */\n\n// Words.\nfn f() -> &'static str {\n\n    // More.\n    \"// no comment\"\n}\n";
+    for visibility in ["", "pub(crate) "] {
+        let tests = format!("\n#[cfg(test)]\n{visibility}mod tests {{\n    fn g() {{}}\n}}\n");
+        assert_eq!(hash(&[dressed, &tests].concat()), bare);
+    }
+    assert_ne!(hash("fn f() -> &'static str {\n    \"// a comment\"\n}\n"), bare);
+}

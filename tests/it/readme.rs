@@ -1,0 +1,32 @@
+//! Numbers in the README are those of `docs/results.md`.
+
+use crate::support::repository;
+
+/// How a row of the README begins, and the claim in the results that its numbers are of.
+const ROWS: [(&str, &str); 5] = [
+    ("| a sideways push of 0.5 m/s decays within |", "take longer to stabilise (to 10 %) |"),
+    ("| a leash of 20 N changes the velocity by |", "| Pulled with 20 N,"),
+    ("| a box in the way (friction 1) is moved by |", "move a box in their way less (friction 1) |"),
+    ("| pushes up to ±1.5 m/s with a success rate of 80 % |", "The 80 % contour of push recovery"),
+    ("| velocity error undisturbed, at 0.5 m/s |", "Walking undisturbed (forward 0.5)"),
+];
+
+fn numbers(text: &str) -> Vec<&str> {
+    text.split(|c: char| !(c.is_ascii_digit() || ".+−".contains(c))).filter(|word| !word.is_empty()).collect()
+}
+
+#[test]
+fn every_number_of_the_readmes_table_is_that_of_its_claim_in_the_results() {
+    let read = |path: &str| std::fs::read_to_string(repository(path)).unwrap();
+    let (readme, results) = (read("README.md"), read("docs/results.md"));
+    for (row, claim) in ROWS {
+        let row = readme.lines().find_map(|line| line.strip_prefix(row)).unwrap_or_else(|| panic!("no row {row}"));
+        let claim = results.lines().find(|line| line.contains(claim)).unwrap_or_else(|| panic!("no claim {claim}"));
+        let known = numbers(claim);
+        let found = numbers(row);
+        assert!(found.len() > 4, "{row}");
+        for number in found {
+            assert!(known.contains(&number), "{number} of '{row}' is not in '{claim}'");
+        }
+    }
+}
