@@ -4,6 +4,7 @@ What trains: two learners behind one trait.
 
 use std::fmt::Debug;
 
+use super::fused::Panels;
 use super::{Batch, CandleLearner, FusedLearner, Hyperparameters, UpdateFault, UpdateStatistics};
 use crate::config::{LearnerKind, Ppo};
 use crate::network::ActorCritic;
@@ -32,7 +33,7 @@ pub trait Learner: Debug + Send {
 pub fn learner(ppo: &Ppo, state: LearnerState, threads: usize) -> Box<dyn Learner> {
     let settings = Hyperparameters::from(ppo);
     match ppo.learner {
-        LearnerKind::Fused => Box::new(FusedLearner::new(&state, settings, threads)),
+        LearnerKind::Fused => Box::new(FusedLearner::<Panels>::new(&state, settings, threads)),
         LearnerKind::Candle => Box::new(CandleLearner::new(state, settings)),
     }
 }

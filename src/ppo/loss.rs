@@ -164,6 +164,11 @@ impl<'a> Minibatch<'a> {
         Self { batch, settings, epoch, index, rows, advantage_mean, advantage_scale }
     }
 
+    /// Its samples of a block of `size`.
+    pub fn block(&self, size: usize, index: usize) -> &'a [u32] {
+        &self.rows[index * size..self.rows.len().min((index + 1) * size)]
+    }
+
     /// Normalised advantage of a sample.
     pub fn advantage(&self, row: usize) -> f64 {
         (f64::from(self.batch.advantages[row]) - self.advantage_mean) * self.advantage_scale

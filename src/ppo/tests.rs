@@ -8,6 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::candle::{Loss, Networks};
 use super::fused::team::Team;
+use super::fused::{Arithmetic, Panels};
 use super::loss::Minibatch;
 use super::loss::tests::SETTINGS;
 use super::*;
@@ -70,14 +71,14 @@ fn settings(minibatch_size: usize) -> Hyperparameters {
     Hyperparameters { minibatch_size, ..SETTINGS }
 }
 
-fn fused(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> FusedLearner {
+fn fused(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> FusedLearner<Panels> {
     FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
 }
 
 /// Both learners, going on from `state`.
 fn resumed(state: &LearnerState, settings: &Hyperparameters) -> [Box<dyn Learner>; 2] {
     [
-        Box::new(FusedLearner::new(state, settings.clone(), 2)),
+        Box::new(FusedLearner::<Panels>::new(state, settings.clone(), 2)),
         Box::new(CandleLearner::new(state.clone(), settings.clone())),
     ]
 }
@@ -252,18 +253,17 @@ fn any_instruction_set_gives_the_same_bits() {
     let network = network();
     let samples = Samples::new(&network, 70, 1);
     let order = permutations(70, 2, 2);
-    let state = |change: fn(&mut FusedLearner)| {
+    let state = |change: fn(&mut Panels)| {
         let mut learner = fused(&network, settings(70), 1);
-        change(&mut learner);
+        change(&mut learner.arithmetic);
         learner.update(&samples.batch(), &order).unwrap();
         learner.state()
     };
     let best = state(|_| ());
-    assert!(state(|learner| learner.arch = pulp::Arch::Scalar) == best);
+    assert!(state(|panels| panels.arch = pulp::Arch::Scalar) == best);
     #[cfg(target_arch = "x86_64")]
     if pulp::x86::V3::try_new().is_some() {
-        let avx2 =
-            |learner: &mut FusedLearner| learner.arch = pulp::x86::V3::try_new().map_or(learner.arch, pulp::Arch::V3);
+        let avx2 = |panels: &mut Panels| panels.arch = pulp::x86::V3::try_new().map_or(panels.arch, pulp::Arch::V3);
         assert!(state(avx2) == best);
     }
 }
@@ -423,13 +423,12 @@ fn a_batch_that_does_not_fit_is_refused() {
     }
 }
 
-impl FusedLearner {
+impl<A: Arithmetic> FusedLearner<A> {
     /// Gradient over one minibatch, without a step.
     fn gradient(&self, batch: &Batch<'_>, settings: &Hyperparameters, rows: &[u32]) -> ActorCritic {
         Team::run(1, |team| {
             let minibatch = Minibatch::new(batch, settings, 0, 0, rows);
-            self.passes(team, &minibatch);
-            self.gradients(team, &minibatch, |_| ());
+            self.differentiate(team, &mut self.arithmetic.workspace(), &minibatch, |_| ());
         });
         self.unpacked(|parameters| &parameters.gradient)
     }

@@ -1,14 +1,18 @@
 /*!
-The learner that trains by default: the same numbers as [`candle`](super::candle), several times faster.
+The learner that trains by default: the same numbers as [`candle`](super::candle), many times faster.
 
-Start with [`FusedLearner`]'s three phases. A change of the loss is a change of `policy_loss` or `value_loss` in `block.rs`,
-gradient included.
+Start with [`FusedLearner`]'s three phases. What they compute with is an [`Arithmetic`], of which there are two: [`panels`]
+of f32 for every machine, and bf16 [`tiles`] for those that have a unit for them. A change of the loss is a change of
+`losses.rs`, gradient included.
 */
 
-mod block;
+mod arithmetic;
 mod learner;
+mod losses;
 mod optimizer;
-mod panel;
+mod panels;
 pub(in crate::ppo) mod team;
 
+pub use arithmetic::Arithmetic;
 pub use learner::FusedLearner;
+pub use panels::Panels;

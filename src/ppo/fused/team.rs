@@ -29,6 +29,7 @@ ThreadSanitizer agrees: docs/reliability.md.
 */
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::thread;
 
 /// Spins before a waiting thread starts to offer its core to others, which may well be those it waits for: on a busy
@@ -86,7 +87,7 @@ impl Team {
 impl Member<'_> {
     /// One phase, called by every thread: does all of `tasks` between them, then `conclude` on one thread alone while
     /// the others wait.
-    pub fn phase(&self, tasks: usize, task: impl Fn(usize), conclude: impl FnOnce()) {
+    pub fn phase(&self, tasks: usize, mut task: impl FnMut(usize), conclude: impl FnOnce()) {
         let team = self.team;
         let phase = team.phase.load(Ordering::Acquire);
         let threads = team.taken.len();
@@ -136,6 +137,23 @@ impl Drop for Alarm<'_> {
             self.0.broken.store(true, Ordering::Relaxed);
         }
     }
+}
+
+// A lock is never used after its writer has panicked: the panic ends the whole team.
+
+/// What a phase does not write.
+pub fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
+    lock.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What a task writes.
+pub fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
+    lock.write().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// What threads hand on.
+pub fn lock<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
+    lock.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[cfg(test)]

@@ -2,10 +2,10 @@
 A panel of 32 outputs in training: differentiated and stepped as a unit.
 */
 
-use super::optimizer::Parameters;
 use crate::network::Layer;
 use crate::network::kernels::{Buffer, padded, row_stride};
 use crate::network::panel::{pack, panel_outputs};
+use crate::ppo::fused::optimizer::Parameters;
 
 /// A panel in training.
 #[derive(Debug)]

@@ -1,0 +1,126 @@
+/*!
+f32 arithmetic, for every machine: weights in panels of 32 outputs, in portable SIMD.
+
+Blocks and panels sit in read-write locks: a phase writes the one kind and reads the other. No gradient is ever summed
+across threads, and sums of partial results run in a fixed order, so the parameters have the same bits for any number of
+threads, and for any instruction set.
+*/
+
+mod block;
+mod panel;
+
+use std::sync::RwLock;
+
+use pulp::Arch;
+
+use self::block::{Block, LayerPanels};
+use self::panel::Panel;
+use super::Arithmetic;
+use super::losses::Pass;
+use super::optimizer::{Adam, AdamStep, Parameters};
+use super::team::{Member, read, write};
+use crate::network::kernels::{Buffer, ColumnSums, Ends, Product, Stretch, SumOfSquares, padded, row_stride};
+use crate::network::panel::{panel_starts, unpack};
+use crate::network::{ActorCritic, BLOCK};
+use crate::ppo::loss::Minibatch;
+
+/// Both networks in f32.
+#[derive(Debug)]
+pub struct Panels {
+    pub(in crate::ppo) arch: Arch,
+    /// Of both networks, layer by layer.
+    panels: Vec<RwLock<Panel>>,
+    /// Of the policy and of the value function.
+    blocks: [Vec<RwLock<Block>>; 2],
+    /// Layers of the policy.
+    depth: usize,
+}
+
+impl Arithmetic for Panels {
+    const BLOCK: usize = BLOCK;
+    /// The policy of the rollout has the same bits.
+    const KL_ROUNDING: f64 = 0.0;
+    type Workspace = ();
+
+    fn new(parts: [&ActorCritic; 3], minibatch_size: usize) -> Self {
+        let mut panels = Vec::new();
+        for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)].into_iter().enumerate() {
+            for (depth, layer) in mlps[0].layers.iter().enumerate() {
+                let layers = mlps.map(|mlp| &mlp.layers[depth]);
+                let panel = |first| RwLock::new(Panel::new(network, depth, first, layers));
+                panels.extend(panel_starts(layer.outputs()).map(panel));
+            }
+        }
+        let blocks = [&parts[0].policy, &parts[0].value]
+            .map(|mlp| (0..minibatch_size.div_ceil(BLOCK)).map(|_| RwLock::new(Block::new(mlp))).collect());
+        Self { arch: Arch::new(), panels, blocks, depth: parts[0].policy.layers.len() }
+    }
+
+    fn workspace(&self) {}
+
+    fn passes(&self, team: Member<'_>, (): &mut (), minibatch: &Minibatch<'_>, loss: impl Fn(Pass<'_>)) {
+        let panels: Vec<_> = self.panels.iter().map(read).collect();
+        let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
+        let (policy, value) = layers.split_at(self.depth);
+        let networks: [&[LayerPanels<'_, '_>]; 2] = [policy, value];
+        let blocks = minibatch.rows.chunks(BLOCK).len();
+        let task = |task: usize| {
+            let (network, index) = (task / blocks, task % blocks);
+            let mut block = write(&self.blocks[network][index]);
+            block.forward(self.arch, networks[network], minibatch.batch.observations, minibatch.block(BLOCK, index));
+            loss(block.pass(network, index));
+            block.backward(self.arch, networks[network]);
+        };
+        team.phase(2 * blocks, task, || ());
+    }
+
+    fn gradients(&self, team: Member<'_>, (): &mut (), rows: usize, conclude: impl FnOnce(f64)) {
+        let count = rows.div_ceil(BLOCK);
+        let task = |task: usize| {
+            let panel = &mut *write(&self.panels[task]);
+            let blocks: Vec<_> = self.blocks[panel.network][..count].iter().map(read).collect();
+            let stretches: Vec<_> = blocks
+                .iter()
+                .map(|block| Stretch {
+                    depth: block.rows,
+                    a: &block.activations[panel.depth],
+                    b: &block.deltas[panel.depth][panel.first..],
+                })
+                .collect();
+            let width = padded(panel.outputs());
+            let delta_stride = row_stride(panel.layer_outputs);
+            let (weights, bias) = panel.parameters.gradient.split_at_mut(panel.inputs * width);
+            let product = Product {
+                rows: panel.inputs,
+                columns: width,
+                stretches: &stretches,
+                a_transposed: true,
+                a_stride: row_stride(panel.inputs),
+                b_stride: delta_stride,
+                ends: Ends::Zero,
+                c: weights,
+                c_stride: width,
+            };
+            product.compute(self.arch);
+            self.arch.dispatch(ColumnSums { stretches: &stretches, b_stride: delta_stride, sums: bias });
+            panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
+        };
+        team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
+    }
+
+    fn steps(&self, team: Member<'_>, (): &mut (), step: &AdamStep) {
+        let task = |task: usize| {
+            let mut panel = write(&self.panels[task]);
+            self.arch.dispatch(Adam { parameters: &mut panel.parameters, step });
+            panel.transpose();
+        };
+        team.phase(self.panels.len(), task, || ());
+    }
+
+    fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic) {
+        for panel in self.panels.iter().map(read) {
+            let mlp = if panel.network == 0 { &mut networks.policy } else { &mut networks.value };
+            unpack(part(&panel.parameters), panel.first, &mut mlp.layers[panel.depth]);
+        }
+    }
+}
