@@ -8,7 +8,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::candle::{Loss, Networks};
 use super::fused::team::Team;
-use super::fused::{Arithmetic, Panels};
+use super::fused::{Arithmetic, Panels, Tiles};
 use super::loss::Minibatch;
 use super::loss::tests::SETTINGS;
 use super::*;
@@ -71,7 +71,7 @@ fn settings(minibatch_size: usize) -> Hyperparameters {
     Hyperparameters { minibatch_size, ..SETTINGS }
 }
 
-fn fused(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> FusedLearner<Panels> {
+fn fused<A: Arithmetic>(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> FusedLearner<A> {
     FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
 }
 
@@ -102,8 +102,9 @@ fn norm(x: impl Iterator<Item = f64>) -> f64 {
     x.map(|x| x * x).sum::<f64>().sqrt()
 }
 
-#[test]
-fn fused_gradients_equal_those_of_automatic_differentiation() {
+/// Checks gradients over networks and minibatches of several sizes: by tensor, the largest error that its norm and its
+/// elements may have.
+fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64) {
     for (sizes, rows) in [(None, 150), (None, 64), (None, 3), (Some([83, 256, 128, 64, 12]), 512)] {
         let network = match sizes {
             Some([observations, hidden @ .., actions]) => {
@@ -119,19 +120,32 @@ fn fused_gradients_equal_those_of_automatic_differentiation() {
         let loss = Loss::new(&networks, &Minibatch::new(&samples.batch(), &settings, 0, 0, order)).unwrap();
         let expected = candle_gradient(&networks, &loss);
 
-        let fused = fused(&network, settings.clone(), 1).gradient(&samples.batch(), &settings, order);
+        let fused = fused::<A>(&network, settings.clone(), 1).gradient(&samples.batch(), &settings, order);
         for ((name, _, fused), expected) in fused.tensors().into_iter().zip(&expected) {
             let scale = norm(expected.iter().copied());
             let error = norm(fused.iter().zip(expected).map(|(&fused, expected)| f64::from(fused) - expected));
             assert!(scale > 1e-6, "{name} has no gradient");
-            assert!(error < 1e-5 * scale, "{name} with {rows} rows: error {error:e} of {scale:e}");
+            assert!(error < norm_error * scale, "{name} with {rows} rows: error {error:e} of {scale:e}");
             let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
             for (i, (&fused, expected)) in fused.iter().zip(expected).enumerate() {
                 let error = (f64::from(fused) - expected).abs();
-                assert!(error < 1e-4 * expected.abs() + 1e-5 * largest, "{name}[{i}]: {fused:e}, not {expected:e}");
+                let limit = element_error * (expected.abs() + 0.1 * largest);
+                assert!(error < limit, "{name}[{i}]: {fused:e}, not {expected:e}");
             }
         }
     }
+}
+
+#[test]
+fn fused_gradients_equal_those_of_automatic_differentiation() {
+    check_gradients::<Panels>(1e-5, 1e-4);
+}
+
+#[test]
+fn gradients_of_tiles_equal_those_of_automatic_differentiation() {
+    check_gradients::<Tiles<2, 2>>(1e-3, 1e-2);
+    check_gradients::<Tiles<2, 1>>(2e-2, 0.2);
+    check_gradients::<Tiles<1, 1>>(1.0, 10.0);
 }
 
 /// Stable-Baselines3's loop with the learning-rate rule of rsl_rl, on candle's f64 gradients.
@@ -238,7 +252,7 @@ fn any_number_of_threads_gives_the_same_bits() {
     let samples = Samples::new(&network, 300, 1);
     let order = permutations(300, 2, 2);
     let state = |threads| {
-        let mut learner = fused(&network, settings(150), threads);
+        let mut learner = fused::<Panels>(&network, settings(150), threads);
         let statistics = learner.update(&samples.batch(), &order).unwrap();
         (learner.state(), statistics)
     };
@@ -254,7 +268,7 @@ fn any_instruction_set_gives_the_same_bits() {
     let samples = Samples::new(&network, 70, 1);
     let order = permutations(70, 2, 2);
     let state = |change: fn(&mut Panels)| {
-        let mut learner = fused(&network, settings(70), 1);
+        let mut learner = fused::<Panels>(&network, settings(70), 1);
         change(&mut learner.arithmetic);
         learner.update(&samples.batch(), &order).unwrap();
         learner.state()

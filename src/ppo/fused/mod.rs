@@ -12,7 +12,11 @@ mod losses;
 mod optimizer;
 mod panels;
 pub(in crate::ppo) mod team;
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+mod tiles;
 
 pub use arithmetic::Arithmetic;
 pub use learner::FusedLearner;
 pub use panels::Panels;
+#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+pub use tiles::{Tiles, available};

@@ -1,0 +1,340 @@
+/*!
+Forward and backward pass of one network over 32 rows of a minibatch.
+
+Between two layers 32 columns at a time come out of the tile unit as sums; while it is busy with the next, the vector units
+make operands of them ([`Meanwhile`]).
+*/
+
+use std::mem;
+use std::ops::Range;
+use std::sync::RwLockReadGuard;
+
+use pulp::x86::V4;
+use pulp::{NullaryFnOnce, Simd, cast, f32x16};
+
+use super::pack::{get, put, split, transpose};
+use super::panel::Panel;
+use super::unit::{Meanwhile, Operand, Sums, Unit};
+use crate::network::Mlp;
+use crate::network::kernels::{Buffer, elu};
+use crate::ppo::fused::losses::Pass;
+
+/// Rows of a block.
+pub const ROWS: usize = 32;
+
+/// A layer's panels, locked for reading.
+pub type LayerPanels<'a, 'b, const F: usize, const B: usize> = &'a [RwLockReadGuard<'b, Panel<F, B>>];
+
+/// What the gradients of the weights need of up to 32 rows. Columns are counted in 32s.
+#[derive(Debug)]
+pub struct Block<const B: usize> {
+    /// Input of each layer, as right operands, one for each 32 columns.
+    pub inputs: Vec<Vec<Operand<B>>>,
+    /// Gradient of the loss by each layer's output, ahead of ELU, as left operands, one for each 32 columns.
+    pub deltas: Vec<Vec<Operand<B>>>,
+    /// Sums of each layer's deltas over the rows.
+    pub bias: Vec<Buffer>,
+    /// Of the last layer; shape (32, columns of the last layer).
+    outputs: Buffer,
+    output_deltas: Buffer,
+}
+
+/// What a thread needs for a block, kept from block to block.
+pub struct Workspace<const F: usize, const B: usize> {
+    pub unit: Unit,
+    /// Left operands of the forward product: a layer's input and output.
+    forward: [Vec<Operand<F>>; 2],
+    /// Left operands of the backward product, alike.
+    backward: [Vec<Operand<B>>; 2],
+    /// Sums as they come out of the tile unit, and those before.
+    sums: [Sums; 2],
+    /// Deltas before they are transposed.
+    rows: Operand<B>,
+}
+
+impl<const F: usize, const B: usize> Workspace<F, B> {
+    /// For layers of up to so many columns, in 32s.
+    pub fn new(unit: Unit, widest: usize) -> Self {
+        Self {
+            unit,
+            forward: [(); 2].map(|()| vec![Operand::ZERO; widest]),
+            backward: [(); 2].map(|()| vec![Operand::ZERO; widest]),
+            sums: [Sums::ZERO; 2],
+            rows: Operand::ZERO,
+        }
+    }
+}
+
+impl<const B: usize> Block<B> {
+    /// Room for one block of `mlp`.
+    pub fn new(mlp: &Mlp) -> Self {
+        let operands = |columns: usize| vec![Operand::ZERO; columns.div_ceil(32)];
+        let outputs = ROWS * mlp.outputs().next_multiple_of(32);
+        Self {
+            inputs: mlp.layers.iter().map(|layer| operands(layer.inputs())).collect(),
+            deltas: mlp.layers.iter().map(|layer| operands(layer.outputs())).collect(),
+            bias: mlp.layers.iter().map(|layer| Buffer::zeros(layer.outputs().next_multiple_of(32))).collect(),
+            outputs: Buffer::zeros(outputs),
+            output_deltas: Buffer::zeros(outputs),
+        }
+    }
+
+    /// Gathers the observations of `rows` and evaluates the network.
+    pub fn forward<const F: usize>(
+        &mut self,
+        workspace: &mut Workspace<F, B>,
+        layers: &[LayerPanels<'_, '_, F, B>],
+        (observations, size): (&[f32], usize),
+        rows: &[u32],
+    ) {
+        workspace.unit.simd.vectorize(Forward { block: self, workspace, layers, observations, size, rows });
+    }
+
+    /// Between forward and backward pass.
+    pub fn pass(&mut self, network: usize, block: usize) -> Pass<'_> {
+        // Rows that are not in use have no loss.
+        self.output_deltas.fill(0.0);
+        let stride = self.outputs.len() / ROWS;
+        Pass { network, block, stride, outputs: &self.outputs, deltas: &mut self.output_deltas }
+    }
+
+    /// Carries the loss gradient from the last layer's output back to the first layer's.
+    pub fn backward<const F: usize>(&mut self, workspace: &mut Workspace<F, B>, layers: &[LayerPanels<'_, '_, F, B>]) {
+        workspace.unit.simd.vectorize(Backward { block: self, workspace, layers });
+    }
+}
+
+struct Forward<'a, 'b, const F: usize, const B: usize> {
+    block: &'a mut Block<B>,
+    workspace: &'a mut Workspace<F, B>,
+    layers: &'a [LayerPanels<'a, 'b, F, B>],
+    observations: &'a [f32],
+    size: usize,
+    rows: &'a [u32],
+}
+
+impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { block, workspace, layers, observations, size, rows } = self;
+        let Workspace { unit, forward: [input, output], sums: [sums, before], .. } = workspace;
+        let simd = unit.simd;
+        gather(simd, observations, size, rows, input, &mut block.inputs[0]);
+        let last = layers.len() - 1;
+        for (depth, panels) in layers[..last].iter().enumerate() {
+            for (column, panel) in panels.iter().enumerate() {
+                let steps = input[..panel.forward.len()].iter().zip(&panel.forward);
+                if column == 0 {
+                    unit.product(steps, sums, &mut ());
+                } else {
+                    let to = (&mut output[column - 1], &mut block.inputs[depth + 1][column - 1]);
+                    unit.product(steps, sums, &mut Activate { sums: before, bias: panels[column - 1].bias(), to });
+                }
+                mem::swap(sums, before);
+            }
+            let column = panels.len() - 1;
+            let to = (&mut output[column], &mut block.inputs[depth + 1][column]);
+            Activate { sums: before, bias: panels[column].bias(), to }.pieces(simd, 0..16);
+            mem::swap(input, output);
+        }
+        let columns = 32 * layers[last].len();
+        for (column, panel) in layers[last].iter().enumerate() {
+            unit.product(input[..panel.forward.len()].iter().zip(&panel.forward), sums, &mut ());
+            let bias = panel.bias();
+            for row in 0..16 {
+                for (tile, half) in [(0, 0), (1, 0), (2, 1), (3, 1)] {
+                    let lanes = tile % 2 * 16;
+                    let at = (row + 16 * half) * columns + 32 * column + lanes;
+                    let value = simd.add_f32s(cast(sums.0[tile][row]), load(&bias[lanes..]));
+                    store(&mut block.outputs[at..], value);
+                }
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn load(from: &[f32]) -> f32x16 {
+    let line: &[f32; 16] = from.first_chunk().unwrap_or(&[0.0; 16]);
+    cast(*line)
+}
+
+#[inline(always)]
+fn store(to: &mut [f32], value: f32x16) {
+    if let Some(line) = to.first_chunk_mut::<16>() {
+        *line = cast(value);
+    }
+}
+
+/// Makes operands of the observations of `rows`, zero where there are none.
+#[inline(always)]
+fn gather<const F: usize, const B: usize>(
+    simd: V4,
+    observations: &[f32],
+    size: usize,
+    rows: &[u32],
+    left: &mut [Operand<F>],
+    right: &mut [Operand<B>],
+) {
+    for (column, (left, right)) in left.iter_mut().zip(right).enumerate() {
+        for row in 0..16 {
+            let upper = lanes(simd, observations, size, rows.get(row), 32 * column);
+            let lower = lanes(simd, observations, size, rows.get(row + 16), 32 * column);
+            put_both::<F, B>(simd, row, [upper, lower], left, right);
+        }
+    }
+}
+
+/// 32 numbers of an observation from `start` on.
+#[inline(always)]
+fn lanes(simd: V4, observations: &[f32], size: usize, row: Option<&u32>, start: usize) -> [f32x16; 2] {
+    let observation = row.map_or(&[][..], |&row| &observations[row as usize * size..][..size]);
+    let rest = &observation[start.min(observation.len())..];
+    let (first, rest) = rest.split_at(rest.len().min(16));
+    [simd.partial_load_f32s(first), simd.partial_load_f32s(&rest[..rest.len().min(16)])]
+}
+
+/// Rows `row` and `row + 16` of 32 columns, as part of a left operand and of a right one.
+#[inline(always)]
+fn put_both<const L: usize, const R: usize>(
+    simd: V4,
+    row: usize,
+    values: [[f32x16; 2]; 2],
+    left: &mut Operand<L>,
+    right: &mut Operand<R>,
+) {
+    const { assert!(L >= R) };
+    let [[a, b], [c, d]] = values;
+    let (a, b) = (split::<L>(simd, a), split::<L>(simd, b));
+    let (c, d) = (split::<L>(simd, c), split::<L>(simd, d));
+    put(simd, left, (0, row), a, b);
+    put(simd, left, (1, row), c, d);
+    put(simd, right, (0, row), a, c);
+    put(simd, right, (1, row), b, d);
+}
+
+/// Rows `row` and `row + 16` of 32 × 32 sums.
+#[inline(always)]
+fn rows_of(sums: &Sums, row: usize) -> [[f32x16; 2]; 2] {
+    [[cast(sums.0[0][row]), cast(sums.0[1][row])], [cast(sums.0[2][row]), cast(sums.0[3][row])]]
+}
+
+/// A hidden layer's output for the next.
+struct Activate<'a, const F: usize, const B: usize> {
+    sums: &'a Sums,
+    bias: &'a [f32],
+    to: (&'a mut Operand<F>, &'a mut Operand<B>),
+}
+
+impl<const F: usize, const B: usize> Meanwhile for Activate<'_, F, B> {
+    #[inline(always)]
+    fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
+        let bias = [load(self.bias), load(&self.bias[16..])];
+        for row in pieces {
+            let [[a, b], [c, d]] = rows_of(self.sums, row);
+            let upper = [activate(simd, a, bias[0]), activate(simd, b, bias[1])];
+            let lower = [activate(simd, c, bias[0]), activate(simd, d, bias[1])];
+            put_both(simd, row, [upper, lower], self.to.0, self.to.1);
+        }
+    }
+}
+
+#[inline(always)]
+fn activate(simd: V4, sum: f32x16, bias: f32x16) -> f32x16 {
+    elu(simd, simd.add_f32s(sum, bias))
+}
+
+struct Backward<'a, 'b, const F: usize, const B: usize> {
+    block: &'a mut Block<B>,
+    workspace: &'a mut Workspace<F, B>,
+    layers: &'a [LayerPanels<'a, 'b, F, B>],
+}
+
+impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { block, workspace, layers } = self;
+        let Workspace { unit, backward: [after, ahead], sums: [sums, before], rows, .. } = workspace;
+        let simd = unit.simd;
+        block.bias.iter_mut().for_each(|bias| bias.fill(0.0));
+        let last = layers.len() - 1;
+        let columns = 32 * layers[last].len();
+        for (column, deltas) in block.deltas[last].iter_mut().enumerate() {
+            let bias = &mut block.bias[last][32 * column..];
+            for row in 0..16 {
+                let upper = &block.output_deltas[row * columns + 32 * column..];
+                let lower = &block.output_deltas[(row + 16) * columns + 32 * column..];
+                let values = [[load(upper), load(&upper[16..])], [load(lower), load(&lower[16..])]];
+                add_rows(simd, bias, values);
+                put_both(simd, row, values, &mut after[column], rows);
+            }
+            transpose(simd, rows, deltas);
+        }
+        for depth in (1..layers.len()).rev() {
+            let panels = layers[depth];
+            let (inputs, deltas) = (&block.inputs[depth], &mut block.deltas[depth - 1]);
+            let bias = &mut block.bias[depth - 1];
+            for column in 0..inputs.len() {
+                let steps =
+                    after[..panels.len()].iter().zip(panels).map(|(left, panel)| (left, &panel.backward[column]));
+                if column == 0 {
+                    unit.product(steps, sums, &mut ());
+                } else {
+                    let (y, bias) = (&inputs[column - 1], &mut bias[32 * (column - 1)..]);
+                    let left = &mut ahead[column - 1];
+                    unit.product(steps, sums, &mut Differentiate { sums: before, y, bias, left, rows });
+                    transpose(simd, rows, &mut deltas[column - 1]);
+                }
+                mem::swap(sums, before);
+            }
+            let column = inputs.len() - 1;
+            let (y, bias, left) = (&inputs[column], &mut bias[32 * column..], &mut ahead[column]);
+            Differentiate { sums: before, y, bias, left, rows }.pieces(simd, 0..16);
+            transpose(simd, rows, &mut deltas[column]);
+            mem::swap(after, ahead);
+        }
+    }
+}
+
+/// The loss gradient one layer further back.
+struct Differentiate<'a, const B: usize> {
+    sums: &'a Sums,
+    /// ELU's output.
+    y: &'a Operand<B>,
+    bias: &'a mut [f32],
+    left: &'a mut Operand<B>,
+    rows: &'a mut Operand<B>,
+}
+
+impl<const B: usize> Meanwhile for Differentiate<'_, B> {
+    #[inline(always)]
+    fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
+        for row in pieces {
+            let [[a, b], [c, d]] = rows_of(self.sums, row);
+            let ([ya, yc], [yb, yd]) = (get(simd, self.y, (0, row)), get(simd, self.y, (1, row)));
+            let upper = [times_slope(simd, a, ya), times_slope(simd, b, yb)];
+            let lower = [times_slope(simd, c, yc), times_slope(simd, d, yd)];
+            add_rows(simd, self.bias, [upper, lower]);
+            put_both(simd, row, [upper, lower], self.left, self.rows);
+        }
+    }
+}
+
+/// Times ELU′ by ELU's output: 1 where positive, `y + 1` elsewhere.
+#[inline(always)]
+fn times_slope(simd: V4, delta: f32x16, y: f32x16) -> f32x16 {
+    simd.mul_add_f32s(delta, simd.min_f32s(y, simd.splat_f32s(0.0)), delta)
+}
+
+/// Adds two rows of 32.
+#[inline(always)]
+fn add_rows(simd: V4, sums: &mut [f32], [upper, lower]: [[f32x16; 2]; 2]) {
+    for half in 0..2 {
+        let sum = simd.add_f32s(load(&sums[16 * half..]), simd.add_f32s(upper[half], lower[half]));
+        store(&mut sums[16 * half..], sum);
+    }
+}

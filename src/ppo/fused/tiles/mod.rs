@@ -1,0 +1,156 @@
+/*!
+bf16 arithmetic on the tile units of x86-64 (AMX), where there are any: the operands of all products are sums of one or two
+bf16, everything else (sums, activations, losses, Adam) stays f32.
+
+[`Tiles<2, 2>`](Tiles) is as exact as f32, [`Tiles<2, 1>`](Tiles) has outputs as exact as f32 and gradients that are off by
+some thousandths, [`Tiles<1, 1>`](Tiles) is bf16 throughout.
+
+As with [`panels`](super::panels), blocks and panels sit in read-write locks, no gradient is summed across threads and all
+sums run in a fixed order: bits do not depend on the number of threads.
+*/
+
+mod block;
+mod pack;
+mod panel;
+mod unit;
+
+use std::sync::RwLock;
+
+use pulp::NullaryFnOnce;
+use pulp::x86::V4;
+
+pub use self::unit::available;
+
+use self::block::{Block, LayerPanels, ROWS, Workspace};
+use self::panel::{Panel, SQUARE, unpack};
+use self::unit::{Sums, Unit};
+use super::Arithmetic;
+use super::losses::Pass;
+use super::optimizer::{Adam, AdamStep, Parameters};
+use super::team::{Member, read, write};
+use crate::network::kernels::{Buffer, SumOfSquares};
+use crate::network::{ActorCritic, Mlp};
+use crate::ppo::loss::Minibatch;
+
+/// Both networks, with operands of so many bf16 for each number in the forward pass and in the backward pass.
+#[derive(Debug)]
+pub struct Tiles<const FORWARD: usize, const BACKWARD: usize> {
+    simd: V4,
+    /// Of both networks, layer by layer.
+    panels: Vec<RwLock<Panel<FORWARD, BACKWARD>>>,
+    /// Of the policy and of the value function.
+    blocks: [Vec<RwLock<Block<BACKWARD>>>; 2],
+    /// Layers of the policy.
+    depth: usize,
+    /// Columns of the widest layer, in 32s.
+    widest: usize,
+}
+
+impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
+    const BLOCK: usize = ROWS;
+    const KL_ROUNDING: f64 = 1e-6;
+    type Workspace = Workspace<F, B>;
+
+    fn new(parts: [&ActorCritic; 3], minibatch_size: usize) -> Self {
+        let simd = V4::try_new().expect("chosen where there are tiles");
+        let mut panels = Vec::new();
+        for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)].into_iter().enumerate() {
+            for (depth, layer) in mlps[0].layers.iter().enumerate() {
+                let layers = mlps.map(|mlp| &mlp.layers[depth]);
+                let panel = |index| RwLock::new(Panel::new(network, depth, index, layers, simd));
+                panels.extend((0..layer.outputs().div_ceil(32)).map(panel));
+            }
+        }
+        let mlps = [&parts[0].policy, &parts[0].value];
+        let blocks = mlps.map(|mlp| (0..minibatch_size.div_ceil(ROWS)).map(|_| RwLock::new(Block::new(mlp))).collect());
+        let widths = |mlp: &Mlp| mlp.layers.iter().map(|layer| layer.inputs().max(layer.outputs())).max();
+        let widest = mlps.into_iter().filter_map(widths).max().unwrap_or(0).div_ceil(32);
+        Self { simd, panels, blocks, depth: parts[0].policy.layers.len(), widest }
+    }
+
+    fn workspace(&self) -> Self::Workspace {
+        Workspace::new(Unit::new().expect("chosen where there are tiles"), self.widest)
+    }
+
+    fn passes(
+        &self,
+        team: Member<'_>,
+        workspace: &mut Self::Workspace,
+        minibatch: &Minibatch<'_>,
+        loss: impl Fn(Pass<'_>),
+    ) {
+        let panels: Vec<_> = self.panels.iter().map(read).collect();
+        let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
+        let (policy, value) = layers.split_at(self.depth);
+        let networks: [&[LayerPanels<'_, '_, F, B>]; 2] = [policy, value];
+        let blocks = minibatch.rows.chunks(ROWS).len();
+        let observations = minibatch.batch.observations;
+        let size = observations.len() / minibatch.batch.returns.len();
+        let task = |task: usize| {
+            let (network, index) = (task / blocks, task % blocks);
+            let mut block = write(&self.blocks[network][index]);
+            block.forward(workspace, networks[network], (observations, size), minibatch.block(ROWS, index));
+            loss(block.pass(network, index));
+            block.backward(workspace, networks[network]);
+        };
+        team.phase(2 * blocks, task, || ());
+    }
+
+    fn gradients(&self, team: Member<'_>, workspace: &mut Self::Workspace, rows: usize, conclude: impl FnOnce(f64)) {
+        let count = rows.div_ceil(ROWS);
+        let task = |task: usize| {
+            let panel = &mut *write(&self.panels[task]);
+            let blocks: Vec<_> = self.blocks[panel.network][..count].iter().map(read).collect();
+            let (depth, index) = (panel.depth, panel.index);
+            let operands: Vec<_> =
+                blocks.iter().map(|block| (&block.deltas[depth][index], &*block.inputs[depth])).collect();
+            let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
+            self.simd.vectorize(Gradient { unit: &workspace.unit, operands: &operands, weights });
+            biases.fill(0.0);
+            for block in &blocks {
+                biases.iter_mut().zip(&block.bias[depth][32 * index..]).for_each(|(sum, bias)| *sum += bias);
+            }
+            panel.squares = pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient));
+        };
+        team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
+    }
+
+    fn steps(&self, team: Member<'_>, _: &mut Self::Workspace, step: &AdamStep) {
+        let task = |task: usize| {
+            let mut panel = write(&self.panels[task]);
+            pulp::Simd::vectorize(self.simd, Adam { parameters: &mut panel.parameters, step });
+            panel.refresh(self.simd);
+        };
+        team.phase(self.panels.len(), task, || ());
+    }
+
+    fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic) {
+        for panel in self.panels.iter().map(read) {
+            let mlp = if panel.network == 0 { &mut networks.policy } else { &mut networks.value };
+            unpack(part(&panel.parameters), panel.index, &mut mlp.layers[panel.depth]);
+        }
+    }
+}
+
+/// The gradient of 32 outputs by their weights: deltas times inputs, over all blocks of rows.
+struct Gradient<'a, const B: usize> {
+    unit: &'a Unit,
+    /// Left operand and, for each 32 inputs, right operand of each block.
+    operands: &'a [(&'a unit::Operand<B>, &'a [unit::Operand<B>])],
+    weights: &'a mut [f32],
+}
+
+impl<const B: usize> NullaryFnOnce for Gradient<'_, B> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let (squares, _) = self.weights.as_chunks_mut::<SQUARE>();
+        for (column, square) in squares.iter_mut().enumerate() {
+            let steps = self.operands.iter().map(|(left, right)| (*left, &right[column]));
+            let mut sums = Sums::ZERO;
+            self.unit.product(steps, &mut sums, &mut ());
+            square.copy_from_slice(sums.0.as_flattened().as_flattened());
+        }
+    }
+}

@@ -1,0 +1,115 @@
+/*!
+From rows of f32 to operands of the tile unit.
+*/
+
+use std::arch::x86_64::{__m128i, __m512i};
+
+use pulp::x86::V4;
+use pulp::{Simd, cast, f32x16, u32x4, u32x16};
+
+use super::unit::{Operand, Tile};
+
+/// Sixteen numbers, each as a sum of two bf16 in the upper half of its lane.
+#[derive(Clone, Copy)]
+pub struct Split {
+    large: u32x16,
+    small: u32x16,
+}
+
+/// The upper half of each lane.
+#[inline(always)]
+fn upper(simd: V4, x: u32x16) -> u32x16 {
+    simd.and_u32s(x, simd.splat_u32s(0xffff_0000))
+}
+
+#[inline(always)]
+fn round(simd: V4, x: f32x16) -> u32x16 {
+    simd.wrapping_add_u32x16(cast(x), simd.splat_u32s(0x8000))
+}
+
+/// Rounds halves away from zero. With one part `small` is not used.
+#[inline(always)]
+pub fn split<const PARTS: usize>(simd: V4, x: f32x16) -> Split {
+    let large = round(simd, x);
+    let small = if PARTS == 1 { large } else { round(simd, simd.sub_f32s(x, cast(upper(simd, large)))) };
+    Split { large, small }
+}
+
+/// Pairs of bf16: `first` in the lower halves.
+#[inline(always)]
+fn pairs(simd: V4, first: u32x16, second: u32x16) -> u32x16 {
+    let low: u32x16 = cast(simd.avx512f._mm512_srli_epi32::<16>(cast(first)));
+    simd.or_u32s(low, upper(simd, second))
+}
+
+/// Sets row `row` of one half of an operand to pairs of `first` and `second`.
+#[inline(always)]
+pub fn put<const PARTS: usize>(
+    simd: V4,
+    operand: &mut Operand<PARTS>,
+    (half, row): (usize, usize),
+    first: Split,
+    second: Split,
+) {
+    operand.0[0][half].0[row] = pairs(simd, first.large, second.large);
+    if PARTS == 2 {
+        operand.0[PARTS - 1][half].0[row] = pairs(simd, first.small, second.small);
+    }
+}
+
+/// The inverse of [`put`].
+#[inline(always)]
+pub fn get<const PARTS: usize>(simd: V4, operand: &Operand<PARTS>, (half, row): (usize, usize)) -> [f32x16; 2] {
+    let [first, second] = unpaired(simd, operand.0[0][half].0[row]);
+    if PARTS == 1 {
+        return [first, second];
+    }
+    let [first_rest, second_rest] = unpaired(simd, operand.0[PARTS - 1][half].0[row]);
+    [simd.add_f32s(first, first_rest), simd.add_f32s(second, second_rest)]
+}
+
+#[inline(always)]
+fn unpaired(simd: V4, pairs: u32x16) -> [f32x16; 2] {
+    let first: u32x16 = cast(simd.avx512f._mm512_slli_epi32::<16>(cast(pairs)));
+    [cast(first), cast(upper(simd, pairs))]
+}
+
+/// Exchanges rows and columns of every tile: what is paired stays paired.
+#[inline(always)]
+pub fn transpose<const PARTS: usize>(simd: V4, from: &Operand<PARTS>, to: &mut Operand<PARTS>) {
+    for (from, to) in from.0.as_flattened().iter().zip(to.0.as_flattened_mut()) {
+        transpose_tile(simd, from, to);
+    }
+}
+
+/// Quarters of rows first, then 4 × 4 within them.
+#[inline(always)]
+fn transpose_tile(simd: V4, from: &Tile, to: &mut Tile) {
+    let avx = simd.avx512f;
+    for quarter in 0..4 {
+        let (row0, row1) = (side_by_side(simd, from, 0, quarter), side_by_side(simd, from, 1, quarter));
+        let (row2, row3) = (side_by_side(simd, from, 2, quarter), side_by_side(simd, from, 3, quarter));
+        let (a, b) = (avx._mm512_unpacklo_epi32(row0, row1), avx._mm512_unpackhi_epi32(row0, row1));
+        let (c, d) = (avx._mm512_unpacklo_epi32(row2, row3), avx._mm512_unpackhi_epi32(row2, row3));
+        to.0[4 * quarter] = cast(avx._mm512_unpacklo_epi64(a, c));
+        to.0[4 * quarter + 1] = cast(avx._mm512_unpackhi_epi64(a, c));
+        to.0[4 * quarter + 2] = cast(avx._mm512_unpacklo_epi64(b, d));
+        to.0[4 * quarter + 3] = cast(avx._mm512_unpackhi_epi64(b, d));
+    }
+}
+
+/// One quarter of row `row` of each four rows.
+#[inline(always)]
+fn side_by_side(simd: V4, from: &Tile, row: usize, quarter: usize) -> __m512i {
+    let avx = simd.avx512f;
+    let joined = avx._mm512_castsi128_si512(piece(from, row, quarter));
+    let joined = avx._mm512_inserti32x4::<1>(joined, piece(from, 4 + row, quarter));
+    let joined = avx._mm512_inserti32x4::<2>(joined, piece(from, 8 + row, quarter));
+    avx._mm512_inserti32x4::<3>(joined, piece(from, 12 + row, quarter))
+}
+
+#[inline(always)]
+fn piece(from: &Tile, row: usize, quarter: usize) -> __m128i {
+    let pieces: [u32x4; 4] = cast(from.0[row]);
+    cast(pieces[quarter])
+}

@@ -1,0 +1,132 @@
+/*!
+32 outputs of a layer, in tiles.
+
+Parameters stand as the gradient comes out: blocks of 32 outputs by 32 inputs, each as four tiles of 16 × 16, row by row;
+the biases last. Padding is zero, and stays so: its gradient is.
+*/
+
+use pulp::x86::V4;
+use pulp::{NullaryFnOnce, cast};
+
+use super::pack::{put, split, transpose};
+use super::unit::Operand;
+use crate::network::Layer;
+use crate::network::kernels::Buffer;
+use crate::ppo::fused::optimizer::Parameters;
+
+/// Numbers in a block of 32 × 32.
+pub const SQUARE: usize = 32 * 32;
+
+/// A panel in training.
+#[derive(Debug)]
+pub struct Panel<const FORWARD: usize, const BACKWARD: usize> {
+    /// 0: policy, 1: value function.
+    pub network: usize,
+    /// Index of the layer.
+    pub depth: usize,
+    /// First output, in panels.
+    pub index: usize,
+    pub parameters: Parameters,
+    /// Right operands of the forward product, one for each 32 inputs.
+    pub forward: Vec<Operand<FORWARD>>,
+    /// Right operands of the backward product; none in the first layer, whose input needs no gradient.
+    pub backward: Vec<Operand<BACKWARD>>,
+    /// Sum of squares of the gradient.
+    pub squares: f64,
+}
+
+impl<const FORWARD: usize, const BACKWARD: usize> Panel<FORWARD, BACKWARD> {
+    /// The panel `index` of a layer and of its moments.
+    pub fn new(network: usize, depth: usize, index: usize, layers: [&Layer; 3], simd: V4) -> Self {
+        let inputs = layers[0].inputs().div_ceil(32);
+        let mut panel = Self {
+            network,
+            depth,
+            index,
+            parameters: Parameters::new(layers.map(|layer| pack(layer, index))),
+            forward: vec![Operand::ZERO; inputs],
+            backward: vec![Operand::ZERO; if depth == 0 { 0 } else { inputs }],
+            squares: 0.0,
+        };
+        panel.refresh(simd);
+        panel
+    }
+
+    /// Makes the operands from the parameters.
+    pub fn refresh(&mut self, simd: V4) {
+        simd.vectorize(Refresh { simd, panel: self });
+    }
+
+    pub fn bias(&self) -> &[f32] {
+        &self.parameters.values[self.forward.len() * SQUARE..]
+    }
+}
+
+struct Refresh<'a, const FORWARD: usize, const BACKWARD: usize> {
+    simd: V4,
+    panel: &'a mut Panel<FORWARD, BACKWARD>,
+}
+
+impl<const FORWARD: usize, const BACKWARD: usize> NullaryFnOnce for Refresh<'_, FORWARD, BACKWARD> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { simd, panel } = self;
+        let mut rows = Operand::<FORWARD>::ZERO;
+        let (squares, _) = panel.parameters.values.as_chunks::<SQUARE>();
+        for (index, (square, forward)) in squares.iter().zip(&mut panel.forward).enumerate() {
+            let (square, _) = square.as_chunks::<16>();
+            for row in 0..16 {
+                // By halves of outputs and of inputs.
+                let [a, b, c, d] = [0, 16, 32, 48].map(|tile| cast(square[tile + row]));
+                let [w00, w01, w10, w11] = [
+                    split::<FORWARD>(simd, a),
+                    split::<FORWARD>(simd, b),
+                    split::<FORWARD>(simd, c),
+                    split::<FORWARD>(simd, d),
+                ];
+                put(simd, &mut rows, (0, row), w00, w01);
+                put(simd, &mut rows, (1, row), w10, w11);
+                if let Some(backward) = panel.backward.get_mut(index) {
+                    put(simd, backward, (0, row), w00, w10);
+                    put(simd, backward, (1, row), w01, w11);
+                }
+            }
+            transpose(simd, &rows, forward);
+        }
+    }
+}
+
+/// Where the number of an output and an input stands in a panel.
+fn place(output: usize, input: usize) -> usize {
+    let (block, output, input) = (input / 32, output % 32, input % 32);
+    block * SQUARE + (output / 16 * 2 + input / 16) * 256 + output % 16 * 16 + input % 16
+}
+
+fn panel_outputs(layer: &Layer, index: usize) -> std::ops::Range<usize> {
+    index * 32..layer.outputs().min((index + 1) * 32)
+}
+
+fn pack(layer: &Layer, index: usize) -> Buffer {
+    let (inputs, biases) = (layer.inputs(), layer.inputs().div_ceil(32) * SQUARE);
+    let mut values = Buffer::zeros(biases + 32);
+    for output in panel_outputs(layer, index) {
+        values[biases + output % 32] = layer.bias[output];
+        for input in 0..inputs {
+            values[place(output, input)] = layer.weight[output * inputs + input];
+        }
+    }
+    values
+}
+
+/// The inverse of `pack`.
+pub fn unpack(values: &[f32], index: usize, layer: &mut Layer) {
+    let (inputs, biases) = (layer.inputs(), layer.inputs().div_ceil(32) * SQUARE);
+    for output in panel_outputs(layer, index) {
+        layer.bias[output] = values[biases + output % 32];
+        for input in 0..inputs {
+            layer.weight[output * inputs + input] = values[place(output, input)];
+        }
+    }
+}

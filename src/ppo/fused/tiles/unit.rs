@@ -1,0 +1,224 @@
+/*!
+The tile unit of x86-64 (AMX): products of bf16 operands, summed in f32.
+
+Eight tile registers hold 16 rows of 64 bytes each. One instruction adds the product of two tiles to a third:
+16 × 32 bf16 times 32 × 16 bf16 gives 16 × 16 f32. The right operand holds in row `j` of column `n` the pair of its rows
+`k`, the left one in row `m` the pairs of its columns. Any pairs will do if both operands agree, and ours are `k` and
+`k + 16`, so that two vectors make a row of pairs by a shift and a mask.
+
+Denormal numbers count as zero, on the way in and out.
+*/
+
+#![allow(unsafe_code)]
+
+use std::arch::asm;
+use std::arch::x86_64::__cpuid_count;
+use std::marker::PhantomData;
+use std::ops::Range;
+use std::sync::OnceLock;
+
+use pulp::u32x16;
+use pulp::x86::V4;
+
+/// 16 rows of 16 pairs of bf16.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub struct Tile(pub [u32x16; 16]);
+
+/// 32 × 32 numbers of a product's left or right side, each as the sum of so many bf16: the first is the number rounded,
+/// the second what that leaves. The two tiles of a part are rows 0–15 and 16–31 of a left operand, columns 0–15 and 16–31
+/// of a right one.
+#[derive(Debug, Clone, Copy)]
+#[repr(C)]
+pub struct Operand<const PARTS: usize>(pub [[Tile; 2]; PARTS]);
+
+impl<const PARTS: usize> Operand<PARTS> {
+    /// All zero.
+    pub const ZERO: Self = Self([[Tile([u32x16(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0); 16]); 2]; PARTS]);
+}
+
+/// 32 × 32 sums, as four tiles of 16 × 16: upper left, upper right, lower left, lower right.
+#[derive(Debug, Clone, Copy)]
+#[repr(C, align(64))]
+pub struct Sums(pub [[[f32; 16]; 16]; 4]);
+
+impl Sums {
+    /// All zero.
+    pub const ZERO: Self = Self([[[0.0; 16]; 16]; 4]);
+}
+
+/// Work for the vector units while the tile unit multiplies, in sixteen pieces.
+pub trait Meanwhile {
+    /// Some of them.
+    fn pieces(&mut self, simd: V4, pieces: Range<usize>);
+}
+
+/// No work.
+impl Meanwhile for () {
+    #[inline(always)]
+    fn pieces(&mut self, _: V4, _: Range<usize>) {}
+}
+
+/// The tile unit of this thread, ready for products.
+pub struct Unit {
+    pub simd: V4,
+    /// Other threads have their own.
+    thread: PhantomData<*const ()>,
+}
+
+/// What `ldtilecfg` reads.
+#[repr(C, align(64))]
+struct Shapes {
+    palette: u8,
+    start_row: u8,
+    reserved: [u8; 14],
+    bytes_per_row: [u16; 16],
+    rows: [u8; 16],
+}
+
+/// Eight tiles of 16 rows of 64 bytes.
+const SHAPES: Shapes = {
+    let (mut bytes_per_row, mut rows, mut tile) = ([0; 16], [0; 16], 0);
+    while tile < 8 {
+        (bytes_per_row[tile], rows[tile]) = (64, 16);
+        tile += 1;
+    }
+    Shapes { palette: 1, start_row: 0, reserved: [0; 14], bytes_per_row, rows }
+};
+
+/// Whether the processor has the unit and Linux lets this process use it.
+pub fn available() -> bool {
+    static AVAILABLE: OnceLock<bool> = OnceLock::new();
+    *AVAILABLE.get_or_init(|| {
+        const AMX_BF16: u32 = 1 << 22;
+        const AMX_TILE: u32 = 1 << 24;
+        let needed = AMX_BF16 | AMX_TILE;
+        __cpuid_count(7, 0).edx & needed == needed && V4::try_new().is_some() && permitted()
+    })
+}
+
+/// Asks Linux for the registers, which are too large to be saved for everybody.
+fn permitted() -> bool {
+    const ARCH_PRCTL: i64 = 158;
+    const ARCH_REQ_XCOMP_PERM: u64 = 0x1023;
+    const XFEATURE_XTILEDATA: u64 = 18;
+    let mut answer = ARCH_PRCTL;
+    // SAFETY: a system call that takes two numbers, touches no memory of ours and clobbers the registers named.
+    unsafe {
+        asm!(
+            "syscall", inlateout("rax") answer, in("rdi") ARCH_REQ_XCOMP_PERM, in("rsi") XFEATURE_XTILEDATA,
+            lateout("rcx") _, lateout("r11") _, options(nostack),
+        );
+    }
+    answer == 0
+}
+
+impl Unit {
+    /// Sets the unit of this thread up, if there is one.
+    pub fn new() -> Option<Self> {
+        let simd = V4::try_new().filter(|_| available())?;
+        // SAFETY: the processor has the instruction and Linux permits it; it reads 64 bytes.
+        unsafe {
+            asm!("ldtilecfg [{0}]", in(reg) &raw const SHAPES_IN_MEMORY, options(nostack, preserves_flags, readonly))
+        };
+        Some(Self { simd, thread: PhantomData })
+    }
+
+    /// `sums = Σ left · right`, while the vector units do other work. With two parts the product of the two small ones,
+    /// 2⁻¹⁶ of the whole, is left out.
+    #[inline(always)]
+    pub fn product<'a, const PARTS: usize>(
+        &self,
+        steps: impl ExactSizeIterator<Item = (&'a Operand<PARTS>, &'a Operand<PARTS>)>,
+        sums: &mut Sums,
+        meanwhile: &mut impl Meanwhile,
+    ) {
+        const { assert!(PARTS == 1 || PARTS == 2) };
+        let count = steps.len();
+        // SAFETY: as `multiply_add`.
+        unsafe {
+            asm!(
+                "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
+            );
+        }
+        for (step, (left, right)) in steps.enumerate() {
+            multiply_add(left, right);
+            meanwhile.pieces(self.simd, 16 * step / count..16 * (step + 1) / count);
+        }
+        // SAFETY: `sums` is four tiles of 1024 bytes. Nothing but this file's instructions touches tile registers: the
+        // compiler does not know them, so they hold from one block of assembly to the next.
+        unsafe {
+            asm!(
+                "tilestored [{c} + {row}], tmm0",
+                "tilestored [{c} + {row} + 1024], tmm1",
+                "tilestored [{c} + {row} + 2048], tmm2",
+                "tilestored [{c} + {row} + 3072], tmm3",
+                c = in(reg) sums, row = in(reg) 64_usize,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
+            );
+        }
+    }
+}
+
+static SHAPES_IN_MEMORY: Shapes = SHAPES;
+
+/// Adds a product to tiles 0 to 3. Only a [`Unit`] calls it.
+#[inline(always)]
+fn multiply_add<const PARTS: usize>(left: &Operand<PARTS>, right: &Operand<PARTS>) {
+    // SAFETY: the caller has a `Unit`, so that the instructions are there. Operands are two tiles of 1024 bytes for each
+    // part, and only read.
+    unsafe {
+        if PARTS == 1 {
+            asm!(
+                "tileloadd tmm6, [{b} + {row}]",
+                "tileloadd tmm4, [{a} + {row}]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 1024]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 1024]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                a = in(reg) left, b = in(reg) right, row = in(reg) 64_usize,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                options(nostack, preserves_flags, readonly),
+            );
+        } else {
+            // Small · large, large · large, large · small.
+            asm!(
+                "tileloadd tmm6, [{b} + {row}]",
+                "tileloadd tmm4, [{a} + {row} + 2048]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 1024]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 3072]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                "tileloadd tmm4, [{a} + {row}]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 1024]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                "tileloadd tmm6, [{b} + {row} + 2048]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 3072]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                a = in(reg) left, b = in(reg) right, row = in(reg) 64_usize,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                options(nostack, preserves_flags, readonly),
+            );
+        }
+    }
+}
+
+impl Drop for Unit {
+    fn drop(&mut self) {
+        // SAFETY: the processor has the instruction; nothing else uses the registers.
+        unsafe { asm!("tilerelease", options(nomem, nostack, preserves_flags)) };
+    }
+}
