@@ -14,6 +14,11 @@ const PROGRAM: &[&str] =
     &["build.rs", "build", "Cargo.toml", "Cargo.lock", "mujoco-sys", "src", "record", "models", "configs"];
 
 fn main() {
+    println!("cargo::rustc-check-cfg=cfg(tiles)");
+    let target = |key: &str| std::env::var(format!("CARGO_CFG_TARGET_{key}")).unwrap_or_default();
+    if (target("ARCH"), target("OS")) == ("x86_64".into(), "linux".into()) {
+        println!("cargo::rustc-cfg=tiles");
+    }
     for path in PROGRAM.iter().chain(&["policies"]) {
         println!("cargo::rerun-if-changed={path}");
     }

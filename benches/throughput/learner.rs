@@ -88,7 +88,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
         .collect();
     let start = LearnerState::new(network.clone(), &Hyperparameters::from(ppo));
     let sample_passes_per_s = |kind, threads, permutations: &[Vec<u32>]| -> anyhow::Result<f64> {
-        let mut learner = learner(&Ppo { learner: kind, ..ppo.clone() }, start.clone(), threads);
+        let mut learner = learner(&Ppo { learner: kind, ..ppo.clone() }, start.clone(), threads)?;
         let (elapsed_s, statistics) = timed(|| learner.update(&batch, permutations));
         statistics?;
         Ok((permutations.len() * rollout.len()) as f64 / elapsed_s)

@@ -1,6 +1,7 @@
 //! The ranges of a configuration's values.
 
-use super::{Config, LOG_STD_RANGE};
+use super::{Config, LOG_STD_RANGE, LearnerKind, Precision};
+use crate::util::yaml;
 
 /// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
 const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
@@ -130,6 +131,8 @@ impl Config {
             p.minibatch_size,
             &format!("a divisor of ppo.batch_size ({}) above 1", p.batch_size),
         )?;
+        let has = p.learner == LearnerKind::Fused || matches!(p.precision, Precision::Auto | Precision::F32);
+        require(has, "ppo.precision", yaml::to_text(&p.precision).trim_end(), "auto or f32 with ppo.learner: candle")?;
         require((1..=MAX_EPOCHS).contains(&p.epochs), "ppo.epochs", p.epochs, &format!("1 to {MAX_EPOCHS}"))?;
         let upright = self.action.nominal_pose_rad[0] == 0.0;
         require(

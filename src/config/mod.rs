@@ -16,7 +16,8 @@ use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, LearnerKind, Ppo, Randomisation, Reward, RobotModel, Run, Simulation,
+    Action, CommandRange, Config, Episode, LearnerKind, Ppo, Precision, Randomisation, Reward, RobotModel, Run,
+    Simulation,
 };
 
 use crate::robot::Robot;
@@ -113,9 +114,13 @@ impl Config {
         Ok(config)
     }
 
-    /// Where this configuration and another one differ. The length of the run is not looked at.
+    /// Where this configuration and another one differ. The length of the run is not looked at, nor what is left to the
+    /// machine.
     pub fn differences(&self, other: &Config) -> Vec<Difference> {
-        let other = Config { run: self.run.clone(), ..other.clone() };
+        let mut other = Config { run: self.run.clone(), ..other.clone() };
+        if other.ppo.precision == Precision::Auto {
+            other.ppo.precision = self.ppo.precision;
+        }
         let differences = yaml::differences(self, &other).into_iter();
         differences.map(|(key, values)| Difference { key, values }).collect()
     }

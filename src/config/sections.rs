@@ -197,6 +197,9 @@ pub struct Ppo {
     /// What computes the updates.
     #[serde(default)]
     pub learner: LearnerKind,
+    /// What it computes with.
+    #[serde(default)]
+    pub precision: Precision,
     /// Whether half of the samples are learnt from with left and right exchanged.
     #[serde(alias = "mirror")]
     pub symmetry: bool,
@@ -239,6 +242,24 @@ pub enum LearnerKind {
     Fused,
     /// The one to read and to change.
     Candle,
+}
+
+/// The arithmetic of the fused learner. A run keeps to the one in which it began.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Precision {
+    /// `mixed` where the processor can, else `f32`; what it comes to is written into the run.
+    Auto,
+    /// On any processor; in use before there was a choice.
+    #[default]
+    F32,
+    /// On tile units: outputs as exact as f32, gradients of operands rounded to bf16.
+    Mixed,
+    /// On tile units: both as exact as f32, with three bf16 products for one of f32.
+    #[serde(rename = "bf16x3")]
+    Bf16x3,
+    /// On tile units: bf16 operands throughout.
+    Bf16,
 }
 
 impl Ppo {

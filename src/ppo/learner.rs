@@ -4,10 +4,13 @@ What trains: two learners behind one trait.
 
 use std::fmt::Debug;
 
-use super::fused::Panels;
+#[cfg(tiles)]
+use super::fused::Tiles;
+use super::fused::{Panels, tiles_available};
 use super::{Batch, CandleLearner, FusedLearner, Hyperparameters, UpdateFault, UpdateStatistics};
-use crate::config::{LearnerKind, Ppo};
+use crate::config::{LearnerKind, Ppo, Precision};
 use crate::network::ActorCritic;
+use crate::util::yaml;
 
 /// Trains an [`ActorCritic`] by PPO.
 pub trait Learner: Debug + Send {
@@ -28,15 +31,50 @@ pub trait Learner: Debug + Send {
 
 /// The learner that a configuration asks for, continuing from `state`. The number of threads changes the speed only.
 ///
+/// # Errors
+/// When this machine does not have the arithmetic.
+///
 /// # Panics
 /// When the minibatch size is zero, or the moments do not have the shapes of the parameters.
-pub fn learner(ppo: &Ppo, state: LearnerState, threads: usize) -> Box<dyn Learner> {
+pub fn learner(ppo: &Ppo, state: LearnerState, threads: usize) -> Result<Box<dyn Learner>, PrecisionError> {
     let settings = Hyperparameters::from(ppo);
-    match ppo.learner {
-        LearnerKind::Fused => Box::new(FusedLearner::<Panels>::new(&state, settings, threads)),
-        LearnerKind::Candle => Box::new(CandleLearner::new(state, settings)),
+    Ok(match (ppo.learner, resolved(ppo)) {
+        (LearnerKind::Candle, _) => Box::new(CandleLearner::new(state, settings)),
+        (LearnerKind::Fused, Precision::Auto | Precision::F32) => {
+            Box::new(FusedLearner::<Panels>::new(&state, settings, threads))
+        }
+        #[cfg(tiles)]
+        (LearnerKind::Fused, Precision::Mixed) if tiles_available() => {
+            Box::new(FusedLearner::<Tiles<2, 1>>::new(&state, settings, threads))
+        }
+        #[cfg(tiles)]
+        (LearnerKind::Fused, Precision::Bf16x3) if tiles_available() => {
+            Box::new(FusedLearner::<Tiles<2, 2>>::new(&state, settings, threads))
+        }
+        #[cfg(tiles)]
+        (LearnerKind::Fused, Precision::Bf16) if tiles_available() => {
+            Box::new(FusedLearner::<Tiles<1, 1>>::new(&state, settings, threads))
+        }
+        (LearnerKind::Fused, precision) => return Err(PrecisionError(precision)),
+    })
+}
+
+/// What `ppo.precision` comes to on this machine: never [`Precision::Auto`].
+pub fn resolved(ppo: &Ppo) -> Precision {
+    match (ppo.precision, ppo.learner) {
+        (Precision::Auto, LearnerKind::Fused) if tiles_available() => Precision::Mixed,
+        (Precision::Auto, _) => Precision::F32,
+        (precision, _) => precision,
     }
 }
+
+/// An arithmetic that this machine does not have.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "ppo.precision is {}, but this processor has no tile unit for bf16 (AMX): \
+     go on where there is one, or start a run with ppo.precision: f32", yaml::to_text(.0).trim_end()
+)]
+pub struct PrecisionError(Precision);
 
 /// Everything that an update depends on besides its batch; what a checkpoint has to keep.
 #[derive(Debug, Clone, PartialEq)]

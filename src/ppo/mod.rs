@@ -28,6 +28,6 @@ mod update;
 pub use candle::CandleLearner;
 pub use fused::FusedLearner;
 pub use gaussian::{DiagonalGaussian, KlDivergence};
-pub use learner::{Learner, LearnerState, learner};
+pub use learner::{Learner, LearnerState, PrecisionError, learner, resolved};
 pub use loss::{Batch, Hyperparameters, Samples};
 pub use update::{UpdateFault, UpdateStatistics};

@@ -18,7 +18,9 @@ use crate::mujoco;
 use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
-use crate::ppo::{Batch, Hyperparameters, Learner, LearnerState, Samples, UpdateFault, learner};
+use crate::ppo::{
+    Batch, Hyperparameters, Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved,
+};
 use crate::robot::{JOINTS, Robot, RobotError};
 use crate::task::Curriculum;
 use crate::util::provenance;
@@ -33,6 +35,9 @@ pub enum TrainError {
     /// The robot's file.
     #[error(transparent)]
     Robot(#[from] RobotError),
+    /// The arithmetic.
+    #[error(transparent)]
+    Precision(#[from] PrecisionError),
     /// An environment could not be set up.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
@@ -82,14 +87,15 @@ impl Trainer {
     ///
     /// # Errors
     /// If a value of the configuration is out of its range, or the robot's model cannot be simulated.
-    pub fn new(config_name: &str, config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
+    pub fn new(config_name: &str, mut config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
         config.check()?;
+        config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
         let ppo = &config.ppo;
         let log_std = ppo.initial_log_std as f32;
         let network = ActorCritic::orthogonal(layout.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
-        let learner = learner(ppo, LearnerState::new(network, &Hyperparameters::from(ppo)), threads);
+        let learner = learner(ppo, LearnerState::new(network, &Hyperparameters::from(ppo)), threads)?;
         let curriculum = Curriculum::new(&config.command);
         Ok(Trainer {
             environments: environments(&config, &robot, &layout, seed, curriculum)?,
@@ -143,7 +149,7 @@ impl Trainer {
             environment.restore(saved)?;
         }
         Ok(Trainer {
-            learner: learner(&run.config.ppo, state, threads),
+            learner: learner(&run.config.ppo, state, threads)?,
             config_name: run.config_name,
             config: run.config,
             robot,

@@ -12,11 +12,17 @@ mod losses;
 mod optimizer;
 mod panels;
 pub(in crate::ppo) mod team;
-#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
+#[cfg(tiles)]
 mod tiles;
 
 pub use arithmetic::Arithmetic;
 pub use learner::FusedLearner;
 pub use panels::Panels;
-#[cfg(all(target_arch = "x86_64", target_os = "linux"))]
-pub use tiles::{Tiles, available};
+#[cfg(tiles)]
+pub use tiles::{Tiles, available as tiles_available};
+
+/// Whether this machine has tile units that this program can use.
+#[cfg(not(tiles))]
+pub fn tiles_available() -> bool {
+    false
+}

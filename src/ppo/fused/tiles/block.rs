@@ -14,7 +14,7 @@ use pulp::{NullaryFnOnce, Simd, cast, f32x16};
 
 use super::pack::{get, put, split, transpose};
 use super::panel::Panel;
-use super::unit::{Meanwhile, Operand, Sums, Unit};
+use super::unit::{Meanwhile, Operand, SQUARE, Square, Unit};
 use crate::network::Mlp;
 use crate::network::kernels::{Buffer, elu};
 use crate::ppo::fused::losses::Pass;
@@ -47,7 +47,7 @@ pub struct Workspace<const F: usize, const B: usize> {
     /// Left operands of the backward product, alike.
     backward: [Vec<Operand<B>>; 2],
     /// Sums as they come out of the tile unit, and those before.
-    sums: [Sums; 2],
+    sums: [Buffer; 2],
     /// Deltas before they are transposed.
     rows: Operand<B>,
 }
@@ -59,7 +59,7 @@ impl<const F: usize, const B: usize> Workspace<F, B> {
             unit,
             forward: [(); 2].map(|()| vec![Operand::ZERO; widest]),
             backward: [(); 2].map(|()| vec![Operand::ZERO; widest]),
-            sums: [Sums::ZERO; 2],
+            sums: [(); 2].map(|()| Buffer::zeros(SQUARE)),
             rows: Operand::ZERO,
         }
     }
@@ -121,6 +121,7 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
         let Self { block, workspace, layers, observations, size, rows } = self;
         let Workspace { unit, forward: [input, output], sums: [sums, before], .. } = workspace;
         let simd = unit.simd;
+        let (mut sums, mut before) = (square(sums), square(before));
         gather(simd, observations, size, rows, input, &mut block.inputs[0]);
         let last = layers.len() - 1;
         for (depth, panels) in layers[..last].iter().enumerate() {
@@ -132,7 +133,7 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
                     let to = (&mut output[column - 1], &mut block.inputs[depth + 1][column - 1]);
                     unit.product(steps, sums, &mut Activate { sums: before, bias: panels[column - 1].bias(), to });
                 }
-                mem::swap(sums, before);
+                mem::swap(&mut sums, &mut before);
             }
             let column = panels.len() - 1;
             let to = (&mut output[column], &mut block.inputs[depth + 1][column]);
@@ -144,15 +145,18 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
             unit.product(input[..panel.forward.len()].iter().zip(&panel.forward), sums, &mut ());
             let bias = panel.bias();
             for row in 0..16 {
-                for (tile, half) in [(0, 0), (1, 0), (2, 1), (3, 1)] {
-                    let lanes = tile % 2 * 16;
-                    let at = (row + 16 * half) * columns + 32 * column + lanes;
-                    let value = simd.add_f32s(cast(sums.0[tile][row]), load(&bias[lanes..]));
-                    store(&mut block.outputs[at..], value);
+                for (half, values) in rows_of(sums, row).into_iter().enumerate() {
+                    let output = &mut block.outputs[(row + 16 * half) * columns + 32 * column..];
+                    store(output, simd.add_f32s(values[0], load(bias)));
+                    store(&mut output[16..], simd.add_f32s(values[1], load(&bias[16..])));
                 }
             }
         }
     }
+}
+
+fn square(buffer: &mut Buffer) -> &mut Square {
+    buffer.first_chunk_mut().expect("made of that size")
 }
 
 #[inline(always)]
@@ -191,9 +195,16 @@ fn gather<const F: usize, const B: usize>(
 #[inline(always)]
 fn lanes(simd: V4, observations: &[f32], size: usize, row: Option<&u32>, start: usize) -> [f32x16; 2] {
     let observation = row.map_or(&[][..], |&row| &observations[row as usize * size..][..size]);
+    [line(simd, observation, start), line(simd, observation, start + 16)]
+}
+
+#[inline(always)]
+fn line(simd: V4, observation: &[f32], start: usize) -> f32x16 {
     let rest = &observation[start.min(observation.len())..];
-    let (first, rest) = rest.split_at(rest.len().min(16));
-    [simd.partial_load_f32s(first), simd.partial_load_f32s(&rest[..rest.len().min(16)])]
+    match rest.first_chunk::<16>() {
+        Some(line) => cast(*line),
+        None => simd.partial_load_f32s(rest),
+    }
 }
 
 /// Rows `row` and `row + 16` of 32 columns, as part of a left operand and of a right one.
@@ -217,13 +228,14 @@ fn put_both<const L: usize, const R: usize>(
 
 /// Rows `row` and `row + 16` of 32 × 32 sums.
 #[inline(always)]
-fn rows_of(sums: &Sums, row: usize) -> [[f32x16; 2]; 2] {
-    [[cast(sums.0[0][row]), cast(sums.0[1][row])], [cast(sums.0[2][row]), cast(sums.0[3][row])]]
+fn rows_of(sums: &Square, row: usize) -> [[f32x16; 2]; 2] {
+    let (rows, _) = sums.as_chunks::<16>();
+    [[cast(rows[row]), cast(rows[16 + row])], [cast(rows[32 + row]), cast(rows[48 + row])]]
 }
 
 /// A hidden layer's output for the next.
 struct Activate<'a, const F: usize, const B: usize> {
-    sums: &'a Sums,
+    sums: &'a Square,
     bias: &'a [f32],
     to: (&'a mut Operand<F>, &'a mut Operand<B>),
 }
@@ -260,6 +272,7 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
         let Self { block, workspace, layers } = self;
         let Workspace { unit, backward: [after, ahead], sums: [sums, before], rows, .. } = workspace;
         let simd = unit.simd;
+        let (mut sums, mut before) = (square(sums), square(before));
         block.bias.iter_mut().for_each(|bias| bias.fill(0.0));
         let last = layers.len() - 1;
         let columns = 32 * layers[last].len();
@@ -289,7 +302,7 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
                     unit.product(steps, sums, &mut Differentiate { sums: before, y, bias, left, rows });
                     transpose(simd, rows, &mut deltas[column - 1]);
                 }
-                mem::swap(sums, before);
+                mem::swap(&mut sums, &mut before);
             }
             let column = inputs.len() - 1;
             let (y, bias, left) = (&inputs[column], &mut bias[32 * column..], &mut ahead[column]);
@@ -302,7 +315,7 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
 
 /// The loss gradient one layer further back.
 struct Differentiate<'a, const B: usize> {
-    sums: &'a Sums,
+    sums: &'a Square,
     /// ELU's output.
     y: &'a Operand<B>,
     bias: &'a mut [f32],

@@ -22,8 +22,8 @@ use pulp::x86::V4;
 pub use self::unit::available;
 
 use self::block::{Block, LayerPanels, ROWS, Workspace};
-use self::panel::{Panel, SQUARE, unpack};
-use self::unit::{Sums, Unit};
+use self::panel::{Panel, unpack};
+use self::unit::{SQUARE, Unit};
 use super::Arithmetic;
 use super::losses::Pass;
 use super::optimizer::{Adam, AdamStep, Parameters};
@@ -148,9 +148,7 @@ impl<const B: usize> NullaryFnOnce for Gradient<'_, B> {
         let (squares, _) = self.weights.as_chunks_mut::<SQUARE>();
         for (column, square) in squares.iter_mut().enumerate() {
             let steps = self.operands.iter().map(|(left, right)| (*left, &right[column]));
-            let mut sums = Sums::ZERO;
-            self.unit.product(steps, &mut sums, &mut ());
-            square.copy_from_slice(sums.0.as_flattened().as_flattened());
+            self.unit.product(steps, square, &mut ());
         }
     }
 }

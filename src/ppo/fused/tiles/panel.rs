@@ -9,13 +9,10 @@ use pulp::x86::V4;
 use pulp::{NullaryFnOnce, cast};
 
 use super::pack::{put, split, transpose};
-use super::unit::Operand;
+use super::unit::{Operand, SQUARE};
 use crate::network::Layer;
 use crate::network::kernels::Buffer;
 use crate::ppo::fused::optimizer::Parameters;
-
-/// Numbers in a block of 32 × 32.
-pub const SQUARE: usize = 32 * 32;
 
 /// A panel in training.
 #[derive(Debug)]

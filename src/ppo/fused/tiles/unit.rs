@@ -37,15 +37,11 @@ impl<const PARTS: usize> Operand<PARTS> {
     pub const ZERO: Self = Self([[Tile([u32x16(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0); 16]); 2]; PARTS]);
 }
 
-/// 32 × 32 sums, as four tiles of 16 × 16: upper left, upper right, lower left, lower right.
-#[derive(Debug, Clone, Copy)]
-#[repr(C, align(64))]
-pub struct Sums(pub [[[f32; 16]; 16]; 4]);
+/// 32 × 32 sums, as four tiles of 16 × 16, row by row: upper left, upper right, lower left, lower right.
+pub type Square = [f32; SQUARE];
 
-impl Sums {
-    /// All zero.
-    pub const ZERO: Self = Self([[[0.0; 16]; 16]; 4]);
-}
+/// Numbers in a [`Square`].
+pub const SQUARE: usize = 32 * 32;
 
 /// Work for the vector units while the tile unit multiplies, in sixteen pieces.
 pub trait Meanwhile {
@@ -130,7 +126,7 @@ impl Unit {
     pub fn product<'a, const PARTS: usize>(
         &self,
         steps: impl ExactSizeIterator<Item = (&'a Operand<PARTS>, &'a Operand<PARTS>)>,
-        sums: &mut Sums,
+        sums: &mut Square,
         meanwhile: &mut impl Meanwhile,
     ) {
         const { assert!(PARTS == 1 || PARTS == 2) };
@@ -154,7 +150,7 @@ impl Unit {
                 "tilestored [{c} + {row} + 1024], tmm1",
                 "tilestored [{c} + {row} + 2048], tmm2",
                 "tilestored [{c} + {row} + 3072], tmm3",
-                c = in(reg) sums, row = in(reg) 64_usize,
+                c = in(reg) sums.as_mut_ptr(), row = in(reg) 64_usize,
                 out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
             );
         }
