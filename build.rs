@@ -11,7 +11,7 @@ use measured::{files_in, hash_of, measured_files};
 
 /// What makes the programs behave as they do, but for the policies, which are named by their own hashes.
 const PROGRAM: &[&str] =
-    &["build.rs", "build", "Cargo.toml", "Cargo.lock", "mujoco-sys", "src", "record", "models", "configs"];
+    &["build.rs", "build", "Cargo.toml", "Cargo.lock", "mujoco-sys", "src", "evaluate", "record", "models", "configs"];
 
 fn main() {
     println!("cargo::rustc-check-cfg=cfg(tiles)");

@@ -4,12 +4,11 @@ It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2
 [`robot`] make a [`sim`]ulation on [`mujoco`]; an [`observation`] says what a policy sees of it, the [`task`] what it is
 paid; [`train`] collects both, learns [`network`]s with [`ppo`] and leaves a [`policy`] behind. A [`scenario`] puts a policy
 to the test, on the true state or on what it can [`estimate`] from its sensors, and leaves a [`trace`](scenario::trace),
-which [`evaluate`] and the package `supple-record` read. [`util`] has what all of them need.
+which the packages `supple-evaluate` and `supple-record` read. [`util`] has what all of them need.
 */
 
 pub mod config;
 pub mod estimate;
-pub mod evaluate;
 pub mod guide;
 pub mod mujoco;
 pub mod network;

@@ -1,6 +1,5 @@
 //! Tests of the whole: the compiled model, the programs as a user runs them, and properties of every scenario.
 
-mod evaluate;
 mod faults;
 mod formats;
 mod kill;

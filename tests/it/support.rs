@@ -1,4 +1,4 @@
-//! What several tests need, also those of the recording package.
+//! What several tests need, also those of the other packages.
 #![allow(dead_code)] // No test uses all of it.
 
 use std::path::{Path, PathBuf};

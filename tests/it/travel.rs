@@ -1,6 +1,5 @@
 //! External policies and imported robots, and policies of ours that travel.
 
-use serde_json::Value;
 use supple::config::Config;
 use supple::mujoco::Kind;
 use supple::policy::Agent;
@@ -13,7 +12,7 @@ use supple::scenario::trace::Trace;
 use supple::sim::Scene;
 
 use crate::scenarios;
-use crate::support::{complaint, example, repository, robot, run, standing_policy};
+use crate::support::{complaint, example, repository, robot, standing_policy};
 
 fn walk(agent: &Agent, duration_s: f64) -> Trace {
     let task = Task { duration_s, ..defaults::<Walk>("walk").unwrap().task };
@@ -39,21 +38,6 @@ fn our_policy_as_onnx_with_its_description_walks_as_the_policy_file_does() {
     }
     let end = |trace: &Trace| trace.frames.last().unwrap().position;
     assert!((end(&native)[0] - end(&travelled)[0]).abs() < 0.02, "{:?} {:?}", end(&native), end(&travelled));
-}
-
-#[test]
-fn evaluate_compares_an_external_policy_with_ours() {
-    let folder = tempfile::tempdir().unwrap();
-    example(folder.path(), "rsl_rl");
-    standing_policy().save(&folder.path().join("b.safetensors")).unwrap();
-    std::fs::write(folder.path().join("tiny.yaml"), "walk: {commands: [[0.0, 0.0, 0.0]]}\n").unwrap();
-    let arguments = ["walk", "--protocol", "tiny.yaml", "--a", "rsl_rl.yaml", "--b", "b.safetensors"];
-    let output = run("evaluate", folder.path(), &arguments);
-    assert!(output.status.success(), "{}", complaint(&output));
-    let summary: Value =
-        serde_json::from_slice(&std::fs::read(folder.path().join("report/summary.json")).unwrap()).unwrap();
-    assert_eq!(summary["policies"][0]["config"], "external", "{summary}");
-    assert_eq!(summary["policies"][0]["samples"], Value::Null);
 }
 
 #[test]

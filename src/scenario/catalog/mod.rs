@@ -258,7 +258,10 @@ fn no_turn(task: &Task) -> Result<(), ParameterError> {
 }
 
 /// Refuses a number outside its range.
-pub(crate) fn in_range(
+///
+/// # Errors
+/// [`ParameterError`] with the parameter, what was found and what was expected.
+pub fn in_range(
     name: &'static str,
     found: f64,
     low: f64,

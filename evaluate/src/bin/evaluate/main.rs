@@ -1,0 +1,112 @@
+//! `evaluate`: every figure and table of the paper for sets of policies.
+
+mod args;
+mod progress;
+
+use std::process::ExitCode;
+
+use anyhow::Context;
+use args::Args;
+use clap::Parser;
+use progress::Progress;
+use supple::scenario::Sensing;
+use supple::util::terminal;
+use supple_evaluate::contestants::Contest;
+use supple_evaluate::protocol::Protocol;
+use supple_evaluate::report::{Command, Report, Section};
+use supple_evaluate::runner::{self, Measurement, Settings};
+use supple_evaluate::store::Store;
+
+fn main() -> ExitCode {
+    terminal::conclude(run(&Args::parse()))
+}
+
+fn run(args: &Args) -> anyhow::Result<()> {
+    let (name, protocol) = protocol(args)?;
+    let contest = contest(args)?;
+    let mut report = Report::new(&contest, name, command(args));
+    let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
+    contest.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let settings = Settings {
+        threads: args.threads.map_or(cores, usize::from),
+        again: args.again,
+        sensing: Sensing::True,
+        store: Store::new(&args.out),
+    };
+    let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
+    let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
+    // E12 compares with the true state: estimated sensing is run besides.
+    let is_run = |settings: &Settings| settings.sensing == Sensing::True || args.sensing == Sensing::Estimated;
+
+    let mut progress = Progress::default();
+    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
+        for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
+            progress.expect(runner::work(experiment, &contest, settings)?);
+        }
+    }
+    for experiment in protocol.experiments() {
+        let info = experiment.info();
+        let mut measure = |settings: &Settings| -> anyhow::Result<Option<Measurement>> {
+            if !(wanted(info.name) && is_run(settings)) {
+                return Ok(runner::finished(experiment, &contest, &settings.store, settings.sensing)?);
+            }
+            progress.begin(&info);
+            let measurement = runner::measure(experiment, &contest, settings, &|work| progress.advance(work))?;
+            progress.end(&info, settings.sensing);
+            Ok(Some(measurement))
+        };
+        let (truth, estimated) = (measure(&settings)?, measure(&on_sensors)?);
+        if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
+            report.sensing.add(experiment, truth, estimated);
+        }
+        match truth {
+            Some(measurement) => report.add(Section::new(experiment, &measurement)),
+            None => report.missing.push(info),
+        }
+    }
+    progress.finish();
+    report.write(&args.out)?;
+    if let Some(path) = &args.results {
+        report.write_document(path)?;
+    }
+    terminal::print(format_args!("{}\n", args.out.join("report.html").display()))?;
+    Ok(())
+}
+
+/// The protocol and its name in the report.
+fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
+    Ok(match &args.protocol {
+        Some(path) => (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), Protocol::load(path)?),
+        None if args.quick => ("quick".to_owned(), Protocol::quick()?),
+        None => ("full".to_owned(), Protocol::full()?),
+    })
+}
+
+fn contest(args: &Args) -> anyhow::Result<Contest> {
+    let names: [String; 2] = args
+        .names
+        .clone()
+        .try_into()
+        .map_err(|names: Vec<String>| anyhow::anyhow!("--names gives {} names, expected two: A,B", names.len()))?;
+    anyhow::ensure!(names[0] != names[1] && names.iter().all(|name| !name.is_empty()), "--names must be two names");
+    for (index, (name, _)) in args.also.iter().enumerate() {
+        let is_taken = names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
+        anyhow::ensure!(!is_taken, "--also {name}: another set has this name, choose a new one");
+    }
+    let [first, second] = &names;
+    Ok(match (&args.a, &args.b) {
+        (Some(a), Some(b)) => {
+            let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
+            Contest::of_paths(&[&pair[..], &args.also].concat())?
+        }
+        _ => Contest::in_folder(&args.policies, &names, &args.also)?,
+    })
+}
+
+/// What makes this report.
+fn command(args: &Args) -> Command {
+    let program = "cargo run --release --bin evaluate --".to_owned();
+    Command { program, experiments: args.experiments.clone(), options: args.options() }
+}

@@ -1,0 +1,249 @@
+//! The sets of policies that are compared, read from folders.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use supple::policy::{Agent, AgentError};
+use supple::util::files;
+
+/// Keys of a configuration that trials are played with.
+const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
+
+/// Why there is nothing to compare.
+#[derive(Debug, thiserror::Error)]
+pub enum ContestantError {
+    /// The folder cannot be read.
+    #[error("cannot read the policies in {}: {source}", path.display())]
+    Read {
+        /// The folder.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The folder has no policy of a set.
+    #[error("{} has no policy {wanted}; train one with `cargo run --release --bin train`", path.display())]
+    Missing {
+        /// The folder.
+        path: PathBuf,
+        /// File names that were looked for.
+        wanted: String,
+    },
+    /// Two files of one set have the same seed.
+    #[error("{} and {} are both seed {seed} of {set}: only one can be compared", first.display(), second.display())]
+    Twice {
+        /// One file.
+        first: PathBuf,
+        /// The other.
+        second: PathBuf,
+        /// Their seed.
+        seed: u64,
+        /// Name of the set.
+        set: String,
+    },
+    /// A file is no good.
+    #[error(transparent)]
+    Agent(#[from] AgentError),
+}
+
+/// A policy that is measured.
+#[derive(Debug)]
+pub struct Contestant {
+    /// Seed of its training: pairs it with the other sets', and seeds its trials.
+    pub seed: u64,
+    /// Where it was read from.
+    pub file: PathBuf,
+    /// The policy.
+    pub agent: Agent,
+}
+
+/// One of the sets.
+#[derive(Debug)]
+pub struct Side {
+    /// In tables and legends.
+    pub name: String,
+    /// By seed.
+    pub members: Vec<Contestant>,
+}
+
+/// All sets, and what a reader has to know about them.
+#[derive(Debug)]
+pub struct Contest {
+    /// First (compliant), second (baseline), with which it is compared, and whatever is shown beside them.
+    pub sides: Vec<Side>,
+    /// Files left out, seeds without a partner.
+    pub notes: Vec<String>,
+}
+
+impl Contest {
+    /// Policies `NAME-seedN.safetensors`, or external ones `NAME-seedN.yaml`, of several names in one folder; and all
+    /// policies of further sets, by name and path.
+    ///
+    /// # Errors
+    /// [`ContestantError`]
+    pub fn in_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+        let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
+        for file in policy_files(folder)? {
+            let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let seed_of = |name: &String| stem.strip_prefix(name.as_str())?.strip_prefix("-seed")?.parse::<u64>().ok();
+            match names.iter().enumerate().find_map(|(side, name)| Some((side, seed_of(name)?))) {
+                Some((side, seed)) => files[side].push((Some(seed), file)),
+                None => notes.push(format!("{} was left out: its name is not that of either set", name_of(&file))),
+            }
+        }
+        let side = |(name, files): (&String, _)| {
+            Side::load(name, folder, files, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+        };
+        let further = also.iter().map(|(name, path)| Side::of_path(name, path));
+        Ok(Self::new(names.iter().zip(files).map(side).chain(further).collect::<Result<_, _>>()?, notes))
+    }
+
+    /// All policies of sets by name and path: a folder, one policy file, or a run's folder.
+    ///
+    /// # Errors
+    /// [`ContestantError`]
+    pub fn of_paths(sets: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+        let sides = sets.iter().map(|(name, path)| Side::of_path(name, path));
+        let mut sides = sides.collect::<Result<Vec<_>, _>>()?;
+        let notes = pair_single_policies(&mut sides);
+        Ok(Self::new(sides, notes))
+    }
+
+    fn new(sides: Vec<Side>, mut notes: Vec<String>) -> Self {
+        for (side, other) in [(0, 1), (1, 0)] {
+            let (Some(own), Some(partner)) = (sides.get(side), sides.get(other)) else { continue };
+            let lacks = |contestant: &&Contestant| partner.members.iter().all(|other| other.seed != contestant.seed);
+            let alone: Vec<String> = own.members.iter().filter(lacks).map(|member| member.seed.to_string()).collect();
+            if !alone.is_empty() {
+                notes.push(format!(
+                    "{} has no policy of seed {} as {} has: means are over all seeds that there are, differences over \
+                     the seeds that both have",
+                    partner.name,
+                    alone.join(", "),
+                    own.name
+                ));
+            }
+        }
+        for side in &sides {
+            for (index, member) in side.members.iter().enumerate() {
+                let is_same = |other: &&Contestant| other.agent.sha256 == member.agent.sha256;
+                if let Some(twin) = side.members[..index].iter().find(is_same) {
+                    let (name, [a, b]) = (&side.name, [twin.seed, member.seed]);
+                    notes.push(format!("{name}, seeds {a} and {b}, are one policy: they are no two samples of {name}"));
+                }
+                let trained = member.agent.policy().map(|policy| policy.provenance.seed);
+                if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
+                    let (name, seed) = (&side.name, member.seed);
+                    notes.push(format!("{name}, seed {seed}, was trained with seed {trained}"));
+                }
+            }
+        }
+        let keys = unlike(&sides);
+        if !keys.is_empty() {
+            notes.push(format!(
+                "the policies were not trained alike: their configurations differ in {}",
+                keys.join(", ")
+            ));
+            // A policy runs with these, also here.
+            let is_tried = |key: &&String| TRIED.iter().any(|tried| key.starts_with(tried));
+            let tried: Vec<&str> = keys.iter().filter(is_tried).map(String::as_str).collect();
+            if !tried.is_empty() {
+                notes.push(format!("each policy is tried with its own {}", tried.join(", ")));
+            }
+        }
+        Contest { sides, notes }
+    }
+
+    /// Names of all sets.
+    pub fn names(&self) -> Vec<String> {
+        self.sides.iter().map(|side| side.name.clone()).collect()
+    }
+}
+
+impl Side {
+    /// All policies of a folder; the path may also be one policy file, or a run's folder.
+    fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
+        let files = if path.is_file() {
+            vec![path.to_owned()]
+        } else if path.join("run.json").exists() {
+            // A run's folder: its checkpoint is not a policy.
+            vec![path.join("policy.safetensors")]
+        } else {
+            policy_files(path)?
+        };
+        let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
+        Side::load(name, path, files, || "*.safetensors or *.yaml".into())
+    }
+
+    fn load(
+        name: &str,
+        folder: &Path,
+        files: Vec<(Option<u64>, PathBuf)>,
+        wanted: impl Fn() -> String,
+    ) -> Result<Self, ContestantError> {
+        if files.is_empty() {
+            return Err(ContestantError::Missing { path: folder.to_owned(), wanted: wanted() });
+        }
+        let mut members: Vec<Contestant> = Vec::new();
+        for (seed, file) in files {
+            let agent = Agent::load(&file)?;
+            let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
+            if let Some(first) = members.iter().find(|member| member.seed == seed) {
+                let (first, set) = (first.file.clone(), name.to_owned());
+                return Err(ContestantError::Twice { first, second: file, seed, set });
+            }
+            members.push(Contestant { seed, file, agent });
+        }
+        members.sort_by_key(|member| member.seed);
+        Ok(Side { name: name.to_owned(), members })
+    }
+}
+
+/// Gives single policies the seed of the first set's single policy, which pairs them; says so.
+fn pair_single_policies(sides: &mut [Side]) -> Vec<String> {
+    let is_pair = sides.len() == 2;
+    let Some((first, others)) = sides.split_first_mut() else { return Vec::new() };
+    let [a] = &first.members[..] else { return Vec::new() };
+    let mut notes = Vec::new();
+    for side in others {
+        if let [b] = &mut side.members[..]
+            && a.seed != b.seed
+        {
+            let which =
+                if is_pair { "two policies".into() } else { format!("policies of {} and {}", first.name, side.name) };
+            notes.push(format!("the {which} are compared as a pair, though their seeds are {} and {}", a.seed, b.seed));
+            b.seed = a.seed;
+        }
+    }
+    notes
+}
+
+/// Keys beside the recovery stage's, which is what is compared, in which configurations of policies of ours differ.
+fn unlike(sides: &[Side]) -> Vec<String> {
+    let members = sides.iter().flat_map(|side| &side.members);
+    let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
+    let Some(first) = configs.next() else { return Vec::new() };
+    let keys = configs.flat_map(|config| first.differences(config));
+    let keys: BTreeSet<String> = keys.map(|difference| difference.key).collect();
+    keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
+}
+
+/// Without its folder: the same in every report of the same policies.
+fn name_of(file: &Path) -> String {
+    file.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The number after the last `-seed` of a file's name.
+fn seed_in_name(file: &Path) -> Option<u64> {
+    file.file_stem()?.to_str()?.rsplit_once("-seed")?.1.parse().ok()
+}
+
+/// All policy files of a folder, by name.
+fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
+    let fail = |source| ContestantError::Read { path: folder.to_owned(), source };
+    let entries = std::fs::read_dir(folder).map_err(fail)?;
+    let mut files =
+        entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(fail)?;
+    files.retain(|file| files::is_yaml(file) || file.extension().is_some_and(|extension| extension == "safetensors"));
+    files.sort();
+    Ok(files)
+}

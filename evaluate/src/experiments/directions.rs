@@ -1,0 +1,114 @@
+//! E4: how long a push from any side lasts, standing and walking (Fig. 4).
+
+use super::prelude::*;
+use super::push;
+use crate::plot::polar::{Scales, evenly};
+use supple::scenario::catalog::PushAway;
+use supple::scenario::metrics::BRIEF_S;
+use supple::task::Command;
+
+/// Decay time of a push at a robot that stands, with a shorter average than elsewhere.
+const BRIEFLY_AVERAGED: Quantity =
+    Quantity::new("decay_10_averaged_0_1_s", "decay to 10 %, averaged over 0.1 s", "s", 2);
+
+const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, push::UNDECAYED, FELL, BRIEFLY_AVERAGED];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Directions {
+    /// Directions that divide the circle evenly.
+    pub directions: u32,
+    /// Runs of each policy in each direction.
+    pub trials: u32,
+    /// Forward commands \[m/s\]; 0 is standing.
+    pub commands_m_s: Vec<f64>,
+}
+
+impl Experiment for Directions {
+    fn info(&self) -> Info {
+        Info {
+            id: "E4",
+            number: 4,
+            name: "directions",
+            title: "Decay of pushes from all sides",
+            paper: "Fig. 4",
+            method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: PushAway = defaults("push")?;
+        let condition = |command: f64, direction_deg: f64| Condition {
+            label: format!("{}, {direction_deg:.1}°", gait(command)),
+            scenario: Scenario::Push(PushAway {
+                direction_deg,
+                task: Task { forward_m_s: command, ..base.task.clone() },
+                ..base
+            }),
+        };
+        let commands = self.commands_m_s.iter();
+        Ok(commands.flat_map(|command| evenly(self.directions).map(|d| condition(*command, d))).collect())
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let push = push::of_upright(trial);
+        let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.time_s, push.push.linear));
+        let briefly = push
+            .filter(|_| trial.script.command == Command::default())
+            .and_then(|push| metrics::decay(trial.trace, push.time_s, push.push.linear, 0.1, BRIEF_S))
+            .map(|decay| decay.time_s);
+        [&decay[..], &[trial.end.fell(), briefly]].concat().into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let names = self.commands_m_s.iter().map(|command| match command {
+            0.0 => gait(0.0).to_owned(),
+            command => format!("{} at {command} m/s", gait(*command)),
+        });
+        let groups = Group::all(names, show.results);
+        let mut rows = Vec::new();
+        for (group, command) in groups.iter().zip(&self.commands_m_s) {
+            let (name, is_standing) = (&group.name, *command == 0.0);
+            let briefly = (BRIEFLY_AVERAGED.name, "take longer to stabilise (to 10 %, averaged over 0.1 s)");
+            for (quantity, words) in is_standing.then_some(briefly).into_iter().chain(push::lasting(*command)) {
+                let text = format!(
+                    "Pushed from any side while {name}, compliant policies {words}; the numbers are means over directions, \
+                     and it is so in {}",
+                    show.results.larger_in(&group.conditions, quantity)
+                );
+                show.claim(&text, "longer", quantity, Expected::Higher, &group.conditions);
+            }
+            show.notes(push::undecayed(show.results, &group.conditions).map(|note| format!("{name}: {note}")));
+            let shown = QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED);
+            rows.extend(shown.map(|quantity| show.row(group, *quantity)));
+        }
+        show.table_of("Decay time of a push of 0.5 m/s, mean over all directions.", rows);
+        show.table_in_file("all", "Decay time of a push by direction.");
+        for (part, title, axis, what) in [
+            (
+                "",
+                "Decay time of a push by direction",
+                ("decay_20_s", "decay time to 20 % [s]"),
+                "Decay time (to 20 %) of",
+            ),
+            (
+                "carried",
+                "How far a push carries by direction",
+                ("carried_m", "carried within 2 s [m]"),
+                "How far the robot is carried by",
+            ),
+        ] {
+            let caption = format!(
+                "{what} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. Trials \
+                 with a fall have none. The two plots differ in scale."
+            );
+            show.polar(part, title, axis, &groups, Scales::Own, caption);
+        }
+    }
+}

@@ -1,0 +1,184 @@
+//! E6: walking into a free box (Fig. 6).
+
+use super::prelude::*;
+use crate::findings::{Line, Lines};
+use crate::plot::top_view::{self, Run, View};
+use crate::results::Results;
+use crate::trial::{End, Sample};
+use supple::scenario::Script;
+use supple::scenario::catalog::FreeBox as Cube;
+use supple::scenario::trace::{Frame, Pose, Trace};
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("box_displacement_m", "box moved by", "m", 2),
+    Quantity::new("peak_contact_force_n", "peak contact force", "N", 0),
+    Quantity::new("mean_contact_force_n", "mean contact force", "N", 1),
+    Quantity::new("contact_impulse_n_s", "impulse", "N·s", 1),
+    Quantity::new("contact_time_s", "time in contact", "s", 2),
+    Quantity::new("passed", "got past the box", "%", 0),
+    Quantity::new("resumed", "and resumed its course", "%", 0),
+    Quantity::new("sideways_m", "sideways of its line at the end", "m", 2),
+    FELL,
+];
+
+/// Steps between points of a path that is kept.
+const PATH_STEPS: usize = 6;
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FreeBox {
+    /// Runs of each policy at each friction.
+    pub trials: u32,
+    /// Sliding friction of the box.
+    pub frictions: Vec<f64>,
+    /// A robot has resumed its course if over this time at the end \[s\] …
+    pub resumed_s: f64,
+    /// … its mean velocity is this close to the command \[m/s\].
+    pub resumed_m_s: f64,
+}
+
+impl FreeBox {
+    /// Whether the robot walks at its command in the direction in which it started, at the end.
+    fn has_resumed(&self, script: &Script, trace: &Trace) -> bool {
+        let frames = metrics::window(trace, script.duration_s - self.resumed_s, script.duration_s);
+        let velocity = |frame: &Frame| {
+            let [forward, left, _] = frame.velocity_in_heading;
+            metrics::in_world([forward, left], frame.roll_pitch_yaw[2])
+        };
+        let [ahead, left] = [0, 1].map(|axis| metrics::mean(frames.clone(), |frame| velocity(frame)[axis]));
+        let command = script.command;
+        ahead
+            .zip(left)
+            .is_some_and(|(ahead, left)| (ahead - command.forward).hypot(left - command.left) < self.resumed_m_s)
+    }
+
+    fn view(&self, results: &Results, set: usize) -> View {
+        let seed = results.shown_seed(set);
+        let samples = seed.and_then(|seed| results.sets[set].get(&seed)?.first());
+        View {
+            title: format!("{}, seed {}", results.names[set], seed.map_or("–".into(), |seed| seed.to_string())),
+            runs: samples.map_or(Vec::new(), |samples| samples.iter().filter_map(run).collect()),
+        }
+    }
+}
+
+/// Series of a trial: the path's x and y, the box's first and last pose.
+fn run(sample: &Sample) -> Option<Run> {
+    let [x, y, first, last] = sample.series.as_slice() else { return None };
+    let pose = |series: &[f32]| <[f32; 3]>::try_from(series).ok().map(|pose| pose.map(f64::from));
+    Some(Run {
+        path: x.iter().zip(y).map(|(x, y)| [f64::from(*x), f64::from(*y)]).collect(),
+        first: pose(first)?,
+        last: pose(last)?,
+        fell: sample.end == End::Fell,
+    })
+}
+
+/// x \[m\], y \[m\], yaw \[rad\].
+fn flat_pose(pose: &Pose) -> Vec<f32> {
+    let [w, x, y, z] = pose.quaternion;
+    let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
+    vec![pose.position[0], pose.position[1], yaw]
+}
+
+/// Points of what is seen from above: the robot's paths, and the box before and after.
+fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
+    let lines = |of: fn(&Run) -> Vec<Vec<f64>>| {
+        let runs =
+            views.iter().flat_map(|view| view.runs.iter().enumerate().map(move |(trial, run)| (view, trial, run)));
+        runs.map(|(view, trial, run)| Line { label: format!("{}, trial {trial}", view.title), rows: of(run) }).collect()
+    };
+    let paths = lines(|run| run.path.iter().map(|point| point.to_vec()).collect());
+    let boxes = lines(|run| vec![run.first.to_vec(), run.last.to_vec()]);
+    [
+        Lines { name: "box-paths".into(), columns: vec!["x_m", "y_m"], lines: paths },
+        Lines { name: "box-before-and-after".into(), columns: vec!["x_m", "y_m", "yaw_rad"], lines: boxes },
+    ]
+}
+
+impl Experiment for FreeBox {
+    fn info(&self) -> Info {
+        Info {
+            id: "E6",
+            number: 6,
+            name: "box",
+            title: "Collision with a box",
+            paper: "Fig. 6",
+            method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, which the \
+                     paper does not state. The cube is offset sideways by an amount drawn for each trial. Contact forces are \
+                     the sum over all contacts between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
+                     it ends beyond the box's far side, and has resumed its course when it then walks at its command in the \
+                     direction in which it started. Displacement and forces are of trials in which it met the box.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Cube = defaults("box")?;
+        let condition = |friction: &f64| Condition {
+            label: format!("friction {friction}"),
+            scenario: Scenario::Box(Cube { friction: *friction, ..base.clone() }),
+        };
+        Ok(self.frictions.iter().map(condition).collect())
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("resumed_s", self.resumed_s, 0.1, 60.0, "0.1 to 60 s")
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let trace = trial.trace;
+        let passed = trial.upright_metric("passed") == Some(1.0);
+        // Who never touches the box has not spared it.
+        let was_met = trial.metric("contact_time_s").is_some_and(|time_s| time_s > 0.0);
+        let of_met = |quantity: &Quantity| trial.upright_metric(quantity.name).filter(|_| was_met);
+        let sideways = trace.frames.last().map(|frame| frame.position[1].abs()).filter(|_| trial.is_upright());
+        let mut values: Vec<Option<f64>> = QUANTITIES[..5].iter().map(of_met).collect();
+        let resumed = passed && self.has_resumed(trial.script, trace);
+        values.extend([truth(passed), truth(resumed), sideways, trial.end.fell()]);
+
+        let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
+        let poses: Vec<Pose> = trace.frames.iter().filter_map(|frame| frame.goal).collect();
+        let series = match (poses.first(), poses.last()) {
+            (Some(first), Some(last)) => vec![path(0), path(1), flat_pose(first), flat_pose(last)],
+            _ => Vec::new(),
+        };
+        Measured { values, series }
+    }
+
+    fn show(&self, show: &mut Show) {
+        show.table("Collision with a free box of 2 kg, by its friction.");
+        let size_m = match &show.results.conditions[0].scenario {
+            Scenario::Box(free_box) => free_box.size_m,
+            _ => 0.0,
+        };
+        let views = show.by_set(|set| self.view(show.results, set));
+        show.lines(paths_and_boxes(&views));
+        let caption = format!(
+            "Walking into a free box ({}), seen from above; the robot starts at (0, 0) and walks to the right. In \
+             full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \
+             trials of the same policy with the box after. A cross is a fall.",
+            show.first_label()
+        );
+        let title = "Paths of the robot and the box, seen from above";
+        show.figure("", caption, top_view::draw(title, &views, size_m));
+        show.dots(
+            "forces",
+            "Displacement and forces of the box",
+            &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
+            "What the box suffers, by its friction: mean ± standard deviation over seeds, single seeds as hollow marks.",
+        );
+        for (text, paper, quantity, expected) in [
+            ("Compliant policies move a box in their way less", "less", "box_displacement_m", Expected::Lower),
+            ("Compliant policies push a box with a milder force", "milder", "mean_contact_force_n", Expected::Lower),
+            ("… and hit it less hard (peak force)", "milder", "peak_contact_force_n", Expected::Lower),
+            ("Compliant policies are deflected past the box", "past", "passed", Expected::Higher),
+            ("… and resume their course", "resume", "resumed", Expected::Higher),
+        ] {
+            for (index, label) in show.labels().into_iter().enumerate() {
+                show.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
+            }
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! E5: how far a constant pull drags the robot off its command (Fig. 5).
+
+use super::prelude::*;
+use crate::plot::polar::{Scales, evenly};
+use supple::scenario::catalog::Leash as Pulled;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("offset_m_s", "velocity along the pull", "m/s", 3),
+    FELL,
+    Quantity::new("power_w", "power", "W", 1),
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Leash {
+    /// Directions that divide the circle evenly.
+    pub directions: u32,
+    /// Runs of each policy in each direction.
+    pub trials: u32,
+    /// Pulling forces \[N\].
+    pub forces_n: Vec<f64>,
+    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    pub at_s: f64,
+    /// Length of the pull \[s\].
+    pub for_s: f64,
+    /// Length of the average at its end \[s\].
+    pub average_s: f64,
+}
+
+impl Experiment for Leash {
+    fn info(&self) -> Info {
+        Info {
+            id: "E5",
+            number: 5,
+            name: "leash",
+            title: "On a leash",
+            paper: "Fig. 5",
+            method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in directions \
+                     all around; the force keeps its direction in the world. The offset is the mean velocity minus the \
+                     command, along the force, over the last seconds of the pull. E0 has the undisturbed error.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Pulled = defaults("leash")?;
+        let condition = |force_n: f64, direction_deg: f64| Condition {
+            label: format!("{force_n} N, {direction_deg:.1}°"),
+            scenario: Scenario::Leash(Pulled {
+                force_n,
+                direction_deg,
+                at_s: self.at_s,
+                for_s: self.for_s,
+                task: Task { duration_s: self.at_s + self.for_s, ..base.task.clone() },
+            }),
+        };
+        let forces = self.forces_n.iter();
+        Ok(forces.flat_map(|force| evenly(self.directions).map(|d| condition(*force, d))).collect())
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
+        in_range("average_s", self.average_s, 0.1, self.for_s, "0.1 s to leash.for_s")?;
+        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let mut values = vec![None, trial.end.fell(), None];
+        if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
+            let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
+            values[0] = metrics::offset_along_force(trial.trace, pull.force, from_s, until_s);
+            values[2] = metrics::mean(metrics::window(trial.trace, from_s, until_s), |frame| frame.power_w);
+        }
+        values.into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let groups = Group::all(self.forces_n.iter().map(|force| format!("{force} N")), show.results);
+        for Group { name, conditions } in &groups {
+            let text = format!(
+                "Pulled with {name}, compliant policies yield more (here: in {}; the numbers are means over directions)",
+                show.results.larger_in(conditions, "offset_m_s"),
+            );
+            show.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
+        }
+        let rows = groups.iter().flat_map(|group| QUANTITIES.iter().map(|quantity| show.row(group, *quantity)));
+        show.table_of("Velocity offset along a constant pull, mean over all directions.", rows.collect());
+        show.table_in_file("all", "Velocity offset along the pull by direction.");
+        show.polar(
+            "",
+            "Velocity offset along a pull, by direction",
+            ("offset_m_s", "velocity offset along the pull [m/s]"),
+            &groups,
+            Scales::Shared,
+            "Velocity offset along a constant pull, by the direction it pulls to, while walking at 0.5 m/s: mean and \
+             ± standard deviation over seeds. Inside the darker circle the robot moves against the pull.",
+        );
+    }
+}

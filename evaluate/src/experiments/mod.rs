@@ -1,0 +1,277 @@
+//! The experiments E0 to E11, one file each: what is varied, what is measured, what is shown.
+
+mod push;
+mod velocity;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Experiment, Parameters};
+
+/// What every experiment needs.
+mod prelude {
+    pub use serde::{Deserialize, Serialize};
+
+    pub(super) use super::{gait, truth};
+    pub use crate::show::{Group, Show};
+    pub use crate::statistics::Expected;
+    pub use crate::trial::Trial;
+    pub use crate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+    pub use supple::config::ConfigError;
+    pub use supple::scenario::catalog::{ParameterError, Scenario, Task, defaults, in_range};
+    pub use supple::scenario::metrics;
+}
+
+/// Makes a line for each experiment into its module, its section of the protocol and its place in the report. (`cargo fmt`
+/// does not look into macros for modules: `.ci/run` formats these files by name.)
+macro_rules! experiments {
+    ($($section:ident: $module:ident::$experiment:ident,)*) => {
+        $(mod $module; pub use $module::$experiment;)*
+
+        /// Every experiment with its numbers.
+        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        #[allow(missing_docs)]
+        pub struct Protocol {
+            $(pub $section: $experiment,)*
+        }
+
+        impl Protocol {
+            /// The experiments in the order of the report.
+            pub fn experiments(&self) -> Vec<&dyn Experiment> {
+                vec![$(&self.$section),*]
+            }
+        }
+
+        $(impl Parameters for $experiment {
+            fn trials(&self) -> u32 {
+                self.trials
+            }
+
+            fn parameters(&self) -> serde_json::Value {
+                // Plain structs of numbers and lists.
+                serde_json::to_value(self).unwrap_or_default()
+            }
+        })*
+    };
+}
+
+experiments! {
+    walk: walk::Walk,
+    push_grid: push_grid::PushGrid,
+    decay: decay::Decay,
+    table4: table4::Table4,
+    directions: directions::Directions,
+    leash: leash::Leash,
+    r#box: free_box::FreeBox,
+    ball_pit: ball_pit::BallPit,
+    terrain: terrain::Terrain,
+    pulley: pulley::Pulley,
+    pendulum: pendulum::Pendulum,
+    rubble: rubble::Rubble,
+    outdoor: outdoor::Outdoor,
+}
+
+/// What a robot does at a forward command \[m/s\].
+fn gait(command_m_s: f64) -> &'static str {
+    if command_m_s == 0.0 { "standing" } else { "walking" }
+}
+
+/// 1 for yes, 0 for no.
+fn truth(is: bool) -> Option<f64> {
+    Some(f64::from(u8::from(is)))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::Measured;
+    use crate::findings::Row;
+    use crate::plot::png::Renderer;
+    use crate::results::Results;
+    use crate::trial::{End, Sample, Trial};
+    use supple::config::Config;
+    use supple::scenario::Script;
+    use supple::scenario::catalog::Scenario;
+    use supple::scenario::trace::{Event, EventKind, Frame, Pose, Trace};
+
+    /// A trace at 60 Hz of a robot whose heading velocity stays the same.
+    fn steady(duration_s: f64, velocity_in_heading: [f64; 3]) -> Trace {
+        let period_s = 1.0 / 60.0;
+        let steps = 1..=(duration_s / period_s).round() as usize;
+        let frame = |step| Frame { time_s: step as f64 * period_s, velocity_in_heading, ..Frame::default() };
+        Trace { period_s, weight_n: 128.5, frames: steps.map(frame).collect(), events: Vec::new() }
+    }
+
+    /// Results of some sets of two seeds in which every trial gave the same.
+    fn results(experiment: &dyn Experiment, sample: &Sample, sets: usize) -> Results {
+        let conditions = experiment.conditions().unwrap();
+        let policy = vec![vec![sample.clone(); experiment.trials() as usize]; conditions.len()];
+        let set = || BTreeMap::from([(0, policy.clone()), (1, policy.clone())]);
+        let names = ["a", "b", "c", "d", "e"][..sets].iter().map(ToString::to_string).collect();
+        let quantities = experiment.info().quantities;
+        Results { names, conditions, quantities, sets: (0..sets).map(|_| set()).collect() }
+    }
+
+    #[test]
+    fn every_experiment_shows_claims_and_figures_also_without_a_single_value() {
+        let protocol = Protocol::quick().unwrap();
+        let renderer = Renderer::default();
+        for experiment in protocol.experiments() {
+            for (value, sets) in [(None, 2), (Some(0.5), 2), (Some(0.5), 5)] {
+                let values = vec![value; experiment.info().quantities.len()];
+                let sample = Sample { end: End::Upright, values, series: Vec::new(), estimation: None };
+                let findings = experiment.findings(&results(experiment, &sample, sets));
+                let name = experiment.info().name;
+                assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{name}");
+                // A report takes away by name what is not of its policies.
+                let figures = findings.figures.iter().map(|figure| &figure.name);
+                let tables = findings.tables.iter().map(|table| &table.name);
+                let lines = findings.lines.iter().map(|lines| &lines.name);
+                assert!(figures.chain(tables).chain(lines).all(|file| file.starts_with(name)));
+                // `summary.json` has every number, for it has every table.
+                let conditions = experiment.conditions().unwrap();
+                let quantities = experiment.info().quantities;
+                for (condition, quantity) in conditions.iter().flat_map(|c| quantities.iter().map(move |q| (c, q))) {
+                    let has = |row: &Row| row.condition == condition.label && row.quantity.name == quantity.name;
+                    let tables = &findings.tables;
+                    assert!(tables.iter().flat_map(|table| &table.rows).any(has), "{name}: {}", quantity.name);
+                    assert!(tables.iter().flat_map(|table| &table.rows).all(|row| row.comparison.sets.len() == sets));
+                }
+                for figure in &findings.figures {
+                    assert!(!figure.svg.contains("NaN") && !figure.svg.contains("inf"), "{}", figure.name);
+                    // Rendering is slow.
+                    if sets == 2 {
+                        renderer.png(&figure.svg).unwrap();
+                    }
+                }
+            }
+        }
+    }
+
+    /// Of seed 0 in the first condition.
+    fn script(experiment: &dyn Experiment) -> (Scenario, Script) {
+        let scenario = experiment.conditions().unwrap().remove(0).scenario;
+        let script = scenario.script(0, &Config::load("compliant").unwrap()).unwrap();
+        (scenario, script)
+    }
+
+    fn measured(experiment: &dyn Experiment, trace: &Trace) -> Measured {
+        let (scenario, script) = script(experiment);
+        experiment.measure(&Trial::new(&scenario, &script, trace))
+    }
+
+    #[test]
+    fn every_experiment_measures_each_of_its_quantities_in_a_bare_trace() {
+        let mut trace = steady(12.0, [0.4, 0.0, 0.0]);
+        for fell in [false, true] {
+            if fell {
+                trace.events.push(Event { time_s: 1.0, kind: EventKind::Fall, text: String::new() });
+            }
+            for experiment in Protocol::quick().unwrap().experiments() {
+                let measured = measured(experiment, &trace);
+                assert_eq!(measured.values.len(), experiment.info().quantities.len(), "{}", experiment.info().name);
+                assert!(measured.values.iter().flatten().all(|value| value.is_finite()));
+                for (quantity, value) in experiment.info().quantities.iter().zip(measured.values) {
+                    let is_fraction = quantity.unit != "%" || value.is_none_or(|part| (0.0..=1.0).contains(&part));
+                    assert!(is_fraction, "{}: {} is {value:?}", experiment.info().name, quantity.name);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn power_before_and_after_are_means_over_their_second() {
+        let protocol = Protocol::full().unwrap();
+        let push_s = script(&protocol.table4).1.pushes[0].time_s;
+        let mut trace = steady(8.0, [0.5, 0.0, 0.0]);
+        for frame in &mut trace.frames {
+            let since_s = frame.time_s - push_s;
+            // 80 W until the push, then 140 W falling by 10 W in a second: 135 W on average.
+            frame.power_w = if since_s < 0.0 { 80.0 } else { 140.0 - 10.0 * since_s };
+            frame.torque_n_m = if since_s < 0.0 { 25.0 } else { 26.0 };
+        }
+        let values: Vec<f64> = measured(&protocol.table4, &trace).values.into_iter().flatten().collect();
+        assert!((values[0] - 80.0).abs() < 1.0 && (values[1] - 135.0).abs() < 1.0, "{values:?}");
+        assert!((values[3] - 25.0).abs() < 0.1 && (values[4] - 26.0).abs() < 0.1, "{values:?}");
+        // What the push adds.
+        assert!((values[2] - 55.0).abs() < 1.0 && (values[5] - 1.0).abs() < 0.1, "{values:?}");
+        assert_eq!(values[6], 0.0);
+    }
+
+    #[test]
+    fn a_course_is_resumed_in_the_direction_of_the_start_only() {
+        let protocol = Protocol::full().unwrap();
+        let resumed = |yaw: f64| {
+            let mut trace = steady(20.0, [0.4, 0.0, 0.0]);
+            for frame in &mut trace.frames {
+                frame.position = [0.4 * frame.time_s, 0.0, 0.3];
+                frame.goal = Some(Pose { position: [1.5, 1.0, 0.25], quaternion: [1.0, 0.0, 0.0, 0.0] });
+                frame.obstacle_contact_s = 0.01;
+                frame.roll_pitch_yaw[2] = yaw;
+            }
+            let values = measured(&protocol.r#box, &trace).values;
+            assert_eq!((values[0], values[5]), (Some(0.0), Some(1.0)));
+            values[6]
+        };
+        // Walking off at 60° to its course, it is 0.4 m/s away from its command.
+        assert_eq!((resumed(0.0), resumed(60.0_f64.to_radians())), (Some(1.0), Some(0.0)));
+    }
+
+    #[test]
+    fn the_first_steps_and_what_follows_the_obstacles_are_no_peak_of_foot_force() {
+        let protocol = Protocol::full().unwrap();
+        let mut trace = steady(14.0, [0.4, 0.0, 0.0]);
+        for frame in &mut trace.frames {
+            frame.position[0] = 0.4 * frame.time_s;
+            // Balls lie from 0.6 to 3.2 m, rubble from 0.6 to 4.6 m.
+            frame.peak_foot_force_n = match frame.position[0] {
+                ..0.55 => 150.0,
+                1.0..2.0 => 120.0,
+                5.0.. => 130.0,
+                _ => 100.0,
+            };
+        }
+        trace.events.push(Event { time_s: 13.0, kind: EventKind::Success, text: String::new() });
+        let peak = |experiment: &dyn Experiment| {
+            let index =
+                experiment.info().quantities.iter().position(|quantity| quantity.name == "peak_foot_force_n").unwrap();
+            measured(experiment, &trace).values[index]
+        };
+        assert_eq!((peak(&protocol.walk), peak(&protocol.terrain)), (Some(130.0), Some(130.0)));
+        assert_eq!((peak(&protocol.ball_pit), peak(&protocol.rubble)), (Some(120.0), Some(120.0)));
+    }
+
+    #[test]
+    fn a_fall_after_the_second_changes_neither_power_nor_torque() {
+        let protocol = Protocol::full().unwrap();
+        let push_s = script(&protocol.table4).1.pushes[0].time_s;
+        let power = |fall_s: f64| {
+            let end_s = push_s + fall_s;
+            let mut trace = steady(end_s, [0.5, 0.0, 0.0]);
+            trace.frames.iter_mut().for_each(|frame| frame.power_w = 20.0);
+            trace.events.push(Event { time_s: end_s, kind: EventKind::Fall, text: String::new() });
+            let values = measured(&protocol.table4, &trace).values;
+            [values[0], values[1]]
+        };
+        let near = |found: Option<f64>| found.is_some_and(|found| (found - 20.0).abs() < 1e-9);
+        assert!(power(1.1).into_iter().all(near));
+        let [before, after] = power(0.5);
+        assert!(near(before) && after.is_none());
+    }
+
+    #[test]
+    fn a_fall_after_the_watch_is_a_success_of_the_push_grid() {
+        let protocol = Protocol::full().unwrap();
+        let push_s = script(&protocol.push_grid).1.pushes[0].time_s;
+        let success = |fall_s: f64| {
+            let mut trace = steady(push_s + fall_s, [0.5, 0.0, 0.0]);
+            trace.events.push(Event { time_s: push_s + fall_s, kind: EventKind::Fall, text: String::new() });
+            measured(&protocol.push_grid, &trace).values[0]
+        };
+        // It is watched for 3 s.
+        assert_eq!(success(2.9), Some(0.0));
+        assert_eq!(success(3.1), Some(1.0));
+    }
+}

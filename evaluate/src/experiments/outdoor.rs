@@ -1,0 +1,70 @@
+//! E11: over hills of varied friction (Fig. 8d).
+
+use super::prelude::*;
+use supple::scenario::catalog::Outdoor as Hills;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("success", "no fall in 20 s", "%", 0),
+    Quantity::new("velocity_error_m_s", "velocity error", "m/s", 3),
+    Quantity::new("power_w", "power", "W", 1),
+    Quantity::new("steepest_met", "steepest slope on the way", "%", 0),
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Outdoor {
+    /// Steepest slopes, rise over run.
+    pub steepest: Vec<f64>,
+    /// Runs of each policy for each of them.
+    pub trials: u32,
+}
+
+impl Experiment for Outdoor {
+    fn info(&self) -> Info {
+        Info {
+            id: "E11b",
+            number: 13,
+            name: "outdoor",
+            title: "Hills of varied friction",
+            paper: "Fig. 8d",
+            method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each square \
+                     metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for each foot on it. \
+                     The velocity error is the length of mean velocity minus command in the horizontal plane; numbers but \
+                     success are of trials without a fall.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Hills = defaults("outdoor")?;
+        let condition = |steepest: &f64| Condition {
+            label: format!("to {:.0} %", 100.0 * steepest),
+            scenario: Scenario::Outdoor(Hills { steepest: *steepest, ..base.clone() }),
+        };
+        Ok(self.steepest.iter().map(condition).collect())
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        vec![
+            truth(trial.is_upright()),
+            trial.velocity_error(),
+            trial.upright_metric("power_w"),
+            trial.upright_metric("steepest_met_percent").map(|percent| 0.01 * percent),
+        ]
+        .into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        show.table("Over hills of varied friction, by their steepest slope.");
+        show.dots(
+            "",
+            "Success, velocity error and power on hills",
+            &["success", "velocity_error_m_s", "power_w"],
+            "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single seeds as \
+             hollow marks. Velocity error and power are of trials without a fall.",
+        );
+        let (all, text) = (show.all(), "On hills of varied friction, compliant policies fall less often");
+        show.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);
+    }
+}

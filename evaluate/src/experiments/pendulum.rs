@@ -1,0 +1,106 @@
+//! E10: a ball on a string swings into the robot (Fig. 8b).
+
+use super::prelude::*;
+use super::{push, velocity};
+use crate::trial::End;
+use supple::scenario::catalog::Pendulum as Ball;
+
+const QUANTITIES: &[Quantity] = &[
+    push::TO_10,
+    push::TO_20,
+    Quantity { label: "carried by the blow within 2 s", ..push::CARRIED },
+    Quantity::new("push_m_s", "velocity change", "m/s", 2),
+    Quantity::new("peak_contact_force_n", "peak contact force", "N", 0),
+    Quantity::new("contact_impulse_n_s", "impulse in the first second", "N·s", 1),
+    Quantity::new("hit", "hit by the ball", "%", 0),
+    push::UNDECAYED,
+    FELL,
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pendulum {
+    /// Forward commands \[m/s\]; 0 is standing.
+    pub commands_m_s: Vec<f64>,
+    /// Heights of the release above the lowest point \[m\].
+    pub heights_m: Vec<f64>,
+    /// Runs of each policy from each height at each command.
+    pub trials: u32,
+}
+
+impl Experiment for Pendulum {
+    fn info(&self) -> Info {
+        Info {
+            id: "E10",
+            number: 10,
+            name: "pendulum",
+            title: "A swinging ball",
+            paper: "Fig. 8b",
+            method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
+                     right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
+                     0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
+                     which hardly rebounds and may touch again; the impulse is that of the first second.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Ball = defaults("pendulum")?;
+        let condition = |command: f64, release_height_m: f64| Condition {
+            label: format!("{}, {:.0} cm", gait(command), 100.0 * release_height_m),
+            scenario: Scenario::Pendulum(Ball {
+                release_height_m,
+                task: Task { forward_m_s: command, ..base.task.clone() },
+                ..base.clone()
+            }),
+        };
+        let commands = self.commands_m_s.iter();
+        Ok(commands.flat_map(|command| self.heights_m.iter().map(|height| condition(*command, *height))).collect())
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let Scenario::Pendulum(pendulum) = trial.scenario else { return Measured::default() };
+        let impact = pendulum.impact(trial.trace);
+        // Fallen or not, the ball has hit as hard as it has; decay times know of falls themselves.
+        let is_valid = trial.end != End::Fault;
+        let [to_10, to_20, carried, undecayed] = impact
+            .filter(|_| is_valid)
+            .map_or([None; 4], |impact| push::decay(trial.trace, impact.time_s, impact.push));
+        let of_blow = |quantity: &Quantity| trial.metric(quantity.name).filter(|_| is_valid);
+        let mut values = vec![to_10, to_20, carried];
+        values.extend(QUANTITIES[3..6].iter().map(of_blow));
+        values.extend([truth(impact.is_some()), undecayed, trial.end.fell()]);
+        let series = impact.map(|impact| velocity::around(trial.trace, impact.time_s));
+        Measured { values, series: series.unwrap_or_default() }
+    }
+
+    fn show(&self, show: &mut Show) {
+        show.table("Hit by a ball of 3 kg on a string of 1 m, by command and release height.");
+        show.dots(
+            "",
+            "What a swinging ball does, by release height",
+            &["decay_20_s", "carried_m", "peak_contact_force_n"],
+            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, peak \
+             force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have no decay \
+             time and no distance.",
+        );
+        let last = show.results.conditions.len() - 1;
+        let caption = format!(
+            "Sideways velocity around the blow of the ball ({}): mean and min–max band over the runs of one policy, each \
+             until it falls.",
+            show.results.conditions[last].label
+        );
+        let words = ["Sideways velocity after the blow of a ball, one policy of each set", "time since the blow [s]"];
+        velocity::figure(show, ["velocity", "pendulum-velocities"], words, last, |curve, _| curve, caption);
+        let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
+        for (Group { name, conditions }, command) in Group::all(names, show.results).iter().zip(&self.commands_m_s) {
+            show.notes(push::undecayed(show.results, conditions).map(|note| format!("{name}: {note}")));
+            for (quantity, words) in push::lasting(*command) {
+                let text =
+                    format!("Hit by a swinging ball while {name}, compliant policies {words}; mean over heights");
+                show.claim(&text, "more gradual", quantity, Expected::Higher, conditions);
+            }
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! E1: how large a push the robot withstands, over a grid of pushes (Fig. 2).
+
+use super::prelude::*;
+use crate::findings::{Claim, Row};
+use crate::grid::{self, Grid};
+use crate::plot::heatmap::{self, Map};
+use crate::results::Results;
+use crate::statistics::{Comparison, Numbers, PerSeed, Spread, estimate, mean};
+use crate::trial::End;
+use supple::scenario::catalog::PushAway;
+use supple::scenario::metrics::PHASE_S;
+
+const SUCCESS: Quantity = Quantity::new("success", "success rate", "%", 0);
+const FRACTION: Quantity = Quantity::new("share_of_grid", "grid points with enough success", "%", 1);
+const FRACTION_BY_SEED: Quantity = Quantity::new("share_of_grid_by_seed", "the same for each seed alone", "%", 1);
+const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success rate over the whole grid", "%", 1);
+const QUANTITIES: &[Quantity] = &[SUCCESS];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PushGrid {
+    /// Largest push along either axis \[m/s\].
+    pub limit_m_s: f64,
+    /// Grid points along either axis.
+    pub points_per_side: usize,
+    /// Trials of each grid point.
+    pub trials: u32,
+    /// Earliest time of the push; it comes up to 0.65 s later \[s\].
+    pub at_s: f64,
+    /// How long the robot must not fall \[s\].
+    pub watch_s: f64,
+    /// The contour's level, 0 to 1.
+    pub level: f64,
+}
+
+impl PushGrid {
+    fn grid(&self, values: Vec<f64>) -> Grid {
+        Grid { coordinates: grid::coordinates(self.limit_m_s, self.points_per_side), values }
+    }
+
+    /// Success rate over some seeds of a set, by grid point.
+    fn success(&self, results: &Results, set: usize, seeds: &[u64]) -> Grid {
+        let of_point = |point: usize| {
+            let of_seed = |seed: &u64| {
+                let trials = results.sets[set].get(seed)?.get(point)?;
+                mean(trials.iter().filter_map(|sample| sample.values[0]))
+            };
+            mean(seeds.iter().filter_map(of_seed)).unwrap_or(0.0)
+        };
+        self.grid((0..results.conditions.len()).map(of_point).collect())
+    }
+
+    /// The same over all seeds of a set.
+    fn map(&self, results: &Results, set: usize) -> Grid {
+        self.success(results, set, &results.sets[set].keys().copied().collect::<Vec<u64>>())
+    }
+
+    /// A number of the success map: of all seeds together, with the interval of the difference over pairs of seeds.
+    fn compare(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
+        let pooled = |set: usize| {
+            let seeds = results.sets[set].len();
+            let mean = number(&self.map(results, set));
+            Numbers {
+                spread: (seeds > 0).then_some(Spread { mean, sd: None, seeds }),
+                ..results.numbers(set, PerSeed::new())
+            }
+        };
+        // Resampling re-reads the maps often: keep every seed's own.
+        let common = results.common_seeds();
+        let maps: Vec<[Vec<f64>; 2]> = common
+            .iter()
+            .map(|seed| [0, 1].map(|set| self.success(results, set, std::slice::from_ref(seed)).values))
+            .collect();
+        let of_resample = |chosen: &[usize], set: usize| {
+            let points = 0..results.conditions.len();
+            let values = points.map(|p| chosen.iter().map(|s| maps[*s][set][p]).sum::<f64>() / chosen.len() as f64);
+            number(&self.grid(values.collect()))
+        };
+        let both = |chosen: &[usize]| (!chosen.is_empty()).then(|| [0, 1].map(|set| of_resample(chosen, set)));
+        Comparison {
+            sets: (0..results.sets.len()).map(pooled).collect(),
+            difference: estimate(common.len(), |chosen| both(chosen).map(|[a, b]| a - b)),
+            relative: None,
+            trials: None,
+        }
+    }
+
+    /// The same number for each seed alone.
+    fn compare_by_seed(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
+        let by_seed = |set: usize| {
+            let seeds = results.sets[set].keys();
+            let of_seed = seeds.map(|seed| (*seed, number(&self.success(results, set, &[*seed]))));
+            results.numbers(set, of_seed.collect())
+        };
+        Comparison::new((0..results.sets.len()).map(by_seed).collect())
+    }
+}
+
+impl Experiment for PushGrid {
+    fn info(&self) -> Info {
+        Info {
+            id: "E1",
+            number: 1,
+            name: "push-grid",
+            title: "Push recovery",
+            paper: "Fig. 2",
+            method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
+                     left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. \
+                     The success rate is that over the trials of all seeds; the fraction counts grid points at or \
+                     above the contour's level.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: PushAway = defaults("push")?;
+        let coordinates = grid::coordinates(self.limit_m_s, self.points_per_side);
+        let condition = |forward: f64, left: f64| Condition {
+            label: format!("{forward:+.3}, {left:+.3} m/s").replace('-', "−"),
+            scenario: Scenario::Push(PushAway {
+                push_m_s: forward.hypot(left),
+                direction_deg: left.atan2(forward).to_degrees(),
+                at_s: self.at_s,
+                task: Task { duration_s: self.at_s + PHASE_S + self.watch_s, ..base.task.clone() },
+                ..base
+            }),
+        };
+        Ok(coordinates
+            .iter()
+            .flat_map(|forward| coordinates.iter().map(move |left| (*forward, *left)))
+            .map(|(forward, left)| condition(forward, left))
+            .collect())
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        let points = self.points_per_side;
+        in_range("points_per_side", points as f64, 2.0, 101.0, "2 to 101")?;
+        in_range("level", self.level, 0.0, 1.0, "0 to 1")?;
+        in_range("limit_m_s", self.limit_m_s, 0.1, 20.0, "0.1 to 20 m/s")?;
+        in_range("watch_s", self.watch_s, 0.1, 60.0, "0.1 to 60 s")
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let push = trial.script.pushes.first();
+        let until_s = push.map_or(trial.script.duration_s, |push| push.time_s + self.watch_s);
+        let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= until_s);
+        vec![truth(!fell && trial.end != End::Fault)].into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let results = show.results;
+        let fraction = |grid: &Grid| grid.fraction_at_least(self.level);
+        let overall = |grid: &Grid| mean(grid.values.iter().copied()).unwrap_or(0.0);
+        let pooled = self.compare(results, fraction);
+        let row = |quantity, paper: &str, comparison| Row {
+            condition: String::new(),
+            quantity,
+            paper: paper.to_owned(),
+            comparison,
+        };
+        let rows = vec![
+            row(FRACTION, "78 / 73", pooled.clone()),
+            row(FRACTION_BY_SEED, "", self.compare_by_seed(results, fraction)),
+            row(MEAN_SUCCESS, "", self.compare_by_seed(results, overall)),
+        ];
+        let level = 100.0 * self.level;
+        show.table_of(
+            format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %."),
+            rows,
+        );
+        show.table_in_file("points", "Success rate at every grid point (forward, left).");
+
+        let maps = show.by_set(|set| self.map(results, set));
+        let titled = maps
+            .iter()
+            .zip(&results.names)
+            .map(|(grid, name)| Map { title: format!("{name}: {:.1} % of grid points", 100.0 * fraction(grid)), grid });
+        let svg = heatmap::draw(
+            "Success after a push, by the push's forward and left part",
+            &titled.collect::<Vec<_>>(),
+            self.level,
+            ["forward push [m/s]", "push to the left [m/s]", "success rate [%]"],
+        );
+        let caption = format!(
+            "Success rate after a push of given forward and left velocity while walking at 0.5 m/s, over all \
+             seeds and trials. The line is the {level:.0} % contour; above each map, the fraction of grid points at or \
+             above {level:.0} %."
+        );
+        show.figure("", caption, svg);
+        let text =
+            format!("The {level:.0} % contour of push recovery encloses more of the grid for compliant policies");
+        show.findings.claims.push(Claim::direction(&text, "78 / 73 %", FRACTION, Expected::Higher, pooled));
+    }
+}

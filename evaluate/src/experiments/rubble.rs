@@ -1,0 +1,79 @@
+//! E11: over wooden blocks and soft mats (Fig. 8c).
+
+use super::prelude::*;
+use supple::scenario::catalog::Rubble as Blocks;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("success", "no fall", "%", 0),
+    Quantity::new("crossed", "got across", "%", 0),
+    Quantity::new("velocity_error_m_s", "velocity error", "m/s", 3),
+    Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
+    Quantity::new("power_w", "power", "W", 1),
+];
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Rubble {
+    /// Largest heights of the blocks \[m\].
+    pub heights_m: Vec<f64>,
+    /// Runs of each policy for each height.
+    pub trials: u32,
+}
+
+impl Experiment for Rubble {
+    fn info(&self) -> Info {
+        Info {
+            id: "E11a",
+            number: 11,
+            name: "rubble",
+            title: "Wooden blocks and soft mats",
+            paper: "Fig. 8c",
+            method: "At 0.5 m/s for 15 s over 4 m of loose wooden blocks and soft mats, other ones in every trial, by the \
+                     largest height of the blocks. Height counts from the floor, and only the floor is ground: a leg that \
+                     brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side. The velocity \
+                     error is the length of mean velocity minus command in the horizontal plane; it, the peak foot force and the power are those \
+                     of the crossing, from the first edge to the last.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Blocks = defaults("rubble")?;
+        let condition = |block_height_m: &f64| Condition {
+            label: format!("blocks to {:.0} cm", 100.0 * block_height_m),
+            scenario: Scenario::Rubble(Blocks { block_height_m: *block_height_m, ..base.clone() }),
+        };
+        Ok(self.heights_m.iter().map(condition).collect())
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let Scenario::Rubble(rubble) = trial.scenario else { return Measured::default() };
+        let crossed = trial.metric("crossed");
+        let crossing = metrics::crossing(trial.trace, rubble.distance_m, rubble.far_edge_m());
+        let crossing = crossing.filter(|_| crossed == Some(1.0));
+        let on_rubble = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
+        vec![
+            truth(trial.is_upright()),
+            crossed,
+            crossing.and_then(|[from_s, to_s]| metrics::velocity_error(trial.trace, from_s, to_s)),
+            metrics::largest(on_rubble.clone(), |frame| frame.peak_foot_force_n),
+            metrics::mean(on_rubble, |frame| frame.power_w),
+        ]
+        .into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        show.table("Over wooden blocks and soft mats, by the largest height of the blocks.");
+        show.dots(
+            "",
+            "Success and velocity error among blocks and mats",
+            &["success", "crossed", "velocity_error_m_s"],
+            "Over wooden blocks and soft mats, by the largest height of the blocks: mean ± standard deviation over seeds, \
+             single seeds as hollow marks. The velocity error is of trials that got across.",
+        );
+        let (all, text) = (show.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
+        show.claim(text, "superior", "success", Expected::Higher, &all);
+        show.claim("… and get across more often", "superior", "crossed", Expected::Higher, &all);
+    }
+}

@@ -1,0 +1,89 @@
+//! Sideways velocity around a push, run by run: what the figures of E2 and E10 draw.
+
+use crate::findings::{Line, Lines};
+use crate::plot::curves::{self, Curve};
+use crate::results::Results;
+use crate::show::Show;
+use supple::scenario::trace::Trace;
+
+/// What is shown before the push and after it \[s\].
+const SHOWN_S: [f64; 2] = [1.0, 3.0];
+
+/// Columns of [`lines`].
+const COLUMNS: [&str; 4] = ["time_s", "mean_m_s", "least_m_s", "largest_m_s"];
+
+/// Series of a trial: time since the push \[s\], velocity to the left \[m/s\]. Times are in steps from the one that the push
+/// is applied before, so that runs can be averaged step by step.
+pub(super) fn around(trace: &Trace, push_s: f64) -> Vec<Vec<f32>> {
+    let half_s = 0.5 * trace.period_s;
+    let Some(pushed) = trace.frames.iter().position(|frame| frame.time_s > push_s + half_s) else { return Vec::new() };
+    let steps = |seconds: f64| (seconds / trace.period_s).round() as usize;
+    let first = pushed.saturating_sub(steps(SHOWN_S[0]));
+    let frames = &trace.frames[first..(pushed + steps(SHOWN_S[1])).min(trace.frames.len())];
+    let time = |index: usize| ((first + index) as f64 - pushed as f64 + 1.0) * trace.period_s;
+    vec![
+        (0..frames.len()).map(|index| time(index) as f32).collect(),
+        frames.iter().map(|frame| frame.velocity_in_heading[1] as f32).collect(),
+    ]
+}
+
+/// A figure of a condition with a curve for each set, and a file with the points of all conditions' curves. `marked` adds
+/// to the curve of a set.
+pub(super) fn figure(
+    show: &mut Show,
+    [part, lines]: [&str; 2],
+    [title, x_label]: [&str; 2],
+    condition: usize,
+    marked: impl Fn(Curve, usize) -> Curve,
+    caption: String,
+) {
+    let curves = show.by_set(|set| marked(curve(show.results, set, condition), set));
+    show.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
+    show.lines([self::lines(lines, show.results)]);
+}
+
+/// Mean and extremes over the runs of a condition with the policy that figures show.
+fn curve(results: &Results, set: usize, condition: usize) -> Curve {
+    let seed = results.shown_seed(set);
+    let runs = seed.and_then(|seed| results.sets[set].get(&seed)?.get(condition));
+    let runs: Vec<_> = runs.into_iter().flatten().filter(|run| run.series.len() == 2).collect();
+    let seed = seed.map_or("–".into(), |seed| seed.to_string());
+    let mut curve = Curve {
+        title: format!("{}, seed {seed}, {} runs", results.names[set], runs.len()),
+        mean: Vec::new(),
+        least: Vec::new(),
+        largest: Vec::new(),
+        mark: None,
+        tolerance: None,
+    };
+    let longest = runs.iter().max_by_key(|run| run.series[0].len());
+    for (step, time) in longest.map_or(&[][..], |run| &run.series[0]).iter().enumerate() {
+        let values: Vec<f64> = runs.iter().filter_map(|run| run.series[1].get(step)).copied().map(f64::from).collect();
+        let time = f64::from(*time);
+        curve.mean.push([time, values.iter().sum::<f64>() / values.len() as f64]);
+        curve.least.push([time, values.iter().copied().fold(f64::INFINITY, f64::min)]);
+        curve.largest.push([time, values.iter().copied().fold(f64::NEG_INFINITY, f64::max)]);
+    }
+    curve
+}
+
+/// The points of all conditions' curves.
+fn lines(name: &str, results: &Results) -> Lines {
+    let line = |condition: usize, set: usize| {
+        let curve = curve(results, set, condition);
+        let label = format!("{}: {}", results.conditions[condition].label, curve.title);
+        let bounds = curve.least.iter().zip(&curve.largest);
+        let rows =
+            curve.mean.iter().zip(bounds).map(|(mean, (least, largest))| vec![mean[0], mean[1], least[1], largest[1]]);
+        Line { label, rows: rows.collect() }
+    };
+    let conditions = 0..results.conditions.len();
+    Lines {
+        name: name.to_owned(),
+        columns: COLUMNS.to_vec(),
+        lines: conditions
+            .flat_map(|condition| (0..results.sets.len()).map(move |set| (condition, set)))
+            .map(|(condition, set)| line(condition, set))
+            .collect(),
+    }
+}

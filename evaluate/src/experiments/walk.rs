@@ -1,0 +1,170 @@
+//! E0: walking undisturbed, at the other experiments' command and at the corners of the commands.
+
+use std::collections::BTreeMap;
+
+use super::prelude::*;
+use crate::findings::{Claim, difference, spread};
+use crate::results::Results;
+use supple::scenario::catalog::Walk as Undisturbed;
+
+const QUANTITIES: &[Quantity] = &[
+    FELL,
+    Quantity::new("velocity_error_m_s", "velocity error", "m/s", 3),
+    Quantity::new("forward_error_m_s", "forward error", "m/s", 3),
+    Quantity::new("left_error_m_s", "sideways error", "m/s", 3),
+    Quantity::new("yaw_error_rad_s", "yaw rate error", "rad/s", 3),
+    Quantity::new("power_w", "power", "W", 1),
+    Quantity::new("torque_n_m", "torque norm", "N·m", 1),
+    Quantity::new("cost_of_transport", "cost of transport", "", 2),
+    Quantity::new("stride_frequency_hz", "stride frequency", "Hz", 2),
+    Quantity::new("flight_fraction", "time in flight", "%", 0),
+    Quantity::new("swing_height_m", "foot height", "m", 3),
+    Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
+];
+
+/// Time in flight from which on a gait is called hopping; a trot at this speed has next to none.
+const HOPPING_FRACTION: f64 = 0.3;
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Walk {
+    /// Runs of each policy at each command.
+    pub trials: u32,
+    /// Forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
+    pub commands: Vec<[f64; 3]>,
+    /// The paper's bound on the velocity error \[m/s\].
+    pub error_bound_m_s: f64,
+}
+
+impl Walk {
+    /// Policies that do not do what all the other experiments ask of them.
+    fn strangers(&self, results: &Results) -> Vec<String> {
+        let Some([forward, left, _]) = self.commands.first() else { return Vec::new() };
+        let mut notes = Vec::new();
+        for (set, name) in results.names.iter().enumerate() {
+            let errors = results.per_seed(set, 0, "velocity_error_m_s");
+            let flights = results.per_seed(set, 0, "flight_fraction");
+            for (seed, part) in flights.iter().filter(|(_, part)| **part > HOPPING_FRACTION) {
+                let percent = 100.0 * part;
+                notes.push(format!("{name}, seed {seed}, hops: {percent:.0} % of the time no foot is on the ground."));
+            }
+            let mut fell_at: BTreeMap<u64, Vec<&str>> = BTreeMap::new();
+            for (index, condition) in results.conditions.iter().enumerate() {
+                let falls = results.per_seed(set, index, "fell");
+                for (seed, _) in falls.into_iter().filter(|(_, fell)| *fell > 0.0) {
+                    fell_at.entry(seed).or_default().push(&condition.label);
+                }
+            }
+            for (seed, commands) in fell_at {
+                let commands = commands.join("; ");
+                notes.push(format!("{name}, seed {seed}, falls without any disturbance at {commands}."));
+            }
+            let speed = forward.hypot(*left);
+            for (seed, error) in errors.iter().filter(|(_, error)| speed > 0.0 && **error > 0.5 * speed) {
+                notes.push(format!(
+                    "{name}, seed {seed}, does not walk at its command: its velocity error is {error:.2} m/s."
+                ));
+            }
+            let bound = self.error_bound_m_s;
+            for (seed, error) in errors.iter().filter(|(_, error)| **error > bound && **error <= 0.5 * speed) {
+                notes.push(format!(
+                    "{name}, seed {seed}, by itself does not keep its velocity error below {bound} m/s: {error:.3} m/s."
+                ));
+            }
+        }
+        notes
+    }
+}
+
+/// How well all commands are followed, which the paper does not say.
+fn over_all(results: &Results) -> String {
+    let quantity = results.quantity("velocity_error_m_s");
+    let all: Vec<usize> = (0..results.conditions.len()).collect();
+    let comparison = results.compare_over(&all, quantity.name);
+    let sets = comparison.sets.iter().zip(&results.names);
+    let cells: Vec<String> = sets.map(|(set, name)| format!("{} {name}", spread(set, quantity, " m/s"))).collect();
+    format!(
+        "Velocity error, mean over all {} commands: {}; difference {}.",
+        all.len(),
+        cells.join(", "),
+        difference(&comparison, quantity, " m/s")
+    )
+}
+
+/// A command in words.
+fn label([forward, left, turn]: [f64; 3]) -> String {
+    let parts = [("forward", forward), ("left", left), ("turn", turn)];
+    let words: Vec<String> =
+        parts.iter().filter(|(_, value)| *value != 0.0).map(|(name, value)| format!("{name} {value}")).collect();
+    if words.is_empty() { "standing".to_owned() } else { words.join(", ").replace('-', "−") }
+}
+
+impl Experiment for Walk {
+    fn info(&self) -> Info {
+        Info {
+            id: "E0",
+            number: 0,
+            name: "walk",
+            title: "Walking undisturbed",
+            paper: "Fig. 5, caption",
+            method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
+                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
+                     drawn at random but the sensors' noise, where there are sensors.",
+            quantities: QUANTITIES,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Undisturbed = defaults("walk")?;
+        let condition = |[forward_m_s, left_m_s, yaw_rad_s]: &[f64; 3]| Condition {
+            label: label([*forward_m_s, *left_m_s, *yaw_rad_s]),
+            scenario: Scenario::Walk(Undisturbed {
+                task: Task {
+                    forward_m_s: *forward_m_s,
+                    left_m_s: *left_m_s,
+                    yaw_rad_s: *yaw_rad_s,
+                    ..base.task.clone()
+                },
+            }),
+        };
+        Ok(self.commands.iter().map(condition).collect())
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        if !trial.is_upright() {
+            let undefined = QUANTITIES[1..].iter().map(|_| None);
+            return std::iter::once(trial.end.fell()).chain(undefined).collect::<Vec<_>>().into();
+        }
+        let (trace, end_s) = (trial.trace, trial.script.duration_s);
+        let errors = metrics::velocity_errors(trace, metrics::SETTLE_S, end_s);
+        let mut values = vec![trial.end.fell(), trial.velocity_error()];
+        values.extend((0..3).map(|axis| errors.map(|errors| errors[axis])));
+        values.extend(QUANTITIES[5..].iter().map(|quantity| match quantity.name {
+            "flight_fraction" => metrics::flight_fraction(trace, metrics::SETTLE_S, end_s),
+            name => trial.metric(name),
+        }));
+        values.into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
+        let (results, first) = (show.results, show.first_label());
+        let of_first = Group { name: first.to_owned(), conditions: vec![0] };
+        let rows = QUANTITIES.iter().map(|quantity| show.row(&of_first, *quantity)).collect();
+        show.table_of(format!("Walking undisturbed at the command of the other experiments ({first})."), rows);
+        show.table_in_file("commands", caption);
+        let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
+        let text = format!("Walking undisturbed ({first}), both keep the velocity error below {bound} m/s in the mean");
+        let (errors, quantity) = (results.compare(0, quantity), results.quantity(quantity));
+        show.findings.claims.push(Claim::bound(&text, "< 0.05 / < 0.05 m/s", quantity, bound, errors));
+        show.dots(
+            "",
+            "Velocity error and power by command",
+            &["velocity_error_m_s", "power_w"],
+            "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
+             the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
+        );
+        show.notes(std::iter::once(over_all(results)).chain(self.strangers(results)));
+    }
+}

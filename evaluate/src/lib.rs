@@ -1,0 +1,151 @@
+/*! Every figure and table of the paper's section IV, for any sets of policies.
+
+An [`Experiment`] says which conditions there are, plays nothing itself, and turns a trace into numbers; [`runner`] plays
+its trials in parallel, each with a seed that does not depend on the policy, and [`store`] keeps what came out, so that
+a finished experiment is not run again. From the kept numbers alone come [`findings`] (claims with intervals, tables,
+figures) and from those the [`report`]. `docs/experiments.md` has the definitions in words.
+
+Tables and figures show every set of policies; claims and differences are about the first set and the second.
+*/
+
+pub mod contestants;
+pub mod experiments;
+pub mod findings;
+pub mod grid;
+pub mod plot;
+pub mod protocol;
+pub mod report;
+pub mod results;
+pub mod runner;
+pub mod sensing;
+pub mod show;
+pub mod statistics;
+pub mod store;
+pub mod trial;
+
+use serde::Serialize;
+
+use findings::Findings;
+use results::Results;
+use show::Show;
+use supple::config::ConfigError;
+use supple::scenario::catalog::{ParameterError, Scenario};
+use trial::Trial;
+
+/// What an experiment is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Info {
+    /// `E0` to `E11b`.
+    pub id: &'static str,
+    /// Tells its trials' seeds apart from other experiments'.
+    pub number: u32,
+    /// On the command line.
+    pub name: &'static str,
+    /// In the report.
+    pub title: &'static str,
+    /// Where the paper shows it.
+    pub paper: &'static str,
+    /// How it is measured, in words.
+    pub method: &'static str,
+    /// The numbers that each trial yields.
+    pub quantities: &'static [Quantity],
+}
+
+/// A number that every trial of an experiment yields, if it is defined.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Quantity {
+    /// Snake case, with the unit where it has one.
+    pub name: &'static str,
+    /// For people.
+    pub label: &'static str,
+    /// Its unit; `%` for fractions, which are kept as 0 to 1.
+    pub unit: &'static str,
+    /// Digits after the point.
+    pub digits: usize,
+}
+
+impl Quantity {
+    /// A quantity.
+    pub const fn new(name: &'static str, label: &'static str, unit: &'static str, digits: usize) -> Self {
+        Quantity { name, label, unit, digits }
+    }
+
+    /// From what is kept to what is printed in the unit.
+    pub fn scale(&self) -> f64 {
+        if self.unit == "%" { 100.0 } else { 1.0 }
+    }
+
+    /// Label with unit, for axes.
+    pub fn axis(&self) -> String {
+        if self.unit.is_empty() { self.label.to_owned() } else { format!("{} [{}]", self.label, self.unit) }
+    }
+}
+
+/// Fraction of trials in which the robot fell.
+pub const FELL: Quantity = Quantity::new("fell", "falls", "%", 0);
+
+/// One setting of what an experiment varies.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Condition {
+    /// For tables.
+    pub label: String,
+    /// What is played; the trial's seed varies it.
+    pub scenario: Scenario,
+}
+
+/// What an experiment takes from a trace.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Measured {
+    /// One for each of the experiment's quantities.
+    pub values: Vec<Option<f64>>,
+    /// What its figures draw.
+    pub series: Vec<Vec<f32>>,
+}
+
+impl From<Vec<Option<f64>>> for Measured {
+    fn from(values: Vec<Option<f64>>) -> Self {
+        Measured { values, series: Vec::new() }
+    }
+}
+
+/// An experiment's section of the protocol; the table in [`experiments`] implements it.
+pub trait Parameters {
+    /// Trials of each condition with each policy.
+    fn trials(&self) -> u32;
+
+    /// All its numbers, by key.
+    fn parameters(&self) -> serde_json::Value;
+}
+
+/// A table or figure of the paper: what is played, what is measured, what is shown.
+pub trait Experiment: Parameters + Sync {
+    /// What it is.
+    fn info(&self) -> Info;
+
+    /// What is varied.
+    ///
+    /// # Errors
+    /// None with the scenario files inside the program.
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError>;
+
+    /// Checks those of its numbers that no scenario checks when its script is made.
+    ///
+    /// # Errors
+    /// [`ParameterError`] with the key.
+    fn check(&self) -> Result<(), ParameterError> {
+        Ok(())
+    }
+
+    /// Reads a trial.
+    fn measure(&self, trial: &Trial) -> Measured;
+
+    /// Shows claims, tables and figures.
+    fn show(&self, show: &mut Show);
+
+    /// What it shows of its results.
+    fn findings(&self, results: &Results) -> Findings {
+        let mut show = Show::new(self.info().name, results);
+        self.show(&mut show);
+        show.findings
+    }
+}

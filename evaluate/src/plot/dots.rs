@@ -1,0 +1,85 @@
+//! Quantities by condition: mean and ± standard deviation of all sets, and every seed as a small mark.
+
+use super::axes::{Panel, draw_legend, draw_mark, range_from_zero};
+use super::svg::{Anchor, Stroke, Svg, Text};
+use super::{GREY, PALE, SMALL, WIDTH, colour};
+use crate::Quantity;
+use crate::statistics::{PerSeed, Spread};
+
+/// Height of a set's part of a condition's line \[px\].
+const SET: f64 = 14.0;
+
+/// Height of a condition's line \[px\].
+fn line_of(sets: usize) -> f64 {
+    SET * sets as f64 + 6.0
+}
+
+/// A panel: one quantity.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dots {
+    /// Along x.
+    pub quantity: Quantity,
+    /// By condition, by set.
+    pub rows: Vec<Vec<PerSeed>>,
+}
+
+/// Draws panels side by side with the conditions in lines. `labels` has one text for each line.
+pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String]) -> String {
+    let line = line_of(names.len());
+    let height = line * labels.len() as f64;
+    let mut svg = Svg::new(WIDTH, height + 92.0);
+    let longest = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0) as f64;
+    let left = 20.0 + 0.56 * SMALL * longest;
+    let gap = 24.0;
+    let width = (WIDTH - left - 16.0) / panels.len().max(1) as f64 - gap;
+    for (row, label) in labels.iter().enumerate() {
+        let y = 14.0 + line * (row as f64 + 0.5);
+        svg.text([left - 4.0, y + 4.0], label, Text::new(SMALL, Anchor::End));
+    }
+    for (index, dots) in panels.iter().enumerate() {
+        let scale = dots.quantity.scale();
+        let reach = |values: &PerSeed| Spread::of(values).map(|spread| spread.mean + spread.sd.unwrap_or(0.0));
+        let rows = || dots.rows.iter().flatten();
+        let values = rows().flat_map(|values| values.values().copied()).chain(rows().filter_map(reach));
+        let values = values.map(|value| scale * value);
+        let x = if scale > 1.0 { [-4.0, 104.0] } else { range_from_zero(values) };
+        let corner = [left + gap * 0.5 + index as f64 * (width + gap), 14.0];
+        let panel = Panel { corner, size: [width, height], x, y: [0.0, 1.0] };
+        draw_panel(&mut svg, &panel, dots, scale);
+    }
+    draw_legend(&mut svg, [0.5 * WIDTH, height + 80.0], names);
+    svg.finish(title)
+}
+
+fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
+    let [left, top] = panel.corner;
+    let bottom = top + panel.size[1];
+    let ticks = super::axes::ticks(panel.x, (panel.size[0] / 60.0).clamp(2.0, 5.0) as usize);
+    for tick in &ticks {
+        let x = panel.at([*tick, 0.0])[0];
+        svg.line([x, top], [x, bottom], Stroke::new(PALE, 1.0));
+        svg.text([x, bottom + 15.0], &super::axes::tick_text(*tick, &ticks), Text::new(SMALL, Anchor::Middle));
+    }
+    panel.draw_frame(svg);
+    svg.text([left + 0.5 * panel.size[0], bottom + 33.0], &dots.quantity.axis(), Text::new(SMALL, Anchor::Middle));
+    for (row, sets) in dots.rows.iter().enumerate() {
+        for (set, values) in sets.iter().enumerate() {
+            let from_middle = SET * (set as f64 - 0.5 * (sets.len() as f64 - 1.0));
+            let y = top + line_of(sets.len()) * (row as f64 + 0.5) + from_middle;
+            // A standard deviation may reach beyond what is possible, and then beyond the panel.
+            let at = |value: f64| [panel.at([scale * value, 0.0])[0].clamp(left, left + panel.size[0]), y];
+            if values.len() > 1 {
+                for value in values.values() {
+                    draw_mark(svg, at(*value), set, 2.2, false);
+                }
+            }
+            let Some(spread) = Spread::of(values) else {
+                svg.text([left + 5.0, y + 4.0], "no value", Text::new(SMALL, Anchor::Start).coloured(GREY));
+                continue;
+            };
+            let sd = spread.sd.unwrap_or(0.0);
+            svg.line(at(spread.mean - sd), at(spread.mean + sd), Stroke::new(colour(set), 2.0));
+            draw_mark(svg, at(spread.mean), set, 4.2, true);
+        }
+    }
+}

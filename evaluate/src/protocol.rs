@@ -1,0 +1,130 @@
+//! How much of everything is measured: grids, directions, trials. YAML in, checked experiments out.
+
+use std::path::Path;
+
+pub use super::experiments::Protocol;
+use supple::config::ConfigError;
+use supple::scenario::catalog::{ParameterError, in_range};
+use supple::util::yaml::layered;
+
+/// The protocol of the whole report.
+pub const FULL: &str = include_str!("../../configs/evaluation/full.yaml");
+
+/// What the coarse one has instead.
+pub const QUICK: &str = include_str!("../../configs/evaluation/quick.yaml");
+
+/// Why a protocol was refused.
+#[derive(Debug, thiserror::Error)]
+pub enum ProtocolError {
+    /// Reading failed.
+    #[error("cannot read protocol {path}: {source}")]
+    Read {
+        /// The file.
+        path: String,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// Not YAML, an unknown or missing key, a wrong type.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A number outside its range.
+    #[error("protocol key {key} is {found}, expected {expected}")]
+    Value {
+        /// Dotted key.
+        key: String,
+        /// What was found.
+        found: String,
+        /// What would be valid.
+        expected: &'static str,
+    },
+}
+
+impl Protocol {
+    /// The protocol of the whole report.
+    ///
+    /// # Errors
+    /// None with the file inside the program.
+    pub fn full() -> Result<Self, ProtocolError> {
+        Self::parse("full", &[FULL])
+    }
+
+    /// A coarse version of everything.
+    ///
+    /// # Errors
+    /// None with the file inside the program.
+    pub fn quick() -> Result<Self, ProtocolError> {
+        Self::parse("quick", &[FULL, QUICK])
+    }
+
+    /// A file that states what differs from the full protocol.
+    ///
+    /// # Errors
+    /// [`ProtocolError`] that names the key.
+    pub fn load(path: &Path) -> Result<Self, ProtocolError> {
+        let name = path.display().to_string();
+        let text =
+            std::fs::read_to_string(path).map_err(|source| ProtocolError::Read { path: name.clone(), source })?;
+        Self::parse(&name, &[FULL, &text])
+    }
+
+    fn parse(name: &str, layers: &[&str]) -> Result<Self, ProtocolError> {
+        let protocol: Protocol = layered(name, layers).map_err(ConfigError::from)?;
+        protocol.check()?;
+        Ok(protocol)
+    }
+
+    fn check(&self) -> Result<(), ProtocolError> {
+        for experiment in self.experiments() {
+            let section = experiment.info().name.replace('-', "_");
+            in_range("trials", f64::from(experiment.trials()), 1.0, 10_000.0, "1 to 10000")
+                .and_then(|()| experiment.check())
+                .map_err(|ParameterError { name, found, expected }| ProtocolError::Value {
+                    key: format!("{section}.{name}"),
+                    found,
+                    expected,
+                })?;
+            // What is left is checked by the scenarios themselves, when their scripts are made.
+            if experiment.conditions()?.is_empty() {
+                let (found, expected) = ("empty".to_owned(), "at least one condition");
+                return Err(ProtocolError::Value { key: section, found, expected });
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Experiment;
+
+    #[test]
+    fn both_protocols_are_valid_and_the_quick_one_is_smaller() {
+        let trials = |protocol: &Protocol| -> usize {
+            let count =
+                |experiment: &&dyn Experiment| experiment.conditions().unwrap().len() * experiment.trials() as usize;
+            protocol.experiments().iter().map(count).sum()
+        };
+        assert!(trials(&Protocol::quick().unwrap()) * 5 < trials(&Protocol::full().unwrap()));
+    }
+
+    #[test]
+    fn a_protocol_states_what_differs_and_is_checked() {
+        let changed = |text| Protocol::parse("test", &[FULL, text]);
+        assert_eq!(changed("box: {trials: 3}").unwrap().r#box.trials, 3);
+        for (text, expected) in [
+            ("box: {trials: 0}", "box.trials is 0, expected 1 to 10000"),
+            ("push_grid: {points_per_side: 1}", "push_grid.points_per_side is 1, expected 2 to 101"),
+            ("walk: {commands: []}", "walk is empty, expected at least one condition"),
+            ("push_grid: {watch_s: -1}", "push_grid.watch_s is -1, expected 0.1 to 60 s"),
+            ("leash: {for_s: 2, average_s: 5}", "leash.average_s is 5, expected 0.1 s to leash.for_s"),
+            ("table4: {window_s: 5}", "table4.window_s is 5, expected 0.1 s to the time before the push"),
+            ("boxes: {trials: 0}", "unknown field `boxes`"),
+            ("box: {trial: 0}", "unknown field `trial`"),
+            ("box: {trials: many}", "invalid type"),
+        ] {
+            let error = changed(text).unwrap_err().to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+    }
+}

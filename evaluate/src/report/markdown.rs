@@ -1,0 +1,153 @@
+//! Tables as Markdown, and the document of all claims.
+
+use super::{Report, duration};
+use crate::findings::{Claim, Row, Table, difference, percent, spread};
+
+/// Cells of a row: condition, quantity, the paper's numbers, ours of each set, difference, relative change.
+pub fn cells(row: &Row) -> Vec<String> {
+    let c = &row.comparison;
+    let mut cells = vec![row.condition.clone(), row.quantity.axis(), row.paper.clone()];
+    cells.extend(c.sets.iter().map(|set| spread(set, row.quantity, "")));
+    cells.push(difference(c, row.quantity, ""));
+    cells.push(if row.quantity.unit == "%" { String::new() } else { percent(c.relative, "") });
+    cells
+}
+
+/// Titles of these columns.
+pub fn columns(names: &[String]) -> Vec<String> {
+    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [%]"]);
+    titled(["condition", "quantity", "paper (compliant / baseline)"], names, [difference, relative])
+}
+
+/// Cells of a claim: what the paper says, its numbers, ours of each set, difference, relative change, the verdict.
+pub fn claim_cells(claim: &Claim) -> Vec<String> {
+    let (c, quantity) = (&claim.comparison, claim.quantity);
+    let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
+    // The difference of two fractions is not a fraction.
+    let unit_of_difference = unit.replace('%', "points");
+    let mut cells = vec![claim.text.clone(), claim.paper.clone()];
+    cells.extend(c.sets.iter().map(|set| spread(set, quantity, &unit)));
+    cells.push(difference(c, quantity, &unit_of_difference));
+    cells.push(if quantity.unit == "%" { String::new() } else { percent(c.relative, " %") });
+    cells.push(claim.verdict.text().to_owned());
+    cells
+}
+
+/// Titles of these columns.
+pub fn claim_columns(names: &[String]) -> Vec<String> {
+    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [95 % interval]"]);
+    let paper = ["the paper's claim", "its numbers (compliant / baseline)"];
+    titled(paper, names, [difference, relative, "verdict".into()])
+}
+
+/// Of several sets, titles say which two are compared.
+fn of_pair<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
+    titles.map(|title| match names {
+        [a, b, _, ..] => format!("{title}, {a} and {b}"),
+        _ => title.to_owned(),
+    })
+}
+
+fn titled<const N: usize>(first: [&str; N], names: &[String], last: impl IntoIterator<Item = String>) -> Vec<String> {
+    first.map(ToOwned::to_owned).into_iter().chain(names.iter().cloned()).chain(last).collect()
+}
+
+/// A table with its caption.
+pub fn table(table: &Table, names: &[String]) -> String {
+    let rows = table.rows.iter().map(cells);
+    format!("{}\n\n{}", table.caption, grid(&columns(names), rows))
+}
+
+/// The claims of all experiments.
+pub fn claims(report: &Report) -> String {
+    let rows = report.sections.iter().flat_map(|section| {
+        section.findings.claims.iter().map(|claim| {
+            let mut cells = claim_cells(claim);
+            cells.insert(0, format!("{} {}", section.info.id, section.info.paper));
+            cells
+        })
+    });
+    let mut columns = claim_columns(&report.names);
+    columns.insert(0, "experiment".into());
+    grid(&columns, rows)
+}
+
+/// `docs/results.md`, which looks for its figures in `images/`.
+pub fn document(report: &Report) -> String {
+    let mut text = format!(
+        "# The paper's claims and our numbers\n\n\
+         Made by `{}`; not edited by hand. [experiments.md](experiments.md) defines every number. A cell is the mean ± \
+         standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
+         intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
+        report.command.of(None),
+        report.names.join(" and "),
+        report.protocol,
+        report.revisions().join(", "),
+        duration(report.wall_s()),
+        claims(report)
+    );
+    let of_section = |section: &super::Section| {
+        section.findings.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
+    };
+    let mut notes: String = report.sections.iter().map(of_section).collect();
+    notes.extend(report.notes.iter().map(|note| format!("- {note}\n")));
+    if !report.missing.is_empty() {
+        let names: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
+        notes.push_str(&format!("- not run: {}\n", names.join(", ")));
+    }
+    if !notes.is_empty() {
+        text.push_str(&format!("\n{notes}"));
+    }
+    for figure in report.figures_of_document() {
+        text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));
+    }
+    if !report.sensing.experiments.is_empty() {
+        text.push_str("\n## E12: acting on sensors\n");
+        let notes: String = report.sensing.notes.iter().map(|note| format!("- {note}\n")).collect();
+        if !notes.is_empty() {
+            text.push_str(&format!("\n{notes}"));
+        }
+        for (table, names) in report.sensing.tables().iter().filter(|(table, _)| table.in_page) {
+            text.push_str(&format!("\n{}", self::table(table, names)));
+        }
+    }
+    text.push_str("\n## Policies\n\n");
+    let rows = report.policies.iter().map(|policy| {
+        vec![
+            policy.set.clone(),
+            policy.seed.to_string(),
+            policy.config.clone(),
+            policy.samples(),
+            format!("`{}`", &policy.sha256[..16.min(policy.sha256.len())]),
+        ]
+    });
+    let columns = ["set", "seed", "configuration", "samples", "sha256"].map(ToOwned::to_owned);
+    text.push_str(&grid(&columns, rows));
+    text.push_str("\n## Trials\n\n");
+    let rows = report.sections.iter().map(|section| {
+        let counts = [
+            format!("{} {}", section.info.id, section.info.title),
+            section.conditions.to_string(),
+            section.trials.to_string(),
+        ];
+        let falls = section.ends.iter().map(|ends| format!("{} of {}", ends.falls, ends.trials));
+        counts.into_iter().chain(falls).collect()
+    });
+    let counts = ["experiment", "conditions", "trials of each with each policy"];
+    let falls: Vec<String> = report.names.iter().map(|name| format!("falls, {name}")).collect();
+    text.push_str(&grid(&titled(counts, &falls, []), rows));
+    text
+}
+
+/// A Markdown table. Columns that are empty throughout are left out.
+fn grid(columns: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
+    let rows: Vec<Vec<String>> = rows.collect();
+    let used: Vec<usize> =
+        (0..columns.len()).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
+    let line = |cells: &[String]| {
+        let cells: Vec<String> = used.iter().map(|column| cells[*column].replace('|', "\\|")).collect();
+        format!("| {} |\n", cells.join(" | "))
+    };
+    let ruler = format!("|{}\n", "---|".repeat(used.len()));
+    format!("{}{ruler}{}", line(columns), rows.iter().map(|row| line(row)).collect::<String>())
+}

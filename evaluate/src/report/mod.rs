@@ -1,0 +1,315 @@
+/*! The report: one page that opens offline, every figure and table as files, and every number as JSON.
+
+`summary.json` holds nothing that differs between two runs of the same evaluation: no times, no paths, maps in order,
+numbers to six digits. Durations and the command stand in the page only.
+*/
+
+mod html;
+mod markdown;
+mod summary;
+mod tables;
+
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use super::contestants::Contest;
+use super::findings::{Figure, Findings, Table};
+use super::plot::png::{PngError, Renderer};
+use super::results::Ends;
+use super::runner::Measurement;
+use super::sensing::SensingFindings;
+use super::{Experiment, Info};
+use supple::policy::Provenance;
+use supple::util::files;
+
+/// Why the report was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// Writing failed.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file.
+        path: PathBuf,
+        /// The system's reason.
+        source: io::Error,
+    },
+    /// A figure could not be rendered.
+    #[error("figure {name}: {source}")]
+    Figure {
+        /// Its name.
+        name: String,
+        /// Why.
+        source: PngError,
+    },
+}
+
+/// A policy as the report names it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct PolicyLine {
+    /// Name of its set.
+    pub set: String,
+    /// By which it is paired.
+    pub seed: u64,
+    /// Identity.
+    pub sha256: String,
+    /// Name of its configuration.
+    pub config: String,
+    /// Samples it has seen; none of an external policy.
+    pub samples: Option<u64>,
+    /// Revision of the program that trained it.
+    pub revision: String,
+}
+
+/// What makes a report, as one would type it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Command {
+    /// The program.
+    pub program: String,
+    /// The experiments asked for; empty for all.
+    pub experiments: Vec<String>,
+    /// All other arguments, each quoted for a shell.
+    pub options: Vec<String>,
+}
+
+impl Command {
+    /// What runs one experiment, or makes the whole report.
+    pub fn of(&self, experiment: Option<&str>) -> String {
+        let program = std::iter::once(self.program.as_str());
+        let experiments = self.experiments.iter().map(String::as_str).filter(|_| experiment.is_none());
+        let words = program.chain(experiments).chain(experiment).chain(self.options.iter().map(String::as_str));
+        words.collect::<Vec<_>>().join(" ")
+    }
+}
+
+/// One experiment in the report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Section {
+    /// What it is.
+    pub info: Info,
+    /// Its numbers in the protocol.
+    pub parameters: serde_json::Value,
+    /// Number of conditions.
+    pub conditions: usize,
+    /// Trials of each condition with each policy.
+    pub trials: u32,
+    /// How the trials of each set ended.
+    pub ends: Vec<Ends>,
+    /// What it shows.
+    pub findings: Findings,
+    /// Time that its trials took \[s\].
+    pub wall_s: f64,
+    /// Revisions of the programs that measured.
+    pub revisions: Vec<String>,
+}
+
+impl Section {
+    /// From an experiment's measurement.
+    pub fn new(experiment: &dyn Experiment, measurement: &Measurement) -> Self {
+        let results = &measurement.results;
+        let mut findings = experiment.findings(results);
+        let ends: Vec<Ends> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
+        for (name, ends) in results.names.iter().zip(&ends) {
+            if ends.trials > 0 && ends.falls == ends.trials {
+                findings
+                    .notes
+                    .push(format!("{name} fell in every trial: quantities that a fall leaves undefined are –."));
+            }
+            if ends.faults > 0 {
+                findings.notes.push(format!(
+                    "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no other \
+                     numbers.",
+                    ends.faults, ends.trials
+                ));
+            }
+        }
+        Section {
+            info: experiment.info(),
+            parameters: experiment.parameters(),
+            conditions: results.conditions.len(),
+            trials: experiment.trials(),
+            ends,
+            findings,
+            wall_s: measurement.wall_s,
+            revisions: measurement.revisions.clone(),
+        }
+    }
+}
+
+/// The whole report.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Report {
+    /// Names of all sets; claims and differences are about the first two.
+    pub names: Vec<String>,
+    /// All policies.
+    pub policies: Vec<PolicyLine>,
+    /// `full`, `quick` or a file.
+    pub protocol: String,
+    /// What makes this report.
+    pub command: Command,
+    /// What a reader has to know about the policies.
+    pub notes: Vec<String>,
+    /// Finished experiments, in order.
+    pub sections: Vec<Section>,
+    /// Experiments that are not finished.
+    pub missing: Vec<Info>,
+    /// E12: the experiments that were also run with estimated sensing.
+    pub sensing: SensingFindings,
+}
+
+/// What a policy file of ours says of where it came from.
+fn origin<T>(member: &super::contestants::Contestant, of: impl Fn(&Provenance) -> T) -> Option<T> {
+    member.agent.policy().map(|policy| of(&policy.provenance))
+}
+
+impl PolicyLine {
+    /// For tables.
+    fn samples(&self) -> String {
+        self.samples.map_or_else(|| "–".into(), |samples| format!("{:.1} M", samples as f64 / 1e6))
+    }
+}
+
+impl Report {
+    /// A report without experiments yet.
+    pub fn new(contest: &Contest, protocol: String, command: Command) -> Self {
+        let line = |set: &str, member: &super::contestants::Contestant| PolicyLine {
+            set: set.to_owned(),
+            seed: member.seed,
+            sha256: member.agent.sha256.clone(),
+            config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "external".into()),
+            samples: origin(member, |origin| origin.samples),
+            revision: origin(member, |origin| origin.git_revision.clone()).unwrap_or_else(|| "–".into()),
+        };
+        let of_side = |side: &super::contestants::Side| {
+            side.members.iter().map(|member| line(&side.name, member)).collect::<Vec<_>>()
+        };
+        Report {
+            names: contest.names(),
+            policies: contest.sides.iter().flat_map(of_side).collect(),
+            protocol,
+            command,
+            notes: contest.notes.clone(),
+            sections: Vec::new(),
+            missing: Vec::new(),
+            sensing: SensingFindings::new(contest),
+        }
+    }
+
+    /// Adds a finished experiment. What undisturbed walking tells of the policies is to be known of all the others, too.
+    pub fn add(&mut self, mut section: Section) {
+        if section.info.number == 0 {
+            self.notes.append(&mut section.findings.notes);
+        }
+        self.sections.push(section);
+    }
+
+    /// Time that all trials took, with those of E12 \[s\].
+    fn wall_s(&self) -> f64 {
+        self.sections.iter().map(|section| section.wall_s).sum::<f64>() + self.sensing.wall_s
+    }
+
+    /// Revisions of the programs that measured.
+    fn revisions(&self) -> Vec<&str> {
+        let mut revisions: Vec<&str> =
+            self.sections.iter().flat_map(|section| &section.revisions).map(String::as_str).collect();
+        revisions.sort_unstable();
+        revisions.dedup();
+        revisions
+    }
+
+    /// Writes everything into a folder.
+    ///
+    /// # Errors
+    /// [`ReportError`]
+    pub fn write(&self, out: &Path) -> Result<(), ReportError> {
+        let (figures, tables) = (out.join("figures"), out.join("tables"));
+        for folder in [&figures, &tables] {
+            fs::create_dir_all(folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+        }
+        let no_sensing = self.sensing.experiments.is_empty().then_some("sensing");
+        for name in self.missing.iter().map(|info| info.name).chain(no_sensing) {
+            for folder in [&figures, &tables] {
+                remove_of(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+            }
+        }
+        let renderer = Renderer::default();
+        for section in &self.sections {
+            for figure in &section.findings.figures {
+                write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
+                write_png(&renderer, figure, &figures)?;
+            }
+            for table in &section.findings.tables {
+                write_table(&tables, table, &self.names)?;
+            }
+            for lines in &section.findings.lines {
+                write(&tables.join(format!("{}.csv", lines.name)), tables::points_csv(lines).as_bytes())?;
+            }
+        }
+        if !self.sensing.experiments.is_empty() {
+            for (table, names) in self.sensing.tables() {
+                write_table(&tables, table, &names)?;
+            }
+        }
+        write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
+        write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
+        write(&out.join("summary.json"), summary::json(self).as_bytes())?;
+        write(&out.join("report.html"), html::page(self).as_bytes())
+    }
+
+    /// Writes the table of claims as a document of its own, with the figures it shows in the folder `images` beside it.
+    ///
+    /// # Errors
+    /// [`ReportError`]
+    pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
+        let images = path.with_file_name("images");
+        let renderer = Renderer::default();
+        for figure in self.figures_of_document() {
+            fs::create_dir_all(&images).map_err(|source| ReportError::Write { path: images.clone(), source })?;
+            write_png(&renderer, figure, &images)?;
+        }
+        write(path, markdown::document(self).as_bytes())
+    }
+
+    /// What the document of claims shows: how a push decays, which pushes are recovered from.
+    fn figures_of_document(&self) -> impl Iterator<Item = &Figure> {
+        let all = || self.sections.iter().flat_map(|section| &section.findings.figures);
+        ["decay", "push-grid"].into_iter().filter_map(move |name| all().find(|figure| figure.name == name))
+    }
+}
+
+fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), ReportError> {
+    let png = renderer.png(&figure.svg).map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
+    write(&folder.join(format!("{}.png", figure.name)), &png)
+}
+
+fn write_table(folder: &Path, table: &Table, names: &[String]) -> Result<(), ReportError> {
+    write(&folder.join(format!("{}.csv", table.name)), tables::csv(table, names).as_bytes())?;
+    write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names).as_bytes())
+}
+
+/// Removes an experiment's figures or tables of an earlier report, of other policies: their names begin with its own.
+fn remove_of(experiment: &str, folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        let is_of = stem.strip_prefix(experiment).is_some_and(|rest| rest.is_empty() || rest.starts_with('-'));
+        let is_ours = path.extension().is_some_and(|e| ["svg", "png", "csv", "md"].iter().any(|ours| e == *ours));
+        if is_of && is_ours {
+            fs::remove_file(&path)?;
+        }
+    }
+    Ok(())
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+    files::write_atomically(path, bytes).map_err(|source| ReportError::Write { path: path.to_owned(), source })
+}
+
+/// A duration for people.
+fn duration(seconds: f64) -> String {
+    match seconds.round() as u64 {
+        seconds @ 0..60 => format!("{seconds} s"),
+        seconds @ 60..3600 => format!("{} min {} s", seconds / 60, seconds % 60),
+        seconds => format!("{} h {} min", seconds / 3600, seconds / 60 % 60),
+    }
+}

@@ -1,0 +1,132 @@
+//! Every number as JSON, the same bytes for the same evaluation.
+
+use serde_json::{Map, Value, json};
+
+use super::{Report, Section};
+use crate::Quantity;
+use crate::findings::Table;
+use crate::statistics::{Comparison, Numbers};
+
+/// The whole summary.
+pub fn json(report: &Report) -> String {
+    let policies: Vec<Value> = report
+        .policies
+        .iter()
+        .map(|policy| {
+            json!({
+                "set": policy.set, "seed": policy.seed, "sha256": policy.sha256, "config": policy.config,
+                "samples": policy.samples, "trained_by": policy.revision,
+            })
+        })
+        .collect();
+    let experiments: Vec<Value> = report.sections.iter().map(|section| experiment(section, &report.names)).collect();
+    let missing: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
+    let mut whole = json!({
+        "sets": report.names,
+        "policies": policies,
+        "protocol": report.protocol,
+        "notes": report.notes,
+        "experiments": experiments,
+        "not_run": missing,
+    });
+    if !report.sensing.experiments.is_empty() {
+        whole["sensing"] = sensing(report);
+    }
+    // A tree of texts and numbers: serialising it cannot fail.
+    let mut text = serde_json::to_string_pretty(&rounded(whole)).unwrap_or_default();
+    text.push('\n');
+    text
+}
+
+/// E12: all numbers both ways, and the errors of the estimates.
+fn sensing(report: &Report) -> Value {
+    let found = &report.sensing;
+    let tables = found.tables();
+    json!({
+        "experiments": found.experiments,
+        "notes": found.notes,
+        "contact_network": found.network,
+        "tables": tables.iter().map(|(table, names)| self::table(table, names)).collect::<Map<_, _>>(),
+    })
+}
+
+/// A table's name and rows.
+fn table(table: &Table, names: &[String]) -> (String, Value) {
+    let row = |row: &crate::findings::Row| {
+        json!({
+            "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit, "paper": row.paper,
+            "ours": comparison(names, &row.comparison, row.quantity),
+        })
+    };
+    (table.name.clone(), Value::Array(table.rows.iter().map(row).collect()))
+}
+
+fn experiment(section: &Section, names: &[String]) -> Value {
+    let ends: Map<String, Value> = names.iter().cloned().zip(section.ends.iter().map(|ends| json!(ends))).collect();
+    let claims: Vec<Value> = section
+        .findings
+        .claims
+        .iter()
+        .map(|claim| {
+            json!({
+                "claim": claim.text, "paper": claim.paper, "quantity": claim.quantity.name,
+                "unit": claim.quantity.unit, "verdict": claim.verdict,
+                "ours": comparison(names, &claim.comparison, claim.quantity),
+            })
+        })
+        .collect();
+    json!({
+        "id": section.info.id,
+        "name": section.info.name,
+        "paper": section.info.paper,
+        "parameters": section.parameters,
+        "trials_of_each_condition_and_policy": section.trials,
+        "trials": ends,
+        "claims": claims,
+        "notes": section.findings.notes,
+        "tables": section.findings.tables.iter().map(|table| self::table(table, names)).collect::<Map<_, _>>(),
+        "lines": section.findings.lines,
+    })
+}
+
+/// In the quantity's unit; a relative change is 0.1 for 10 %.
+fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> Value {
+    let comparison = comparison.scaled(quantity.scale());
+    let mut sets = Map::new();
+    for (name, Numbers { by_seed: seeds, spread, .. }) in names.iter().zip(&comparison.sets) {
+        let by_seed: Map<String, Value> = seeds.iter().map(|(seed, value)| (seed.to_string(), json!(value))).collect();
+        sets.insert(
+            name.clone(),
+            json!({ "mean": spread.map(|s| s.mean), "sd": spread.and_then(|s| s.sd), "by_seed": by_seed }),
+        );
+    }
+    json!({
+        "sets": sets, "difference": comparison.difference, "relative": comparison.relative,
+        "trials": comparison.trials,
+    })
+}
+
+/// Numbers to six significant digits: the rest is not knowledge.
+fn rounded(value: Value) -> Value {
+    match value {
+        Value::Number(number) if number.is_f64() => {
+            let number = number.as_f64().unwrap_or(0.0);
+            // Also turns −0 into 0.
+            json!(format!("{number:.5e}").parse::<f64>().unwrap_or(number) + 0.0)
+        }
+        Value::Array(values) => Value::Array(values.into_iter().map(rounded).collect()),
+        Value::Object(object) => Value::Object(object.into_iter().map(|(key, value)| (key, rounded(value))).collect()),
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_rounded_wherever_they_stand() {
+        let found = rounded(json!({"a": [0.1 + 0.2, 123_456_789.0, -0.0], "b": 3, "c": "0.30000000000000004"}));
+        assert_eq!(found.to_string(), r#"{"a":[0.3,123457000.0,0.0],"b":3,"c":"0.30000000000000004"}"#);
+    }
+}

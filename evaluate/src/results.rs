@@ -1,0 +1,231 @@
+//! What an experiment measured for all sets of policies, and how it is read: always by seed.
+
+use std::collections::BTreeMap;
+
+use super::statistics::{Comparison, Numbers, PerSeed, Trials, mean};
+use super::trial::{End, Sample};
+use super::{Condition, Quantity};
+
+/// All trials of one policy, shape (conditions, trials).
+pub type PolicyResult = Vec<Vec<Sample>>;
+
+/// All trials of an experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Results {
+    /// Names of the sets, two or more; the first two are those that are compared.
+    pub names: Vec<String>,
+    /// What was varied.
+    pub conditions: Vec<Condition>,
+    /// What was measured.
+    pub quantities: &'static [Quantity],
+    /// By set, by seed.
+    pub sets: Vec<BTreeMap<u64, PolicyResult>>,
+}
+
+/// How the trials of a set ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+pub struct Ends {
+    /// All.
+    pub trials: usize,
+    /// With a fall.
+    pub falls: usize,
+    /// With a failure of the physics.
+    pub faults: usize,
+}
+
+impl Results {
+    /// Index of a quantity by name; a name that the experiment lacks is a mistake of the caller.
+    ///
+    /// # Panics
+    /// If there is no such quantity.
+    pub fn index(&self, quantity: &str) -> usize {
+        let found = self.quantities.iter().position(|known| known.name == quantity);
+        // The experiments ask for what they themselves list; a test asks every one of them.
+        found.unwrap_or_else(|| panic!("no quantity {quantity}"))
+    }
+
+    /// The quantity of that name.
+    pub fn quantity(&self, name: &str) -> Quantity {
+        self.quantities[self.index(name)]
+    }
+
+    /// For each seed of a set, the mean over a condition's trials.
+    pub fn per_seed(&self, set: usize, condition: usize, quantity: &str) -> PerSeed {
+        self.means(set, &[condition], self.index(quantity))
+    }
+
+    /// All sets in one condition.
+    pub fn compare(&self, condition: usize, quantity: &str) -> Comparison {
+        self.compare_over(&[condition], quantity)
+    }
+
+    /// All sets, each policy by the mean over conditions of its mean over trials.
+    pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
+        let index = self.index(quantity);
+        let sets = (0..self.sets.len()).map(|set| self.numbers(set, self.means(set, conditions, index)));
+        Comparison::new(sets.collect()).with_trials(self.trials(conditions, index))
+    }
+
+    /// In how many of directions the first set's number is the larger one, over pairs, in words; of those in which there
+    /// are pairs.
+    pub fn larger_in(&self, directions: &[usize], quantity: &str) -> String {
+        let differences: Vec<f64> =
+            directions.iter().filter_map(|c| Some(self.compare(*c, quantity).difference?.value)).collect();
+        let larger = differences.iter().filter(|difference| **difference > 0.0).count();
+        format!("{larger} of {} directions", differences.len())
+    }
+
+    /// A number by seed of a set.
+    pub fn numbers(&self, set: usize, by_seed: PerSeed) -> Numbers {
+        Numbers::new(by_seed, self.sets[set].len())
+    }
+
+    /// For each seed of a set, the mean over conditions of the mean over trials. A trial that leaves the quantity
+    /// undefined for one of a pair is left out for both: else the one that falls where it is hard would be spared the
+    /// hard part. Only where the partner has no number at all does a policy keep all of its own. The first two sets are
+    /// each other's partners; that of every further set is the first.
+    fn means(&self, set: usize, conditions: &[usize], quantity: usize) -> PerSeed {
+        let partners = self.sets.get(usize::from(set == 0));
+        let of_seed = |(seed, policy): (&u64, &PolicyResult)| {
+            let partner = partners.and_then(|set| set.get(seed));
+            let partner =
+                partner.filter(|other| conditions.iter().any(|c| mean_of(other, None, *c, quantity).is_some()));
+            Some((*seed, mean(conditions.iter().filter_map(|c| mean_of(policy, partner, *c, quantity)))?))
+        };
+        self.sets[set].iter().filter_map(of_seed).collect()
+    }
+
+    /// Pairs of trials of the first two sets in which both policies have a number, of all over the seeds that both have.
+    fn trials(&self, conditions: &[usize], quantity: usize) -> Trials {
+        let mut trials = Trials { used: 0, of: 0 };
+        for seed in self.common_seeds() {
+            for condition in conditions {
+                let [a, b] = [0, 1].map(|set| self.sets[set][&seed].get(*condition).into_iter().flatten());
+                for (a, b) in a.zip(b) {
+                    trials.of += 1;
+                    trials.used += usize::from(a.values[quantity].is_some() && b.values[quantity].is_some());
+                }
+            }
+        }
+        trials
+    }
+
+    /// Seeds that the first two sets have.
+    pub fn common_seeds(&self) -> Vec<u64> {
+        self.sets[0].keys().filter(|seed| self.sets[1].contains_key(seed)).copied().collect()
+    }
+
+    /// The seed that figures of single policies show: the least of the first two sets' common ones, else the set's least.
+    pub fn shown_seed(&self, set: usize) -> Option<u64> {
+        let common = self.common_seeds();
+        common.first().filter(|seed| self.sets[set].contains_key(seed)).or(self.sets[set].keys().next()).copied()
+    }
+
+    /// How a set's trials ended.
+    pub fn ends(&self, set: usize) -> Ends {
+        let mut ends = Ends::default();
+        for sample in self.sets[set].values().flatten().flatten() {
+            ends.trials += 1;
+            ends.falls += usize::from(sample.end == End::Fell);
+            ends.faults += usize::from(sample.end == End::Fault);
+        }
+        ends
+    }
+}
+
+/// Mean over the trials of a condition that define a quantity, for the partner too if there is one.
+fn mean_of(policy: &PolicyResult, partner: Option<&PolicyResult>, condition: usize, quantity: usize) -> Option<f64> {
+    let others = partner.and_then(|partner| partner.get(condition));
+    let counts = |trial: usize| {
+        others.is_none_or(|others| others.get(trial).is_some_and(|other| other.values[quantity].is_some()))
+    };
+    let trials = policy.get(condition)?.iter().enumerate();
+    mean(trials.filter(|(trial, _)| counts(*trial)).filter_map(|(_, sample)| sample.values[quantity]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Experiment;
+    use crate::protocol::Protocol;
+
+    /// Results of the decay experiment with one trial for each condition, by set and condition; none is a fall.
+    fn results(sets: &[Vec<[Option<f64>; 2]>]) -> Results {
+        let protocol = Protocol::quick().unwrap();
+        let condition = protocol.decay.conditions().unwrap().remove(0);
+        let sample = |value: &Option<f64>| {
+            let (fell, end) = value.map_or((1.0, End::Fell), |_| (0.0, End::Upright));
+            Sample {
+                end,
+                values: vec![*value, None, None, None, None, Some(fell)],
+                series: Vec::new(),
+                estimation: None,
+            }
+        };
+        let policy = |values: &[Option<f64>; 2]| values.iter().map(|value| vec![sample(value)]).collect();
+        Results {
+            names: ["a", "b", "c"][..sets.len()].iter().map(ToString::to_string).collect(),
+            conditions: vec![condition.clone(), condition],
+            quantities: protocol.decay.info().quantities,
+            sets: sets.iter().map(|set| (0..).zip(set.iter().map(policy)).collect()).collect(),
+        }
+    }
+
+    #[test]
+    fn a_condition_that_one_of_a_pair_lacks_is_left_out_for_both() {
+        // Seed 0: b fell in condition 1, so that only condition 0 counts: 1 against 2, not (1 + 9) / 2 against 2.
+        let results = results(&[
+            vec![[Some(1.0), Some(9.0)], [Some(3.0), Some(5.0)]],
+            vec![[Some(2.0), None], [Some(3.0), Some(5.0)]],
+        ]);
+        let comparison = results.compare_over(&[0, 1], "decay_10_s");
+        assert_eq!((comparison.sets[0].by_seed[&0], comparison.sets[1].by_seed[&0]), (1.0, 2.0));
+        assert_eq!((comparison.sets[0].by_seed[&1], comparison.sets[1].by_seed[&1]), (4.0, 4.0));
+        assert_eq!(comparison.trials, Some(Trials { used: 3, of: 4 }));
+        assert_eq!(results.larger_in(&[0, 1], "decay_10_s"), "0 of 2 directions");
+    }
+
+    #[test]
+    fn policies_that_share_no_trial_are_not_compared() {
+        // One has a number where the other has none, and the other way round.
+        let results = results(&[vec![[Some(1.0), None]], vec![[None, Some(2.0)]]]);
+        let comparison = results.compare_over(&[0, 1], "decay_10_s");
+        assert_eq!(
+            (comparison.sets[0].by_seed.len(), comparison.sets[1].by_seed.len(), comparison.difference),
+            (0, 0, None)
+        );
+    }
+
+    #[test]
+    fn a_trial_that_one_of_a_pair_lacks_is_left_out_for_both() {
+        // Two trials of one condition: the first is easy, and a falls in the second.
+        let mut results = results(&[vec![[Some(1.0), None]], vec![[Some(2.0), Some(8.0)]]]);
+        for set in &mut results.sets {
+            let policy = set.get_mut(&0).unwrap();
+            let second = policy.remove(1);
+            policy[0].extend(second);
+        }
+        assert_eq!(results.compare(0, "decay_10_s").sets[1].by_seed[&0], 2.0);
+        assert_eq!(results.compare(0, "fell").sets[0].by_seed[&0], 0.5);
+    }
+
+    #[test]
+    fn a_policy_keeps_its_mean_if_its_partner_has_none_at_all() {
+        let results = results(&[vec![[Some(1.0), Some(3.0)]], vec![[None, None]]]);
+        let comparison = results.compare_over(&[0, 1], "decay_10_s");
+        assert_eq!((comparison.sets[0].by_seed.get(&0), comparison.sets[1].by_seed.get(&0)), (Some(&2.0), None));
+        assert_eq!((results.ends(1).falls, results.ends(1).trials), (2, 2));
+    }
+
+    #[test]
+    fn a_third_set_is_paired_with_the_first_and_changes_nothing_of_the_others() {
+        let both = [vec![[Some(1.0), Some(3.0)]], vec![[Some(2.0), None]]];
+        let third = vec![[Some(5.0), Some(7.0)]];
+        let (two, three) = (results(&both), results(&[&both[..], &[third]].concat()));
+        let [two, three] = [two, three].map(|results| results.compare_over(&[0, 1], "decay_10_s"));
+        assert_eq!(three.sets[..2], two.sets);
+        assert_eq!((three.difference, three.trials), (two.difference, two.trials));
+        // b fell in condition 1, which is left out for a; a did not, so that c keeps both.
+        assert_eq!((three.sets[0].by_seed[&0], three.sets[2].by_seed[&0]), (1.0, 6.0));
+    }
+}

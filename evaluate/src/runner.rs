@@ -1,0 +1,203 @@
+//! Plays the trials of an experiment on all cores. What comes out does not depend on how many there are.
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Instant;
+
+use super::contestants::{Contest, Contestant, Side};
+use super::results::{PolicyResult, Results};
+use super::store::{self, Store, Stored};
+use super::trial::{self, Sample, TrialError};
+use super::{Condition, Experiment};
+use supple::config::ConfigError;
+use supple::scenario::Sensing;
+
+/// Why an experiment could not be finished.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// A trial could not be played.
+    #[error("{experiment} with {policy}: {source}")]
+    Trial {
+        /// Name of the experiment.
+        experiment: &'static str,
+        /// File of the policy.
+        policy: String,
+        /// Why.
+        source: TrialError,
+    },
+    /// The results cannot be kept.
+    #[error("cannot keep the results of {experiment}: {source}")]
+    Store {
+        /// Name of the experiment.
+        experiment: &'static str,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// A scenario file inside the program.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+}
+
+/// How to run.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// Threads that play trials.
+    pub threads: usize,
+    /// Whether to measure again what is already there.
+    pub again: bool,
+    /// What policies act on.
+    pub sensing: Sensing,
+    /// Finished measurements.
+    pub store: Store,
+}
+
+/// An experiment's results and where they come from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Measurement {
+    /// All trials.
+    pub results: Results,
+    /// Time that the trials took when they were played, now or earlier \[s\].
+    pub wall_s: f64,
+    /// Revisions of the programs that played them.
+    pub revisions: Vec<String>,
+}
+
+/// The work of an experiment that is still to be done.
+///
+/// # Errors
+/// [`RunError::Config`]
+pub fn work(experiment: &dyn Experiment, contest: &Contest, settings: &Settings) -> Result<f64, RunError> {
+    let conditions = experiment.conditions()?;
+    let of_policy = f64::from(experiment.trials()) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
+    let missing = |contestant: &&Contestant| {
+        let key = store::key(experiment, &conditions, contestant, settings.sensing);
+        settings.again || settings.store.read(experiment, &key).is_none()
+    };
+    let policies = contest.sides.iter().flat_map(|side| &side.members).filter(missing).count();
+    Ok(of_policy * policies as f64)
+}
+
+/// The experiment's results, if all of them are there already.
+///
+/// # Errors
+/// [`RunError::Config`]
+pub fn finished(
+    experiment: &dyn Experiment,
+    contest: &Contest,
+    store: &Store,
+    sensing: Sensing,
+) -> Result<Option<Measurement>, RunError> {
+    let conditions = experiment.conditions()?;
+    let key = |contestant: &Contestant| store::key(experiment, &conditions, contestant, sensing);
+    let read = |contestant: &Contestant| store.read(experiment, &key(contestant));
+    let of_side = |side: &Side| side.members.iter().map(read).collect::<Option<Vec<Stored>>>();
+    let stored = contest.sides.iter().map(of_side).collect::<Option<Vec<_>>>();
+    Ok(stored.map(|stored| Measurement::new(experiment, conditions, contest, stored)))
+}
+
+/// Measures an experiment with every policy, or takes what is there. `progress` is told the work of every trial played.
+///
+/// # Errors
+/// [`RunError`]
+pub fn measure(
+    experiment: &dyn Experiment,
+    contest: &Contest,
+    settings: &Settings,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Measurement, RunError> {
+    let conditions = experiment.conditions()?;
+    let get = |contestant: &Contestant| {
+        let key = store::key(experiment, &conditions, contestant, settings.sensing);
+        match settings.store.read(experiment, &key).filter(|_| !settings.again) {
+            Some(stored) => Ok(stored),
+            None => measure_policy(experiment, &conditions, contestant, &key, settings, progress),
+        }
+    };
+    let of_side = |side: &Side| side.members.iter().map(get).collect::<Result<Vec<Stored>, RunError>>();
+    let stored = contest.sides.iter().map(of_side).collect::<Result<Vec<_>, RunError>>()?;
+    Ok(Measurement::new(experiment, conditions, contest, stored))
+}
+
+fn measure_policy(
+    experiment: &dyn Experiment,
+    conditions: &[Condition],
+    contestant: &Contestant,
+    key: &str,
+    settings: &Settings,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<Stored, RunError> {
+    let name = experiment.info().name;
+    let start = Instant::now();
+    let samples = play_all(experiment, conditions, contestant, settings, progress).map_err(|source| {
+        RunError::Trial { experiment: name, policy: contestant.file.display().to_string(), source }
+    })?;
+    let stored = settings.store.write(experiment, key, contestant, start.elapsed().as_secs_f64(), samples);
+    stored.map_err(|source| RunError::Store { experiment: name, source })
+}
+
+impl Measurement {
+    fn new(
+        experiment: &dyn Experiment,
+        conditions: Vec<Condition>,
+        contest: &Contest,
+        stored: Vec<Vec<Stored>>,
+    ) -> Self {
+        let wall_s = stored.iter().flatten().map(|stored| stored.wall_s).sum();
+        let mut revisions: Vec<String> = stored.iter().flatten().map(|stored| stored.revision.clone()).collect();
+        revisions.sort();
+        revisions.dedup();
+        let by_seed = |of_side: Vec<Stored>| of_side.into_iter().map(|s| (s.seed, s.samples)).collect();
+        let sets = stored.into_iter().map(by_seed).collect();
+        let results = Results { names: contest.names(), conditions, quantities: experiment.info().quantities, sets };
+        Measurement { results, wall_s, revisions }
+    }
+}
+
+/// All trials of one policy, shape (conditions, trials).
+fn play_all(
+    experiment: &dyn Experiment,
+    conditions: &[Condition],
+    contestant: &Contestant,
+    settings: &Settings,
+    progress: &(dyn Fn(f64) + Sync),
+) -> Result<PolicyResult, TrialError> {
+    let trials = experiment.trials() as usize;
+    let count = conditions.len() * trials;
+    let next = AtomicUsize::new(0);
+    let failure: Mutex<Option<(usize, TrialError)>> = Mutex::new(None);
+    let work = || {
+        let mut played: Vec<(usize, Sample)> = Vec::new();
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            if index >= count {
+                return played;
+            }
+            let (condition, trial) = (index / trials, index % trials);
+            let number = experiment.info().number;
+            let seed = trial::trial_seed(contestant.seed, number, condition, trial as u32);
+            match trial::play(experiment, &conditions[condition], seed, &contestant.agent, settings.sensing) {
+                Ok(sample) => played.push((index, sample)),
+                Err(error) => {
+                    // The others stop at their next trial; of several failures the first trial's is told.
+                    next.store(count, Ordering::Relaxed);
+                    let mut failure = failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+                    if failure.as_ref().is_none_or(|(first, _)| index < *first) {
+                        *failure = Some((index, error));
+                    }
+                    return played;
+                }
+            }
+            progress(conditions[condition].scenario.cost());
+        }
+    };
+    let mut played: Vec<(usize, Sample)> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..settings.threads.clamp(1, count.max(1))).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
+    });
+    if let Some((_, error)) = failure.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
+        return Err(error);
+    }
+    played.sort_by_key(|(index, _)| *index);
+    let mut samples = played.into_iter().map(|(_, sample)| sample);
+    Ok(conditions.iter().map(|_| samples.by_ref().take(trials).collect()).collect())
+}

@@ -1,0 +1,223 @@
+/*! E12: every experiment with the robot acting on its sensors, each number beside the one with the true state.
+
+An experiment's own tables are made once more, with the trials that acted on estimates as the first set and those that
+acted on the true state as the second, for each set of policies. Trials are paired as everywhere: trial *k* of a seed
+differs in nothing but what the policy sees. A second table says how good the estimates were.
+*/
+
+use std::collections::BTreeMap;
+
+use super::contestants::Contest;
+use super::findings::{Row, Table};
+use super::results::{Ends, PolicyResult, Results};
+use super::runner::Measurement;
+use super::statistics::{Comparison, Numbers, PerSeed, mean};
+use super::{Experiment, FELL, Quantity};
+use supple::estimate::contact::ContactNetwork;
+use supple::scenario::estimation::Estimation;
+
+/// Names of the two sets that are compared.
+pub const NAMES: [&str; 2] = ["estimated", "true state"];
+
+/// A number of the estimates of a rollout.
+type OfEstimation = (Quantity, fn(&Estimation) -> Option<f64>);
+
+/// What is told of the estimates.
+const ERRORS: [OfEstimation; 4] = [
+    (Quantity::new("estimate_velocity_rmse_m_s", "velocity, RMSE", "m/s", 3), |e| Some(e.velocity_rmse_m_s)),
+    (Quantity::new("estimate_height_rmse_m", "height, RMSE", "m", 4), |e| Some(e.height_rmse_m)),
+    (Quantity::new("estimate_drift_m", "drift at the end", "m", 3), |e| Some(e.drift_m)),
+    (Quantity::new("contact_f1", "contacts, F1", "", 3), |e| e.contact_f1),
+];
+
+/// What acting on sensors changes, over all experiments that were run with it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SensingFindings {
+    /// Names of the sets of policies.
+    policies: Vec<String>,
+    /// The quantities of the claims, and falls; estimated first.
+    pub main: Table,
+    /// All quantities, in files alone.
+    pub all: Table,
+    /// Errors of the estimates, by set of policies.
+    pub errors: Table,
+    /// What a reader has to know about the numbers.
+    pub notes: Vec<String>,
+    /// What was run.
+    pub experiments: Vec<&'static str>,
+    /// Identity of the contact network.
+    pub network: String,
+    /// Time that the trials with estimates took \[s\].
+    pub wall_s: f64,
+}
+
+impl SensingFindings {
+    /// Of no experiment yet.
+    pub fn new(contest: &Contest) -> Self {
+        let table = |name: &str, caption: &str, in_page| Table {
+            name: name.to_owned(),
+            caption: caption.to_owned(),
+            rows: Vec::new(),
+            in_page,
+        };
+        let policies = || {
+            let members = contest.sides.iter().flat_map(|side| side.members.iter().map(move |member| (side, member)));
+            members.map(|(side, member)| (format!("{}-seed{}", side.name, member.seed), member.agent.sha256.as_str()))
+        };
+        // Trials have been played with it, or there is nothing to tell.
+        let network = ContactNetwork::shipped().ok();
+        SensingFindings {
+            policies: contest.names(),
+            main: table(
+                "sensing",
+                "What acting on sensors changes: falls, and the quantities that the paper's claims are about.",
+                true,
+            ),
+            all: table("sensing-all", "What acting on sensors changes: all quantities.", false),
+            errors: table(
+                "sensing-errors",
+                "Errors of the estimates until the first fall, mean over all conditions and trials: velocity as a vector in \
+                 the base frame, height of the base, horizontal position at the end, contacts of all feet.",
+                true,
+            ),
+            notes: network.iter().filter_map(|network| network.unfamiliar(policies())).collect(),
+            experiments: Vec::new(),
+            network: network.as_ref().map_or(String::new(), ContactNetwork::checksum),
+            wall_s: 0.0,
+        }
+    }
+
+    /// Adds an experiment that was run both ways.
+    pub fn add(&mut self, experiment: &dyn Experiment, truth: &Measurement, estimated: &Measurement) {
+        let info = experiment.info();
+        self.experiments.push(info.name);
+        self.wall_s += estimated.wall_s;
+        for (set, name) in self.policies.iter().enumerate() {
+            let results = Results {
+                names: NAMES.map(ToOwned::to_owned).into(),
+                conditions: truth.results.conditions.clone(),
+                quantities: truth.results.quantities,
+                sets: vec![estimated.results.sets[set].clone(), truth.results.sets[set].clone()],
+            };
+            let findings = experiment.findings(&results);
+            let of = format!("{} {}, {name}", info.id, info.name);
+            let ends = results.ends(0);
+            if ends.faults > 0 {
+                let Ends { faults, trials, .. } = ends;
+                self.notes.push(format!(
+                    "{of}: sensors or physics failed in {faults} of {trials} trials on estimates; they have no numbers."
+                ));
+            }
+            self.notes.extend(findings.notes.iter().map(|note| format!("{of}: {note}")));
+            let is_main = |quantity: Quantity| {
+                quantity == FELL || findings.claims.iter().any(|claim| claim.quantity.name == quantity.name)
+            };
+            for table in &findings.tables {
+                for row in &table.rows {
+                    let place = if row.condition.is_empty() { String::new() } else { format!(", {}", row.condition) };
+                    let condition = format!("{} {}{place}, {name}", info.id, info.name);
+                    let row = Row { condition, paper: String::new(), ..row.clone() };
+                    if table.in_page && is_main(row.quantity) {
+                        self.main.rows.push(row.clone());
+                    }
+                    // Some experiments show a part of a table in the page, and all of it in a file.
+                    if !self.all.rows.contains(&row) {
+                        self.all.rows.push(row);
+                    }
+                }
+            }
+        }
+        for (quantity, of) in ERRORS {
+            let sets = estimated.results.sets.iter().map(|set| Numbers::new(errors(set, of), set.len()));
+            let condition = format!("{} {}", info.id, info.name);
+            let comparison = Comparison::new(sets.collect());
+            self.errors.rows.push(Row { condition, quantity, paper: String::new(), comparison });
+        }
+    }
+
+    /// The tables, each with the names of its columns.
+    pub fn tables(&self) -> [(&Table, Vec<String>); 3] {
+        let ways = || NAMES.map(ToOwned::to_owned).to_vec();
+        [(&self.main, ways()), (&self.errors, self.policies.clone()), (&self.all, ways())]
+    }
+}
+
+/// Mean over all trials of each policy.
+fn errors(set: &BTreeMap<u64, PolicyResult>, of: fn(&Estimation) -> Option<f64>) -> PerSeed {
+    let of_policy = |policy: &PolicyResult| mean(policy.iter().flatten().filter_map(|s| of(s.estimation.as_ref()?)));
+    set.iter().filter_map(|(seed, policy)| Some((*seed, of_policy(policy)?))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::contestants::Side;
+    use crate::protocol::Protocol;
+    use crate::trial::{End, Sample};
+
+    fn contest() -> Contest {
+        let side = |name: &str| Side { name: name.into(), members: Vec::new() };
+        Contest { sides: vec![side("compliant"), side("baseline")], notes: Vec::new() }
+    }
+
+    /// Every trial of set s and seed k gives `value + s + k`, and an estimate that is off by a hundredth of it.
+    fn measurement(experiment: &dyn Experiment, value: f64, is_estimated: bool) -> Measurement {
+        let conditions = experiment.conditions().unwrap();
+        let sample = |value: f64| Sample {
+            end: End::Upright,
+            values: vec![Some(value); experiment.info().quantities.len()],
+            series: Vec::new(),
+            estimation: is_estimated.then_some(Estimation {
+                velocity_rmse_m_s: 0.01 * value,
+                height_rmse_m: 0.0,
+                drift_m: 0.0,
+                contact_f1: None,
+            }),
+        };
+        let policy = |value| vec![vec![sample(value); experiment.trials() as usize]; conditions.len()];
+        let set = |set: f64| BTreeMap::from([(0, policy(value + set)), (1, policy(value + set + 1.0))]);
+        let results = Results {
+            names: contest().names(),
+            quantities: experiment.info().quantities,
+            sets: vec![set(0.0), set(10.0)],
+            conditions,
+        };
+        Measurement { results, wall_s: 1.0, revisions: Vec::new() }
+    }
+
+    #[test]
+    fn each_number_stands_beside_the_one_with_the_true_state() {
+        let protocol = Protocol::quick().unwrap();
+        let mut found = SensingFindings::new(&contest());
+        found.add(&protocol.walk, &measurement(&protocol.walk, 2.0, false), &measurement(&protocol.walk, 3.0, true));
+        let row = |condition: &str| {
+            let is_row = |row: &&Row| row.condition == condition && row.quantity.name == "velocity_error_m_s";
+            found.main.rows.iter().find(is_row).unwrap_or_else(|| panic!("{:#?}", found.main.rows))
+        };
+        // Seeds 0 and 1: 3 and 4 estimated against 2 and 3 true; ten more of the second set.
+        for (set, more) in [("compliant", 0.0), ("baseline", 10.0)] {
+            let comparison = &row(&format!("E0 walk, forward 0.5, {set}")).comparison;
+            assert_eq!(comparison.sets[0].spread.unwrap().mean, 3.5 + more);
+            assert_eq!(comparison.sets[1].spread.unwrap().mean, 2.5 + more);
+            assert_eq!(comparison.difference.unwrap().value, 1.0);
+        }
+        let velocity = &found.errors.rows[0].comparison;
+        assert!((velocity.sets[0].spread.unwrap().mean - 0.035).abs() < 1e-12);
+        assert!((velocity.sets[1].spread.unwrap().mean - 0.135).abs() < 1e-12);
+        assert_eq!(found.errors.rows[3].comparison.sets[0].spread, None, "no contacts, no score");
+    }
+
+    #[test]
+    fn every_experiment_has_falls_or_claims_in_the_table() {
+        let protocol = Protocol::quick().unwrap();
+        for experiment in protocol.experiments() {
+            let mut found = SensingFindings::new(&contest());
+            found.add(experiment, &measurement(experiment, 0.5, false), &measurement(experiment, 0.5, true));
+            assert!(!found.main.rows.is_empty(), "{}", experiment.info().name);
+            assert!(found.main.rows.len() <= found.all.rows.len());
+            for (index, row) in found.all.rows.iter().enumerate() {
+                assert!(!found.all.rows[..index].contains(row), "{row:?} stands there twice");
+            }
+        }
+    }
+}

@@ -1,0 +1,406 @@
+/*! Means over seeds, paired differences, and what may be said about them.
+
+A cell of a table is the mean ± standard deviation over seeds, as in the paper. Both methods saw the same trials, so a
+difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. Over few pairs a percentile bootstrap
+is too narrow, so that its percentiles are moved outwards to where they would give the interval of Student's t for numbers
+that are normally distributed (the *expanded* percentile interval of T. C. Hesterberg, What Teachers Should Know About the
+Bootstrap, The American Statistician 69, 2015). With fewer than five pairs not even that helps: there is no percentile far
+enough out, they have the same sign too often by chance, and so there is no interval and nothing is decided.
+*/
+
+use std::collections::BTreeMap;
+
+use rand::RngExt;
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+
+use supple::util::random::{Purpose, stream};
+
+/// Resamples of a bootstrap.
+const RESAMPLES: usize = 10_000;
+
+/// Chance that what is estimated lies beyond the interval, on either side.
+const TAIL: f64 = 0.025;
+
+/// Pairs from which on there is an interval: four of the same sign are one chance in eight, five one in sixteen.
+const ENOUGH_PAIRS: usize = 5;
+
+/// One number for each seed that has one.
+pub type PerSeed = BTreeMap<u64, f64>;
+
+/// Mean and standard deviation over seeds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Sample standard deviation; none with a single seed.
+    pub sd: Option<f64>,
+    /// Seeds.
+    pub seeds: usize,
+}
+
+impl Spread {
+    /// Of numbers by seed, if there are any.
+    pub fn of(values: &PerSeed) -> Option<Self> {
+        let seeds = values.len();
+        let mean = mean(values.values().copied())?;
+        let sd = (seeds > 1).then(|| {
+            let squares: f64 = values.values().map(|value| (value - mean).powi(2)).sum();
+            (squares / (seeds - 1) as f64).sqrt()
+        });
+        Some(Spread { mean, sd, seeds })
+    }
+}
+
+/// A number and its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Estimate {
+    /// From all pairs of seeds.
+    pub value: f64,
+    /// Expanded percentile bootstrap; none with fewer than five pairs, or if the number is undefined for a resample.
+    pub interval: Option<[f64; 2]>,
+    /// Pairs of seeds.
+    pub pairs: usize,
+}
+
+/// How many pairs of trials are in a comparison.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Trials {
+    /// Those in which both policies have the number.
+    pub used: usize,
+    /// All that were played.
+    pub of: usize,
+}
+
+/// One quantity of one set of policies.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Numbers {
+    /// Of the policies that have the number; empty for a number of all of them together.
+    pub by_seed: PerSeed,
+    /// Over them.
+    pub spread: Option<Spread>,
+    /// Policies of the set, with a number or without.
+    pub members: usize,
+}
+
+impl Numbers {
+    /// Of policies by seed, of so many in the set.
+    pub fn new(by_seed: PerSeed, members: usize) -> Self {
+        Numbers { spread: Spread::of(&by_seed), by_seed, members }
+    }
+
+    fn scaled(&self, factor: f64) -> Self {
+        let spread = |Spread { mean, sd, seeds }| Spread { mean: factor * mean, sd: sd.map(|sd| factor * sd), seeds };
+        Numbers {
+            by_seed: self.by_seed.iter().map(|(seed, value)| (*seed, factor * value)).collect(),
+            spread: self.spread.map(spread),
+            members: self.members,
+        }
+    }
+
+    /// Whether every policy of the set has the number.
+    fn is_whole(&self) -> bool {
+        self.spread.map_or(0, |spread| spread.seeds) == self.members
+    }
+}
+
+/// One quantity of all sets of policies, and how the first lies to the second.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Comparison {
+    /// By set.
+    pub sets: Vec<Numbers>,
+    /// First minus second, over the seeds that both have.
+    pub difference: Option<Estimate>,
+    /// First over second, minus one, over the same seeds; none unless both are positive.
+    pub relative: Option<Estimate>,
+    /// Over the same seeds; none of what is not a mean over trials.
+    pub trials: Option<Trials>,
+}
+
+impl Comparison {
+    /// Compares the first two sets seed by seed.
+    pub fn new(sets: Vec<Numbers>) -> Self {
+        let pairs: Vec<[f64; 2]> = match sets.as_slice() {
+            [a, b, ..] => a.by_seed.iter().filter_map(|(seed, a)| Some([*a, *b.by_seed.get(seed)?])).collect(),
+            _ => Vec::new(),
+        };
+        let means = |chosen: &[usize]| {
+            let of = |which: usize| mean(chosen.iter().map(|pair| pairs[*pair][which]));
+            Some([of(0)?, of(1)?])
+        };
+        let apart = |pair: &usize| pairs[*pair][0] - pairs[*pair][1];
+        let difference = estimate(pairs.len(), |chosen| mean(chosen.iter().map(apart)));
+        let relative = estimate(pairs.len(), |chosen| {
+            means(chosen).filter(|[a, b]| *a > 0.0 && *b > 0.0).map(|[a, b]| a / b - 1.0)
+        });
+        Comparison { sets, difference, relative, trials: None }
+    }
+
+    /// The two sets that are compared.
+    pub fn pair(&self) -> &[Numbers] {
+        &self.sets[..self.sets.len().min(2)]
+    }
+
+    /// Says how many trials the numbers are means of.
+    pub fn with_trials(mut self, trials: Trials) -> Self {
+        self.trials = (trials.of > 0).then_some(trials);
+        self
+    }
+
+    /// The same in another unit; the relative change stays.
+    pub fn scaled(&self, factor: f64) -> Self {
+        Comparison {
+            sets: self.sets.iter().map(|set| set.scaled(factor)).collect(),
+            difference: self.difference.map(|Estimate { value, interval, pairs }| Estimate {
+                value: factor * value,
+                interval: interval.map(|ends| ends.map(|end| factor * end)),
+                pairs,
+            }),
+            ..*self
+        }
+    }
+}
+
+/// A statistic of pairs and its bootstrap interval. `statistic` is given indices of pairs, with repetitions.
+pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<Estimate> {
+    let all: Vec<usize> = (0..pairs).collect();
+    let value = statistic(&all)?;
+    let tail = tail(pairs).filter(|_| pairs >= ENOUGH_PAIRS);
+    let interval = tail.and_then(|tail| interval(pairs, tail, statistic));
+    Some(Estimate { value, interval, pairs })
+}
+
+/// Fraction of resamples on either side of the interval of a mean over `pairs`: Φ(−t √(n / (n − 1))) with the quantile t of
+/// Student's distribution of n − 1 degrees of freedom. None for a single pair.
+fn tail(pairs: usize) -> Option<f64> {
+    let freedom = pairs as f64 - 1.0;
+    let t = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - TAIL);
+    Some(Normal::standard().cdf(-t * (pairs as f64 / freedom).sqrt()))
+}
+
+/// Interval of a statistic over resampled pairs, with a fraction `tail` of the resamples on either side of it.
+fn interval(pairs: usize, tail: f64, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<[f64; 2]> {
+    // The same resamples for every quantity: intervals then differ only because the numbers do.
+    let mut rng = stream(0, Purpose::Bootstrap, pairs as u64, 0);
+    let mut chosen = vec![0; pairs];
+    let mut resample = || {
+        chosen.iter_mut().for_each(|pair| *pair = rng.random_range(0..pairs));
+        statistic(&chosen)
+    };
+    let mut found = (0..RESAMPLES).map(|_| resample()).collect::<Option<Vec<f64>>>()?;
+    found.sort_by(f64::total_cmp);
+    let rank = (tail * (RESAMPLES - 1) as f64).round() as usize;
+    Some([found[rank], found[RESAMPLES - 1 - rank]])
+}
+
+/// Mean, if there is anything to average.
+pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+    (count > 0).then(|| sum / f64::from(count))
+}
+
+/// Which way the paper says the first set's number lies from the second's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Expected {
+    /// Above.
+    Higher,
+    /// Below.
+    Lower,
+}
+
+/// What the numbers say about a claim.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The interval lies on the paper's side of zero.
+    AsThePaper,
+    /// The interval includes zero.
+    NoEffect,
+    /// No pair of seeds differs at all, as where everybody succeeds.
+    Alike,
+    /// The interval lies on the other side of zero.
+    Opposite,
+    /// There are fewer than five pairs of seeds.
+    TooFew,
+    /// No seed has a number in both sets, though both sets have numbers.
+    Unpaired,
+    /// A number is missing on one side or both.
+    Undefined,
+    /// A bound that both sets keep.
+    Holds,
+    /// A bound that a set breaks.
+    Fails,
+}
+
+impl Verdict {
+    /// Of a comparison's difference.
+    pub fn of(comparison: &Comparison, expected: Expected) -> Self {
+        let Some(estimate) = comparison.difference else {
+            let both = comparison.pair().iter().all(|set| set.spread.is_some());
+            return if both { Verdict::Unpaired } else { Verdict::Undefined };
+        };
+        let Some([low, high]) = estimate.interval else { return Verdict::TooFew };
+        match expected {
+            Expected::Higher if low > 0.0 => Verdict::AsThePaper,
+            Expected::Lower if high < 0.0 => Verdict::AsThePaper,
+            Expected::Higher if high < 0.0 => Verdict::Opposite,
+            Expected::Lower if low > 0.0 => Verdict::Opposite,
+            _ if low == 0.0 && high == 0.0 => Verdict::Alike,
+            _ => Verdict::NoEffect,
+        }
+    }
+
+    /// Of a bound that the means of the first two sets have to keep. A policy without the number, most often because it fell,
+    /// does not keep it.
+    pub fn below(bound: f64, comparison: &Comparison) -> Self {
+        let is_whole = comparison.trials.is_none_or(|trials| trials.used == trials.of);
+        let keeps = |set: &Numbers| set.is_whole() && set.spread.is_some_and(|spread| spread.mean < bound);
+        match comparison.pair() {
+            pair if pair.iter().all(|set| set.spread.is_none()) => Verdict::Undefined,
+            pair if is_whole && pair.iter().all(keeps) => Verdict::Holds,
+            _ => Verdict::Fails,
+        }
+    }
+
+    /// In words.
+    pub fn text(self) -> &'static str {
+        match self {
+            Verdict::AsThePaper => "effect in the paper's direction",
+            Verdict::NoEffect => "no effect shown: the 95 % interval includes zero",
+            Verdict::Alike => "alike in every pair of seeds",
+            Verdict::Opposite => "opposite effect",
+            Verdict::TooFew => "too few pairs of seeds to tell",
+            Verdict::Unpaired => "no seed has the number in both sets",
+            Verdict::Undefined => "not defined for one of the sets",
+            Verdict::Holds => "holds for both",
+            Verdict::Fails => "does not hold for both",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn per_seed(values: &[f64]) -> PerSeed {
+        values.iter().enumerate().map(|(seed, value)| (seed as u64, *value)).collect()
+    }
+
+    /// Two sets, all of whose policies have a number.
+    fn of(a: PerSeed, b: PerSeed) -> Comparison {
+        Comparison::new([a, b].map(|set| Numbers::new(set.clone(), set.len())).into())
+    }
+
+    /// Two sets without missing numbers.
+    fn comparison(a: &[f64], b: &[f64]) -> Comparison {
+        of(per_seed(a), per_seed(b))
+    }
+
+    #[test]
+    fn mean_and_sample_standard_deviation() {
+        // mean 4; squares (2² + 0 + 2²) / (3 − 1) = 4
+        let spread = Spread::of(&per_seed(&[2.0, 4.0, 6.0])).unwrap();
+        assert_eq!((spread.mean, spread.sd, spread.seeds), (4.0, Some(2.0), 3));
+        assert_eq!(Spread::of(&per_seed(&[3.0])).unwrap().sd, None);
+        assert_eq!(Spread::of(&PerSeed::new()), None);
+    }
+
+    #[test]
+    fn a_constant_shift_has_an_interval_of_no_width() {
+        let comparison = comparison(&[1.5, 2.5, 3.5, 4.5, 5.5], &[1.0, 2.0, 3.0, 4.0, 5.0]);
+        let difference = comparison.difference.unwrap();
+        assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsThePaper);
+        assert_eq!(Verdict::of(&comparison, Expected::Lower), Verdict::Opposite);
+        // 17.5 / 15 − 1
+        assert!((comparison.relative.unwrap().value - 1.0 / 6.0).abs() < 1e-12);
+        let percent = comparison.scaled(100.0);
+        assert_eq!((percent.sets[0].by_seed[&0], percent.sets[1].spread.unwrap().mean), (150.0, 300.0));
+        assert_eq!((percent.difference.unwrap().interval, percent.relative), (Some([50.0, 50.0]), comparison.relative));
+    }
+
+    #[test]
+    fn where_everybody_succeeds_nothing_is_said_to_be_missing() {
+        assert_eq!(Verdict::of(&comparison(&[1.0; 5], &[1.0; 5]), Expected::Higher), Verdict::Alike);
+        let (a, b) = ([1.0, 0.9, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.9, 1.0]);
+        assert_eq!(Verdict::of(&comparison(&a, &b), Expected::Higher), Verdict::NoEffect);
+    }
+
+    #[test]
+    fn four_pairs_have_no_interval_and_decide_nothing_and_five_do() {
+        let comparison = comparison(&[2.0, 4.0, 3.0, 3.0], &[1.0; 4]);
+        assert_eq!(comparison.difference.unwrap(), Estimate { value: 2.0, interval: None, pairs: 4 });
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
+        let comparison = self::comparison(&[2.0, 4.0, 3.0, 3.0, 3.0], &[1.0; 5]);
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsThePaper);
+    }
+
+    #[test]
+    fn percentiles_of_few_pairs_are_moved_outwards_as_students_t_is() {
+        // t = 2.776 with 4 degrees of freedom, times √(5/4): Φ(−3.104) = 9.5e-4. Of many pairs they are 2.5 %.
+        assert!((tail(5).unwrap() - 9.5e-4).abs() < 1e-5, "{:?}", tail(5));
+        assert!((tail(10_000).unwrap() - 0.025).abs() < 1e-4);
+    }
+
+    /// Fraction of 200 draws of five pairs without any effect whose interval does not include zero.
+    fn false_alarms(tail: f64) -> f64 {
+        let mut rng = stream(0, Purpose::Bootstrap, 1, 0);
+        let mut alarm = || {
+            let drawn: [f64; 5] = std::array::from_fn(|_| rng.sample(rand_distr::StandardNormal));
+            let [low, high] = interval(5, tail, |chosen| mean(chosen.iter().map(|pair| drawn[*pair]))).unwrap();
+            low > 0.0 || high < 0.0
+        };
+        (0..200).filter(|_| alarm()).count() as f64 / 200.0
+    }
+
+    #[test]
+    fn five_pairs_without_an_effect_rarely_have_one_and_would_more_often_with_plain_percentiles() {
+        // One in thirteen, of which one in sixteen by the signs alone; and one in seven.
+        let (expanded, plain) = (false_alarms(tail(5).unwrap()), false_alarms(TAIL));
+        assert!(expanded < 0.1 && plain > 0.1, "{expanded} {plain}");
+    }
+
+    #[test]
+    fn only_common_seeds_are_paired_and_one_pair_has_no_interval() {
+        let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
+        let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
+        let comparison = of(a, b);
+        assert_eq!(comparison.difference, Some(Estimate { value: 3.0, interval: None, pairs: 1 }));
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
+        let none = of(per_seed(&[1.0]), PerSeed::new());
+        assert_eq!(Verdict::of(&none, Expected::Higher), Verdict::Undefined);
+        let apart = of([(0, 1.0)].into(), [(1, 2.0)].into());
+        assert_eq!(Verdict::of(&apart, Expected::Higher), Verdict::Unpaired);
+    }
+
+    #[test]
+    fn a_third_set_has_numbers_and_changes_nothing_of_the_first_two() {
+        let two = comparison(&[2.0, 4.0], &[1.0, 2.0]);
+        let sets = [two.sets.clone(), vec![Numbers::new(per_seed(&[9.0, 8.0]), 2)]].concat();
+        let three = Comparison::new(sets);
+        assert_eq!((three.difference, three.relative), (two.difference, two.relative));
+        assert_eq!(three.sets[2].spread.unwrap().mean, 8.5);
+        assert_eq!(Verdict::below(5.0, &three), Verdict::Holds);
+    }
+
+    #[test]
+    fn a_bound_is_kept_by_all_policies_in_all_trials_or_not_at_all() {
+        let kept = comparison(&[0.02, 0.04], &[0.03, 0.04]);
+        assert_eq!(Verdict::below(0.05, &kept), Verdict::Holds);
+        assert_eq!(Verdict::below(0.035, &kept), Verdict::Fails);
+        assert_eq!(Verdict::below(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
+        let one_fell =
+            Comparison::new(vec![Numbers::new(per_seed(&[0.02]), 2), Numbers::new(per_seed(&[0.02, 0.03]), 2)]);
+        assert_eq!(Verdict::below(0.05, &one_fell), Verdict::Fails);
+        assert_eq!(Verdict::below(0.05, &of(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
+    }
+
+    #[test]
+    fn a_ratio_that_some_resamples_leave_undefined_has_no_interval() {
+        let comparison = comparison(&[1.0, 2.0, 3.0, 3.0, 3.0], &[-1.0, 2.0, 2.0, 3.0, 3.0]);
+        let relative = comparison.relative.unwrap();
+        // 12 / 9 − 1
+        assert!((relative.value - 1.0 / 3.0).abs() < 1e-12 && relative.interval.is_none(), "{relative:?}");
+    }
+}

@@ -1,0 +1,127 @@
+/*! Finished measurements on disk, so that none is made twice.
+
+A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
+policy, its seed, what it acts on, the robot, the experiment's parameters and scenarios, and the sources of this program
+(but for those that only show what was measured). A new policy or a changed protocol therefore measures only what is
+new, and a report never mixes what different programs measured.
+*/
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::contestants::Contestant;
+use super::results::PolicyResult;
+use super::{Condition, Experiment};
+use supple::estimate::{EstimatorConfig, SensorNoise, contact};
+use supple::robot::Robot;
+use supple::scenario::Sensing;
+use supple::util::files;
+use supple::util::provenance::{GIT_REVISION, MEASURES};
+
+/// Larger files are not ours.
+const MAX_BYTES: u64 = 1 << 30;
+
+/// A finished measurement.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Stored {
+    /// Full hash of what decides the content.
+    pub key: String,
+    /// Name of the experiment.
+    pub experiment: String,
+    /// Policy.
+    pub sha256: String,
+    /// Its seed.
+    pub seed: u64,
+    /// Revision of the program that measured.
+    pub revision: String,
+    /// How long it took \[s\].
+    pub wall_s: f64,
+    /// Hash of the samples.
+    pub checksum: String,
+    /// Shape (conditions, trials).
+    pub samples: PolicyResult,
+}
+
+/// The folder of finished measurements.
+#[derive(Debug, Clone)]
+pub struct Store {
+    folder: PathBuf,
+}
+
+impl Store {
+    /// Results below `out`.
+    pub fn new(out: &Path) -> Self {
+        Store { folder: out.join("results") }
+    }
+
+    /// Where a measurement is or will be.
+    fn path(&self, experiment: &dyn Experiment, key: &str) -> PathBuf {
+        self.folder.join(experiment.info().name).join(format!("{}.json", &key[..16]))
+    }
+
+    /// A finished measurement, if it is there and whole.
+    pub fn read(&self, experiment: &dyn Experiment, key: &str) -> Option<Stored> {
+        let bytes = files::read_bounded(&self.path(experiment, key), MAX_BYTES).ok()?;
+        let stored: Stored = serde_json::from_slice(&bytes).ok()?;
+        (stored.key == key && stored.checksum == checksum(&stored.samples)).then_some(stored)
+    }
+
+    /// Keeps a finished measurement.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn write(
+        &self,
+        experiment: &dyn Experiment,
+        key: &str,
+        contestant: &Contestant,
+        wall_s: f64,
+        samples: PolicyResult,
+    ) -> std::io::Result<Stored> {
+        let stored = Stored {
+            key: key.to_owned(),
+            experiment: experiment.info().name.to_owned(),
+            sha256: contestant.agent.sha256.clone(),
+            seed: contestant.seed,
+            revision: GIT_REVISION.to_owned(),
+            wall_s,
+            checksum: checksum(&samples),
+            samples,
+        };
+        let path = self.path(experiment, key);
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        files::write_atomically(&path, &serde_json::to_vec(&stored)?)?;
+        Ok(stored)
+    }
+}
+
+fn checksum(samples: &PolicyResult) -> String {
+    // Plain structs of numbers: serialising them cannot fail.
+    files::sha256(&[&serde_json::to_vec(samples).unwrap_or_default()])
+}
+
+/// Hash of everything that decides what an experiment measures with a policy.
+pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant, sensing: Sensing) -> String {
+    let mut parts = serde_json::json!({
+        "program": MEASURES,
+        // One that cannot be read fails in its first trial, with the reason.
+        "robot": Robot::load(&contestant.agent.config.robot.model).map(|robot| robot.sha256()).unwrap_or_default(),
+        "experiment": experiment.info().name,
+        "parameters": experiment.parameters(),
+        "trials": experiment.trials(),
+        "conditions": conditions,
+        "policy": contestant.agent.sha256,
+        "seed": contestant.seed,
+    });
+    if sensing == Sensing::Estimated {
+        parts["sensing"] = serde_json::json!({
+            "network": contact::shipped_sha256(),
+            "noise": SensorNoise::default(),
+            "estimator": EstimatorConfig::default(),
+        });
+    }
+    files::sha256(&[parts.to_string().as_bytes()])
+}

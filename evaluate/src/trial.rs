@@ -1,0 +1,190 @@
+//! One trial: a scenario, its seed, a policy, and the numbers that come out.
+
+use std::cell::OnceCell;
+
+use rand::RngExt;
+use serde::{Deserialize, Serialize};
+
+use super::{Condition, Experiment, Measured};
+use supple::mujoco;
+use supple::policy::Agent;
+use supple::scenario::catalog::{Scenario, ScriptError};
+use supple::scenario::estimation::Estimation;
+use supple::scenario::metrics::{self, Metric, PHASE_S};
+use supple::scenario::trace::{EventKind, Trace};
+use supple::scenario::{Rollout, Script, Sensing, SensingError};
+use supple::util::random::{Purpose, stream};
+
+/// Why a trial could not be played.
+#[derive(Debug, thiserror::Error)]
+pub enum TrialError {
+    /// A parameter of the protocol, or the robot.
+    #[error("a scenario of the protocol cannot be played: {0}")]
+    Script(#[from] ScriptError),
+    /// The scene does not compile.
+    #[error(transparent)]
+    Mujoco(#[from] mujoco::Error),
+    /// The robot cannot act on its sensors.
+    #[error(transparent)]
+    Sensing(#[from] SensingError),
+}
+
+/// How a trial ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum End {
+    /// Time was up.
+    Upright,
+    /// The robot fell.
+    Fell,
+    /// The physics or the sensors failed; counted apart, and as no success.
+    Fault,
+}
+
+impl End {
+    /// Of a trace.
+    pub fn of(trace: &Trace) -> Self {
+        let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
+        match (happened(EventKind::Fall), happened(EventKind::Fault)) {
+            (true, _) => End::Fell,
+            (false, true) => End::Fault,
+            (false, false) => End::Upright,
+        }
+    }
+
+    /// 1 for a fall, 0 for none; a failure is neither.
+    pub fn fell(self) -> Option<f64> {
+        match self {
+            End::Fell => Some(1.0),
+            End::Upright => Some(0.0),
+            End::Fault => None,
+        }
+    }
+}
+
+/// What is kept of a trial.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Sample {
+    /// How it ended.
+    pub end: End,
+    /// The experiment's quantities in their order; none where the trial does not define one.
+    pub values: Vec<Option<f64>>,
+    /// What the experiment's figures draw; its own order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub series: Vec<Vec<f32>>,
+    /// Errors of the estimates, if the policy acted on them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub estimation: Option<Estimation>,
+}
+
+/// A trial that was played, for an experiment to read.
+#[derive(Debug)]
+pub struct Trial<'a> {
+    /// What was played.
+    pub scenario: &'a Scenario,
+    /// Its script.
+    pub script: &'a Script,
+    /// What happened.
+    pub trace: &'a Trace,
+    /// How it ended.
+    pub end: End,
+    metrics: OnceCell<Vec<Metric>>,
+}
+
+impl<'a> Trial<'a> {
+    /// Of a scenario, its script for a seed and what a policy made of it.
+    pub fn new(scenario: &'a Scenario, script: &'a Script, trace: &'a Trace) -> Self {
+        Trial { scenario, script, trace, end: End::of(trace), metrics: OnceCell::new() }
+    }
+
+    /// Whether the robot stayed on its feet until time was up.
+    pub fn is_upright(&self) -> bool {
+        self.end == End::Upright
+    }
+
+    /// A number that the scenario is about, by name.
+    pub fn metric(&self, name: &str) -> Option<f64> {
+        let metrics = self.metrics.get_or_init(|| self.scenario.metrics(self.script, self.trace));
+        metrics.iter().find(|metric| metric.name == name)?.value
+    }
+
+    /// The same; none if the robot fell.
+    pub fn upright_metric(&self, name: &str) -> Option<f64> {
+        self.is_upright().then(|| self.metric(name))?
+    }
+
+    /// Length of mean velocity minus command in the horizontal plane, from 2 s to the end; none if the robot fell
+    /// \[m/s\].
+    pub fn velocity_error(&self) -> Option<f64> {
+        let error = metrics::velocity_error(self.trace, metrics::SETTLE_S, self.script.duration_s);
+        error.filter(|_| self.is_upright())
+    }
+}
+
+/// The seed of a trial, the same for every policy of a seed: trials of two methods are paired.
+///
+/// `experiment` tells experiments apart, `condition` what is varied within one.
+pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u64 {
+    // Counter 0 is the scenarios' own.
+    let condition = u64::from(experiment) << 32 | (1 + condition as u64);
+    stream(seed, Purpose::Scenario, condition, 1 + u64::from(trial)).random()
+}
+
+/// A trial's scenario: its disturbance comes at any phase of the gait.
+pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
+    scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
+}
+
+/// Plays a trial of an experiment.
+///
+/// # Errors
+/// [`TrialError`]
+pub fn play(
+    experiment: &dyn Experiment,
+    condition: &Condition,
+    seed: u64,
+    agent: &Agent,
+    sensing: Sensing,
+) -> Result<Sample, TrialError> {
+    let scenario = vary(&condition.scenario, seed);
+    let mut script = scenario.script(seed, &agent.config)?;
+    // What a fallen robot does is nobody's result.
+    script.after_fall_s = 0.0;
+    let rollout = Rollout::new(&script, &agent.config, agent.controller())?;
+    let trace = rollout.with_sensing(sensing, seed)?.trace();
+    let trial = Trial::new(&scenario, &script, &trace);
+    let Measured { values, series } = experiment.measure(&trial);
+    Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use supple::scenario::catalog::{Leash, defaults};
+
+    #[test]
+    fn trial_seeds_differ_in_every_coordinate() {
+        let seeds = [trial_seed(0, 1, 0, 0), trial_seed(1, 1, 0, 0), trial_seed(0, 2, 0, 0), trial_seed(0, 1, 1, 0)];
+        let mut all = [seeds.as_slice(), &[trial_seed(0, 1, 0, 1)]].concat();
+        all.sort_unstable();
+        all.dedup();
+        assert_eq!(all.len(), 5);
+    }
+
+    #[test]
+    fn a_pull_begins_at_any_phase_and_lasts_as_long_as_ever() {
+        let leash: Leash = defaults("leash").unwrap();
+        let config = supple::config::Config::load("compliant").unwrap();
+        let starts: Vec<f64> = (0..50)
+            .map(|seed| {
+                let script = vary(&Scenario::Leash(leash.clone()), seed).script(seed, &config).unwrap();
+                let pull = script.pull.unwrap();
+                assert!((pull.until_s - pull.from_s - leash.for_s).abs() < 1e-9);
+                assert!(script.duration_s >= pull.until_s - 1e-9);
+                pull.from_s - leash.at_s
+            })
+            .collect();
+        assert!(starts.iter().all(|late| (0.0..PHASE_S).contains(late)));
+        assert!(starts.iter().any(|late| *late < 0.1) && starts.iter().any(|late| *late > 0.5));
+    }
+}

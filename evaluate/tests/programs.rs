@@ -1,0 +1,464 @@
+//! `evaluate` as a user runs it, on policies that stand still or fall.
+
+#[path = "../../tests/it/support.rs"]
+mod support;
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+use supple::config::Config;
+use supple::policy::Policy;
+use support::{complaint, example, run, standing_policy, zero_policy};
+
+/// As little of everything as there can be.
+const TINY: &str = "
+walk: {commands: [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]}
+push_grid: {points_per_side: 3, trials: 2}
+decay: {trials: 2}
+table4: {trials: 2}
+directions: {directions: 3, trials: 1}
+leash: {directions: 3, trials: 1}
+box: {frictions: [0.6], trials: 2}
+ball_pit: {trials: 1}
+terrain: {heights_m: [0.05], frequencies_per_m: [0.5], trials: 1}
+pulley: {commands_m_s: [0.0], directions_deg: [90.0], trials: 1}
+pendulum: {commands_m_s: [0.0], heights_m: [0.2], trials: 1}
+rubble: {heights_m: [0.03], trials: 1}
+outdoor: {steepest: [0.1], trials: 1}
+";
+
+/// Everything but what takes seconds even when nothing moves: many loose bodies.
+const CHEAP: [&str; 11] =
+    ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "terrain", "pulley", "pendulum", "outdoor"];
+
+/// Figures of all experiments.
+const FIGURES: [&str; 16] = [
+    "walk",
+    "push-grid",
+    "decay",
+    "table4",
+    "directions",
+    "directions-carried",
+    "leash",
+    "box",
+    "box-forces",
+    "ball-pit",
+    "terrain",
+    "pulley",
+    "pendulum",
+    "pendulum-velocity",
+    "rubble",
+    "outdoor",
+];
+
+/// A policy that folds its legs and lies down at once.
+fn falling_policy() -> Policy {
+    let mut config = Config::load("compliant").unwrap();
+    config.action.nominal_pose_rad = [0.0, 1.5, -2.7];
+    zero_policy(config)
+}
+
+/// A folder with the tiny protocol and policies by file name.
+fn folder_with(policies: &[(&str, Policy)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("tiny.yaml"), TINY).unwrap();
+    std::fs::create_dir(folder.path().join("policies")).unwrap();
+    for (name, policy) in policies {
+        policy.save(&folder.path().join("policies").join(name)).unwrap();
+    }
+    folder
+}
+
+fn evaluate(folder: &Path, arguments: &[&str]) -> Output {
+    run("evaluate", folder, &[&["--protocol", "tiny.yaml"], arguments].concat())
+}
+
+fn summary(folder: &Path, out: &str) -> Value {
+    serde_json::from_slice(&std::fs::read(folder.join(out).join("summary.json")).unwrap()).unwrap()
+}
+
+fn experiment<'a>(summary: &'a Value, name: &str) -> &'a Value {
+    summary["experiments"].as_array().unwrap().iter().find(|experiment| experiment["name"] == name).unwrap()
+}
+
+/// A row of an experiment's or of E12's tables.
+fn row<'a>(of: &'a Value, table: &str, condition: &str, quantity: &str) -> &'a Value {
+    let mut rows = of["tables"][table].as_array().unwrap().iter();
+    &rows.find(|row| row["condition"] == condition && row["quantity"] == quantity).unwrap()["ours"]
+}
+
+/// Every kept measurement with the time it was written.
+fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
+    let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let mut files: Vec<(PathBuf, std::time::SystemTime)> = entries(&out.join("results"))
+        .flat_map(|folder| entries(&folder).collect::<Vec<_>>())
+        .map(|file| (file.clone(), std::fs::metadata(&file).unwrap().modified().unwrap()))
+        .collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn two_evaluations_give_the_same_summary_and_a_third_runs_nothing_again() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("compliant-seed1.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", standing_policy()),
+        ("baseline-seed1.safetensors", falling_policy()),
+    ]);
+    let folder = folder.path();
+    for (out, threads) in [("one", "1"), ("two", "2")] {
+        let output = evaluate(folder, &[&CHEAP[..], &["--out", out, "--threads", threads]].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+    }
+    let bytes = |out: &str| std::fs::read(folder.join(out).join("summary.json")).unwrap();
+    assert!(bytes("one") == bytes("two"), "the summaries differ");
+
+    let summary = summary(folder, "one");
+    assert_eq!(summary["not_run"], serde_json::json!(["ball-pit", "rubble"]));
+    // Seed 0 is the same policy twice: paired trials differ in nothing.
+    let decay = &row(experiment(&summary, "decay"), "decay", "0.5 m/s to the left", "decay_10_s")["sets"];
+    assert!(decay["compliant"]["by_seed"]["0"].is_number());
+    assert_eq!(decay["compliant"]["by_seed"]["0"], decay["baseline"]["by_seed"]["0"]);
+    assert_eq!(decay["baseline"]["by_seed"]["1"], Value::Null, "a fall has no decay time");
+    assert_eq!(experiment(&summary, "decay")["trials"]["baseline"]["falls"], 2);
+
+    // Finished measurements stay, also when others are added; `--again` makes them anew.
+    let out = folder.join("one");
+    let before = kept(&out);
+    // Seed 0 of both sets is one and the same policy: it is measured once.
+    assert_eq!(before.len(), CHEAP.len() * 3);
+    let first = bytes("one");
+    let output = evaluate(folder, &[&CHEAP[..], &["--out", "one"]].concat());
+    assert!(output.status.success() && kept(&out) == before && bytes("one") == first);
+    let output = evaluate(folder, &["walk", "--out", "one", "--again"]);
+    assert!(output.status.success() && bytes("one") == first);
+    assert_eq!(kept(&out).iter().zip(&before).filter(|(a, b)| a != b).count(), 3);
+
+    // A measurement that was cut off is made again.
+    let (damaged, _) = &before[0];
+    let whole = std::fs::read(damaged).unwrap();
+    std::fs::write(damaged, &whole[..whole.len() / 2]).unwrap();
+    let output = evaluate(folder, &[&CHEAP[..], &["--out", "one"]].concat());
+    assert!(output.status.success() && bytes("one") == first);
+}
+
+#[test]
+fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browsers_open() {
+    let folder = folder_with(&[("standing.safetensors", standing_policy()), ("falling.safetensors", falling_policy())]);
+    let folder = folder.path();
+    let sets = ["--a", "policies/standing.safetensors", "--b", "policies/falling.safetensors"];
+    let rest = ["--names", "standing,falling", "--out", "report", "--results", "results.md"];
+    let output = evaluate(folder, &[&sets[..], &rest].concat());
+    assert!(output.status.success(), "{}", complaint(&output));
+
+    let summary = summary(folder, "report");
+    let notes = |name: &str| experiment(&summary, name)["notes"].to_string();
+    let of_all = summary["notes"].to_string();
+    assert!(of_all.contains("standing, seed 0, does not walk at its command: its velocity error is 0.50 m/s"));
+    assert!(of_all.contains("falling, seed 0, falls without any disturbance"), "{of_all}");
+    assert!(notes("box").contains("falling fell in every trial"));
+    let quantity = |name: &str, quantity: &str, set: &str| {
+        let condition = if name == "box" { "friction 0.6" } else { "" };
+        row(experiment(&summary, name), name, condition, quantity)["sets"][set]["mean"].clone()
+    };
+    assert_eq!(quantity("ball-pit", "stuck", "standing"), 100.0);
+    assert_eq!(quantity("ball-pit", "fell", "falling"), 100.0);
+    assert_eq!(quantity("ball-pit", "peak_foot_force_n", "falling"), Value::Null);
+    assert_eq!(quantity("box", "box_displacement_m", "falling"), Value::Null);
+    assert_eq!(
+        quantity("box", "box_displacement_m", "standing"),
+        Value::Null,
+        "who never meets a box does not spare it"
+    );
+    let claims = experiment(&summary, "decay")["claims"].to_string();
+    assert!(claims.contains("\"verdict\":\"undefined\""), "{claims}");
+
+    let report = folder.join("report");
+    let drawn: BTreeSet<String> = std::fs::read_dir(report.join("figures"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path().file_stem().unwrap().to_string_lossy().into_owned())
+        .collect();
+    assert_eq!(drawn, FIGURES.map(ToOwned::to_owned).into());
+    for figure in FIGURES {
+        let svg = std::fs::read_to_string(report.join(format!("figures/{figure}.svg"))).unwrap();
+        assert!(svg.starts_with("<svg") && !svg.contains("NaN"), "{figure}");
+        let png = std::fs::read(report.join(format!("figures/{figure}.png"))).unwrap();
+        assert!(png.starts_with(b"\x89PNG") && png.len() > 5000, "{figure}");
+    }
+    for table in ["claims", "walk", "push-grid-points", "table4", "leash-all", "terrain"] {
+        assert!(
+            report.join(format!("tables/{table}.csv")).exists() && report.join(format!("tables/{table}.md")).exists()
+        );
+    }
+    // The lines of figures are there as points.
+    let points = std::fs::read_to_string(report.join("tables/decay-curves.csv")).unwrap();
+    let [head, first] = points.lines().take(2).collect::<Vec<_>>()[..] else { panic!("{points}") };
+    assert_eq!(head, "line,time_s,mean_m_s,least_m_s,largest_m_s");
+    assert!(first.starts_with("\"0.5 m/s to the left: standing, seed 0, 2 runs\",-0.98"), "{first}");
+    let paths = experiment(&summary, "box")["lines"][0]["lines"].as_array().unwrap();
+    assert!(paths[0]["label"] == "standing, seed 0, trial 0" && paths[0]["rows"].as_array().unwrap().len() > 100);
+    let page = std::fs::read_to_string(report.join("report.html")).unwrap();
+    let sha256 = summary["policies"][0]["sha256"].as_str().unwrap();
+    for words in [sha256, "Definitions", "Time for all trials", "Measured by revision", "<dd>6 × 1 × 2</dd>"] {
+        assert!(page.contains(words), "{words}");
+    }
+    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    assert!(document.contains("measured by revision"), "{document}");
+    assert!(document.contains("--results results.md") && document.contains("| E1 Fig. 2 |"), "{document}");
+    for figure in ["decay", "push-grid"] {
+        assert!(document.contains(&format!("](images/{figure}.png)")), "{document}");
+        let drawn = report.join(format!("figures/{figure}.png"));
+        assert_eq!(std::fs::read(folder.join(format!("images/{figure}.png"))).unwrap(), std::fs::read(drawn).unwrap());
+    }
+    check_page(&report.join("report.html"));
+}
+
+/// Opens the page in headless Chromium: every figure is laid out with nothing cut off, nothing is fetched, the console is
+/// silent.
+fn check_page(page: &Path) {
+    let text = std::fs::read_to_string(page).unwrap();
+    assert!(
+        !text.replace("http://www.w3.org/2000/svg", "").contains("http"),
+        "the page refers to something outside it"
+    );
+    let frame = page.with_file_name("frame.html");
+    std::fs::write(&frame, include_str!("frame.html").replace("PAGE", &format!("file://{}", page.display()))).unwrap();
+    let Some((dom, console)) = browse(&frame) else {
+        eprintln!("SKIPPED: the page was not opened, for there is no /usr/bin/chromium (Debian package chromium)");
+        return;
+    };
+    assert!(!console.contains("CONSOLE"), "{console}");
+    let found = dom.split_once("<pre id=\"found\">").unwrap().1.split_once("</pre>").unwrap().0;
+    let found: Value = serde_json::from_str(found).unwrap_or_else(|_| panic!("{found}"));
+    let figures = found["figures"].as_array().unwrap();
+    let names: Vec<&str> = figures.iter().map(|figure| figure["name"].as_str().unwrap()).collect();
+    assert_eq!(BTreeSet::from_iter(names), BTreeSet::from(FIGURES));
+    for figure in figures {
+        assert_eq!(figure["cut"], serde_json::json!([]), "text outside of the drawing: {figure}");
+        let [width, height, right] = ["width", "height", "right"].map(|key| figure[key].as_f64().unwrap());
+        assert!(width > 300.0 && height > 100.0 && right <= found["width"].as_f64().unwrap() + 1.0, "{figure}");
+    }
+    // The same with something that complains: the check would see it.
+    let broken = page.with_file_name("broken.html");
+    std::fs::write(&broken, text.replace("</body>", "<script>nowhere();</script></body>")).unwrap();
+    let (_, console) = browse(&broken).unwrap();
+    assert!(console.contains("nowhere is not defined"), "{console}");
+}
+
+/// The document as Chromium understands it, and its log; none if there is no Chromium.
+fn browse(page: &Path) -> Option<(String, String)> {
+    let chromium = Path::new("/usr/bin/chromium");
+    if !chromium.exists() {
+        return None;
+    }
+    let profile = tempfile::tempdir().unwrap();
+    let output = Command::new(chromium)
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
+        .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
+        .args([
+            "--allow-file-access-from-files",
+            "--enable-logging=stderr",
+            "--virtual-time-budget=10000",
+            "--dump-dom",
+        ])
+        .arg(format!("--user-data-dir={}", profile.path().display()))
+        .arg(format!("file://{}", page.display()))
+        .output()
+        .unwrap();
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    Some((text(&output.stdout), text(&output.stderr)))
+}
+
+#[test]
+fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", falling_policy()),
+    ]);
+    let folder = folder.path();
+    let output = evaluate(folder, &["walk", "leash", "--out", "report"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let plain = summary(folder, "report");
+    assert_eq!(plain.get("sensing"), None);
+    assert!(!folder.join("report/tables/sensing.csv").exists());
+
+    let output = evaluate(folder, &["walk", "--sensing", "estimated", "--out", "report", "--results", "results.md"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let both = summary(folder, "report");
+    assert_eq!(both["experiments"], plain["experiments"]);
+    let sensing = &both["sensing"];
+    assert_eq!(sensing["experiments"], serde_json::json!(["walk"]));
+    let power = row(sensing, "sensing-all", "E0 walk, standing, compliant", "power_w");
+    let [estimated, truth] = ["estimated", "true state"].map(|way| power["sets"][way]["mean"].as_f64().unwrap());
+    assert_eq!(estimated, truth, "what a policy sees that heeds nothing changes nothing");
+    let plain_power = row(experiment(&plain, "walk"), "walk-commands", "standing", "power_w");
+    assert_eq!(truth, plain_power["sets"]["compliant"]["mean"]);
+    let falls = row(sensing, "sensing-all", "E0 walk, standing, baseline", "fell");
+    assert_eq!(falls["sets"]["estimated"]["mean"], 100.0);
+    let velocity = row(sensing, "sensing-errors", "E0 walk", "estimate_velocity_rmse_m_s");
+    assert!(velocity["sets"]["compliant"]["mean"].as_f64().unwrap() < 0.05, "{velocity}");
+    for name in ["sensing", "sensing-all", "sensing-errors"] {
+        assert!(folder.join(format!("report/tables/{name}.csv")).exists(), "{name}");
+    }
+    let page = std::fs::read_to_string(folder.join("report/report.html")).unwrap();
+    assert!(page.contains("E12 Acting on sensors") && page.contains("<th>true state</th>"));
+    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    assert!(document.contains("## E12: acting on sensors"), "{document}");
+    assert!(!folder.join("images").exists(), "neither of the document's figures was asked for");
+
+    // It stays in the report, and nothing of it is run again.
+    let before = kept(&folder.join("report"));
+    let output = evaluate(folder, &["leash", "--out", "report"]);
+    assert!(output.status.success() && kept(&folder.join("report")) == before);
+    assert_eq!(summary(folder, "report")["sensing"], *sensing);
+}
+
+#[test]
+fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of_differences_only() {
+    let mut config = Config::load("compliant").unwrap();
+    config.episode.recovery_stage = false;
+    config.ppo.epochs = 7;
+    let baseline = zero_policy(config);
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("compliant-seed3.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", baseline),
+        ("other.safetensors", standing_policy()),
+    ]);
+    let output = evaluate(folder.path(), &["walk", "--out", "report"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    assert!(complaint(&output).contains("baseline has no policy of seed 3"), "{}", complaint(&output));
+    let summary = summary(folder.path(), "report");
+    let notes = summary["notes"].to_string();
+    assert!(notes.contains("no policy of seed 3") && notes.contains("other.safetensors was left out"), "{notes}");
+    assert!(notes.contains("not trained alike") && notes.contains("configurations differ in ppo.epochs\""), "{notes}");
+    assert!(notes.contains("compliant, seeds 0 and 3, are one policy"), "{notes}");
+    assert!(notes.contains("compliant, seed 3, was trained with seed 0"), "{notes}");
+    let power = row(experiment(&summary, "walk"), "walk", "forward 0.5", "power_w");
+    assert_eq!(power["sets"]["compliant"]["by_seed"].as_object().unwrap().len(), 2);
+    assert_eq!(power["difference"], serde_json::json!({"value": 0.0, "interval": null, "pairs": 1}));
+    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    assert!(page.contains("no policy of seed 3"));
+
+    // Another set in the same folder: what was not run with it shows nothing of the first.
+    let figure = folder.path().join("report/figures/walk.png");
+    assert!(figure.exists());
+    falling_policy().save(&folder.path().join("policies/compliant-seed0.safetensors")).unwrap();
+    let output = evaluate(folder.path(), &["table4", "--out", "report"]);
+    assert!(output.status.success() && !figure.exists(), "{}", complaint(&output));
+    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    let command = "evaluate -- walk --policies policies --protocol tiny.yaml --out report";
+    assert!(page.contains(command), "the page tells how to run what is missing");
+}
+
+#[test]
+fn a_further_set_has_its_column_and_its_colour_and_changes_nothing_of_the_two_that_are_compared() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", standing_policy()),
+    ]);
+    let folder = folder.path();
+    std::fs::create_dir(folder.join("fallen")).unwrap();
+    falling_policy().save(&folder.join("fallen/policy-seed0.safetensors")).unwrap();
+    let experiments = ["walk", "push-grid", "decay", "leash", "box"];
+    let output = evaluate(folder, &[&experiments[..], &["--out", "two"]].concat());
+    assert!(output.status.success(), "{}", complaint(&output));
+    let also = ["--also", "lying=fallen", "--also", "more=fallen/policy-seed0.safetensors", "--out", "four"];
+    let output = evaluate(folder, &[&experiments[..], &also, &["--results", "results.md"]].concat());
+    assert!(output.status.success(), "{}", complaint(&output));
+
+    let (two, four) = (summary(folder, "two"), summary(folder, "four"));
+    assert_eq!(four["sets"], serde_json::json!(["compliant", "baseline", "lying", "more"]));
+    assert_eq!(four["policies"].as_array().unwrap().len(), 4);
+    let falls = |summary: &Value| row(experiment(summary, "walk"), "walk", "forward 0.5", "fell").clone();
+    assert_eq!(falls(&four)["sets"]["lying"]["mean"], 100.0);
+    for set in ["compliant", "baseline"] {
+        assert_eq!(falls(&four)["sets"][set], falls(&two)["sets"][set]);
+    }
+    let verdicts = |summary: &Value| {
+        let claims = experiment(summary, "decay")["claims"].as_array().unwrap().iter();
+        claims.map(|claim| (claim["verdict"].clone(), claim["ours"]["difference"].clone())).collect::<Vec<_>>()
+    };
+    assert_eq!(verdicts(&four), verdicts(&two));
+    let head = std::fs::read_to_string(folder.join("four/tables/walk.csv")).unwrap();
+    assert!(head.contains(",baseline_seeds,lying_mean,lying_sd,lying_seeds,more_mean,"), "{head}");
+    for figure in ["walk", "push-grid", "leash", "box", "decay"] {
+        let svg = std::fs::read_to_string(folder.join(format!("four/figures/{figure}.svg"))).unwrap();
+        assert!(svg.contains("lying") && svg.contains("more") && !svg.contains("NaN"), "{figure}");
+    }
+    let page = std::fs::read_to_string(folder.join("four/report.html")).unwrap();
+    assert!(page.contains("compliant against baseline and lying and more") && page.contains("<th>lying</th>"));
+    let document = std::fs::read_to_string(folder.join("results.md")).unwrap();
+    assert!(
+        document.contains("falls, more") && document.contains("difference [95 % interval], compliant and baseline")
+    );
+
+    for (also, expected) in [
+        ("lying", "expected NAME=PATH"),
+        ("baseline=fallen", "--also baseline: another set has this name"),
+        ("lying=nowhere", "cannot read the policies in nowhere"),
+    ] {
+        let output = evaluate(folder, &["walk", "--also", also]);
+        assert!(output.status.code() == Some(2) && complaint(&output).contains(expected), "{}", complaint(&output));
+    }
+}
+
+#[test]
+fn evaluate_compares_an_external_policy_with_ours() {
+    let folder = tempfile::tempdir().unwrap();
+    example(folder.path(), "rsl_rl");
+    standing_policy().save(&folder.path().join("b.safetensors")).unwrap();
+    std::fs::write(folder.path().join("tiny.yaml"), "walk: {commands: [[0.0, 0.0, 0.0]]}\n").unwrap();
+    let arguments = ["walk", "--protocol", "tiny.yaml", "--a", "rsl_rl.yaml", "--b", "b.safetensors"];
+    let output = run("evaluate", folder.path(), &arguments);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let summary: Value =
+        serde_json::from_slice(&std::fs::read(folder.path().join("report/summary.json")).unwrap()).unwrap();
+    assert_eq!(summary["policies"][0]["config"], "external", "{summary}");
+    assert_eq!(summary["policies"][0]["samples"], Value::Null);
+}
+
+#[test]
+fn evaluate_refuses_what_it_cannot_compare_with_exit_code_2() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", standing_policy()),
+    ]);
+    let folder = folder.path();
+    for name in ["empty", "lone", "nan", "twice"] {
+        std::fs::create_dir(folder.join(name)).unwrap();
+    }
+    standing_policy().save(&folder.join("lone/compliant-seed0.safetensors")).unwrap();
+    let mut poisoned = standing_policy();
+    poisoned.actor.layers[0].weight[0] = f32::NAN;
+    std::fs::write(folder.join("nan/compliant-seed0.safetensors"), poisoned.to_bytes().unwrap()).unwrap();
+    standing_policy().save(&folder.join("nan/baseline-seed0.safetensors")).unwrap();
+    standing_policy().save(&folder.join("twice/a-seed1.safetensors")).unwrap();
+    standing_policy().save(&folder.join("twice/b-seed1.safetensors")).unwrap();
+    std::fs::write(folder.join("odd.yaml"), "box: {trials: 0}\n").unwrap();
+    let cases: [(&[&str], &str); 9] = [
+        (&["--policies", "nowhere"], "cannot read the policies in nowhere"),
+        (&["--policies", "empty"], "empty has no policy compliant-seedN.safetensors"),
+        (&["--policies", "lone"], "lone has no policy baseline-seedN.safetensors"),
+        (
+            &["--policies", "nan"],
+            "nan/compliant-seed0.safetensors: its tensor policy.0.weight holds numbers that are not finite",
+        ),
+        (&["--a", "twice", "--b", "lone"], "are both seed 1 of compliant"),
+        (&["--a", "empty", "--b", "lone"], "empty has no policy *.safetensors"),
+        (&["--names", "one"], "--names gives 1 names, expected two: A,B"),
+        (&["--protocol", "odd.yaml"], "protocol key box.trials is 0, expected 1 to 10000"),
+        (&["--protocol", "nowhere.yaml"], "cannot read protocol nowhere.yaml"),
+    ];
+    for (arguments, expected) in cases {
+        let output = run("evaluate", folder, &[arguments, &["--out", "x"]].concat());
+        let complaint = complaint(&output);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+        assert!(complaint.contains(expected), "{arguments:?}: {complaint}");
+        assert_eq!(complaint.lines().count(), 1, "{complaint}");
+        assert!(!folder.join("x").exists(), "{arguments:?} left a folder");
+    }
+}
