@@ -1,5 +1,6 @@
 /*!
-Forward and backward pass of one network over 32 rows of a minibatch.
+Forward and backward pass of one network over 64 rows of a minibatch, as two halves of 32: what a product needs of the
+weights is then loaded once for two.
 
 Between two layers 32 columns at a time come out of the tile unit as sums; while it is busy with the next, the vector units
 make operands of them ([`Meanwhile`]).
@@ -20,21 +21,24 @@ use crate::network::kernels::{Buffer, elu};
 use crate::ppo::fused::losses::Pass;
 
 /// Rows of a block.
-pub const ROWS: usize = 32;
+pub const ROWS: usize = 32 * HALVES;
+
+/// Products of 32 rows in a block.
+pub const HALVES: usize = 2;
 
 /// A layer's panels, locked for reading.
 pub type LayerPanels<'a, 'b, const F: usize, const B: usize> = &'a [RwLockReadGuard<'b, Panel<F, B>>];
 
-/// What the gradients of the weights need of up to 32 rows. Columns are counted in 32s.
+/// What the gradients of the weights need of up to 64 rows. Columns are counted in 32s.
 #[derive(Debug)]
 pub struct Block<const B: usize> {
     /// Input of each layer, as right operands, one for each 32 columns.
-    pub inputs: Vec<Vec<Operand<B>>>,
+    pub inputs: Vec<Vec<[Operand<B>; HALVES]>>,
     /// Gradient of the loss by each layer's output, ahead of ELU, as left operands, one for each 32 columns.
-    pub deltas: Vec<Vec<Operand<B>>>,
+    pub deltas: Vec<Vec<[Operand<B>; HALVES]>>,
     /// Sums of each layer's deltas over the rows.
     pub bias: Vec<Buffer>,
-    /// Of the last layer; shape (32, columns of the last layer).
+    /// Of the last layer; shape (64, columns of the last layer).
     outputs: Buffer,
     output_deltas: Buffer,
 }
@@ -43,9 +47,9 @@ pub struct Block<const B: usize> {
 pub struct Workspace<const F: usize, const B: usize> {
     pub unit: Unit,
     /// Left operands of the forward product: a layer's input and output.
-    forward: [Vec<Operand<F>>; 2],
+    forward: [Vec<[Operand<F>; HALVES]>; 2],
     /// Left operands of the backward product, alike.
-    backward: [Vec<Operand<B>>; 2],
+    backward: [Vec<[Operand<B>; HALVES]>; 2],
     /// Sums as they come out of the tile unit, and those before.
     sums: [Buffer; 2],
     /// Deltas before they are transposed.
@@ -57,8 +61,8 @@ impl<const F: usize, const B: usize> Workspace<F, B> {
     pub fn new(unit: Unit, widest: usize) -> Self {
         Self {
             unit,
-            forward: [(); 2].map(|()| vec![Operand::ZERO; widest]),
-            backward: [(); 2].map(|()| vec![Operand::ZERO; widest]),
+            forward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
+            backward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
             sums: [(); 2].map(|()| Buffer::zeros(SQUARE)),
             rows: Operand::ZERO,
         }
@@ -68,7 +72,7 @@ impl<const F: usize, const B: usize> Workspace<F, B> {
 impl<const B: usize> Block<B> {
     /// Room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
-        let operands = |columns: usize| vec![Operand::ZERO; columns.div_ceil(32)];
+        let operands = |columns: usize| vec![[Operand::ZERO; HALVES]; columns.div_ceil(32)];
         let outputs = ROWS * mlp.outputs().next_multiple_of(32);
         Self {
             inputs: mlp.layers.iter().map(|layer| operands(layer.inputs())).collect(),
@@ -122,33 +126,35 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
         let Workspace { unit, forward: [input, output], sums: [sums, before], .. } = workspace;
         let simd = unit.simd;
         let (mut sums, mut before) = (square(sums), square(before));
-        gather(simd, observations, size, rows, input, &mut block.inputs[0]);
+        gather(simd, (observations, size), rows, input, &mut block.inputs[0]);
         let last = layers.len() - 1;
-        for (depth, panels) in layers[..last].iter().enumerate() {
-            for (column, panel) in panels.iter().enumerate() {
-                let steps = input[..panel.forward.len()].iter().zip(&panel.forward);
-                if column == 0 {
+        for (panels, inputs) in layers[..last].iter().zip(&mut block.inputs[1..]) {
+            for product in 0..HALVES * panels.len() {
+                let (panel, half) = (&panels[product / HALVES], product % HALVES);
+                let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
+                if product == 0 {
                     unit.product(steps, sums, &mut ());
                 } else {
-                    let to = (&mut output[column - 1], &mut block.inputs[depth + 1][column - 1]);
-                    unit.product(steps, sums, &mut Activate { sums: before, bias: panels[column - 1].bias(), to });
+                    let mut work = Activate::new(product - 1, before, panels, output, inputs);
+                    unit.product(steps, sums, &mut work);
                 }
                 mem::swap(&mut sums, &mut before);
             }
-            let column = panels.len() - 1;
-            let to = (&mut output[column], &mut block.inputs[depth + 1][column]);
-            Activate { sums: before, bias: panels[column].bias(), to }.pieces(simd, 0..16);
+            Activate::new(HALVES * panels.len() - 1, before, panels, output, inputs).pieces(simd, 0..16);
             mem::swap(input, output);
         }
         let columns = 32 * layers[last].len();
         for (column, panel) in layers[last].iter().enumerate() {
-            unit.product(input[..panel.forward.len()].iter().zip(&panel.forward), sums, &mut ());
-            let bias = panel.bias();
-            for row in 0..16 {
-                for (half, values) in rows_of(sums, row).into_iter().enumerate() {
-                    let output = &mut block.outputs[(row + 16 * half) * columns + 32 * column..];
-                    store(output, simd.add_f32s(values[0], load(bias)));
-                    store(&mut output[16..], simd.add_f32s(values[1], load(&bias[16..])));
+            let bias = [load(panel.bias()), load(&panel.bias()[16..])];
+            for half in 0..HALVES {
+                let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
+                unit.product(steps, sums, &mut ());
+                for row in 0..16 {
+                    for (quarter, values) in rows_of(sums, row).into_iter().enumerate() {
+                        let output = &mut block.outputs[(32 * half + 16 * quarter + row) * columns + 32 * column..];
+                        store(output, simd.add_f32s(values[0], bias[0]));
+                        store(&mut output[16..], simd.add_f32s(values[1], bias[1]));
+                    }
                 }
             }
         }
@@ -176,26 +182,27 @@ fn store(to: &mut [f32], value: f32x16) {
 #[inline(always)]
 fn gather<const F: usize, const B: usize>(
     simd: V4,
-    observations: &[f32],
-    size: usize,
+    observations: (&[f32], usize),
     rows: &[u32],
-    left: &mut [Operand<F>],
-    right: &mut [Operand<B>],
+    left: &mut [[Operand<F>; HALVES]],
+    right: &mut [[Operand<B>; HALVES]],
 ) {
-    for (column, (left, right)) in left.iter_mut().zip(right).enumerate() {
+    for half in 0..HALVES {
         for row in 0..16 {
-            let upper = lanes(simd, observations, size, rows.get(row), 32 * column);
-            let lower = lanes(simd, observations, size, rows.get(row + 16), 32 * column);
-            put_both::<F, B>(simd, row, [upper, lower], left, right);
+            let (upper, lower) = (rows.get(32 * half + row), rows.get(32 * half + 16 + row));
+            for (column, (left, right)) in left.iter_mut().zip(right.iter_mut()).enumerate() {
+                let values = [lanes(simd, observations, upper, column), lanes(simd, observations, lower, column)];
+                put_both::<F, B>(simd, row, values, &mut left[half], &mut right[half]);
+            }
         }
     }
 }
 
-/// 32 numbers of an observation from `start` on.
+/// 32 columns of an observation.
 #[inline(always)]
-fn lanes(simd: V4, observations: &[f32], size: usize, row: Option<&u32>, start: usize) -> [f32x16; 2] {
+fn lanes(simd: V4, (observations, size): (&[f32], usize), row: Option<&u32>, column: usize) -> [f32x16; 2] {
     let observation = row.map_or(&[][..], |&row| &observations[row as usize * size..][..size]);
-    [line(simd, observation, start), line(simd, observation, start + 16)]
+    [line(simd, observation, 32 * column), line(simd, observation, 32 * column + 16)]
 }
 
 #[inline(always)]
@@ -237,7 +244,24 @@ fn rows_of(sums: &Square, row: usize) -> [[f32x16; 2]; 2] {
 struct Activate<'a, const F: usize, const B: usize> {
     sums: &'a Square,
     bias: &'a [f32],
-    to: (&'a mut Operand<F>, &'a mut Operand<B>),
+    left: &'a mut Operand<F>,
+    right: &'a mut Operand<B>,
+}
+
+impl<'a, const F: usize, const B: usize> Activate<'a, F, B> {
+    /// Of one of a layer's products.
+    #[inline(always)]
+    fn new(
+        product: usize,
+        sums: &'a Square,
+        panels: LayerPanels<'a, '_, F, B>,
+        output: &'a mut [[Operand<F>; HALVES]],
+        inputs: &'a mut [[Operand<B>; HALVES]],
+    ) -> Self {
+        let (column, half) = (product / HALVES, product % HALVES);
+        let (left, right) = (&mut output[column][half], &mut inputs[column][half]);
+        Self { sums, bias: panels[column].bias(), left, right }
+    }
 }
 
 impl<const F: usize, const B: usize> Meanwhile for Activate<'_, F, B> {
@@ -248,7 +272,7 @@ impl<const F: usize, const B: usize> Meanwhile for Activate<'_, F, B> {
             let [[a, b], [c, d]] = rows_of(self.sums, row);
             let upper = [activate(simd, a, bias[0]), activate(simd, b, bias[1])];
             let lower = [activate(simd, c, bias[0]), activate(simd, d, bias[1])];
-            put_both(simd, row, [upper, lower], self.to.0, self.to.1);
+            put_both(simd, row, [upper, lower], self.left, self.right);
         }
     }
 }
@@ -278,36 +302,36 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
         let columns = 32 * layers[last].len();
         for (column, deltas) in block.deltas[last].iter_mut().enumerate() {
             let bias = &mut block.bias[last][32 * column..];
-            for row in 0..16 {
-                let upper = &block.output_deltas[row * columns + 32 * column..];
-                let lower = &block.output_deltas[(row + 16) * columns + 32 * column..];
-                let values = [[load(upper), load(&upper[16..])], [load(lower), load(&lower[16..])]];
-                add_rows(simd, bias, values);
-                put_both(simd, row, values, &mut after[column], rows);
+            for (half, delta) in deltas.iter_mut().enumerate() {
+                for row in 0..16 {
+                    let upper = &block.output_deltas[(32 * half + row) * columns + 32 * column..];
+                    let lower = &block.output_deltas[(32 * half + 16 + row) * columns + 32 * column..];
+                    let values = [[load(upper), load(&upper[16..])], [load(lower), load(&lower[16..])]];
+                    add_rows(simd, bias, values);
+                    put_both(simd, row, values, &mut after[column][half], rows);
+                }
+                transpose(simd, rows, delta);
             }
-            transpose(simd, rows, deltas);
         }
         for depth in (1..layers.len()).rev() {
-            let panels = layers[depth];
-            let (inputs, deltas) = (&block.inputs[depth], &mut block.deltas[depth - 1]);
-            let bias = &mut block.bias[depth - 1];
-            for column in 0..inputs.len() {
-                let steps =
-                    after[..panels.len()].iter().zip(panels).map(|(left, panel)| (left, &panel.backward[column]));
-                if column == 0 {
+            let (panels, y) = (layers[depth], &block.inputs[depth]);
+            let (bias, deltas) = (&mut block.bias[depth - 1], &mut block.deltas[depth - 1]);
+            for product in 0..HALVES * y.len() {
+                let (column, half) = (product / HALVES, product % HALVES);
+                let steps = after[..panels.len()].iter().zip(panels);
+                let steps = steps.map(|(left, panel)| (&left[half], &panel.backward[column]));
+                if product == 0 {
                     unit.product(steps, sums, &mut ());
                 } else {
-                    let (y, bias) = (&inputs[column - 1], &mut bias[32 * (column - 1)..]);
-                    let left = &mut ahead[column - 1];
-                    unit.product(steps, sums, &mut Differentiate { sums: before, y, bias, left, rows });
-                    transpose(simd, rows, &mut deltas[column - 1]);
+                    let mut work = Differentiate::new(product - 1, before, y, bias, ahead, rows);
+                    unit.product(steps, sums, &mut work);
+                    transpose(simd, rows, &mut deltas[(product - 1) / HALVES][(product - 1) % HALVES]);
                 }
                 mem::swap(&mut sums, &mut before);
             }
-            let column = inputs.len() - 1;
-            let (y, bias, left) = (&inputs[column], &mut bias[32 * column..], &mut ahead[column]);
-            Differentiate { sums: before, y, bias, left, rows }.pieces(simd, 0..16);
-            transpose(simd, rows, &mut deltas[column]);
+            let product = HALVES * y.len() - 1;
+            Differentiate::new(product, before, y, bias, ahead, rows).pieces(simd, 0..16);
+            transpose(simd, rows, &mut deltas[product / HALVES][product % HALVES]);
             mem::swap(after, ahead);
         }
     }
@@ -321,6 +345,23 @@ struct Differentiate<'a, const B: usize> {
     bias: &'a mut [f32],
     left: &'a mut Operand<B>,
     rows: &'a mut Operand<B>,
+}
+
+impl<'a, const B: usize> Differentiate<'a, B> {
+    /// Of one of a layer's products.
+    #[inline(always)]
+    fn new(
+        product: usize,
+        sums: &'a Square,
+        y: &'a [[Operand<B>; HALVES]],
+        bias: &'a mut [f32],
+        left: &'a mut [[Operand<B>; HALVES]],
+        rows: &'a mut Operand<B>,
+    ) -> Self {
+        let (column, half) = (product / HALVES, product % HALVES);
+        let (y, left) = (&y[column][half], &mut left[column][half]);
+        Self { sums, y, bias: &mut bias[32 * column..], left, rows }
+    }
 }
 
 impl<const B: usize> Meanwhile for Differentiate<'_, B> {

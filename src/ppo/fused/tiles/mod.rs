@@ -21,9 +21,9 @@ use pulp::x86::V4;
 
 pub use self::unit::available;
 
-use self::block::{Block, LayerPanels, ROWS, Workspace};
+use self::block::{Block, HALVES, LayerPanels, ROWS, Workspace};
 use self::panel::{Panel, unpack};
-use self::unit::{SQUARE, Unit};
+use self::unit::{Operand, SQUARE, Unit};
 use super::Arithmetic;
 use super::losses::Pass;
 use super::optimizer::{Adam, AdamStep, Parameters};
@@ -136,7 +136,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
 struct Gradient<'a, const B: usize> {
     unit: &'a Unit,
     /// Left operand and, for each 32 inputs, right operand of each block.
-    operands: &'a [(&'a unit::Operand<B>, &'a [unit::Operand<B>])],
+    operands: &'a [(&'a [Operand<B>; HALVES], &'a [[Operand<B>; HALVES]])],
     weights: &'a mut [f32],
 }
 
@@ -147,7 +147,10 @@ impl<const B: usize> NullaryFnOnce for Gradient<'_, B> {
     fn call(self) {
         let (squares, _) = self.weights.as_chunks_mut::<SQUARE>();
         for (column, square) in squares.iter_mut().enumerate() {
-            let steps = self.operands.iter().map(|(left, right)| (*left, &right[column]));
+            let steps = (0..HALVES * self.operands.len()).map(|step| {
+                let (left, right) = self.operands[step / HALVES];
+                (&left[step % HALVES], &right[column][step % HALVES])
+            });
             self.unit.product(steps, square, &mut ());
         }
     }

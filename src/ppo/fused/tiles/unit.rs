@@ -138,9 +138,20 @@ impl Unit {
                 out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
             );
         }
-        for (step, (left, right)) in steps.enumerate() {
-            multiply_add(left, right);
-            meanwhile.pieces(self.simd, 16 * step / count..16 * (step + 1) / count);
+        // Vector work between every four products, so that both kinds of unit have something ahead of them.
+        let stages = if PARTS == 1 { 1 } else { 3 };
+        let (mut stage, count) = (0, stages * count);
+        for (left, right) in steps {
+            multiply_add_first(left, right);
+            meanwhile.pieces(self.simd, 16 * stage / count..16 * (stage + 1) / count);
+            stage += 1;
+            if PARTS == 2 {
+                multiply_add_second(left);
+                meanwhile.pieces(self.simd, 16 * stage / count..16 * (stage + 1) / count);
+                multiply_add_third(right);
+                meanwhile.pieces(self.simd, 16 * (stage + 1) / count..16 * (stage + 2) / count);
+                stage += 2;
+            }
         }
         // SAFETY: `sums` is four tiles of 1024 bytes. Nothing but this file's instructions touches tile registers: the
         // compiler does not know them, so they hold from one block of assembly to the next.
@@ -159,56 +170,63 @@ impl Unit {
 
 static SHAPES_IN_MEMORY: Shapes = SHAPES;
 
-/// Adds a product to tiles 0 to 3. Only a [`Unit`] calls it.
+/// Adds the product of the last part of `left` and the first of `right` to tiles 0 to 3. Only a [`Unit`] calls it.
 #[inline(always)]
-fn multiply_add<const PARTS: usize>(left: &Operand<PARTS>, right: &Operand<PARTS>) {
-    // SAFETY: the caller has a `Unit`, so that the instructions are there. Operands are two tiles of 1024 bytes for each
-    // part, and only read.
+fn multiply_add_first<const PARTS: usize>(left: &Operand<PARTS>, right: &Operand<PARTS>) {
+    // SAFETY: the caller has a `Unit`, so that the instructions are there. Each part is two tiles of 1024 bytes, only read.
     unsafe {
-        if PARTS == 1 {
-            asm!(
-                "tileloadd tmm6, [{b} + {row}]",
-                "tileloadd tmm4, [{a} + {row}]",
-                "tdpbf16ps tmm0, tmm4, tmm6",
-                "tileloadd tmm7, [{b} + {row} + 1024]",
-                "tdpbf16ps tmm1, tmm4, tmm7",
-                "tileloadd tmm5, [{a} + {row} + 1024]",
-                "tdpbf16ps tmm2, tmm5, tmm6",
-                "tdpbf16ps tmm3, tmm5, tmm7",
-                a = in(reg) left, b = in(reg) right, row = in(reg) 64_usize,
-                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
-                options(nostack, preserves_flags, readonly),
-            );
-        } else {
-            // Small · large, large · large, large · small.
-            asm!(
-                "tileloadd tmm6, [{b} + {row}]",
-                "tileloadd tmm4, [{a} + {row} + 2048]",
-                "tdpbf16ps tmm0, tmm4, tmm6",
-                "tileloadd tmm7, [{b} + {row} + 1024]",
-                "tdpbf16ps tmm1, tmm4, tmm7",
-                "tileloadd tmm5, [{a} + {row} + 3072]",
-                "tdpbf16ps tmm2, tmm5, tmm6",
-                "tdpbf16ps tmm3, tmm5, tmm7",
-                "tileloadd tmm4, [{a} + {row}]",
-                "tdpbf16ps tmm0, tmm4, tmm6",
-                "tdpbf16ps tmm1, tmm4, tmm7",
-                "tileloadd tmm5, [{a} + {row} + 1024]",
-                "tdpbf16ps tmm2, tmm5, tmm6",
-                "tdpbf16ps tmm3, tmm5, tmm7",
-                "tileloadd tmm6, [{b} + {row} + 2048]",
-                "tdpbf16ps tmm0, tmm4, tmm6",
-                "tdpbf16ps tmm2, tmm5, tmm6",
-                "tileloadd tmm7, [{b} + {row} + 3072]",
-                "tdpbf16ps tmm1, tmm4, tmm7",
-                "tdpbf16ps tmm3, tmm5, tmm7",
-                a = in(reg) left, b = in(reg) right, row = in(reg) 64_usize,
-                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
-                options(nostack, preserves_flags, readonly),
-            );
-        }
+        asm!(
+            "tileloadd tmm6, [{b} + {row}]",
+            "tileloadd tmm4, [{a} + {row}]",
+            "tdpbf16ps tmm0, tmm4, tmm6",
+            "tileloadd tmm7, [{b} + {row} + 1024]",
+            "tdpbf16ps tmm1, tmm4, tmm7",
+            "tileloadd tmm5, [{a} + {row} + 1024]",
+            "tdpbf16ps tmm2, tmm5, tmm6",
+            "tdpbf16ps tmm3, tmm5, tmm7",
+            a = in(reg) &left.0[PARTS - 1], b = in(reg) &right.0[0], row = in(reg) 64_usize,
+            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+            out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+            options(nostack, preserves_flags, readonly),
+        );
+    }
+}
+
+/// Then that of both first parts. The right one is still in tiles 6 and 7.
+#[inline(always)]
+fn multiply_add_second<const PARTS: usize>(left: &Operand<PARTS>) {
+    // SAFETY: as above.
+    unsafe {
+        asm!(
+            "tileloadd tmm4, [{a} + {row}]",
+            "tdpbf16ps tmm0, tmm4, tmm6",
+            "tdpbf16ps tmm1, tmm4, tmm7",
+            "tileloadd tmm5, [{a} + {row} + 1024]",
+            "tdpbf16ps tmm2, tmm5, tmm6",
+            "tdpbf16ps tmm3, tmm5, tmm7",
+            a = in(reg) &left.0[0], row = in(reg) 64_usize,
+            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm4") _, out("tmm5") _,
+            options(nostack, preserves_flags, readonly),
+        );
+    }
+}
+
+/// Then that of the first part of the left one, still in tiles 4 and 5, and the second of `right`.
+#[inline(always)]
+fn multiply_add_third<const PARTS: usize>(right: &Operand<PARTS>) {
+    // SAFETY: as above.
+    unsafe {
+        asm!(
+            "tileloadd tmm6, [{b} + {row}]",
+            "tdpbf16ps tmm0, tmm4, tmm6",
+            "tdpbf16ps tmm2, tmm5, tmm6",
+            "tileloadd tmm7, [{b} + {row} + 1024]",
+            "tdpbf16ps tmm1, tmm4, tmm7",
+            "tdpbf16ps tmm3, tmm5, tmm7",
+            b = in(reg) &right.0[PARTS - 1], row = in(reg) 64_usize,
+            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm6") _, out("tmm7") _,
+            options(nostack, preserves_flags, readonly),
+        );
     }
 }
 
