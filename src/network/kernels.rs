@@ -115,8 +115,8 @@ pub enum Ends<'a> {
     /// Begin with zero and end with a factor ELU′, where `y`, shaped like `c`, is ELU's output: the loss gradient one
     /// layer further back.
     EluSlope { y: &'a [f32] },
-    /// Begin with zero: the loss gradient by the weights.
-    Zero,
+    /// Begin with what `c` holds: the loss gradient by the weights.
+    Add,
 }
 
 impl Product<'_> {
@@ -160,17 +160,23 @@ impl Product<'_> {
         }
     }
 
-    /// `V` vectors of columns, all rows. The last tile overlaps the one before where the rows do not divide.
+    /// `V` vectors of columns, all rows. Where the rows do not divide, the last tile overlaps the one before if it may.
     #[inline(always)]
     fn strip<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, column: usize) {
+        // What is added to must not be met twice.
+        let may_overlap = self.rows >= R && !matches!(self.ends, Ends::Add);
         let mut row = 0;
         while row < self.rows {
-            if self.rows < R {
-                self.tile::<S, A_T, 1, V>(simd, row, column);
-                row += 1;
-            } else {
+            let left = self.rows - row;
+            if left >= R || may_overlap {
                 self.tile::<S, A_T, R, V>(simd, row.min(self.rows - R), column);
                 row += R;
+            } else if left >= 4 {
+                self.tile::<S, A_T, 4, V>(simd, row, column);
+                row += 4;
+            } else {
+                self.tile::<S, A_T, 1, V>(simd, row, column);
+                row += 1;
             }
         }
     }
@@ -180,10 +186,9 @@ impl Product<'_> {
     #[expect(clippy::needless_range_loop, reason = "k runs over several slices at once")]
     fn tile<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, row: usize, column: usize) {
         let mut sums = [[simd.splat_f32s(0.0); V]; R];
-        for v in 0..V {
-            let start = self.start(simd, column + v * S::F32_LANES);
-            for sums in &mut sums {
-                sums[v] = start;
+        for (i, sums) in sums.iter_mut().enumerate() {
+            for (v, sum) in sums.iter_mut().enumerate() {
+                *sum = self.start(simd, row + i, column + v * S::F32_LANES);
             }
         }
         for stretch in self.stretches {
@@ -212,10 +217,11 @@ impl Product<'_> {
     }
 
     #[inline(always)]
-    fn start<S: Simd>(&self, simd: S, column: usize) -> S::f32s {
+    fn start<S: Simd>(&self, simd: S, row: usize, column: usize) -> S::f32s {
         match self.ends {
             Ends::Bias { bias, .. } => load::<S>(&bias[column..]),
-            Ends::EluSlope { .. } | Ends::Zero => simd.splat_f32s(0.0),
+            Ends::EluSlope { .. } => simd.splat_f32s(0.0),
+            Ends::Add => load::<S>(&self.c[row * self.c_stride + column..]),
         }
     }
 
@@ -224,7 +230,7 @@ impl Product<'_> {
         match self.ends {
             Ends::Bias { elu: true, .. } => elu(simd, sum),
             Ends::EluSlope { y } => simd.mul_f32s(sum, elu_slope(simd, load::<S>(&y[at..]))),
-            Ends::Bias { elu: false, .. } | Ends::Zero => sum,
+            Ends::Bias { elu: false, .. } | Ends::Add => sum,
         }
     }
 }
@@ -292,7 +298,7 @@ fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     simd.mul_add_f32s(scale, p, simd.sub_f32s(scale, simd.splat_f32s(1.0)))
 }
 
-/// Sums of the columns of all stretches of `b`: the loss gradient by the bias.
+/// Adds the columns of all stretches of `b` to `sums`: the loss gradient by the bias.
 pub struct ColumnSums<'a> {
     /// Only their `b` counts.
     pub stretches: &'a [Stretch<'a>],
@@ -308,7 +314,7 @@ impl WithSimd for ColumnSums<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         for (i, total) in S::as_mut_simd_f32s(self.sums).0.iter_mut().enumerate() {
-            let mut sum = simd.splat_f32s(0.0);
+            let mut sum = *total;
             for stretch in self.stretches {
                 for row in 0..stretch.depth {
                     sum = simd.add_f32s(sum, load::<S>(&stretch.b[row * self.b_stride + i * S::F32_LANES..]));

@@ -87,6 +87,18 @@ pub struct Batch<'a> {
     pub returns: &'a [f32],
 }
 
+impl Batch<'_> {
+    /// Asks for all that a pass reads of a sample.
+    #[inline]
+    pub(super) fn prefetch(&self, sample: usize, prefetch: fn(&[f32])) {
+        let samples = self.returns.len();
+        for slice in [self.observations, self.actions, self.means, self.log_probs, self.advantages, self.returns] {
+            let width = slice.len() / samples;
+            prefetch(&slice[sample * width..][..width]);
+        }
+    }
+}
+
 /// A batch that owns its numbers; fields as in [`Batch`].
 #[derive(Debug, Clone, Default)]
 #[allow(missing_docs)]

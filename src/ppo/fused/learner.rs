@@ -7,6 +7,9 @@ Each minibatch goes through three phases, each a list of independent tasks:
 2. gradient of one panel of weights, summed over all rows in order;
 3. Adam for one panel.
 
+Phases 1 and 2 are repeated for each [`Chunk`] of the minibatch, so that what the one leaves for the other is still in the
+caches.
+
 Each list has the policy's tasks first and then the value function's, so that threads keep to one network and find what
 they need in their own caches (see [`Team`]). Parameters have the same bits for any number of threads.
 */
@@ -15,10 +18,10 @@ use std::sync::{Mutex, PoisonError, RwLock};
 
 use pulp::Arch;
 
-use super::Arithmetic;
 use super::losses::{Pass, Sums};
 use super::optimizer::{Adam, AdamStep, Parameters};
 use super::team::{Member, Team, lock, read, write};
+use super::{Arithmetic, Chunk};
 use crate::config::LOG_STD_RANGE;
 use crate::network::ActorCritic;
 use crate::network::kernels::{Buffer, SumOfSquares};
@@ -28,6 +31,9 @@ use crate::ppo::{
     Batch, DiagonalGaussian, Hyperparameters, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics,
 };
 
+/// Rows of a chunk for two threads.
+const CHUNK_ROWS: usize = 256;
+
 /// Trains an [`ActorCritic`] by PPO, as fast as we know how.
 #[derive(Debug)]
 pub struct FusedLearner<A> {
@@ -35,6 +41,8 @@ pub struct FusedLearner<A> {
     threads: usize,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<Parameters>,
+    /// Of a chunk.
+    chunk_blocks: usize,
     /// Of each block of the policy and of the value function.
     sums: [Vec<Mutex<Sums>>; 2],
     steps: u64,
@@ -52,8 +60,10 @@ impl<A: Arithmetic> FusedLearner<A> {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
         let blocks = settings.minibatch_size.div_ceil(A::BLOCK);
+        let chunk_blocks = (CHUNK_ROWS * threads.div_ceil(2) / A::BLOCK).min(blocks);
         Self {
-            arithmetic: A::new(parts, settings.minibatch_size),
+            arithmetic: A::new(parts, chunk_blocks),
+            chunk_blocks,
             log_std: RwLock::new(Parameters::new(parts.map(|part| Buffer::from(&*part.log_std)))),
             sums: std::array::from_fn(|_| (0..blocks).map(|_| Mutex::default()).collect()),
             threads: threads.max(1),
@@ -79,22 +89,29 @@ impl<A: Arithmetic> FusedLearner<A> {
         minibatch: &Minibatch<'_>,
         conclude: impl FnOnce(UpdateStatistics),
     ) {
-        {
-            let log_std = read(&self.log_std);
-            let new = DiagonalGaussian::new(&log_std.values);
-            let kl = KlDivergence::new(&DiagonalGaussian::new(minibatch.batch.log_std), &new);
-            self.arithmetic.passes(team, workspace, minibatch, |pass: Pass<'_>| {
-                let (network, block) = (pass.network, pass.block);
-                let rows = minibatch.block(A::BLOCK, block);
-                *lock(&self.sums[network][block]) = if network == 0 {
-                    pass.policy_loss(minibatch, rows, &new, &kl)
-                } else {
-                    pass.value_loss(minibatch, rows)
-                };
+        let new = DiagonalGaussian::new(&read(&self.log_std).values);
+        let kl = KlDivergence::new(&DiagonalGaussian::new(minibatch.batch.log_std), &new);
+        let loss = |pass: Pass<'_>| {
+            let (network, block) = (pass.network, pass.block);
+            let rows = minibatch.block(A::BLOCK, block);
+            *lock(&self.sums[network][block]) = if network == 0 {
+                pass.policy_loss(minibatch, rows, &new, &kl)
+            } else {
+                pass.value_loss(minibatch, rows)
+            };
+        };
+        let blocks = minibatch.rows.len().div_ceil(A::BLOCK);
+        let mut conclude = Some(|squares| conclude(self.summary(minibatch, squares)));
+        for start in (0..blocks).step_by(self.chunk_blocks) {
+            let end = blocks.min(start + self.chunk_blocks);
+            let chunk = Chunk { start, blocks: end - start, is_last: end == blocks };
+            self.arithmetic.passes(team, workspace, minibatch, chunk, loss);
+            self.arithmetic.gradients(team, workspace, chunk, |squares| {
+                if let Some(conclude) = conclude.take_if(|_| chunk.is_last) {
+                    conclude(squares);
+                }
             });
         }
-        let conclude = |squares| conclude(self.summary(minibatch, squares));
-        self.arithmetic.gradients(team, workspace, minibatch.rows.len(), conclude);
     }
 
     /// The gradient of `ln σ`, the losses and the gradient norm, `squares` being that of all weights.

@@ -15,7 +15,7 @@ pub(in crate::ppo) mod team;
 #[cfg(tiles)]
 mod tiles;
 
-pub use arithmetic::Arithmetic;
+pub use arithmetic::{Arithmetic, Chunk};
 pub use learner::FusedLearner;
 pub use panels::Panels;
 #[cfg(tiles)]

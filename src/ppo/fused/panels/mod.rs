@@ -15,10 +15,10 @@ use pulp::Arch;
 
 use self::block::{Block, LayerPanels};
 use self::panel::Panel;
-use super::Arithmetic;
 use super::losses::Pass;
 use super::optimizer::{Adam, AdamStep, Parameters};
 use super::team::{Member, read, write};
+use super::{Arithmetic, Chunk};
 use crate::network::kernels::{Buffer, ColumnSums, Ends, Product, Stretch, SumOfSquares, padded, row_stride};
 use crate::network::panel::{panel_starts, unpack};
 use crate::network::{ActorCritic, BLOCK};
@@ -42,7 +42,7 @@ impl Arithmetic for Panels {
     const KL_ROUNDING: f64 = 0.0;
     type Workspace = ();
 
-    fn new(parts: [&ActorCritic; 3], minibatch_size: usize) -> Self {
+    fn new(parts: [&ActorCritic; 3], blocks: usize) -> Self {
         let mut panels = Vec::new();
         for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)].into_iter().enumerate() {
             for (depth, layer) in mlps[0].layers.iter().enumerate() {
@@ -51,34 +51,33 @@ impl Arithmetic for Panels {
                 panels.extend(panel_starts(layer.outputs()).map(panel));
             }
         }
-        let blocks = [&parts[0].policy, &parts[0].value]
-            .map(|mlp| (0..minibatch_size.div_ceil(BLOCK)).map(|_| RwLock::new(Block::new(mlp))).collect());
+        let blocks =
+            [&parts[0].policy, &parts[0].value].map(|mlp| (0..blocks).map(|_| RwLock::new(Block::new(mlp))).collect());
         Self { arch: Arch::new(), panels, blocks, depth: parts[0].policy.layers.len() }
     }
 
     fn workspace(&self) {}
 
-    fn passes(&self, team: Member<'_>, (): &mut (), minibatch: &Minibatch<'_>, loss: impl Fn(Pass<'_>)) {
+    fn passes(&self, team: Member<'_>, (): &mut (), minibatch: &Minibatch<'_>, chunk: Chunk, loss: impl Fn(Pass<'_>)) {
         let panels: Vec<_> = self.panels.iter().map(read).collect();
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
         let networks: [&[LayerPanels<'_, '_>]; 2] = [policy, value];
-        let blocks = minibatch.rows.chunks(BLOCK).len();
         let task = |task: usize| {
-            let (network, index) = (task / blocks, task % blocks);
+            let (network, index) = (task / chunk.blocks, task % chunk.blocks);
             let mut block = write(&self.blocks[network][index]);
-            block.forward(self.arch, networks[network], minibatch.batch.observations, minibatch.block(BLOCK, index));
-            loss(block.pass(network, index));
+            let rows = minibatch.block(BLOCK, chunk.start + index);
+            block.forward(self.arch, networks[network], minibatch.batch.observations, rows);
+            loss(block.pass(network, chunk.start + index));
             block.backward(self.arch, networks[network]);
         };
-        team.phase(2 * blocks, task, || ());
+        team.phase(2 * chunk.blocks, task, || ());
     }
 
-    fn gradients(&self, team: Member<'_>, (): &mut (), rows: usize, conclude: impl FnOnce(f64)) {
-        let count = rows.div_ceil(BLOCK);
+    fn gradients(&self, team: Member<'_>, (): &mut (), chunk: Chunk, conclude: impl FnOnce(f64)) {
         let task = |task: usize| {
             let panel = &mut *write(&self.panels[task]);
-            let blocks: Vec<_> = self.blocks[panel.network][..count].iter().map(read).collect();
+            let blocks: Vec<_> = self.blocks[panel.network][..chunk.blocks].iter().map(read).collect();
             let stretches: Vec<_> = blocks
                 .iter()
                 .map(|block| Stretch {
@@ -89,6 +88,9 @@ impl Arithmetic for Panels {
                 .collect();
             let width = padded(panel.outputs());
             let delta_stride = row_stride(panel.layer_outputs);
+            if chunk.start == 0 {
+                panel.parameters.gradient.fill(0.0);
+            }
             let (weights, bias) = panel.parameters.gradient.split_at_mut(panel.inputs * width);
             let product = Product {
                 rows: panel.inputs,
@@ -97,13 +99,15 @@ impl Arithmetic for Panels {
                 a_transposed: true,
                 a_stride: row_stride(panel.inputs),
                 b_stride: delta_stride,
-                ends: Ends::Zero,
+                ends: Ends::Add,
                 c: weights,
                 c_stride: width,
             };
             product.compute(self.arch);
             self.arch.dispatch(ColumnSums { stretches: &stretches, b_stride: delta_stride, sums: bias });
-            panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
+            if chunk.is_last {
+                panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
+            }
         };
         team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
     }

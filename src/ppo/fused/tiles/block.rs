@@ -133,10 +133,10 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
                 let (panel, half) = (&panels[product / HALVES], product % HALVES);
                 let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
                 if product == 0 {
-                    unit.product(steps, sums, &mut ());
+                    unit.product(steps, sums, false, &mut ());
                 } else {
                     let mut work = Activate::new(product - 1, before, panels, output, inputs);
-                    unit.product(steps, sums, &mut work);
+                    unit.product(steps, sums, false, &mut work);
                 }
                 mem::swap(&mut sums, &mut before);
             }
@@ -148,7 +148,7 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
             let bias = [load(panel.bias()), load(&panel.bias()[16..])];
             for half in 0..HALVES {
                 let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
-                unit.product(steps, sums, &mut ());
+                unit.product(steps, sums, false, &mut ());
                 for row in 0..16 {
                     for (quarter, values) in rows_of(sums, row).into_iter().enumerate() {
                         let output = &mut block.outputs[(32 * half + 16 * quarter + row) * columns + 32 * column..];
@@ -321,10 +321,10 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
                 let steps = after[..panels.len()].iter().zip(panels);
                 let steps = steps.map(|(left, panel)| (&left[half], &panel.backward[column]));
                 if product == 0 {
-                    unit.product(steps, sums, &mut ());
+                    unit.product(steps, sums, false, &mut ());
                 } else {
                     let mut work = Differentiate::new(product - 1, before, y, bias, ahead, rows);
-                    unit.product(steps, sums, &mut work);
+                    unit.product(steps, sums, false, &mut work);
                     transpose(simd, rows, &mut deltas[(product - 1) / HALVES][(product - 1) % HALVES]);
                 }
                 mem::swap(&mut sums, &mut before);

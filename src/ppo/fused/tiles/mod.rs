@@ -23,11 +23,11 @@ pub use self::unit::available;
 
 use self::block::{Block, HALVES, LayerPanels, ROWS, Workspace};
 use self::panel::{Panel, unpack};
-use self::unit::{Operand, SQUARE, Unit};
-use super::Arithmetic;
+use self::unit::{Operand, SQUARE, Unit, prefetch};
 use super::losses::Pass;
 use super::optimizer::{Adam, AdamStep, Parameters};
 use super::team::{Member, read, write};
+use super::{Arithmetic, Chunk};
 use crate::network::kernels::{Buffer, SumOfSquares};
 use crate::network::{ActorCritic, Mlp};
 use crate::ppo::loss::Minibatch;
@@ -51,7 +51,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
     const KL_ROUNDING: f64 = 1e-6;
     type Workspace = Workspace<F, B>;
 
-    fn new(parts: [&ActorCritic; 3], minibatch_size: usize) -> Self {
+    fn new(parts: [&ActorCritic; 3], blocks: usize) -> Self {
         let simd = V4::try_new().expect("chosen where there are tiles");
         let mut panels = Vec::new();
         for (network, mlps) in [parts.map(|part| &part.policy), parts.map(|part| &part.value)].into_iter().enumerate() {
@@ -62,7 +62,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
             }
         }
         let mlps = [&parts[0].policy, &parts[0].value];
-        let blocks = mlps.map(|mlp| (0..minibatch_size.div_ceil(ROWS)).map(|_| RwLock::new(Block::new(mlp))).collect());
+        let blocks = mlps.map(|mlp| (0..blocks).map(|_| RwLock::new(Block::new(mlp))).collect());
         let widths = |mlp: &Mlp| mlp.layers.iter().map(|layer| layer.inputs().max(layer.outputs())).max();
         let widest = mlps.into_iter().filter_map(widths).max().unwrap_or(0).div_ceil(32);
         Self { simd, panels, blocks, depth: parts[0].policy.layers.len(), widest }
@@ -77,40 +77,50 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
         team: Member<'_>,
         workspace: &mut Self::Workspace,
         minibatch: &Minibatch<'_>,
+        chunk: Chunk,
         loss: impl Fn(Pass<'_>),
     ) {
         let panels: Vec<_> = self.panels.iter().map(read).collect();
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
         let networks: [&[LayerPanels<'_, '_, F, B>]; 2] = [policy, value];
-        let blocks = minibatch.rows.chunks(ROWS).len();
         let observations = minibatch.batch.observations;
         let size = observations.len() / minibatch.batch.returns.len();
         let task = |task: usize| {
-            let (network, index) = (task / blocks, task % blocks);
+            let (network, index) = (task / chunk.blocks, task % chunk.blocks);
             let mut block = write(&self.blocks[network][index]);
-            block.forward(workspace, networks[network], (observations, size), minibatch.block(ROWS, index));
-            loss(block.pass(network, index));
+            let rows = minibatch.block(ROWS, chunk.start + index);
+            block.forward(workspace, networks[network], (observations, size), rows);
+            loss(block.pass(network, chunk.start + index));
+            if index + 1 < chunk.blocks {
+                for &row in minibatch.block(ROWS, chunk.start + index + 1) {
+                    minibatch.batch.prefetch(row as usize, prefetch);
+                }
+            }
             block.backward(workspace, networks[network]);
         };
-        team.phase(2 * blocks, task, || ());
+        team.phase(2 * chunk.blocks, task, || ());
     }
 
-    fn gradients(&self, team: Member<'_>, workspace: &mut Self::Workspace, rows: usize, conclude: impl FnOnce(f64)) {
-        let count = rows.div_ceil(ROWS);
+    fn gradients(&self, team: Member<'_>, workspace: &mut Self::Workspace, chunk: Chunk, conclude: impl FnOnce(f64)) {
         let task = |task: usize| {
             let panel = &mut *write(&self.panels[task]);
-            let blocks: Vec<_> = self.blocks[panel.network][..count].iter().map(read).collect();
+            let blocks: Vec<_> = self.blocks[panel.network][..chunk.blocks].iter().map(read).collect();
             let (depth, index) = (panel.depth, panel.index);
             let operands: Vec<_> =
                 blocks.iter().map(|block| (&block.deltas[depth][index], &*block.inputs[depth])).collect();
             let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
-            self.simd.vectorize(Gradient { unit: &workspace.unit, operands: &operands, weights });
-            biases.fill(0.0);
+            let add = chunk.start > 0;
+            self.simd.vectorize(Gradient { unit: &workspace.unit, operands: &operands, add, weights });
+            if !add {
+                biases.fill(0.0);
+            }
             for block in &blocks {
                 biases.iter_mut().zip(&block.bias[depth][32 * index..]).for_each(|(sum, bias)| *sum += bias);
             }
-            panel.squares = pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient));
+            if chunk.is_last {
+                panel.squares = pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient));
+            }
         };
         team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
     }
@@ -137,6 +147,8 @@ struct Gradient<'a, const B: usize> {
     unit: &'a Unit,
     /// Left operand and, for each 32 inputs, right operand of each block.
     operands: &'a [(&'a [Operand<B>; HALVES], &'a [[Operand<B>; HALVES]])],
+    /// To the gradient of the chunks before.
+    add: bool,
     weights: &'a mut [f32],
 }
 
@@ -151,7 +163,7 @@ impl<const B: usize> NullaryFnOnce for Gradient<'_, B> {
                 let (left, right) = self.operands[step / HALVES];
                 (&left[step % HALVES], &right[column][step % HALVES])
             });
-            self.unit.product(steps, square, &mut ());
+            self.unit.product(steps, square, self.add, &mut ());
         }
     }
 }

@@ -12,7 +12,7 @@ Denormal numbers count as zero, on the way in and out.
 #![allow(unsafe_code)]
 
 use std::arch::asm;
-use std::arch::x86_64::__cpuid_count;
+use std::arch::x86_64::{__cpuid_count, _MM_HINT_T1, _mm_prefetch};
 use std::marker::PhantomData;
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -120,23 +120,36 @@ impl Unit {
         Some(Self { simd, thread: PhantomData })
     }
 
-    /// `sums = Σ left · right`, while the vector units do other work. With two parts the product of the two small ones,
+    /// `sums = Σ left · right`, or more, added to what they are, while the vector units do other work. With two parts the product of the two small ones,
     /// 2⁻¹⁶ of the whole, is left out.
     #[inline(always)]
     pub fn product<'a, const PARTS: usize>(
         &self,
         steps: impl ExactSizeIterator<Item = (&'a Operand<PARTS>, &'a Operand<PARTS>)>,
         sums: &mut Square,
+        add: bool,
         meanwhile: &mut impl Meanwhile,
     ) {
         const { assert!(PARTS == 1 || PARTS == 2) };
         let count = steps.len();
-        // SAFETY: as `multiply_add`.
+        // SAFETY: `sums` is four tiles of 1024 bytes; `Unit` says that the instructions are there.
         unsafe {
-            asm!(
-                "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
-                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
-            );
+            if add {
+                asm!(
+                    "tileloadd tmm0, [{c} + {row}]",
+                    "tileloadd tmm1, [{c} + {row} + 1024]",
+                    "tileloadd tmm2, [{c} + {row} + 2048]",
+                    "tileloadd tmm3, [{c} + {row} + 3072]",
+                    c = in(reg) sums.as_ptr(), row = in(reg) 64_usize,
+                    out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                    options(nostack, preserves_flags, readonly),
+                );
+            } else {
+                asm!(
+                    "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
+                    out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
+                );
+            }
         }
         // Vector work between every four products, so that both kinds of unit have something ahead of them.
         let stages = if PARTS == 1 { 1 } else { 3 };
@@ -165,6 +178,15 @@ impl Unit {
                 out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
             );
         }
+    }
+}
+
+/// Brings numbers into the cache before they are asked for.
+#[inline(always)]
+pub fn prefetch(numbers: &[f32]) {
+    for line in numbers.chunks(16) {
+        // SAFETY: a hint, which cannot fault.
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(line.as_ptr().cast()) };
     }
 }
 
