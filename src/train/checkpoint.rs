@@ -172,14 +172,7 @@ impl Checkpoint {
     /// In words: damaged, of another format, or inconsistent.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (tensors, json) = tensors::deserialize(bytes)?;
-        let metadata: Metadata =
-            serde_json::from_str(&json).map_err(|error| format!("its metadata do not parse: {error}"))?;
-        if !(OLDEST_FORMAT..=FORMAT).contains(&metadata.format) {
-            let found = metadata.format;
-            return Err(format!(
-                "its format is {found}, this program reads {OLDEST_FORMAT} to {FORMAT}: it is of a newer one"
-            ));
-        }
+        let metadata: Metadata = tensors::metadata(&json, OLDEST_FORMAT..=FORMAT)?;
         let run: RunState =
             serde_json::from_str(&metadata.run).map_err(|error| format!("its run state does not parse: {error}"))?;
         run.config.check().map_err(|error| error.to_string())?;

@@ -4,9 +4,12 @@ All metadata sit under one key: the format keeps several in a hash map, whose or
 */
 
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 
 use safetensors::SafeTensorError;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 
 /// Metadata key of the JSON text.
 const KEY: &str = "supple";
@@ -57,6 +60,24 @@ pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
     let json = header.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
     let json = json.ok_or_else(|| format!("it has no metadata '{KEY}': not written by supple"))?;
     Ok((tensors, json.clone()))
+}
+
+/// The JSON text as its type, if its key `format` is one of those that are read; that is looked at before all else.
+///
+/// # Errors
+/// In words: of another format, or not of this type.
+pub fn metadata<T: DeserializeOwned>(json: &str, formats: RangeInclusive<u32>) -> Result<T, String> {
+    #[derive(Deserialize)]
+    struct Format {
+        format: u32,
+    }
+    let broken = |error| format!("its metadata do not parse: {error}");
+    let Format { format } = serde_json::from_str(json).map_err(broken)?;
+    if !formats.contains(&format) {
+        let (oldest, newest) = formats.into_inner();
+        return Err(format!("its format is {format}, this program reads {oldest} to {newest}: it is of a newer one"));
+    }
+    serde_json::from_str(json).map_err(broken)
 }
 
 /// A single-precision tensor of a known shape, all finite.
