@@ -51,19 +51,17 @@ impl Agent {
         Ok(agent)
     }
 
-    /// The file of a robot that does not ship goes by its name alone: it lies beside the policy, or where the run had it.
+    /// The file of a robot that does not ship goes by its name alone: it lies where the run had it, or beside the policy.
+    /// If it is nowhere, the policy can still be looked at, or run on another robot.
     fn find_robot(&mut self, folder: &Path) {
         let model = &mut self.config.robot.model;
         if Robot::ships(model) || Path::new(model).is_absolute() {
             return;
         }
         let beside = folder.join(&*model);
-        let of_run = || {
-            let name = folder.join("config.yaml").to_string_lossy().into_owned();
-            Config::load(&name).ok().map(|config| config.robot.model)
-        };
-        let found = if beside.exists() { Some(beside.to_string_lossy().into_owned()) } else { of_run() };
-        *model = found.unwrap_or_else(|| std::mem::take(model));
+        let of_run = || Some(Config::load(&folder.join("config.yaml").to_string_lossy()).ok()?.robot.model);
+        let of_run = if beside.exists() { None } else { of_run() };
+        *model = of_run.unwrap_or_else(|| beside.to_string_lossy().into_owned());
     }
 
     /// A controller of one robot.

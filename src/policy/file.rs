@@ -148,11 +148,8 @@ pub struct Policy {
 impl Policy {
     /// The deterministic policy of a network in training, which sees `layout` of `robot`.
     pub fn new(network: &ActorCritic, robot: &Robot, layout: Layout, mut provenance: Provenance) -> Self {
-        let config = &mut provenance.config;
-        // Files go to other machines, on which this one's folders mean nothing.
-        if let (false, Some(name)) = (Robot::ships(&robot.name), Path::new(&robot.name).file_name()) {
-            config.robot.model = name.to_string_lossy().into_owned();
-        }
+        provenance.config = provenance.config.without_folder();
+        let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
         let nominal_pose = same_in_every_leg(config.action.nominal_pose_rad);
         let inference = inference(&network.policy, layout, nominal_pose, config.action.scale_rad, &config.simulation);
@@ -183,6 +180,9 @@ impl Policy {
     }
 
     /// Joint targets \[rad\] for an observation in physical units, shape (length of the layout).
+    ///
+    /// # Panics
+    /// If the observation has another length.
     pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
         let layout = self.layout();
         let seen: Vec<f32> = observation.iter().enumerate().map(|(k, raw)| layout.normalised(k, *raw)).collect();
@@ -253,11 +253,7 @@ impl Policy {
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, PolicyError> {
         let fail = |problem: String| PolicyError::Invalid { path: path.to_owned(), problem };
         let (tensors, json) = tensors::deserialize(bytes).map_err(fail)?;
-        let format: Format =
-            serde_json::from_str(&json).map_err(|error| fail(format!("its metadata do not parse: {error}")))?;
-        format.check().map_err(fail)?;
-        let metadata: Metadata =
-            serde_json::from_str(&json).map_err(|error| fail(format!("its metadata do not parse: {error}")))?;
+        let metadata: Metadata = tensors::metadata(&json, OLDEST_FORMAT..=FORMAT).map_err(fail)?;
         let layout = metadata.check().map_err(fail)?;
         let length = layout.length();
 
@@ -313,22 +309,6 @@ fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, 
         },
         network: Network::Mlp(PackedMlp::new(actor)),
         period_s: simulation.policy_period_s(),
-    }
-}
-
-/// What decides whether the rest can be read.
-#[derive(Deserialize)]
-struct Format {
-    format: u32,
-}
-
-impl Format {
-    fn check(&self) -> Result<(), String> {
-        if (OLDEST_FORMAT..=FORMAT).contains(&self.format) {
-            return Ok(());
-        }
-        let found = self.format;
-        Err(format!("its format is {found}, this program reads {OLDEST_FORMAT} to {FORMAT}: it is of a newer one"))
     }
 }
 

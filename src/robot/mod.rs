@@ -83,8 +83,11 @@ impl Robot {
             return SHIPPED_ROBOTS[index].clone();
         }
         let path = Path::new(name);
-        let import::Imported { mjcf, report, fall_height_m } =
-            import::read(path).map_err(|problem| RobotError { path: path.to_owned(), problem })?;
+        let fail = |problem| RobotError { path: path.to_owned(), problem };
+        if !path.exists() {
+            return Err(fail("there is no such file: put it there, or name another robot".into()));
+        }
+        let import::Imported { mjcf, report, fall_height_m } = import::read(path).map_err(fail)?;
         Self::new(name, mjcf, report, fall_height_m).map(Arc::new)
     }
 
