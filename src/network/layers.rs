@@ -1,7 +1,7 @@
 /*!
 Weights of the policy and the value function, as plain numbers.
 
-Everything else (the reference in candle, the fused learner, inference, checkpoints, ONNX) reads and writes this form.
+Everything else (both learners, inference, checkpoints, ONNX) reads and writes this form.
 */
 
 use std::collections::BTreeMap;

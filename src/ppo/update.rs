@@ -30,7 +30,7 @@ pub struct UpdateStatistics {
     pub learning_rate: f64,
 }
 
-/// Why an update stopped. The parameters are those before the step in question.
+/// Why an update stopped. Steps before it stay taken, but for those before an error of candle.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum UpdateFault {
     /// A slice of the batch does not fit the others.
