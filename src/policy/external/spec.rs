@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::ExternalError;
+use super::POLICY;
 use crate::config::{Config, ConfigError, Simulation};
 use crate::observation::{Layout, Nominal, Numbers, Observed, limit, numbers};
+use crate::policy::AgentError;
 use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
 use crate::robot::{JOINTS, joint_names};
+use crate::util::files::FileError;
 use crate::util::yaml;
 
 #[derive(Debug, Deserialize)]
@@ -45,13 +47,13 @@ pub(super) struct Spec {
 
 impl Spec {
     /// Checks the text of the file at `path`.
-    pub(super) fn parse(path: &Path, text: &str) -> Result<Self, ExternalError> {
+    pub(super) fn parse(path: &Path, text: &str) -> Result<Self, AgentError> {
         let name = path.display().to_string();
         let raw: RawSpec = yaml::layered(&name, &[text]).map_err(ConfigError::from)?;
         let mut config = Config::load("compliant")?;
         config.simulation = raw.simulation.clone();
         config.check().map_err(|error| ConfigError::Value { name, error })?;
-        Self::new(raw, config).map_err(|problem| ExternalError::Invalid { path: path.to_owned(), problem })
+        Ok(Self::new(raw, config).map_err(FileError::of(POLICY, path))?)
     }
 
     fn new(raw: RawSpec, config: Config) -> Result<Self, String> {
