@@ -14,7 +14,7 @@ mod state;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 pub use extent::Extent;
 pub use kinematics::{Foot, Leg};
@@ -148,10 +148,5 @@ impl Robot {
         let image = Vector3::new(-axis(joint).x, axis(joint).y, -axis(joint).z);
         let other = opposite(joint);
         (other, image.dot(&axis(other)).signum())
-    }
-
-    /// Hip joints, base frame \[m\].
-    pub fn hips(&self) -> [Point3<f64>; 4] {
-        self.legs.map(|leg| leg.hip())
     }
 }

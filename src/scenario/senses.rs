@@ -103,7 +103,7 @@ impl Senses {
         }
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let state = sim.state();
-        let robot = sim.shared_robot();
+        let robot = Arc::clone(sim.robot());
         let mut senses = Senses {
             sensors: Sensors::new(noise, &mut rng),
             rng,

@@ -84,8 +84,8 @@ impl RunFolder {
         let lock = lock(&staged)?;
         remove_all_but_the_lock(&staged).map_err(at(&staged))?;
         let about = serde_json::json!({
-            "config_name": trainer.config_name(),
-            "seed": trainer.seed(),
+            "config_name": trainer.run().config_name,
+            "seed": trainer.run().seed,
             "git_revision": provenance::GIT_REVISION,
             "mujoco_version": provenance::MUJOCO_VERSION,
             "command": std::env::args().collect::<Vec<_>>().join(" "),
@@ -93,7 +93,7 @@ impl RunFolder {
         let fill = || -> Result<(), RunError> {
             let (run, config) = (staged.join("run.json"), staged.join(CONFIG));
             files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
-            files::write_atomically(&config, trainer.config().to_yaml().as_bytes()).map_err(at(&config))?;
+            files::write_atomically(&config, trainer.run().config.to_yaml().as_bytes()).map_err(at(&config))?;
             trainer.checkpoint().save(&staged)?;
             trainer.policy().save(&staged.join(POLICY))?;
             fs::rename(&staged, path).map_err(at(path))?;
@@ -214,7 +214,7 @@ impl RunFolder {
     /// The system's reason, such as a full disk; the older file is untouched then.
     pub fn save_config(&self, trainer: &Trainer) -> Result<(), RunError> {
         let path = self.path.join(CONFIG);
-        Ok(files::write_atomically(&path, trainer.config().to_yaml().as_bytes()).map_err(at(&path))?)
+        Ok(files::write_atomically(&path, trainer.run().config.to_yaml().as_bytes()).map_err(at(&path))?)
     }
 
     /// Writes the policy alone. A run that was killed between the two files of [`RunFolder::save`] has an old one.
