@@ -55,6 +55,13 @@ pub struct Mlp {
 }
 
 impl Mlp {
+    /// Layers between these widths: orthogonal weights with gain √2, but for the last layer; no biases.
+    pub fn orthogonal(widths: &[usize], last_gain: f64, rng: &mut impl Rng) -> Self {
+        let gain = |layer: usize| if layer + 2 == widths.len() { last_gain } else { 2.0_f64.sqrt() };
+        let layer = |(k, ends): (usize, &[usize])| Layer::orthogonal(ends[0], ends[1], gain(k), rng);
+        Mlp { layers: widths.windows(2).enumerate().map(layer).collect() }
+    }
+
     /// Number of inputs.
     pub fn inputs(&self) -> usize {
         self.layers.first().map_or(0, Layer::inputs)
@@ -104,18 +111,8 @@ impl ActorCritic {
     /// Initialised as in Stable-Baselines3: orthogonal weights with gain √2 in hidden layers, 0.01 in the policy's last
     /// and 1 in the value's last layer; biases zero; `ln σ` the same for all actions.
     pub fn orthogonal(observations: usize, hidden: &[usize], actions: usize, log_std: f32, rng: &mut impl Rng) -> Self {
-        let mut mlp = |outputs: usize, last_gain: f64| {
-            let mut layers = Vec::with_capacity(hidden.len() + 1);
-            let mut inputs = observations;
-            for &width in hidden {
-                layers.push(Layer::orthogonal(inputs, width, 2.0_f64.sqrt(), rng));
-                inputs = width;
-            }
-            layers.push(Layer::orthogonal(inputs, outputs, last_gain, rng));
-            Mlp { layers }
-        };
-        let policy = mlp(actions, 0.01);
-        let value = mlp(1, 1.0);
+        let policy = Mlp::orthogonal(&[&[observations], hidden, &[actions]].concat(), 0.01, rng);
+        let value = Mlp::orthogonal(&[&[observations], hidden, &[1]].concat(), 1.0, rng);
         Self { policy, value, log_std: vec![log_std; actions] }
     }
 
