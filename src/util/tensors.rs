@@ -14,6 +14,9 @@ use serde::de::DeserializeOwned;
 /// Metadata key of the JSON text.
 const KEY: &str = "supple";
 
+/// Name, shape and values of a tensor of a network.
+pub type Named = (String, Vec<usize>, Vec<f32>);
+
 /// A named tensor, little-endian.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tensor {
@@ -98,7 +101,7 @@ pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Resul
 ///
 /// # Errors
 /// As [`read_f32`].
-pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<(String, Vec<usize>, Vec<f32>)>, String> {
+pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>, String> {
     let mut named = Vec::new();
     for (name, view) in tensors.iter() {
         if let Some(rest) = name.strip_prefix(prefix) {
