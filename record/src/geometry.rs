@@ -41,7 +41,7 @@ pub(super) fn log_model(
     let trunk = model.id(Kind::Body, "trunk")?;
     let geoms: Vec<Geom> = (0..model.count(Kind::Geom)).map(|id| model.geom(id)).collect();
     let count = model.count(Kind::Body);
-    let is_robot: Vec<bool> = (0..count).map(|body| is_below(model, body, trunk)).collect();
+    let is_robot: Vec<bool> = (0..count).map(|body| model.is_below(body, trunk)).collect();
     let looks: Vec<Vec<&Geom>> = (0..count).map(|body| looks_of(body, &geoms)).collect();
 
     let is_ball = |&body: &usize| {
@@ -93,20 +93,13 @@ pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
 pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
     let trunk = model.id(Kind::Body, "trunk")?;
     let is_obstacle =
-        |geom: Geom| !matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) && !is_below(model, geom.body, trunk);
+        |geom: Geom| !matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) && !model.is_below(geom.body, trunk);
     Ok((0..model.count(Kind::Geom)).any(|id| is_obstacle(model.geom(id))))
 }
 
 /// An entity below another one; the name may hold anything.
 pub(super) fn child(parent: &EntityPath, name: &str) -> EntityPath {
     parent.join(&EntityPath::from_single_string(name.to_owned()))
-}
-
-fn is_below(model: &Model, mut body: usize, ancestor: usize) -> bool {
-    while body != 0 && body != ancestor {
-        body = model.body_parent(body);
-    }
-    body == ancestor
 }
 
 /// What is drawn of a body: its looks, or what collides where it has no looks that can be drawn.
@@ -186,38 +179,19 @@ impl Solids {
         let lengths = |batch: &Batch| batch.sizes.iter().map(|size| 2.0 * size[1]).collect::<Vec<f32>>();
         let radii = |batch: &Batch| batch.sizes.iter().map(|size| size[0]).collect::<Vec<f32>>();
         let Solids { boxes, capsules, cylinders, ellipsoids } = self;
-        if !boxes.sizes.is_empty() {
-            let archetype = Boxes3D::from_half_sizes(half_sizes(&boxes))
-                .with_centers(boxes.positions)
-                .with_quaternions(boxes.quaternions)
-                .with_colors(boxes.colours)
-                .with_fill_mode(FillMode::Solid);
-            stream.log_static(path, &archetype)?;
+        macro_rules! log {
+            ($batch:ident, $archetype:expr, $with_positions:ident) => {
+                if !$batch.sizes.is_empty() {
+                    let archetype = $archetype.$with_positions($batch.positions).with_quaternions($batch.quaternions);
+                    let archetype = archetype.with_colors($batch.colours).with_fill_mode(FillMode::Solid);
+                    stream.log_static(path, &archetype)?;
+                }
+            };
         }
-        if !capsules.sizes.is_empty() {
-            let archetype = Capsules3D::from_lengths_and_radii(lengths(&capsules), radii(&capsules))
-                .with_translations(capsules.positions)
-                .with_quaternions(capsules.quaternions)
-                .with_colors(capsules.colours)
-                .with_fill_mode(FillMode::Solid);
-            stream.log_static(path, &archetype)?;
-        }
-        if !cylinders.sizes.is_empty() {
-            let archetype = Cylinders3D::from_lengths_and_radii(lengths(&cylinders), radii(&cylinders))
-                .with_centers(cylinders.positions)
-                .with_quaternions(cylinders.quaternions)
-                .with_colors(cylinders.colours)
-                .with_fill_mode(FillMode::Solid);
-            stream.log_static(path, &archetype)?;
-        }
-        if !ellipsoids.sizes.is_empty() {
-            let archetype = Ellipsoids3D::from_half_sizes(half_sizes(&ellipsoids))
-                .with_centers(ellipsoids.positions)
-                .with_quaternions(ellipsoids.quaternions)
-                .with_colors(ellipsoids.colours)
-                .with_fill_mode(FillMode::Solid);
-            stream.log_static(path, &archetype)?;
-        }
+        log!(boxes, Boxes3D::from_half_sizes(half_sizes(&boxes)), with_centers);
+        log!(capsules, Capsules3D::from_lengths_and_radii(lengths(&capsules), radii(&capsules)), with_translations);
+        log!(cylinders, Cylinders3D::from_lengths_and_radii(lengths(&cylinders), radii(&cylinders)), with_centers);
+        log!(ellipsoids, Ellipsoids3D::from_half_sizes(half_sizes(&ellipsoids)), with_centers);
         Ok(())
     }
 }

@@ -71,123 +71,57 @@ pub(super) enum Series {
     Terms,
 }
 
+const fn plot(
+    entity: &'static str,
+    title: &'static str,
+    tab: Tab,
+    series: Series,
+    values: fn(&Frame) -> Vec<f64>,
+) -> Plot {
+    Plot { entity, title, tab, series, range: None, values }
+}
+
 /// Every plot.
 const PLOTS: &[Plot] = &[
+    plot("forward", "Forward velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
+        vec![frame.command.forward, frame.velocity[0]]
+    }),
+    plot("left", "Left velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
+        vec![frame.command.left, frame.velocity[1]]
+    }),
+    plot("yaw_rate", "Yaw rate [rad/s]", Tab::Motion, Series::Tracking, |frame| {
+        vec![frame.command.yaw, frame.yaw_rate]
+    }),
+    plot("height", "Base height [m]", Tab::Motion, Series::Single, |frame| vec![frame.height_m]),
+    plot("power", "Mechanical power [W]", Tab::Effort, Series::Single, |frame| vec![frame.power_w]),
+    plot("torque", "Torque norm [N·m]", Tab::Effort, Series::Single, |frame| vec![frame.torque_n_m]),
+    plot("foot_force", "Largest foot force [N]", Tab::Effort, Series::Single, |frame| vec![frame.peak_foot_force_n]),
+    plot(OBSTACLE_FORCE, "Largest obstacle force [N]", Tab::Effort, Series::Single, |frame| {
+        vec![frame.peak_obstacle_force_n]
+    }),
+    plot("reward", "Reward", Tab::Reward, Series::Single, |frame| vec![frame.reward]),
     Plot {
-        entity: "forward",
-        title: "Forward velocity [m/s]",
-        tab: Tab::Motion,
-        series: Series::Tracking,
-        range: None,
-        values: |frame| vec![frame.command.forward, frame.velocity[0]],
-    },
-    Plot {
-        entity: "left",
-        title: "Left velocity [m/s]",
-        tab: Tab::Motion,
-        series: Series::Tracking,
-        range: None,
-        values: |frame| vec![frame.command.left, frame.velocity[1]],
-    },
-    Plot {
-        entity: "yaw_rate",
-        title: "Yaw rate [rad/s]",
-        tab: Tab::Motion,
-        series: Series::Tracking,
-        range: None,
-        values: |frame| vec![frame.command.yaw, frame.yaw_rate],
-    },
-    Plot {
-        entity: "height",
-        title: "Base height [m]",
-        tab: Tab::Motion,
-        series: Series::Single,
-        range: None,
-        values: |frame| vec![frame.height_m],
-    },
-    Plot {
-        entity: "power",
-        title: "Mechanical power [W]",
-        tab: Tab::Effort,
-        series: Series::Single,
-        range: None,
-        values: |frame| vec![frame.power_w],
-    },
-    Plot {
-        entity: "torque",
-        title: "Torque norm [N·m]",
-        tab: Tab::Effort,
-        series: Series::Single,
-        range: None,
-        values: |frame| vec![frame.torque_n_m],
-    },
-    Plot {
-        entity: "foot_force",
-        title: "Largest foot force [N]",
-        tab: Tab::Effort,
-        series: Series::Single,
-        range: None,
-        values: |frame| vec![frame.peak_foot_force_n],
-    },
-    Plot {
-        entity: OBSTACLE_FORCE,
-        title: "Largest obstacle force [N]",
-        tab: Tab::Effort,
-        series: Series::Single,
-        range: None,
-        values: |frame| vec![frame.peak_obstacle_force_n],
-    },
-    Plot {
-        entity: "reward",
-        title: "Reward",
-        tab: Tab::Reward,
-        series: Series::Single,
-        range: None,
-        values: |frame| vec![frame.reward],
-    },
-    Plot {
-        entity: "terms",
-        title: "Reward terms",
-        tab: Tab::Reward,
-        series: Series::Terms,
         // A robot on its back would make r_pose hide the rest.
         range: Some([0.0, 1.1]),
-        values: |frame| shown_terms(frame).map(|(_, value)| value).collect(),
+        ..plot("terms", "Reward terms", Tab::Reward, Series::Terms, |frame| {
+            shown_terms(frame).map(|(_, value)| value).collect()
+        })
     },
+    plot("estimate_forward", "Forward velocity [m/s]", Tab::Estimate, Series::Belief, |frame| {
+        believed(frame, frame.velocity[0], |sensed| sensed.velocity[0])
+    }),
+    plot("estimate_left", "Left velocity [m/s]", Tab::Estimate, Series::Belief, |frame| {
+        believed(frame, frame.velocity[1], |sensed| sensed.velocity[1])
+    }),
+    plot("estimate_height", "Base height [m]", Tab::Estimate, Series::Belief, |frame| {
+        believed(frame, frame.height_m, |sensed| sensed.height_m)
+    }),
     Plot {
-        entity: "estimate_forward",
-        title: "Forward velocity [m/s]",
-        tab: Tab::Estimate,
-        series: Series::Belief,
-        range: None,
-        values: |frame| believed(frame, frame.velocity[0], |sensed| sensed.velocity[0]),
-    },
-    Plot {
-        entity: "estimate_left",
-        title: "Left velocity [m/s]",
-        tab: Tab::Estimate,
-        series: Series::Belief,
-        range: None,
-        values: |frame| believed(frame, frame.velocity[1], |sensed| sensed.velocity[1]),
-    },
-    Plot {
-        entity: "estimate_height",
-        title: "Base height [m]",
-        tab: Tab::Estimate,
-        series: Series::Belief,
-        range: None,
-        values: |frame| believed(frame, frame.height_m, |sensed| sensed.height_m),
-    },
-    Plot {
-        entity: "estimate_contacts",
-        title: "Feet that touch",
-        tab: Tab::Estimate,
-        series: Series::Belief,
         range: Some([0.0, 4.2]),
-        values: |frame| {
+        ..plot("estimate_contacts", "Feet that touch", Tab::Estimate, Series::Belief, |frame| {
             let truth = frame.sensed.map_or(f64::NAN, |sensed| count(sensed.true_contacts));
             believed(frame, truth, |sensed| count(sensed.contacts))
-        },
+        })
     },
 ];
 

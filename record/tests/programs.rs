@@ -122,7 +122,7 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
     let cases: [(&[&str], &str); 9] = [
         (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
         (&["push", "--policy", "cut.safetensors"], "was it cut off"),
-        (&["push", "--policy", "other.safetensors"], "11 outputs, expected 12"),
+        (&["push", "--policy", "other.safetensors"], "should have shape [12], but has shape [11]"),
         (&["push", "--policy", "standing.safetensors", "--push-m-s", "-1"], "--push-m-s is -1, expected 0 to 20 m/s"),
         (&["box", "--policy", "standing.safetensors", "--mass-kg", "0"], "--mass-kg is 0, expected 0.001"),
         (&["push", "--policy", "standing.safetensors", "--params", "odd.yaml"], "no parameter 'push_m_ss'"),
@@ -221,7 +221,7 @@ fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2(
         (&["--policy", "ours.safetensors", "--model", "nameless.xml"], "no joint 'RL_calf'; its joints are: "),
         (&["--policy", "ours.safetensors", "--model", "loop.xml"], "does one include itself?"),
         (&["--policy", "ours.safetensors", "--model", "broken.xml"], "is not XML"),
-        (&["--policy", "ours.safetensors", "--model", "none.xml"], "cannot read none.xml"),
+        (&["--policy", "ours.safetensors", "--model", "none.xml"], "none.xml: there is no such file"),
     ];
     for (arguments, expected) in cases {
         let output = run("scenario", folder.path(), &[&["walk", "--no-record"], arguments].concat());

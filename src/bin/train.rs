@@ -62,8 +62,8 @@ fn run(args: Args) -> anyhow::Result<()> {
         Some(path) => resume(path, &args, threads)?,
         None => start(&args, threads)?,
     };
-    let total = trainer.config().run.samples;
-    let mut saved = trainer.iteration();
+    let total = trainer.run().config.run.samples;
+    let mut saved = trainer.run().iteration;
     let outcome = train(&mut trainer, &mut folder, total, &stop, &mut saved);
     let path = folder.path().display();
     if let Err(error) = outcome {
@@ -78,11 +78,14 @@ fn run(args: Args) -> anyhow::Result<()> {
         };
         return Err(error.context(format!("stopped; {way_on}")));
     }
-    if trainer.samples() < total {
-        let samples = trainer.samples();
+    if trainer.run().samples < total {
+        let samples = trainer.run().samples;
         terminal::note(format_args!("stopped after {samples} samples; go on with: {}", resuming(folder.path())));
     } else {
-        terminal::note(format_args!("done: {} samples; the policy is {path}/policy.safetensors", trainer.samples()));
+        terminal::note(format_args!(
+            "done: {} samples; the policy is {path}/policy.safetensors",
+            trainer.run().samples
+        ));
     }
     Ok(())
 }
@@ -103,9 +106,9 @@ fn train(
     stop: &AtomicBool,
     saved: &mut u64,
 ) -> anyhow::Result<()> {
-    let every = trainer.config().run.checkpoint_every;
-    let bar = progress_bar(total, trainer.samples());
-    while trainer.samples() < total && !stop.load(Ordering::Relaxed) {
+    let every = trainer.run().config.run.checkpoint_every;
+    let bar = progress_bar(total, trainer.run().samples);
+    while trainer.run().samples < total && !stop.load(Ordering::Relaxed) {
         let metrics = trainer.iterate().map_err(|error| explain(error, folder))?;
         folder.log(&metrics)?;
         keep_physics_faults(trainer, folder, &bar);
@@ -121,9 +124,9 @@ fn train(
         }
     }
     bar.abandon();
-    if *saved != trainer.iteration() {
+    if *saved != trainer.run().iteration {
         folder.save(trainer)?;
-        *saved = trainer.iteration();
+        *saved = trainer.run().iteration;
     }
     Ok(())
 }
@@ -151,7 +154,7 @@ fn stop_on_signals(stop: Arc<AtomicBool>) -> anyhow::Result<()> {
 fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar) {
     for fault in trainer.faults() {
         let Fault { error, environment, step, .. } = fault;
-        let kept = match folder.keep_physics_fault(trainer.iteration(), fault) {
+        let kept = match folder.keep_physics_fault(trainer.run().iteration, fault) {
             Ok(Some(file)) => format!("; its last second is in {}", file.display()),
             // There are enough on file, and enough were shown.
             Ok(None) => continue,
@@ -224,14 +227,15 @@ fn progress_bar(total: u64, done: u64) -> ProgressBar {
 
 fn summary(metrics: &IterationMetrics) -> String {
     let percent = |fraction: Option<f64>| fraction.map_or("-".into(), |fraction| format!("{:.0} %", 100.0 * fraction));
-    let faults = if metrics.faults > 0 { format!(", {} PHYSICS FAULTS", metrics.faults) } else { String::new() };
+    let faults =
+        if metrics.means.faults > 0 { format!(", {} PHYSICS FAULTS", metrics.means.faults) } else { String::new() };
     format!(
         "reward {:.2}, r_lin {}, falls {}, in flight {}, commands open {}, pushes {}{faults}",
         metrics.step_reward,
-        percent(metrics.walking_linear),
-        percent(metrics.fall_rate),
-        percent(metrics.terms.map(|terms| terms.flight())),
+        percent(metrics.means.walking_linear),
+        percent(metrics.means.fall_rate),
+        percent(metrics.means.terms.map(|terms| terms.flight())),
         percent(Some(metrics.command_fraction)),
-        percent(metrics.push_fraction),
+        percent(metrics.means.push_fraction),
     )
 }

@@ -1,5 +1,7 @@
 //! The ranges of a configuration's values.
 
+use std::ops::RangeInclusive;
+
 use super::{Config, LOG_STD_RANGE, LearnerKind, Precision};
 use crate::util::yaml;
 
@@ -40,8 +42,7 @@ impl Config {
     /// [`ValueError`] that names the key.
     pub fn check(&self) -> Result<(), ValueError> {
         let s = &self.simulation;
-        let rate = (1..=1000).contains(&s.policy_rate_hz);
-        require(rate, "simulation.policy_rate_hz", s.policy_rate_hz, "1 to 1000 Hz")?;
+        within("simulation.policy_rate_hz", s.policy_rate_hz, 1..=1000, "1 to 1000 Hz")?;
         require(
             (1..=MAX_PHYSICS_RATE_HZ).contains(&s.physics_rate_hz)
                 && s.physics_rate_hz.is_multiple_of(s.policy_rate_hz),
@@ -53,7 +54,7 @@ impl Config {
                 4 * s.policy_rate_hz
             ),
         )?;
-        require((0.0..=1.0).contains(&s.latency_s), "simulation.latency_s", s.latency_s, "0 to 1 s")?;
+        within("simulation.latency_s", s.latency_s, 0.0..=1.0, "0 to 1 s")?;
         not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;
         not_negative("simulation.kd_n_m_s_per_rad", s.kd_n_m_s_per_rad)?;
 
@@ -72,15 +73,10 @@ impl Config {
 
         let e = &self.episode;
         let period = s.policy_period_s();
-        require(
-            (period..=MAX_STAGE_S).contains(&e.walking_s),
-            "episode.walking_s",
-            e.walking_s,
-            "at least one policy step and at most an hour",
-        )?;
-        let stage = 0.0..=MAX_STAGE_S;
-        require(stage.contains(&e.recovery_s), "episode.recovery_s", e.recovery_s, "0 to 3600 s")?;
-        require(stage.contains(&e.post_recovery_s), "episode.post_recovery_s", e.post_recovery_s, "0 to 3600 s")?;
+        let walking = "at least one policy step and at most an hour";
+        within("episode.walking_s", e.walking_s, period..=MAX_STAGE_S, walking)?;
+        within("episode.recovery_s", e.recovery_s, 0.0..=MAX_STAGE_S, "0 to 3600 s")?;
+        within("episode.post_recovery_s", e.post_recovery_s, 0.0..=MAX_STAGE_S, "0 to 3600 s")?;
         fraction("episode.push_gate", e.push_gate)?;
         not_negative("episode.push_speed_m_s", e.push_speed_m_s)?;
         not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
@@ -113,12 +109,7 @@ impl Config {
         positive("randomisation.default_friction", r.default_friction)?;
 
         let p = &self.ppo;
-        require(
-            (1..=MAX_BATCH_SIZE).contains(&p.batch_size),
-            "ppo.batch_size",
-            p.batch_size,
-            &format!("1 to {MAX_BATCH_SIZE}"),
-        )?;
+        within("ppo.batch_size", p.batch_size, 1..=MAX_BATCH_SIZE, &format!("1 to {MAX_BATCH_SIZE}"))?;
         require(
             p.environments > 0 && p.batch_size.is_multiple_of(p.environments),
             "ppo.environments",
@@ -133,7 +124,7 @@ impl Config {
         )?;
         let has = p.learner == LearnerKind::Fused || matches!(p.precision, Precision::Auto | Precision::F32);
         require(has, "ppo.precision", yaml::to_text(&p.precision).trim_end(), "auto or f32 with ppo.learner: candle")?;
-        require((1..=MAX_EPOCHS).contains(&p.epochs), "ppo.epochs", p.epochs, &format!("1 to {MAX_EPOCHS}"))?;
+        within("ppo.epochs", p.epochs, 1..=MAX_EPOCHS, &format!("1 to {MAX_EPOCHS}"))?;
         let upright = self.action.nominal_pose_rad[0] == 0.0;
         require(
             !p.symmetry || upright,
@@ -149,25 +140,30 @@ impl Config {
         fraction("ppo.gae_lambda", p.gae_lambda)?;
         positive("ppo.desired_kl", p.desired_kl)?;
         let [low, high] = LOG_STD_RANGE.map(f64::from);
-        let log_std = (low..=high).contains(&p.initial_log_std);
-        require(log_std, "ppo.initial_log_std", p.initial_log_std, &format!("{low} to {high}"))?;
+        within("ppo.initial_log_std", p.initial_log_std, low..=high, &format!("{low} to {high}"))?;
         not_negative("ppo.value_coefficient", p.value_coefficient)?;
         positive("ppo.max_gradient_norm", p.max_gradient_norm)?;
         positive("ppo.adam_epsilon", p.adam_epsilon)?;
         positive("ppo.min_learning_rate", p.min_learning_rate)?;
         positive("ppo.max_learning_rate", p.max_learning_rate)?;
-        require(
-            (p.min_learning_rate..=p.max_learning_rate).contains(&p.initial_learning_rate),
-            "ppo.initial_learning_rate",
-            p.initial_learning_rate,
-            "between min_learning_rate and max_learning_rate",
-        )?;
+        let rates = p.min_learning_rate..=p.max_learning_rate;
+        let expected = "between min_learning_rate and max_learning_rate";
+        within("ppo.initial_learning_rate", p.initial_learning_rate, rates, expected)?;
         require(self.run.checkpoint_every > 0, "run.checkpoint_every", self.run.checkpoint_every, "at least 1")
     }
 }
 
 fn require(valid: bool, key: &'static str, found: impl ToString, expected: &str) -> Result<(), ValueError> {
     if valid { Ok(()) } else { Err(ValueError::Range { key, found: found.to_string(), expected: expected.to_owned() }) }
+}
+
+fn within<T: PartialOrd + ToString>(
+    key: &'static str,
+    value: T,
+    range: RangeInclusive<T>,
+    expected: &str,
+) -> Result<(), ValueError> {
+    require(range.contains(&value), key, value, expected)
 }
 
 fn positive(key: &'static str, value: f64) -> Result<(), ValueError> {
@@ -183,5 +179,5 @@ fn not_positive(key: &'static str, value: f64) -> Result<(), ValueError> {
 }
 
 fn fraction(key: &'static str, value: f64) -> Result<(), ValueError> {
-    require((0.0..=1.0).contains(&value), key, value, "0 to 1")
+    within(key, value, 0.0..=1.0, "0 to 1")
 }

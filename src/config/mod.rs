@@ -5,7 +5,7 @@ decay rates, nothing has a default in code. A file may name another one as its `
 baseline is one key away from the compliant policy, and reads so.
 
 Configurations outlive versions, being part of policies and checkpoints: a key that is added later has a default that is what
-was so before it, and is left out of files where it has that; a key with a better name keeps its old one as an alias.
+was so before it; a key with a better name keeps its old one as an alias.
 */
 
 mod check;
@@ -123,6 +123,14 @@ impl Config {
         }
         let differences = yaml::differences(self, &other).into_iter();
         differences.map(|(key, values)| Difference { key, values }).collect()
+    }
+
+    /// As it is in policy files, which go to other machines: without the folder of a robot that does not ship.
+    pub fn without_folder(mut self) -> Self {
+        if let (false, Some(name)) = (Robot::ships(&self.robot.model), Path::new(&self.robot.model).file_name()) {
+            self.robot.model = name.to_string_lossy().into_owned();
+        }
+        self
     }
 
     /// The complete configuration as YAML.

@@ -7,7 +7,7 @@ use serde::de::{MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::observation::{Layout, Nominal, Observed, Scales, paper_layout};
-use crate::robot::same_in_every_leg;
+use crate::robot::{JOINTS, same_in_every_leg};
 
 /// Everything that defines a training run but its seed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -293,7 +293,7 @@ impl Config {
         Nominal {
             pose: same_in_every_leg(self.action.nominal_pose_rad),
             height_m: self.reward.base_height_m,
-            action_scale_rad: self.action.scale_rad,
+            action_scale_rad: [self.action.scale_rad; JOINTS],
         }
     }
 }

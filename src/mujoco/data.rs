@@ -78,8 +78,6 @@ fields! {
     controls / controls_mut = ctrl[Model::nu];
     /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
     applied_forces / applied_forces_mut = xfrc_applied[|m| 6 * m.count(Kind::Body)];
-    /// Actuator forces of the last second half-step, shape (nu).
-    actuator_forces = actuator_force[Model::nu];
     /// Body frame origins, world frame, shape (nbody, 3). \[m\]
     body_positions = xpos[|m| 3 * m.count(Kind::Body)];
     /// Body orientations (w, x, y, z), shape (nbody, 4).
@@ -94,8 +92,6 @@ fields! {
     tendon_lengths = ten_length[|m| m.count(Kind::Tendon)];
     /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
     tendon_velocities = ten_velocity[|m| m.count(Kind::Tendon)];
-    /// Generalised accelerations of the last second half-step, shape (nv).
-    accelerations = qacc[Model::nv];
 }
 
 impl Data {

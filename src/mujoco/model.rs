@@ -32,29 +32,17 @@ pub enum Kind {
 }
 
 impl Kind {
-    fn raw(self) -> i32 {
-        (match self {
-            Kind::Body => sys::mjOBJ_BODY,
-            Kind::Joint => sys::mjOBJ_JOINT,
-            Kind::Geom => sys::mjOBJ_GEOM,
-            Kind::Site => sys::mjOBJ_SITE,
-            Kind::Actuator => sys::mjOBJ_ACTUATOR,
-            Kind::Numeric => sys::mjOBJ_NUMERIC,
-            Kind::HeightField => sys::mjOBJ_HFIELD,
-            Kind::Tendon => sys::mjOBJ_TENDON,
-        }) as i32
-    }
-
-    fn word(self) -> &'static str {
+    /// MuJoCo's number of it, and what messages call it.
+    fn known(self) -> (u32, &'static str) {
         match self {
-            Kind::Body => "body",
-            Kind::Joint => "joint",
-            Kind::Geom => "geom",
-            Kind::Site => "site",
-            Kind::Actuator => "actuator",
-            Kind::Numeric => "numeric field",
-            Kind::HeightField => "height field",
-            Kind::Tendon => "tendon",
+            Kind::Body => (sys::mjOBJ_BODY, "body"),
+            Kind::Joint => (sys::mjOBJ_JOINT, "joint"),
+            Kind::Geom => (sys::mjOBJ_GEOM, "geom"),
+            Kind::Site => (sys::mjOBJ_SITE, "site"),
+            Kind::Actuator => (sys::mjOBJ_ACTUATOR, "actuator"),
+            Kind::Numeric => (sys::mjOBJ_NUMERIC, "numeric field"),
+            Kind::HeightField => (sys::mjOBJ_HFIELD, "height field"),
+            Kind::Tendon => (sys::mjOBJ_TENDON, "tendon"),
         }
     }
 }
@@ -290,10 +278,10 @@ impl Model {
         // No element's name holds a zero byte.
         let id = CString::new(name).map_or(-1, |name| {
             // SAFETY: model and name are valid.
-            unsafe { sys::mj_name2id(self.as_ptr(), kind.raw(), name.as_ptr()) }
+            unsafe { sys::mj_name2id(self.as_ptr(), kind.known().0 as i32, name.as_ptr()) }
         });
         usize::try_from(id).map_err(|_| Error::Name {
-            kind: kind.word(),
+            kind: kind.known().1,
             name: name.to_owned(),
             known: (0..self.count(kind)).map(|id| self.name(kind, id)).collect::<Vec<_>>().join(", "),
         })
@@ -302,7 +290,7 @@ impl Model {
     /// Name of an element, empty if it has none or does not exist.
     pub fn name(&self, kind: Kind, id: usize) -> &str {
         // SAFETY: MuJoCo checks the id's range and returns null for elements without a name.
-        let name = unsafe { sys::mj_id2name(self.as_ptr(), kind.raw(), id as i32) };
+        let name = unsafe { sys::mj_id2name(self.as_ptr(), kind.known().0 as i32, id as i32) };
         if name.is_null() {
             return "";
         }
@@ -467,19 +455,20 @@ impl Model {
         position
     }
 
-    /// Positions of a keyframe, shape (nq).
-    pub fn keyframe(&self, name: &str) -> Option<&[f64]> {
-        let c_name = CString::new(name).ok()?;
-        // SAFETY: model and name are valid.
-        let id = unsafe { sys::mj_name2id(self.as_ptr(), sys::mjOBJ_KEY as i32, c_name.as_ptr()) };
-        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq)
-            .chunks(self.nq().max(1))
-            .nth(usize::try_from(id).ok()?)
+    /// Whether a body is another one or below it.
+    pub fn is_below(&self, mut body: usize, ancestor: usize) -> bool {
+        while body != 0 && body != ancestor {
+            body = self.body_parent(body);
+        }
+        body == ancestor
     }
 
-    /// Positions of the first keyframe, shape (nq).
-    pub fn first_keyframe(&self) -> Option<&[f64]> {
-        self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq).chunks(self.nq().max(1)).next()
+    /// Positions of the keyframe `home`, or else of the first, shape (nq).
+    pub fn keyframe(&self) -> Option<&[f64]> {
+        // SAFETY: model and name are valid.
+        let home = unsafe { sys::mj_name2id(self.as_ptr(), sys::mjOBJ_KEY as i32, c"home".as_ptr()) };
+        let mut all = self.slice(self.raw().key_qpos, self.raw().nkey * self.raw().nq).chunks(self.nq().max(1));
+        all.nth(usize::try_from(home).unwrap_or(0))
     }
 
     /// Positions that the file puts everything at, shape (nq).

@@ -1,7 +1,7 @@
 /*!
 Weights of the policy and the value function, as plain numbers.
 
-Everything else (the reference in candle, the fused learner, inference, checkpoints, ONNX) reads and writes this form.
+Everything else (both learners, inference, checkpoints, ONNX) reads and writes this form.
 */
 
 use std::collections::BTreeMap;
@@ -55,6 +55,13 @@ pub struct Mlp {
 }
 
 impl Mlp {
+    /// Layers between these widths: orthogonal weights with gain √2, but for the last layer; no biases.
+    pub fn orthogonal(widths: &[usize], last_gain: f64, rng: &mut impl Rng) -> Self {
+        let gain = |layer: usize| if layer + 2 == widths.len() { last_gain } else { 2.0_f64.sqrt() };
+        let layer = |(k, ends): (usize, &[usize])| Layer::orthogonal(ends[0], ends[1], gain(k), rng);
+        Mlp { layers: widths.windows(2).enumerate().map(layer).collect() }
+    }
+
     /// Number of inputs.
     pub fn inputs(&self) -> usize {
         self.layers.first().map_or(0, Layer::inputs)
@@ -63,6 +70,29 @@ impl Mlp {
     /// Number of outputs.
     pub fn outputs(&self) -> usize {
         self.layers.last().map_or(0, Layer::outputs)
+    }
+
+    /// Names, shapes and values in order: `0.weight`, `0.bias`, …, each after `prefix`.
+    pub fn tensors(&self, prefix: &str) -> Vec<(String, Vec<usize>, &[f32])> {
+        let mut tensors = Vec::new();
+        for (k, layer) in self.layers.iter().enumerate() {
+            let (inputs, outputs) = (layer.inputs(), layer.outputs());
+            tensors.push((format!("{prefix}{k}.weight"), vec![outputs, inputs], layer.weight.as_slice()));
+            tensors.push((format!("{prefix}{k}.bias"), vec![outputs], layer.bias.as_slice()));
+        }
+        tensors
+    }
+
+    /// The inverse of [`Mlp::tensors`] with no prefix, in any order.
+    ///
+    /// # Errors
+    /// In words: a tensor is missing, or does not fit the others or this number of inputs or outputs.
+    pub fn from_tensors(
+        tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
+        inputs: usize,
+        outputs: usize,
+    ) -> Result<Self, String> {
+        take_mlp(&mut by_name(tensors), "", Some(inputs), outputs)
     }
 }
 
@@ -77,51 +107,12 @@ pub struct ActorCritic {
     pub log_std: Vec<f32>,
 }
 
-/// What makes a set of tensors unfit to be an [`ActorCritic`].
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum TensorError {
-    /// A tensor is not there.
-    #[error("there is no tensor `{name}`")]
-    Missing {
-        /// The name looked for.
-        name: String,
-    },
-    /// A tensor does not fit its neighbours, or its shape does not fit its length.
-    #[error("tensor `{name}` should have shape {expected:?}, but has shape {actual:?} and {len} elements")]
-    Shape {
-        /// The tensor.
-        name: String,
-        /// What fits.
-        expected: Vec<usize>,
-        /// What was given.
-        actual: Vec<usize>,
-        /// Number of elements given.
-        len: usize,
-    },
-    /// A tensor belongs to nothing.
-    #[error("tensor `{name}` belongs to no layer of the policy or the value function")]
-    Unknown {
-        /// The tensor.
-        name: String,
-    },
-}
-
 impl ActorCritic {
     /// Initialised as in Stable-Baselines3: orthogonal weights with gain √2 in hidden layers, 0.01 in the policy's last
     /// and 1 in the value's last layer; biases zero; `ln σ` the same for all actions.
     pub fn orthogonal(observations: usize, hidden: &[usize], actions: usize, log_std: f32, rng: &mut impl Rng) -> Self {
-        let mut mlp = |outputs: usize, last_gain: f64| {
-            let mut layers = Vec::with_capacity(hidden.len() + 1);
-            let mut inputs = observations;
-            for &width in hidden {
-                layers.push(Layer::orthogonal(inputs, width, 2.0_f64.sqrt(), rng));
-                inputs = width;
-            }
-            layers.push(Layer::orthogonal(inputs, outputs, last_gain, rng));
-            Mlp { layers }
-        };
-        let policy = mlp(actions, 0.01);
-        let value = mlp(1, 1.0);
+        let policy = Mlp::orthogonal(&[&[observations], hidden, &[actions]].concat(), 0.01, rng);
+        let value = Mlp::orthogonal(&[&[observations], hidden, &[1]].concat(), 1.0, rng);
         Self { policy, value, log_std: vec![log_std; actions] }
     }
 
@@ -136,14 +127,7 @@ impl ActorCritic {
     /// Names, shapes and values in a fixed order: `policy.0.weight`, `policy.0.bias`, …, `value.0.weight`, …,
     /// `log_std`.
     pub fn tensors(&self) -> Vec<(String, Vec<usize>, &[f32])> {
-        let mut tensors = Vec::new();
-        for (network, mlp) in [("policy", &self.policy), ("value", &self.value)] {
-            for (i, layer) in mlp.layers.iter().enumerate() {
-                let shape = vec![layer.outputs(), layer.inputs()];
-                tensors.push((format!("{network}.{i}.weight"), shape, layer.weight.as_slice()));
-                tensors.push((format!("{network}.{i}.bias"), vec![layer.outputs()], layer.bias.as_slice()));
-            }
-        }
+        let mut tensors = [self.policy.tensors("policy."), self.value.tensors("value.")].concat();
         tensors.push(("log_std".to_owned(), vec![self.log_std.len()], self.log_std.as_slice()));
         tensors
     }
@@ -151,19 +135,14 @@ impl ActorCritic {
     /// The inverse of [`Self::tensors`], in any order.
     ///
     /// # Errors
-    /// When a tensor is missing, belongs to nothing, or does not fit the others.
-    pub fn from_tensors(
-        tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
-    ) -> Result<Self, TensorError> {
-        let mut tensors: BTreeMap<_, _> =
-            tensors.into_iter().map(|(name, shape, values)| (name, (shape, values))).collect();
-
-        let (log_std_shape, log_std) = take(&mut tensors, "log_std")?;
-        check("log_std", vec![log_std.len()], &log_std_shape, log_std.len())?;
-        let policy = take_mlp(&mut tensors, "policy", None, log_std.len())?;
-        let value = take_mlp(&mut tensors, "value", Some(policy.inputs()), 1)?;
+    /// In words: a tensor is missing, belongs to nothing, or does not fit the others.
+    pub fn from_tensors(tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>) -> Result<Self, String> {
+        let mut tensors = by_name(tensors);
+        let log_std = take(&mut tensors, "log_std", &[None])?;
+        let policy = take_mlp(&mut tensors, "policy.", None, log_std.len())?;
+        let value = take_mlp(&mut tensors, "value.", Some(policy.inputs()), 1)?;
         match tensors.into_keys().next() {
-            Some(name) => Err(TensorError::Unknown { name }),
+            Some(name) => Err(format!("tensor `{name}` belongs to no layer of the policy or the value function")),
             None => Ok(Self { policy, value, log_std }),
         }
     }
@@ -171,32 +150,31 @@ impl ActorCritic {
 
 type Tensors = BTreeMap<String, (Vec<usize>, Vec<f32>)>;
 
-fn take(tensors: &mut Tensors, name: &str) -> Result<(Vec<usize>, Vec<f32>), TensorError> {
-    tensors.remove(name).ok_or_else(|| TensorError::Missing { name: name.to_owned() })
+fn by_name(tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>) -> Tensors {
+    tensors.into_iter().map(|(name, shape, values)| (name, (shape, values))).collect()
 }
 
-fn check(name: &str, expected: Vec<usize>, actual: &[usize], len: usize) -> Result<(), TensorError> {
-    if expected == actual && expected.iter().product::<usize>() == len && len > 0 {
-        return Ok(());
+/// Values of a tensor, where the sizes that are known are as expected.
+fn take(tensors: &mut Tensors, name: &str, known: &[Option<usize>]) -> Result<Vec<f32>, String> {
+    let (shape, values) = tensors.remove(name).ok_or_else(|| format!("there is no tensor `{name}`"))?;
+    let size = |(k, known): (usize, &Option<usize>)| known.or(shape.get(k).copied()).unwrap_or(0);
+    let expected: Vec<usize> = known.iter().enumerate().map(size).collect();
+    let count = values.len();
+    if expected == shape && expected.iter().product::<usize>() == count && count > 0 {
+        return Ok(values);
     }
-    Err(TensorError::Shape { name: name.to_owned(), expected, actual: actual.to_vec(), len })
+    Err(format!("tensor `{name}` should have shape {expected:?}, but has shape {shape:?} and {count} elements"))
 }
 
-fn take_mlp(tensors: &mut Tensors, network: &str, inputs: Option<usize>, outputs: usize) -> Result<Mlp, TensorError> {
+fn take_mlp(tensors: &mut Tensors, prefix: &str, inputs: Option<usize>, outputs: usize) -> Result<Mlp, String> {
     let mut layers: Vec<Layer> = Vec::new();
     loop {
-        let weight_name = format!("{network}.{}.weight", layers.len());
-        let bias_name = format!("{network}.{}.bias", layers.len());
-        let (weight_shape, weight) = take(tensors, &weight_name)?;
-        let (bias_shape, bias) = take(tensors, &bias_name)?;
-
-        let last = !tensors.contains_key(&format!("{network}.{}.weight", layers.len() + 1));
-        let layer_outputs = if last { outputs } else { bias.len() };
-        let given_inputs = weight_shape.get(1).copied().unwrap_or(0);
-        let layer_inputs = layers.last().map(Layer::outputs).or(inputs).unwrap_or(given_inputs);
-        check(&bias_name, vec![layer_outputs], &bias_shape, bias.len())?;
-        check(&weight_name, vec![layer_outputs, layer_inputs], &weight_shape, weight.len())?;
-
+        let of = |k: usize, part: &str| format!("{prefix}{k}.{part}");
+        let k = layers.len();
+        let last = !tensors.contains_key(&of(k + 1, "weight"));
+        let bias = take(tensors, &of(k, "bias"), &[last.then_some(outputs)])?;
+        let inputs = layers.last().map(Layer::outputs).or(inputs);
+        let weight = take(tensors, &of(k, "weight"), &[Some(bias.len()), inputs])?;
         layers.push(Layer { weight, bias });
         if last {
             return Ok(Mlp { layers });
@@ -290,7 +268,7 @@ mod tests {
         let error = |change: fn(&mut Named)| {
             let mut tensors = owned(&network());
             change(&mut tensors);
-            ActorCritic::from_tensors(tensors).unwrap_err().to_string()
+            ActorCritic::from_tensors(tensors).unwrap_err()
         };
         assert_eq!(error(|t| drop(t.remove(1))), "there is no tensor `policy.0.bias`");
         assert_eq!(

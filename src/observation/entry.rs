@@ -27,7 +27,7 @@ pub struct Observed {
     /// Subtracted \[0\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub offset: Option<Numbers>,
-    /// Multiplied with after that \[1\].
+    /// Multiplied with after that, not zero \[1\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<Numbers>,
     /// Limit after that; none if left out.
@@ -79,7 +79,7 @@ pub enum Numbers {
 pub enum Word {
     /// As an offset: what the quantity is in the nominal pose, for base height, joint angles and targets.
     Nominal,
-    /// As a scale: one over that of the action, so that joint targets become what the network has put out.
+    /// As a scale of joints: one over that of the action, so that targets become what the network has put out.
     Action,
 }
 
@@ -100,8 +100,8 @@ pub struct Nominal {
     pub pose: Joints,
     /// Base height \[m\].
     pub height_m: f64,
-    /// \[rad\] per unit of action.
-    pub action_scale_rad: f64,
+    /// The policy's order \[rad\] per unit of action.
+    pub action_scale_rad: Joints,
 }
 
 /// A stretch of the observation, at one age or several.
@@ -200,10 +200,18 @@ pub(super) fn offset(
 }
 
 pub(super) fn scale(entry: &Observed, block: &Block, nominal: &Nominal) -> Result<Vec<f64>, String> {
-    match &entry.scale {
-        Some(Numbers::Word(Word::Action)) => Ok(vec![1.0 / nominal.action_scale_rad; block.width]),
-        Some(Numbers::Word(_)) => Err("its `scale` must be a number, or `action`".into()),
-        found => numbers("scale", found.as_ref(), block.width, 1.0),
+    let scale = match &entry.scale {
+        Some(Numbers::Word(Word::Action)) if entry.quantity.about().0 == Kind::Joints => {
+            nominal.action_scale_rad.map(f64::recip).to_vec()
+        }
+        Some(Numbers::Word(_)) => return Err("its `scale` must be a number, or `action` if it is of joints".into()),
+        found => numbers("scale", found.as_ref(), block.width, 1.0)?,
+    };
+    // Scales are divided by, too: an observation is what the network sees over its scale.
+    if scale.iter().all(|scale| *scale != 0.0 && scale.is_finite()) {
+        Ok(scale)
+    } else {
+        Err(format!("its `scale` is {scale:?}, expected no zero: leave out what is not to be seen"))
     }
 }
 

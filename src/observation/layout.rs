@@ -259,7 +259,7 @@ mod tests {
     use nalgebra::{UnitQuaternion, Vector3};
 
     use super::*;
-    use crate::observation::{Command, Numbers, Observer, Scales, paper_layout};
+    use crate::observation::{Command, Numbers, Observer, Scales, Word, paper_layout};
     use crate::robot::{FootState, RobotState, same_in_every_leg};
 
     fn state() -> RobotState {
@@ -285,7 +285,8 @@ mod tests {
             angular_velocity_scale: 0.25,
             joint_rate_scale: 0.05,
         };
-        let nominal = Nominal { pose: same_in_every_leg([0.0, 0.72, -1.44]), height_m: 0.31, action_scale_rad: 0.3 };
+        let nominal =
+            Nominal { pose: same_in_every_leg([0.0, 0.72, -1.44]), height_m: 0.31, action_scale_rad: [0.3; 12] };
         Layout::new(&paper_layout(&scales), &nominal).unwrap()
     }
 
@@ -362,7 +363,7 @@ mod tests {
     #[test]
     fn what_has_no_side_and_what_is_scaled_for_one_side_has_no_mirror_image() {
         let robot = Robot::load("go1").unwrap();
-        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: 0.3 };
+        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
         let mirrored = |entry: Observed| Layout::new(&[entry], &nominal).unwrap().mirrored(&robot);
         let clock = Observed { frequency_hz: Some(2.0), ..Observed::now(Quantity::ClockSin) };
         assert!(mirrored(clock).unwrap_err().contains("ClockSin has no mirror image"));
@@ -370,5 +371,17 @@ mod tests {
         assert!(mirrored(Observed { offset, ..Observed::now(Quantity::BaseVelocity) }).is_err());
         let velocity = mirrored(Observed::now(Quantity::BaseVelocity)).unwrap();
         assert_eq!(velocity, [(0, 1.0), (1, -1.0), (2, 1.0)]);
+    }
+    #[test]
+    fn a_scale_of_zero_is_refused_and_that_of_the_action_is_each_joints_own() {
+        let action_scale_rad = std::array::from_fn(|joint| if joint == 0 { 0.5 } else { 0.25 });
+        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad };
+        let layout =
+            |quantity, scale| Layout::new(&[Observed { scale: Some(scale), ..Observed::now(quantity) }], &nominal);
+        let error = layout(Quantity::BaseHeight, Numbers::All(0.0)).unwrap_err();
+        assert!(error.contains("BaseHeight") && error.contains("`scale` is [0.0], expected no zero"), "{error}");
+        let targets = layout(Quantity::LastTarget, Numbers::Word(Word::Action)).unwrap();
+        assert_eq!(targets.scale()[..3], [2.0, 4.0, 4.0]);
+        assert!(layout(Quantity::BaseHeight, Numbers::Word(Word::Action)).unwrap_err().contains("if it is of joints"));
     }
 }

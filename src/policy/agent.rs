@@ -3,22 +3,22 @@
 use std::path::Path;
 
 use super::controller::Controller;
-use super::external::{ExternalError, ExternalPolicy};
-use super::file::{Policy, PolicyError};
+use super::external;
+use super::file::Policy;
 use super::inference::Inference;
-use crate::config::Config;
+use crate::config::{Config, ConfigError};
 use crate::robot::Robot;
-use crate::util::files;
+use crate::util::files::{self, FileError};
 
 /// Why there is no agent.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
-    /// A policy file of ours.
+    /// A policy file, or what is described in it.
     #[error(transparent)]
-    Policy(#[from] PolicyError),
-    /// An external policy.
+    File(#[from] FileError),
+    /// The simulation that an external policy asks for.
     #[error(transparent)]
-    External(#[from] ExternalError),
+    Config(#[from] ConfigError),
 }
 
 /// A policy with the robot, rates, gains and latency that it runs with.
@@ -44,26 +44,28 @@ impl Agent {
     /// [`AgentError`]
     pub fn load(path: &Path) -> Result<Self, AgentError> {
         if files::is_yaml(path) {
-            return Ok(ExternalPolicy::load(path)?.into());
+            return external::load(path);
         }
         let mut agent = Agent::from(Policy::load(path)?);
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
         Ok(agent)
     }
 
-    /// The file of a robot that does not ship goes by its name alone: it lies beside the policy, or where the run had it.
+    pub(super) fn external(inference: Inference, config: Config, sha256: String) -> Self {
+        Agent { config, sha256, mind: Mind::External(Box::new(inference)) }
+    }
+
+    /// The file of a robot that does not ship goes by its name alone: it lies where the run had it, or beside the policy.
+    /// If it is nowhere, the policy can still be looked at, or run on another robot.
     fn find_robot(&mut self, folder: &Path) {
         let model = &mut self.config.robot.model;
         if Robot::ships(model) || Path::new(model).is_absolute() {
             return;
         }
         let beside = folder.join(&*model);
-        let of_run = || {
-            let name = folder.join("config.yaml").to_string_lossy().into_owned();
-            Config::load(&name).ok().map(|config| config.robot.model)
-        };
-        let found = if beside.exists() { Some(beside.to_string_lossy().into_owned()) } else { of_run() };
-        *model = found.unwrap_or_else(|| std::mem::take(model));
+        let of_run = || Some(Config::load(&folder.join("config.yaml").to_string_lossy()).ok()?.robot.model);
+        let of_run = if beside.exists() { None } else { of_run() };
+        *model = of_run.unwrap_or_else(|| beside.to_string_lossy().into_owned());
     }
 
     /// A controller of one robot.
@@ -105,12 +107,5 @@ impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
         let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
         Agent { config, sha256, mind: Mind::Ours(Box::new(policy)) }
-    }
-}
-
-impl From<ExternalPolicy> for Agent {
-    fn from(policy: ExternalPolicy) -> Self {
-        let ExternalPolicy { inference, config, sha256 } = policy;
-        Agent { config, sha256, mind: Mind::External(Box::new(inference)) }
     }
 }

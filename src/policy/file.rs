@@ -5,19 +5,18 @@ gains, latency, rates, where it came from) is JSON under the metadata key `suppl
 targets they lead to are stored with it, so that every reader can check itself.
 */
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rand::RngExt;
 use rand_distr::StandardNormal;
-use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
 
 use super::inference::{Action, Buffers, Inference, Meaning, Network};
 use crate::config::{Config, Simulation};
-use crate::network::{ActorCritic, Layer, Mlp, PackedMlp};
+use crate::network::{ActorCritic, Mlp, PackedMlp};
 use crate::observation::Layout;
 use crate::robot::{JOINTS, Joints, Robot, joint_names, same_in_every_leg};
-use crate::util::files;
+use crate::util::files::{self, FileError};
 use crate::util::random::{Purpose, stream};
 use crate::util::tensors::{self, Tensor};
 
@@ -30,32 +29,14 @@ const OLDEST_FORMAT: u32 = 1;
 /// Larger files are not policies.
 const MAX_BYTES: u64 = 64 << 20;
 
+/// What errors call it.
+const POLICY: &str = "policy";
+
 /// Stored pairs of observation and joint targets.
 const GOLDEN: usize = 3;
 
 /// Joint targets may differ by this much from the stored ones on another machine \[rad\].
 const GOLDEN_TOLERANCE: f64 = 1e-5;
-
-/// Why a policy file was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum PolicyError {
-    /// Reading or writing failed.
-    #[error("policy {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The content is not a policy of this format.
-    #[error("policy {}: {problem}", path.display())]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// What was found and expected.
-        problem: String,
-    },
-}
 
 /// A stretch of the observation, in words for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -148,11 +129,8 @@ pub struct Policy {
 impl Policy {
     /// The deterministic policy of a network in training, which sees `layout` of `robot`.
     pub fn new(network: &ActorCritic, robot: &Robot, layout: Layout, mut provenance: Provenance) -> Self {
-        let config = &mut provenance.config;
-        // Files go to other machines, on which this one's folders mean nothing.
-        if let (false, Some(name)) = (Robot::ships(&robot.name), Path::new(&robot.name).file_name()) {
-            config.robot.model = name.to_string_lossy().into_owned();
-        }
+        provenance.config = provenance.config.without_folder();
+        let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
         let nominal_pose = same_in_every_leg(config.action.nominal_pose_rad);
         let inference = inference(&network.policy, layout, nominal_pose, config.action.scale_rad, &config.simulation);
@@ -183,6 +161,9 @@ impl Policy {
     }
 
     /// Joint targets \[rad\] for an observation in physical units, shape (length of the layout).
+    ///
+    /// # Panics
+    /// If the observation has another length.
     pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
         let layout = self.layout();
         let seen: Vec<f32> = observation.iter().enumerate().map(|(k, raw)| layout.normalised(k, *raw)).collect();
@@ -191,12 +172,7 @@ impl Policy {
 
     /// Bytes of the policy file.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-        let mut all = Vec::new();
-        for (index, layer) in self.actor.layers.iter().enumerate() {
-            let shape = vec![layer.outputs(), layer.inputs()];
-            all.push(Tensor::f32(format!("policy.{index}.weight"), shape, &layer.weight));
-            all.push(Tensor::f32(format!("policy.{index}.bias"), vec![layer.outputs()], &layer.bias));
-        }
+        let mut all = Tensor::of_network(self.actor.tensors("policy."));
         let (observations, targets) = self.golden();
         let length = self.layout().length();
         all.push(Tensor::f64("normaliser.offset", vec![length], self.layout().offset()));
@@ -230,19 +206,18 @@ impl Policy {
     /// Writes the policy file atomically.
     ///
     /// # Errors
-    /// [`PolicyError`] with the file's name.
-    pub fn save(&self, path: &Path) -> Result<(), PolicyError> {
-        let bytes = self.to_bytes().map_err(|error| invalid(path, error))?;
-        files::write_atomically(path, &bytes).map_err(|source| PolicyError::Io { path: path.to_owned(), source })
+    /// [`FileError`]
+    pub fn save(&self, path: &Path) -> Result<(), FileError> {
+        let bytes = self.to_bytes().map_err(FileError::of(POLICY, path))?;
+        files::write_atomically(path, &bytes).map_err(FileError::of(POLICY, path))
     }
 
     /// Reads a policy file and checks everything in it, the golden pairs included.
     ///
     /// # Errors
-    /// [`PolicyError`] that says what was found and what was expected.
-    pub fn load(path: &Path) -> Result<Self, PolicyError> {
-        let bytes =
-            files::read_bounded(path, MAX_BYTES).map_err(|source| PolicyError::Io { path: path.to_owned(), source })?;
+    /// [`FileError`] that says what was found and what was expected.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(POLICY, path))?;
         Self::from_bytes(&bytes, path)
     }
 
@@ -250,21 +225,21 @@ impl Policy {
     ///
     /// # Errors
     /// See [`Policy::load`].
-    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, PolicyError> {
-        let fail = |problem: String| PolicyError::Invalid { path: path.to_owned(), problem };
-        let (tensors, json) = tensors::deserialize(bytes).map_err(fail)?;
-        let format: Format =
-            serde_json::from_str(&json).map_err(|error| fail(format!("its metadata do not parse: {error}")))?;
-        format.check().map_err(fail)?;
-        let metadata: Metadata =
-            serde_json::from_str(&json).map_err(|error| fail(format!("its metadata do not parse: {error}")))?;
-        let layout = metadata.check().map_err(fail)?;
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
+        Self::parse(bytes).map_err(FileError::of(POLICY, path))
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        let (tensors, json) = tensors::deserialize(bytes)?;
+        let metadata: Metadata = tensors::metadata(&json, OLDEST_FORMAT..=FORMAT)?;
+        let layout = metadata.check()?;
         let length = layout.length();
 
-        let read = |name: &str, shape: &[usize]| tensors::read_f64(&tensors, name, shape).map_err(fail);
+        let read = |name: &str, shape: &[usize]| tensors::read_f64(&tensors, name, shape);
         let (offset, scale) = (read("normaliser.offset", &[length])?, read("normaliser.scale", &[length])?);
-        let layout = layout.with_normaliser(offset, scale).map_err(fail)?;
-        let actor = read_actor(&tensors, length).map_err(fail)?;
+        let layout = layout.with_normaliser(offset, scale)?;
+        let network = tensors::read_group(&tensors, "policy.")?;
+        let actor = Mlp::from_tensors(network, length, JOINTS).map_err(|error| format!("its policy: {error}"))?;
         let Metadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
         let inference = inference(&actor, layout, nominal_pose_rad, scale_rad, &provenance.config.simulation);
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
@@ -273,10 +248,10 @@ impl Policy {
         let found = policy.targets_of(&observations);
         let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         if worst.is_nan() || worst > GOLDEN_TOLERANCE {
-            return Err(fail(format!(
+            return Err(format!(
                 "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: \
                  the file is damaged"
-            )));
+            ));
         }
         Ok(policy)
     }
@@ -313,22 +288,6 @@ fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, 
         },
         network: Network::Mlp(PackedMlp::new(actor)),
         period_s: simulation.policy_period_s(),
-    }
-}
-
-/// What decides whether the rest can be read.
-#[derive(Deserialize)]
-struct Format {
-    format: u32,
-}
-
-impl Format {
-    fn check(&self) -> Result<(), String> {
-        if (OLDEST_FORMAT..=FORMAT).contains(&self.format) {
-            return Ok(());
-        }
-        let found = self.format;
-        Err(format!("its format is {found}, this program reads {OLDEST_FORMAT} to {FORMAT}: it is of a newer one"))
     }
 }
 
@@ -375,30 +334,6 @@ fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
         }));
     }
     infos
-}
-
-fn read_actor(tensors: &SafeTensors<'_>, length: usize) -> Result<Mlp, String> {
-    let (mut layers, mut inputs) = (Vec::new(), length);
-    while let Ok(view) = tensors.tensor(&format!("policy.{}.weight", layers.len())) {
-        let index = layers.len();
-        let outputs = view.shape().first().copied().unwrap_or(0);
-        let weight = tensors::read_f32(tensors, &format!("policy.{index}.weight"), &[outputs, inputs])?;
-        let bias = tensors::read_f32(tensors, &format!("policy.{index}.bias"), &[outputs])?;
-        if outputs == 0 {
-            return Err(format!("its tensor policy.{index}.weight has no rows"));
-        }
-        layers.push(Layer { weight, bias });
-        inputs = outputs;
-    }
-    if layers.is_empty() || inputs != JOINTS {
-        let found = layers.len();
-        return Err(format!("its network has {found} layers and {inputs} outputs, expected {JOINTS} outputs"));
-    }
-    Ok(Mlp { layers })
-}
-
-fn invalid(path: &Path, error: impl ToString) -> PolicyError {
-    PolicyError::Invalid { path: path.to_owned(), problem: error.to_string() }
 }
 
 #[cfg(test)]
@@ -466,7 +401,7 @@ mod tests {
         let mut other = policy();
         other.actor.layers.pop();
         let error = Policy::from_bytes(&other.to_bytes().unwrap(), Path::new("other")).unwrap_err().to_string();
-        assert!(error.contains("16 outputs, expected 12"), "{error}");
+        assert!(error.contains("tensor `1.bias` should have shape [12], but has shape [16]"), "{error}");
     }
 
     proptest::proptest! {

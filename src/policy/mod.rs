@@ -14,5 +14,5 @@ pub mod shipped;
 
 pub use agent::{Agent, AgentError};
 pub use controller::Controller;
-pub use file::{Policy, PolicyError, Provenance, Usage};
+pub use file::{Policy, Provenance, Usage};
 pub use inference::{Action, Buffers, Inference, Meaning, Network, PolicyController};

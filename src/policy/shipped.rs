@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use crate::policy::{Agent, AgentError};
-use crate::policy::{Policy, PolicyError};
+use crate::policy::{Agent, AgentError, Policy};
 
 /// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
@@ -42,12 +41,6 @@ pub enum FindError {
     },
 }
 
-impl From<PolicyError> for FindError {
-    fn from(error: PolicyError) -> Self {
-        FindError::Agent(error.into())
-    }
-}
-
 /// A policy by path of its file, path of a run's folder, path of the YAML file of an external one, or name of a
 /// shipped one; `compliant` stands for the least seed's that ships, `compliant-seed0`.
 ///
@@ -67,7 +60,7 @@ pub fn find(name: &str) -> Result<Agent, FindError> {
     let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
     let shipped = position(&names, name).ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
     let (known, bytes) = EMBEDDED[shipped];
-    Ok(Policy::from_bytes(bytes, Path::new(known))?.into())
+    Ok(Policy::from_bytes(bytes, Path::new(known)).map_err(AgentError::from)?.into())
 }
 
 /// Which of the names is meant: itself, or the least seed's.

@@ -2,13 +2,13 @@
 The course of an update: from the sums of a minibatch to its step, statistics or fault.
 */
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::loss::Minibatch;
 use super::{Batch, Hyperparameters};
 
 /// What an update did; means over its minibatches unless said otherwise.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct UpdateStatistics {
     /// Clipped surrogate, negated.
     pub policy_loss: f64,
@@ -19,6 +19,7 @@ pub struct UpdateStatistics {
     /// Divergence from the policy of the rollout.
     pub kl: f64,
     /// Fraction of samples with a probability ratio outside the clip range.
+    #[serde(alias = "clip_share")]
     pub clip_fraction: f64,
     /// Largest probability ratio of a sample, over all minibatches.
     pub max_ratio: f64,
@@ -30,7 +31,7 @@ pub struct UpdateStatistics {
     pub learning_rate: f64,
 }
 
-/// Why an update stopped. The parameters are those before the step in question.
+/// Why an update stopped. Steps before it stay taken, but for those before an error of candle.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum UpdateFault {
     /// A slice of the batch does not fit the others.

@@ -5,7 +5,7 @@ thigh joint, from there to the knee, from there to the foot, and the axes that t
 about parallel axes, so that their angles add. `golden.c` prints what MuJoCo makes of the Go1's legs, and a test compares.
 */
 
-use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::legs::{Joints, LEGS, PARTS, of_leg};
 use crate::mujoco::{Kind, Model};
@@ -48,9 +48,6 @@ const PARALLEL: f64 = 1e-3;
 
 impl Leg {
     /// Reads leg `leg` of a model with our names.
-    ///
-    /// # Errors
-    /// In words: a part that the model lacks, or thigh and calf that turn about different axes.
     pub(super) fn of(model: &Model, leg: usize) -> Result<Self, String> {
         let name = LEGS[leg];
         let id = |kind, name: String| model.id(kind, &name).map_err(|error| error.to_string());
@@ -118,11 +115,6 @@ impl Leg {
             velocity: self.foot_jacobian(angles) * Vector3::from(rates),
             spin: self.hip_axis * rates[0] + about(&self.hip_axis, self.turned(angles)[0], &spin),
         }
-    }
-
-    /// The hip joint, base frame \[m\].
-    pub fn hip(&self) -> Point3<f64> {
-        self.hip.into()
     }
 
     /// Axes of hip, thigh and calf at zero angles, base frame.

@@ -14,7 +14,7 @@ mod state;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 pub use extent::Extent;
 pub use kinematics::{Foot, Leg};
@@ -83,8 +83,11 @@ impl Robot {
             return SHIPPED_ROBOTS[index].clone();
         }
         let path = Path::new(name);
-        let import::Imported { mjcf, report, fall_height_m } =
-            import::read(path).map_err(|problem| RobotError { path: path.to_owned(), problem })?;
+        let fail = |problem| RobotError { path: path.to_owned(), problem };
+        if !path.exists() {
+            return Err(fail("there is no such file: put it there, or name another robot".into()));
+        }
+        let import::Imported { mjcf, report, fall_height_m } = import::read(path).map_err(fail)?;
         Self::new(name, mjcf, report, fall_height_m).map(Arc::new)
     }
 
@@ -145,10 +148,5 @@ impl Robot {
         let image = Vector3::new(-axis(joint).x, axis(joint).y, -axis(joint).z);
         let other = opposite(joint);
         (other, image.dot(&axis(other)).signum())
-    }
-
-    /// Hip joints, base frame \[m\].
-    pub fn hips(&self) -> [Point3<f64>; 4] {
-        self.legs.map(|leg| leg.hip())
     }
 }

@@ -99,19 +99,13 @@ impl<'a> Rollout<'a> {
     pub fn with_sensing(self, sensing: Sensing, seed: u64) -> Result<Self, SensingError> {
         match sensing {
             Sensing::True => Ok(self),
-            Sensing::Estimated => self.with_senses(ContactNetwork::shipped()?, SensorNoise::default(), seed),
+            Sensing::Estimated => {
+                let (network, noise, rest) =
+                    (ContactNetwork::shipped()?, SensorNoise::default(), self.controller.rest());
+                let senses = Senses::new(network, noise, seed, &self.sim, &self.script.conditions, &rest)?;
+                Ok(Rollout { senses: Some(senses), ..self })
+            }
         }
-    }
-
-    /// [`Rollout::with_sensing`] with another contact network or other sensors.
-    ///
-    /// # Errors
-    /// [`SensingError`]
-    pub fn with_senses(mut self, network: ContactNetwork, noise: SensorNoise, seed: u64) -> Result<Self, SensingError> {
-        let rest = self.controller.rest();
-        let senses = Senses::new(network, noise, seed, &self.sim, &self.script.conditions, &rest)?;
-        self.senses = Some(senses);
-        Ok(self)
     }
 
     /// Steps that a rollout without a fall has.

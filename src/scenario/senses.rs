@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use crate::estimate::contact::{ContactError, ContactEstimator, ContactNetwork, RATE_HZ};
+use crate::estimate::contact::{ContactEstimator, ContactNetwork, RATE_HZ};
 use crate::estimate::sensors::TrunkMotion;
 use crate::estimate::{
     EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors,
@@ -25,6 +25,7 @@ use crate::mujoco::Data;
 use crate::robot::{FootState, Joints, Robot, RobotState, kinematics};
 use crate::scenario::trace::Sensed;
 use crate::sim::{Conditions, Parts, Sim};
+use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
 
 /// What a controller acts on.
@@ -43,7 +44,7 @@ pub enum Sensing {
 pub enum SensingError {
     /// No network.
     #[error(transparent)]
-    Contact(#[from] ContactError),
+    Contact(#[from] FileError),
     /// The network was trained for another rate.
     #[error("the physics run at {found_hz} Hz, the contact network at {RATE_HZ} Hz: sense the true state instead")]
     Rate {
@@ -102,7 +103,7 @@ impl Senses {
         }
         let mut rng = stream(seed, Purpose::Sensor, 0, 0);
         let state = sim.state();
-        let robot = sim.shared_robot();
+        let robot = Arc::clone(sim.robot());
         let mut senses = Senses {
             sensors: Sensors::new(noise, &mut rng),
             rng,

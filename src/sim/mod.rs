@@ -153,15 +153,7 @@ impl Sim {
         self.data.positions_mut()[..self.start.len()].copy_from_slice(&self.start);
         self.latency.reset(*target);
         self.apply(conditions);
-        self.look()
-    }
-
-    /// Makes what was written into [`Sim::data_mut`] count: bodies that were moved, tendons that were cut.
-    ///
-    /// # Errors
-    /// A fault of MuJoCo.
-    pub fn refresh(&mut self) -> Result<()> {
-        self.look()
+        self.refresh()
     }
 
     /// Gives each foot the friction of the ground where it was at the last look.
@@ -174,8 +166,12 @@ impl Sim {
         }
     }
 
-    /// The first half of a physics step.
-    fn look(&mut self) -> Result<()> {
+    /// The first half of a physics step. It makes what was written into [`Sim::data_mut`] count: bodies that were moved,
+    /// tendons that were cut.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn refresh(&mut self) -> Result<()> {
         self.feel_ground();
         self.unnormalised.clear();
         self.unnormalised.extend_from_slice(self.data.positions());
@@ -194,7 +190,7 @@ impl Sim {
     /// A fault of MuJoCo; the simulation must be reset before it goes on.
     pub fn step(&mut self, target: &Joints, observer: &mut impl StepObserver) -> Result<StepSummary> {
         let mut summary = StepSummary { power_w: 0.0, torque_n_m: 0.0, squared_torque: 0.0, fall: None };
-        let limits = self.parts.torque_limits();
+        let limits = self.robot.torque_limits;
         for _ in 0..self.substeps {
             let acting = self.latency.delay(target);
             let rates = self.parts.joint_rates(&self.data);
@@ -202,7 +198,7 @@ impl Sim {
             self.parts.set_torques(&mut self.data, &torques);
             self.data.step2()?;
             observer.forces(&self.data, &self.parts, &torques);
-            self.look()?;
+            self.refresh()?;
             observer.feet(&self.parts.footholds(&self.data, &self.ground));
             let squared = squared_torque(&torques);
             summary.power_w += mechanical_power(&torques, &rates);
@@ -239,12 +235,13 @@ impl Sim {
         let linear =
             UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(push.linear[0], push.linear[1], 0.0);
         self.parts.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
-        self.look()
+        self.refresh()
     }
 
-    /// Sets the force that acts on the trunk from now on, world frame \[N\].
+    /// Sets the force that acts on the trunk's centre of mass from now on, world frame \[N\].
     pub fn set_trunk_force(&mut self, force: Vector3<f64>) {
-        self.parts.set_trunk_force(&mut self.data, force);
+        let start = 6 * self.parts.trunk();
+        self.data.applied_forces_mut()[start..start + 3].copy_from_slice(force.as_slice());
     }
 
     fn fall(&self) -> Option<Fall> {
@@ -278,13 +275,8 @@ impl Sim {
     }
 
     /// The robot.
-    pub fn robot(&self) -> &Robot {
+    pub fn robot(&self) -> &Arc<Robot> {
         &self.robot
-    }
-
-    /// The robot, to keep.
-    pub fn shared_robot(&self) -> Arc<Robot> {
-        Arc::clone(&self.robot)
     }
 
     /// Where the robot's parts are in the model.
@@ -335,6 +327,6 @@ impl Sim {
         self.data.warm_start_mut().copy_from_slice(&state.warm_start);
         self.data.set_time_s(state.time_s);
         self.latency = state.latency.clone();
-        self.look()
+        self.refresh()
     }
 }

@@ -16,7 +16,6 @@ pub struct Parts {
     joint_position: [usize; JOINTS],
     joint_velocity: [usize; JOINTS],
     actuators: [usize; JOINTS],
-    torque_limits: Joints,
     feet: [usize; 4],
     foot_radius: [f64; 4],
     ground: usize,
@@ -35,14 +34,8 @@ impl Parts {
         let joints = try_array(|k| model.id(Kind::Joint, &format!("{}_joint", joint_name(k))))?;
         let actuators = try_array(|k| model.id(Kind::Actuator, &joint_name(k)))?;
         let feet: [usize; 4] = try_array(|leg| model.id(Kind::Geom, &format!("{}_foot", LEGS[leg])))?;
-        let in_robot = |mut body: usize| {
-            while body != 0 && body != trunk {
-                body = model.body_parent(body);
-            }
-            body == trunk
-        };
-        let is_body_part =
-            (0..model.count(Kind::Geom)).map(|geom| in_robot(model.geom_body(geom)) && !feet.contains(&geom)).collect();
+        let in_robot = |geom| model.is_below(model.geom_body(geom), trunk);
+        let is_body_part = (0..model.count(Kind::Geom)).map(|geom| in_robot(geom) && !feet.contains(&geom)).collect();
         Ok(Parts {
             trunk,
             root_position: model.joint_position_index(root),
@@ -50,7 +43,6 @@ impl Parts {
             joint_position: joints.map(|joint| model.joint_position_index(joint)),
             joint_velocity: joints.map(|joint| model.joint_velocity_index(joint)),
             actuators,
-            torque_limits: actuators.map(|actuator| model.control_range(actuator)[1]),
             feet,
             foot_radius: feet.map(|geom| model.geom(geom).size[0]),
             ground: model.id(Kind::Geom, GROUND)?,
@@ -76,11 +68,6 @@ impl Parts {
     /// Whether a geometry belongs to the robot.
     pub fn is_part(&self, geom: usize) -> bool {
         self.is_body_part[geom] || self.feet.contains(&geom)
-    }
-
-    /// Largest torque of each joint [N·m].
-    pub fn torque_limits(&self) -> Joints {
-        self.torque_limits
     }
 
     /// True joint angles \[rad\].
@@ -121,12 +108,6 @@ impl Parts {
             velocity[axis] += linear[axis];
             velocity[3 + axis] += angular_in_base[axis];
         }
-    }
-
-    /// Sets the force on the trunk at its centre of mass, world frame \[N\]. It acts until it is set anew.
-    pub fn set_trunk_force(&self, data: &mut Data, force: Vector3<f64>) {
-        let start = 6 * self.trunk;
-        data.applied_forces_mut()[start..start + 3].copy_from_slice(force.as_slice());
     }
 
     /// The state as of the last first half-step.

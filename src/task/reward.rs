@@ -56,64 +56,44 @@ enum Part {
     Negative,
 }
 
+const fn term(
+    name: &'static str,
+    symbol: &'static str,
+    part: Part,
+    weight: fn(&Reward) -> f64,
+    of: fn(&Step<'_>) -> f64,
+) -> Term {
+    Term { name, symbol, part, weight, of }
+}
+
 /// Table II, and `r_f`.
 pub const TERMS: &[Term] = &[
-    Term {
-        name: "linear_velocity",
-        symbol: "r_lin",
-        part: Part::Positive,
-        weight: |w| w.linear_velocity,
-        of: |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
-    },
-    Term {
-        name: "angular_velocity",
-        symbol: "r_ang",
-        part: Part::Positive,
-        weight: |w| w.angular_velocity,
-        of: |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
-    },
-    Term {
-        name: "energy",
-        symbol: "r_e [W]",
-        part: Part::Negative,
-        weight: |w| w.energy,
-        of: |step| step.summary.power_w,
-    },
-    Term {
-        name: "torque",
-        symbol: "r_τ [N²·m²]",
-        part: Part::Negative,
-        weight: |w| w.torque,
-        of: |step| step.summary.squared_torque,
-    },
-    Term {
-        name: "pose",
-        symbol: "r_pose",
-        part: Part::Negative,
-        weight: |w| w.pose,
-        of: |step| pose(step.state, step.config),
-    },
-    Term {
-        name: "foot_clearance",
-        symbol: "r_cl [m⁴/s²]",
-        part: Part::Negative,
-        weight: |w| w.foot_clearance,
-        of: |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
-    },
-    Term {
-        name: "foot_height",
-        symbol: "r_h",
-        part: Part::Positive,
-        weight: |w| w.foot_height,
-        of: |step| step.landings.foot_height,
-    },
-    Term {
-        name: "flight",
-        symbol: "r_f",
-        part: Part::Negative,
-        weight: |w| w.flight,
-        of: |step| step.landings.flight_fraction,
-    },
+    term(
+        "linear_velocity",
+        "r_lin",
+        Part::Positive,
+        |w| w.linear_velocity,
+        |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
+    ),
+    term(
+        "angular_velocity",
+        "r_ang",
+        Part::Positive,
+        |w| w.angular_velocity,
+        |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
+    ),
+    term("energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
+    term("torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
+    term("pose", "r_pose", Part::Negative, |w| w.pose, |step| pose(step.state, step.config)),
+    term(
+        "foot_clearance",
+        "r_cl [m⁴/s²]",
+        Part::Negative,
+        |w| w.foot_clearance,
+        |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
+    ),
+    term("foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
+    term("flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
 ];
 
 /// The first terms are `r_lin` and `r_ang`, which the recovery stage replaces.

@@ -5,8 +5,7 @@ state of every environment) is JSON, exact to the bit. A checksum guards both. T
 newest cannot be read, the run goes on from there and says so.
 */
 
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use safetensors::SafeTensors;
 use serde::{Deserialize, Serialize};
@@ -16,7 +15,7 @@ use crate::network::ActorCritic;
 use crate::ppo::LearnerState;
 use crate::task::Curriculum;
 use crate::train::environment::EnvState;
-use crate::util::files;
+use crate::util::files::{self, FileError};
 use crate::util::tensors::{self, Tensor};
 
 /// File of the newest checkpoint in a run's folder.
@@ -34,29 +33,11 @@ const FORMAT: u32 = 2;
 /// The oldest that is read: environments noted down the paper's observation only, and keys had other names.
 const OLDEST_FORMAT: u32 = 1;
 
+/// What errors call it.
+const CHECKPOINT: &str = "checkpoint";
+
 /// Larger files are not checkpoints.
 const MAX_BYTES: u64 = 4 << 30;
-
-/// Why a checkpoint could not be written or read.
-#[derive(Debug, thiserror::Error)]
-pub enum CheckpointError {
-    /// Reading or writing failed.
-    #[error("checkpoint {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// The content is damaged or of another format.
-    #[error("checkpoint {}: {problem}", path.display())]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// What was found and expected.
-        problem: String,
-    },
-}
 
 /// The state of a run after a whole number of iterations.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,11 +88,11 @@ impl Checkpoint {
     /// Writes the checkpoint into a run's folder; the newest one there becomes the previous one.
     ///
     /// # Errors
-    /// [`CheckpointError`] with the file's name; the older checkpoints are untouched then.
-    pub fn save(&self, folder: &Path) -> Result<(), CheckpointError> {
+    /// [`FileError`]; the older checkpoints are untouched then.
+    pub fn save(&self, folder: &Path) -> Result<(), FileError> {
         let (newest, previous) = (folder.join(NEWEST), folder.join(PREVIOUS));
         let staged = folder.join("checkpoint.staged.safetensors");
-        let bytes = self.to_bytes().map_err(|problem| CheckpointError::Invalid { path: newest.clone(), problem })?;
+        let bytes = self.to_bytes().map_err(FileError::of(CHECKPOINT, &newest))?;
         let move_along = || {
             files::write_atomically(&staged, &bytes)?;
             if newest.exists() {
@@ -120,14 +101,14 @@ impl Checkpoint {
             std::fs::rename(&staged, &newest)?;
             files::sync_folder(&newest)
         };
-        move_along().map_err(|source| CheckpointError::Io { path: newest.clone(), source })
+        move_along().map_err(FileError::of(CHECKPOINT, &newest))
     }
 
     /// Reads the newest checkpoint of a run's folder, or the previous one with the reason why the newest was no good.
     ///
     /// # Errors
-    /// The newest one's [`CheckpointError`] if neither can be read.
-    pub fn load(folder: &Path) -> Result<(Self, Option<CheckpointError>), CheckpointError> {
+    /// The newest one's [`FileError`] if neither can be read.
+    pub fn load(folder: &Path) -> Result<(Self, Option<FileError>), FileError> {
         match Self::load_file(&folder.join(NEWEST)) {
             Ok(checkpoint) => Ok((checkpoint, None)),
             Err(error) => match Self::load_file(&folder.join(PREVIOUS)) {
@@ -137,10 +118,9 @@ impl Checkpoint {
         }
     }
 
-    fn load_file(path: &Path) -> Result<Self, CheckpointError> {
-        let bytes = files::read_bounded(path, MAX_BYTES)
-            .map_err(|source| CheckpointError::Io { path: path.to_owned(), source })?;
-        Self::from_bytes(&bytes).map_err(|problem| CheckpointError::Invalid { path: path.to_owned(), problem })
+    fn load_file(path: &Path) -> Result<Self, FileError> {
+        let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(CHECKPOINT, path))?;
+        Self::from_bytes(&bytes).map_err(FileError::of(CHECKPOINT, path))
     }
 
     /// The file's bytes.
@@ -172,14 +152,7 @@ impl Checkpoint {
     /// In words: damaged, of another format, or inconsistent.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (tensors, json) = tensors::deserialize(bytes)?;
-        let metadata: Metadata =
-            serde_json::from_str(&json).map_err(|error| format!("its metadata do not parse: {error}"))?;
-        if !(OLDEST_FORMAT..=FORMAT).contains(&metadata.format) {
-            let found = metadata.format;
-            return Err(format!(
-                "its format is {found}, this program reads {OLDEST_FORMAT} to {FORMAT}: it is of a newer one"
-            ));
-        }
+        let metadata: Metadata = tensors::metadata(&json, OLDEST_FORMAT..=FORMAT)?;
         let run: RunState =
             serde_json::from_str(&metadata.run).map_err(|error| format!("its run state does not parse: {error}"))?;
         run.config.check().map_err(|error| error.to_string())?;
@@ -223,14 +196,6 @@ fn checksum(run: &str, learner: &LearnerState) -> String {
 }
 
 fn read_group(tensors: &SafeTensors<'_>, group: &str) -> Result<ActorCritic, String> {
-    let prefix = format!("{group}.");
-    let mut named = Vec::new();
-    for name in tensors.names() {
-        if let Some(inner) = name.strip_prefix(&prefix) {
-            let shape = tensors.tensor(name).map_err(|error| error.to_string())?.shape().to_vec();
-            let values = tensors::read_f32(tensors, name, &shape)?;
-            named.push((inner.to_owned(), shape, values));
-        }
-    }
+    let named = tensors::read_group(tensors, &format!("{group}."))?;
     ActorCritic::from_tensors(named).map_err(|error| format!("{group}: {error}"))
 }

@@ -9,29 +9,16 @@ use std::sync::Arc;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use crate::config::Config;
+use super::TrainError;
+use crate::config::{Config, ValueError};
 use crate::mujoco;
 use crate::observation::{Layout, Moment, Observer};
-use crate::robot::{JOINTS, Joints, Robot, RobotError, RobotState, same_in_every_leg};
+use crate::robot::{JOINTS, Joints, Robot, RobotState, same_in_every_leg};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Scene, Sim, SimState};
 use crate::task::reward;
 use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
 use crate::util::random::{Purpose, stream};
-
-/// Why there is no environment.
-#[derive(Debug, thiserror::Error)]
-pub enum EnvironmentError {
-    /// The robot's file.
-    #[error(transparent)]
-    Robot(#[from] RobotError),
-    /// What the policy is to see.
-    #[error("{0}")]
-    Observation(String),
-    /// The physics.
-    #[error(transparent)]
-    Physics(#[from] mujoco::Error),
-}
 
 /// How an episode ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -156,8 +143,8 @@ impl LocomotionEnv {
     ///
     /// # Errors
     /// What does not fit in the robot or the observation, or a fault of MuJoCo.
-    pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, EnvironmentError> {
-        let layout = config.layout().map_err(EnvironmentError::Observation)?;
+    pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
+        let layout = config.layout().map_err(ValueError::Observation)?;
         let robot = Robot::load(&config.robot.model)?;
         Ok(Self::of(config, robot, Arc::new(layout), seed, index, curriculum)?)
     }

@@ -10,7 +10,7 @@ use crate::task::Terms;
 use crate::train::collection::Rollout;
 use crate::train::environment::{End, EpisodeReport};
 
-/// One iteration. Means over episodes are over those that finished in it; `None` if there were none.
+/// One iteration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IterationMetrics {
     /// Iterations done, this one included.
@@ -19,31 +19,9 @@ pub struct IterationMetrics {
     pub samples: u64,
     /// Mean reward of a step.
     pub step_reward: f64,
-    /// Episodes that finished.
-    pub episodes: usize,
-    /// Of those, how many fell.
-    pub falls: usize,
-    /// Of those, how many ended in a physics fault.
-    pub faults: usize,
-    /// Falls over episodes.
-    #[serde(alias = "fall_share")]
-    pub fall_rate: Option<f64>,
-    /// Falls over episodes, of those that were pushed.
-    #[serde(alias = "pushed_fall_share")]
-    pub pushed_fall_rate: Option<f64>,
-    /// Pushed episodes over completed walking stages.
-    #[serde(alias = "push_share")]
-    pub push_fraction: Option<f64>,
-    /// Mean sum of rewards of an episode.
-    pub episode_reward: Option<f64>,
-    /// Mean length of an episode \[steps\].
-    pub episode_steps: Option<f64>,
-    /// Mean `r_lin` of completed walking stages, 0 to 1: the fraction of its maximum.
-    pub walking_linear: Option<f64>,
-    /// Mean peak height of swings \[m\].
-    pub swing_height_m: Option<f64>,
-    /// Mean terms of Table II per step.
-    pub terms: Option<Terms>,
+    /// Of the episodes that finished.
+    #[serde(flatten)]
+    pub means: EpisodeMeans,
     /// Open fraction of the command range.
     #[serde(alias = "command_share")]
     pub command_fraction: f64,
@@ -52,49 +30,9 @@ pub struct IterationMetrics {
     /// Fraction of the variance of the returns that the values explain.
     pub explained_variance: f64,
     /// What the learner did.
-    pub learner: LearnerMetrics,
+    pub learner: UpdateStatistics,
     /// How long it took; the only numbers that differ between two runs of the same seed.
     pub time: Timing,
-}
-
-/// Statistics of the update, means over its gradient steps.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct LearnerMetrics {
-    /// Clipped surrogate, negated.
-    pub policy_loss: f64,
-    /// Mean squared error of the values.
-    pub value_loss: f64,
-    /// Entropy of the policy.
-    pub entropy: f64,
-    /// Divergence from the policy of the rollout.
-    pub kl: f64,
-    /// Fraction of samples outside the clip range.
-    #[serde(alias = "clip_share")]
-    pub clip_fraction: f64,
-    /// Largest probability ratio of a sample.
-    pub max_ratio: f64,
-    /// Norm of the joint gradient before clipping.
-    pub gradient_norm: f64,
-    /// Largest norm of the joint gradient before clipping.
-    pub max_gradient_norm: f64,
-    /// Learning rate.
-    pub learning_rate: f64,
-}
-
-impl From<UpdateStatistics> for LearnerMetrics {
-    fn from(statistics: UpdateStatistics) -> Self {
-        LearnerMetrics {
-            policy_loss: statistics.policy_loss,
-            value_loss: statistics.value_loss,
-            entropy: statistics.entropy,
-            kl: statistics.kl,
-            clip_fraction: statistics.clip_fraction,
-            max_ratio: statistics.max_ratio,
-            gradient_norm: statistics.gradient_norm,
-            max_gradient_norm: statistics.max_gradient_norm,
-            learning_rate: statistics.learning_rate,
-        }
-    }
 }
 
 /// Wall-clock times.
@@ -122,32 +60,36 @@ impl Timing {
     }
 }
 
-/// Means over the episodes that finished in a rollout.
-#[derive(Debug, Clone, PartialEq)]
+/// Means over the episodes that finished in a rollout; `None` if there were none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeMeans {
-    /// Finished episodes.
+    /// Episodes that finished.
     pub episodes: usize,
-    /// Of those, fallen.
+    /// Of those, how many fell.
     pub falls: usize,
-    /// Of those, ended by a physics fault.
+    /// Of those, how many ended in a physics fault.
     pub faults: usize,
     /// Falls over episodes.
+    #[serde(alias = "fall_share")]
     pub fall_rate: Option<f64>,
-    /// Falls over pushed episodes.
+    /// Falls over episodes, of those that were pushed.
+    #[serde(alias = "pushed_fall_share")]
     pub pushed_fall_rate: Option<f64>,
     /// Completed walking stages.
+    #[serde(skip)]
     pub walks: usize,
     /// Pushed episodes over completed walking stages.
+    #[serde(alias = "push_share")]
     pub push_fraction: Option<f64>,
-    /// Sum of rewards.
-    pub reward: Option<f64>,
-    /// Steps.
-    pub steps: Option<f64>,
-    /// Mean `r_lin` of completed walking stages.
+    /// Mean sum of rewards of an episode.
+    pub episode_reward: Option<f64>,
+    /// Mean length of an episode \[steps\].
+    pub episode_steps: Option<f64>,
+    /// Mean `r_lin` of completed walking stages, 0 to 1: the fraction of its maximum.
     pub walking_linear: Option<f64>,
-    /// Peak height of swings \[m\].
+    /// Mean peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
-    /// Terms per step.
+    /// Mean terms of Table II per step.
     pub terms: Option<Terms>,
 }
 
@@ -169,8 +111,8 @@ impl EpisodeMeans {
             pushed_fall_rate: fraction(pushed().filter(|episode| episode.end == End::Fall).count(), pushed().count()),
             walks: walks().count(),
             push_fraction: fraction(pushed().count(), walks().count()),
-            reward: mean(episodes.iter().map(|episode| episode.reward)),
-            steps: mean(episodes.iter().map(|episode| episode.steps as f64)),
+            episode_reward: mean(episodes.iter().map(|episode| episode.reward)),
+            episode_steps: mean(episodes.iter().map(|episode| episode.steps as f64)),
             walking_linear: mean(walks()),
             swing_height_m: mean(episodes.iter().filter_map(|episode| episode.swing_height_m)),
             terms: (steps > 0).then(|| terms.divided(steps as f64)),
@@ -201,17 +143,17 @@ impl IterationMetrics {
     pub fn scalars(&self) -> Vec<(String, f64)> {
         let mut scalars: Vec<(String, f64)> = Vec::new();
         let mut put = |name: &str, value: Option<f64>| scalars.extend(value.map(|value| (name.to_owned(), value)));
-        put("episode/reward", self.episode_reward);
-        put("episode/steps", self.episode_steps);
+        put("episode/reward", self.means.episode_reward);
+        put("episode/steps", self.means.episode_steps);
         put("episode/step_reward", Some(self.step_reward));
-        put("episode/fall_rate", self.fall_rate);
-        put("episode/pushed_fall_rate", self.pushed_fall_rate);
-        put("episode/faults", Some(self.faults as f64));
-        put("episode/walking_linear", self.walking_linear);
-        put("episode/swing_height_m", self.swing_height_m);
+        put("episode/fall_rate", self.means.fall_rate);
+        put("episode/pushed_fall_rate", self.means.pushed_fall_rate);
+        put("episode/faults", Some(self.means.faults as f64));
+        put("episode/walking_linear", self.means.walking_linear);
+        put("episode/swing_height_m", self.means.swing_height_m);
         put("curriculum/command_fraction", Some(self.command_fraction));
-        put("curriculum/push_fraction", self.push_fraction);
-        for (name, value) in self.terms.iter().flat_map(Terms::fields) {
+        put("curriculum/push_fraction", self.means.push_fraction);
+        for (name, value) in self.means.terms.iter().flat_map(Terms::fields) {
             put(&format!("reward/{name}"), Some(value));
         }
         put("learner/policy_loss", Some(self.learner.policy_loss));

@@ -23,13 +23,12 @@ use std::io::{self, BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use crate::policy::PolicyError;
 use crate::train::Trainer;
-use crate::train::checkpoint::{Checkpoint, CheckpointError};
+use crate::train::checkpoint::Checkpoint;
 use crate::train::environment::Fault;
 use crate::train::metrics::IterationMetrics;
 use crate::train::tensorboard::EventWriter;
-use crate::util::files;
+use crate::util::files::{self, FileError};
 use crate::util::provenance;
 
 /// Physics faults of which the last second is kept; a scene that is wrong has thousands.
@@ -56,20 +55,9 @@ pub enum RunError {
     /// Another process trains there.
     #[error("another process is training in {}: wait for it, or choose another folder", .0.display())]
     Busy(PathBuf),
-    /// Reading or writing failed.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// File or folder.
-        path: PathBuf,
-        /// The system's reason.
-        source: io::Error,
-    },
-    /// The checkpoint.
+    /// Reading or writing failed, or the checkpoint is no good.
     #[error(transparent)]
-    Checkpoint(#[from] CheckpointError),
-    /// The policy file.
-    #[error(transparent)]
-    Policy(#[from] PolicyError),
+    File(#[from] FileError),
 }
 
 /// The place of a run on disk.
@@ -88,10 +76,6 @@ impl RunFolder {
     /// # Errors
     /// [`RunError::Exists`] if there is something at that path, or the system's reason.
     pub fn create(path: &Path, trainer: &Trainer) -> Result<Self, RunError> {
-        let at = |path: &Path| {
-            let path = path.to_owned();
-            move |source| RunError::Io { path, source }
-        };
         if path.exists() {
             return Err(RunError::Exists(path.to_owned()));
         }
@@ -100,20 +84,20 @@ impl RunFolder {
         let lock = lock(&staged)?;
         remove_all_but_the_lock(&staged).map_err(at(&staged))?;
         let about = serde_json::json!({
-            "config_name": trainer.config_name(),
-            "seed": trainer.seed(),
+            "config_name": trainer.run().config_name,
+            "seed": trainer.run().seed,
             "git_revision": provenance::GIT_REVISION,
             "mujoco_version": provenance::MUJOCO_VERSION,
             "command": std::env::args().collect::<Vec<_>>().join(" "),
         });
-        let fill = || {
+        let fill = || -> Result<(), RunError> {
             let (run, config) = (staged.join("run.json"), staged.join(CONFIG));
             files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
-            files::write_atomically(&config, trainer.config().to_yaml().as_bytes()).map_err(at(&config))?;
+            files::write_atomically(&config, trainer.run().config.to_yaml().as_bytes()).map_err(at(&config))?;
             trainer.checkpoint().save(&staged)?;
             trainer.policy().save(&staged.join(POLICY))?;
             fs::rename(&staged, path).map_err(at(path))?;
-            files::sync_folder(path).map_err(at(path))
+            Ok(files::sync_folder(path).map_err(at(path))?)
         };
         if let Err(error) = fill() {
             // Best effort: the first error is the one to report.
@@ -128,7 +112,7 @@ impl RunFolder {
     ///
     /// # Errors
     /// [`RunError::NotARun`], or what is wrong with the checkpoint.
-    pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Option<CheckpointError>), RunError> {
+    pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Option<FileError>), RunError> {
         use crate::train::checkpoint::{DAMAGED, NEWEST, PREVIOUS};
         if !path.join(NEWEST).exists() && !path.join(PREVIOUS).exists() {
             return Err(RunError::NotARun(path.to_owned()));
@@ -138,11 +122,10 @@ impl RunFolder {
         if passed_over.is_some() && path.join(NEWEST).exists() {
             // Else the next checkpoint would make the damaged one the one to fall back to.
             let damaged = path.join(DAMAGED);
-            fs::rename(path.join(NEWEST), &damaged).map_err(|source| RunError::Io { path: damaged, source })?;
+            fs::rename(path.join(NEWEST), &damaged).map_err(at(&damaged))?;
         }
         let metrics = path.join("metrics.jsonl");
-        cut_metrics(&metrics, checkpoint.run.iteration)
-            .map_err(|source| RunError::Io { path: metrics.clone(), source })?;
+        cut_metrics(&metrics, checkpoint.run.iteration).map_err(at(&metrics))?;
         Ok((Self::open(path, lock)?, checkpoint, passed_over))
     }
 
@@ -152,8 +135,8 @@ impl RunFolder {
         Ok(RunFolder {
             _lock: lock,
             path: path.to_owned(),
-            metrics: metrics.map_err(|source| RunError::Io { path: metrics_path, source })?,
-            events: EventWriter::create(path).map_err(|source| RunError::Io { path: path.to_owned(), source })?,
+            metrics: metrics.map_err(at(&metrics_path))?,
+            events: EventWriter::create(path).map_err(at(path))?,
         })
     }
 
@@ -167,15 +150,15 @@ impl RunFolder {
     /// # Errors
     /// The system's reason, such as a full disk.
     pub fn log(&mut self, metrics: &IterationMetrics) -> Result<(), RunError> {
-        let at = |source| RunError::Io { path: self.path.join("metrics.jsonl"), source };
+        let path = self.path.join("metrics.jsonl");
         // Plain numbers: serialising them cannot fail.
         let mut line = serde_json::to_vec(metrics).unwrap_or_default();
         line.push(b'\n');
-        self.metrics.write_all(&line).map_err(at)?;
+        self.metrics.write_all(&line).map_err(at(&path))?;
         let scalars = metrics.scalars();
         let scalars: Vec<(&str, f64)> = scalars.iter().map(|(name, value)| (name.as_str(), *value)).collect();
         let now_s = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64();
-        self.events.scalars(metrics.samples, now_s, &scalars).map_err(at)
+        Ok(self.events.scalars(metrics.samples, now_s, &scalars).map_err(at(&path))?)
     }
 
     /// Keeps the minibatch on which the learner failed, if there is one, and what led there; returns the latter's file.
@@ -183,11 +166,10 @@ impl RunFolder {
     /// # Errors
     /// The system's reason, such as a full disk.
     pub fn keep_learner_fault(&self, minibatch: &str, circumstances: &str) -> Result<PathBuf, RunError> {
-        let write = |name: &str, text: &str| {
+        let write = |name: &str, text: &str| -> Result<PathBuf, RunError> {
             let path = self.path.join(name);
-            files::write_atomically(&path, text.as_bytes())
-                .map(|()| path.clone())
-                .map_err(|source| RunError::Io { path, source })
+            files::write_atomically(&path, text.as_bytes()).map_err(at(&path))?;
+            Ok(path)
         };
         if !minibatch.is_empty() {
             write("fault-minibatch.csv", minibatch)?;
@@ -212,7 +194,7 @@ impl RunFolder {
             let text = format!("# {}\n{}", fault.error, fault.last_second);
             files::write_atomically(&path, text.as_bytes()).map(|()| true)
         };
-        let kept = keep().map_err(|source| RunError::Io { path: path.clone(), source })?;
+        let kept = keep().map_err(at(&path))?;
         Ok(kept.then_some(path))
     }
 
@@ -221,8 +203,7 @@ impl RunFolder {
     /// # Errors
     /// The system's reason, such as a full disk; older files are untouched then.
     pub fn save(&self, trainer: &Trainer) -> Result<(), RunError> {
-        let metrics = |source| RunError::Io { path: self.path.join("metrics.jsonl"), source };
-        self.metrics.sync_data().map_err(metrics)?;
+        self.metrics.sync_data().map_err(at(&self.path.join("metrics.jsonl")))?;
         trainer.checkpoint().save(&self.path)?;
         self.save_policy(trainer)
     }
@@ -233,8 +214,7 @@ impl RunFolder {
     /// The system's reason, such as a full disk; the older file is untouched then.
     pub fn save_config(&self, trainer: &Trainer) -> Result<(), RunError> {
         let path = self.path.join(CONFIG);
-        files::write_atomically(&path, trainer.config().to_yaml().as_bytes())
-            .map_err(|source| RunError::Io { path, source })
+        Ok(files::write_atomically(&path, trainer.run().config.to_yaml().as_bytes()).map_err(at(&path))?)
     }
 
     /// Writes the policy alone. A run that was killed between the two files of [`RunFolder::save`] has an old one.
@@ -244,6 +224,10 @@ impl RunFolder {
     pub fn save_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
         Ok(trainer.policy().save(&self.path.join(POLICY))?)
     }
+}
+
+fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy {
+    FileError::of("file", path)
 }
 
 /// Where the folder of a new run is put together: beside its place, under a name that a start which was cut off leaves
@@ -267,12 +251,11 @@ fn remove_all_but_the_lock(folder: &Path) -> io::Result<()> {
 /// Claims a run's folder for this process.
 fn lock(folder: &Path) -> Result<File, RunError> {
     let path = folder.join(LOCK);
-    let io = |source| RunError::Io { path: path.clone(), source };
-    let file = OpenOptions::new().create(true).append(true).open(&path).map_err(io)?;
+    let file = OpenOptions::new().create(true).append(true).open(&path).map_err(at(&path))?;
     match file.try_lock() {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => Err(RunError::Busy(folder.to_owned())),
-        Err(TryLockError::Error(source)) => Err(io(source)),
+        Err(TryLockError::Error(error)) => Err(at(&path)(error).into()),
     }
 }
 

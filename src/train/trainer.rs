@@ -64,20 +64,15 @@ pub enum TrainError {
 /// A training run.
 #[derive(Debug)]
 pub struct Trainer {
-    config_name: String,
-    config: Config,
+    /// But for the environments, which are live.
+    run: RunState,
     robot: Arc<Robot>,
     layout: Arc<Layout>,
     /// If samples are learnt from in it.
     mirror: Option<Mirror>,
-    seed: u64,
     threads: usize,
     learner: Box<dyn Learner>,
     environments: Vec<LocomotionEnv>,
-    curriculum: Curriculum,
-    iteration: u64,
-    samples: u64,
-    elapsed_s: f64,
     /// Physics faults of the last iteration.
     faults: Vec<Fault>,
 }
@@ -97,22 +92,20 @@ impl Trainer {
         let network = ActorCritic::orthogonal(layout.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
         let learner = learner(ppo, LearnerState::new(network, &Hyperparameters::from(ppo)), threads)?;
         let curriculum = Curriculum::new(&config.command);
-        Ok(Trainer {
-            environments: environments(&config, &robot, &layout, seed, curriculum)?,
+        let environments = environments(&config, &robot, &layout, seed, curriculum)?;
+        let run = RunState {
             config_name: config_name.to_owned(),
-            robot,
-            layout,
-            mirror,
             config,
+            git_revision: provenance::GIT_REVISION.to_owned(),
+            robot_sha256: robot.sha256(),
             seed,
-            threads,
-            learner,
-            curriculum,
             iteration: 0,
             samples: 0,
             elapsed_s: 0.0,
-            faults: Vec::new(),
-        })
+            curriculum,
+            environments: Vec::new(),
+        };
+        Ok(Trainer { run, robot, layout, mirror, threads, learner, environments, faults: Vec::new() })
     }
 
     /// Goes on from a checkpoint.
@@ -120,7 +113,7 @@ impl Trainer {
     /// # Errors
     /// If the checkpoint does not fit its own configuration, or the model cannot be simulated.
     pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
-        let Checkpoint { run, learner: state } = checkpoint;
+        let Checkpoint { mut run, learner: state } = checkpoint;
         let (found, expected) = (run.environments.len(), run.config.ppo.environments);
         if found != expected {
             return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected}")));
@@ -145,25 +138,12 @@ impl Trainer {
             let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {expected} to {JOINTS}");
             return Err(TrainError::Checkpoint(problem));
         }
-        for (environment, saved) in environments.iter_mut().zip(&run.environments) {
-            environment.restore(saved)?;
+        for (environment, saved) in environments.iter_mut().zip(run.environments.drain(..)) {
+            environment.restore(&saved)?;
         }
-        Ok(Trainer {
-            learner: learner(&run.config.ppo, state, threads)?,
-            config_name: run.config_name,
-            config: run.config,
-            robot,
-            layout,
-            mirror,
-            seed: run.seed,
-            threads,
-            environments,
-            curriculum: run.curriculum,
-            iteration: run.iteration,
-            samples: run.samples,
-            elapsed_s: run.elapsed_s,
-            faults: Vec::new(),
-        })
+        (run.git_revision, run.robot_sha256) = (provenance::GIT_REVISION.to_owned(), robot.sha256());
+        let learner = learner(&run.config.ppo, state, threads)?;
+        Ok(Trainer { run, robot, layout, mirror, threads, learner, environments, faults: Vec::new() })
     }
 
     /// One iteration: a batch and the update on it.
@@ -173,13 +153,13 @@ impl Trainer {
     pub fn iterate(&mut self) -> Result<IterationMetrics, TrainError> {
         let started = Instant::now();
         let network = self.learner.parameters();
-        let ppo = &self.config.ppo;
+        let ppo = &self.run.config.ppo;
         let collection = Collection {
             network: &network,
-            seed: self.seed,
-            iteration: self.iteration,
+            seed: self.run.seed,
+            iteration: self.run.iteration,
             steps: ppo.steps(),
-            curriculum: self.curriculum,
+            curriculum: self.run.curriculum,
             threads: self.threads,
         };
         let rollout = collection.collect(&mut self.environments)?;
@@ -188,17 +168,17 @@ impl Trainer {
         let collected = started.elapsed();
 
         let batch = rollout.batch(&network.log_std, &advantages, &returns);
-        let mut permutations = permutations(self.seed, self.iteration, ppo.epochs, rollout.len());
+        let mut permutations = permutations(self.run.seed, self.run.iteration, ppo.epochs, rollout.len());
         let images = self.mirror.as_ref().map(|mirror| mirror.doubled(&batch, &network.policy, self.threads));
         if images.is_some() {
             for (epoch, order) in permutations.iter_mut().enumerate() {
-                let mut rng = stream(self.seed, Purpose::Mirror, self.iteration, epoch as u64);
+                let mut rng = stream(self.run.seed, Purpose::Mirror, self.run.iteration, epoch as u64);
                 symmetry::flip(order, rollout.len(), &mut rng);
             }
         }
         let batch = images.as_ref().map_or(batch, Samples::batch);
         let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
-            iteration: self.iteration,
+            iteration: self.run.iteration,
             minibatch: minibatch_csv(&fault, &rollout, &batch),
             circumstances: circumstances(&fault, &rollout, &returns, &network.log_std),
             fault: Box::new(fault),
@@ -207,33 +187,23 @@ impl Trainer {
         let means = EpisodeMeans::new(&rollout.episodes);
         // The few that walk among many that fall are no measure.
         if let Some(mean) = means.walking_linear.filter(|_| 2 * means.walks >= means.episodes) {
-            self.curriculum.update(mean, &self.config);
+            self.run.curriculum.update(mean, &self.run.config);
         }
-        self.iteration += 1;
-        self.samples += rollout.len() as u64;
+        self.run.iteration += 1;
+        self.run.samples += rollout.len() as u64;
         let whole = started.elapsed();
-        self.elapsed_s += whole.as_secs_f64();
+        self.run.elapsed_s += whole.as_secs_f64();
         let log_std = &network.log_std;
         Ok(IterationMetrics {
-            iteration: self.iteration,
-            samples: self.samples,
+            iteration: self.run.iteration,
+            samples: self.run.samples,
             step_reward: rollout.rewards.iter().map(|reward| f64::from(*reward)).sum::<f64>() / rollout.len() as f64,
-            episodes: means.episodes,
-            falls: means.falls,
-            faults: means.faults,
-            fall_rate: means.fall_rate,
-            pushed_fall_rate: means.pushed_fall_rate,
-            push_fraction: means.push_fraction,
-            episode_reward: means.reward,
-            episode_steps: means.steps,
-            walking_linear: means.walking_linear,
-            swing_height_m: means.swing_height_m,
-            terms: means.terms,
-            command_fraction: self.curriculum.command_fraction,
+            means,
+            command_fraction: self.run.curriculum.command_fraction,
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
             explained_variance: explained_variance(&rollout, &returns),
-            learner: statistics.into(),
-            time: Timing::new(rollout.len(), collected, whole - collected, whole, self.elapsed_s),
+            learner: statistics,
+            time: Timing::new(rollout.len(), collected, whole - collected, whole, self.run.elapsed_s),
         })
     }
 
@@ -244,57 +214,26 @@ impl Trainer {
 
     /// The state to go on from.
     pub fn checkpoint(&self) -> Checkpoint {
-        let run = RunState {
-            config_name: self.config_name.clone(),
-            config: self.config.clone(),
-            git_revision: provenance::GIT_REVISION.to_owned(),
-            robot_sha256: self.robot.sha256(),
-            seed: self.seed,
-            iteration: self.iteration,
-            samples: self.samples,
-            elapsed_s: self.elapsed_s,
-            curriculum: self.curriculum,
-            environments: self.environments.iter().map(LocomotionEnv::save).collect(),
-        };
-        Checkpoint { run, learner: self.learner.state() }
+        let environments = self.environments.iter().map(LocomotionEnv::save).collect();
+        Checkpoint { run: RunState { environments, ..self.run.clone() }, learner: self.learner.state() }
     }
 
     /// The policy as it is now, to be deployed.
     pub fn policy(&self) -> Policy {
         let provenance = Provenance {
-            config_name: self.config_name.clone(),
-            config: self.config.clone(),
-            seed: self.seed,
-            samples: self.samples,
+            config_name: self.run.config_name.clone(),
+            config: self.run.config.clone(),
+            seed: self.run.seed,
+            samples: self.run.samples,
             git_revision: provenance::GIT_REVISION.to_owned(),
             mujoco_version: provenance::MUJOCO_VERSION.to_owned(),
         };
         Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)
     }
 
-    /// The configuration.
-    pub fn config(&self) -> &Config {
-        &self.config
-    }
-
-    /// Name of the configuration.
-    pub fn config_name(&self) -> &str {
-        &self.config_name
-    }
-
-    /// The seed.
-    pub fn seed(&self) -> u64 {
-        self.seed
-    }
-
-    /// Iterations done.
-    pub fn iteration(&self) -> u64 {
-        self.iteration
-    }
-
-    /// Samples collected.
-    pub fn samples(&self) -> u64 {
-        self.samples
+    /// What was asked for and how far it is, without the environments.
+    pub fn run(&self) -> &RunState {
+        &self.run
     }
 }
 

@@ -7,6 +7,25 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
+/// A file that could not be read or written, or is not what it should be.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{what} {}: {problem}", path.display())]
+pub struct FileError {
+    /// What it should be, such as `policy`.
+    pub what: &'static str,
+    /// The file.
+    pub path: PathBuf,
+    /// The system's reason, or what was found and expected.
+    pub problem: String,
+}
+
+impl FileError {
+    /// Makes one of a reason.
+    pub fn of<E: ToString>(what: &'static str, path: &Path) -> impl Fn(E) -> Self + Copy {
+        move |problem| FileError { what, path: path.to_owned(), problem: problem.to_string() }
+    }
+}
+
 /// Writes a file so that at every moment either the old or the new content is there, also after a power failure:
 /// a temporary file beside it, synced, renamed over it, and the folder synced.
 ///

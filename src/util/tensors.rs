@@ -4,12 +4,18 @@ All metadata sit under one key: the format keeps several in a hash map, whose or
 */
 
 use std::collections::HashMap;
+use std::ops::RangeInclusive;
 
 use safetensors::SafeTensorError;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 
 /// Metadata key of the JSON text.
 const KEY: &str = "supple";
+
+/// Name, shape and values of a tensor of a network.
+pub type Named = (String, Vec<usize>, Vec<f32>);
 
 /// A named tensor, little-endian.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,6 +31,11 @@ impl Tensor {
     pub fn f32(name: impl Into<String>, shape: Vec<usize>, values: &[f32]) -> Self {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         Tensor { name: name.into(), dtype: Dtype::F32, shape, bytes }
+    }
+
+    /// The weights of a network, as [`crate::network::Mlp::tensors`] names them.
+    pub fn of_network(tensors: Vec<(String, Vec<usize>, &[f32])>) -> Vec<Self> {
+        tensors.into_iter().map(|(name, shape, values)| Self::f32(name, shape, values)).collect()
     }
 
     /// From double precision, row-major.
@@ -59,15 +70,45 @@ pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
     Ok((tensors, json.clone()))
 }
 
+/// The JSON text as its type, if its key `format` is one of those that are read; that is looked at before all else.
+///
+/// # Errors
+/// In words: of another format, or not of this type.
+pub fn metadata<T: DeserializeOwned>(json: &str, formats: RangeInclusive<u32>) -> Result<T, String> {
+    #[derive(Deserialize)]
+    struct Format {
+        format: u32,
+    }
+    let broken = |error| format!("its metadata do not parse: {error}");
+    let Format { format } = serde_json::from_str(json).map_err(broken)?;
+    if !formats.contains(&format) {
+        let (oldest, newest) = formats.into_inner();
+        return Err(format!("its format is {format}, this program reads {oldest} to {newest}: it is of a newer one"));
+    }
+    serde_json::from_str(json).map_err(broken)
+}
+
 /// A single-precision tensor of a known shape, all finite.
 ///
 /// # Errors
 /// In words: missing, another type or shape, not finite.
 pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
     let bytes = tensor_bytes(tensors, name, Dtype::F32, shape)?;
-    let values: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    finite(name, values.iter().all(|value| value.is_finite()))?;
-    Ok(values)
+    finite(name, bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect(), f32::is_finite)
+}
+
+/// All single-precision tensors whose names begin with `prefix`: the rest of the name, shape and values, finite.
+///
+/// # Errors
+/// As [`read_f32`].
+pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>, String> {
+    let mut named = Vec::new();
+    for (name, view) in tensors.iter() {
+        if let Some(rest) = name.strip_prefix(prefix) {
+            named.push((rest.to_owned(), view.shape().to_vec(), read_f32(tensors, name, view.shape())?));
+        }
+    }
+    Ok(named)
 }
 
 /// A double-precision tensor of a known shape, all finite.
@@ -76,9 +117,7 @@ pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Resul
 /// In words: missing, another type or shape, not finite.
 pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f64>, String> {
     let bytes = tensor_bytes(tensors, name, Dtype::F64, shape)?;
-    let values: Vec<f64> = bytes.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect();
-    finite(name, values.iter().all(|value| value.is_finite()))?;
-    Ok(values)
+    finite(name, bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(), f64::is_finite)
 }
 
 fn tensor_bytes<'a>(tensors: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
@@ -90,6 +129,7 @@ fn tensor_bytes<'a>(tensors: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: 
     Ok(view.data())
 }
 
-fn finite(name: &str, is_finite: bool) -> Result<(), String> {
-    if is_finite { Ok(()) } else { Err(format!("its tensor {name} holds numbers that are not finite")) }
+fn finite<T: Copy>(name: &str, values: Vec<T>, is_finite: fn(T) -> bool) -> Result<Vec<T>, String> {
+    let all = values.iter().all(|value| is_finite(*value));
+    if all { Ok(values) } else { Err(format!("its tensor {name} holds numbers that are not finite")) }
 }

@@ -11,6 +11,7 @@ use supple::config::Config;
 use supple::policy::{Agent, Policy};
 use supple::scenario::Rollout;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
+use supple::train::checkpoint::Checkpoint;
 use supple::util::files;
 
 use crate::support::{complaint, metrics, repository, run};
@@ -75,6 +76,14 @@ fn a_run_of_format_1_is_resumed_and_goes_on_as_it_would_have() {
 #[test]
 fn what_a_newer_program_has_written_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
+    let mut bytes = std::fs::read(repository("tests/fixtures/format1/run/checkpoint.safetensors")).unwrap();
+    for (from, to) in [(r#"\"format\":1"#, r#"\"format\":9"#), (r#"\"optimiser_steps\":"#, r#"\"optimizer_steps\":"#)] {
+        let at = bytes.windows(from.len()).position(|window| window == from.as_bytes()).unwrap();
+        bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+    }
+    let error = Checkpoint::from_bytes(&bytes).unwrap_err();
+    assert!(error.contains("its format is 9, this program reads 1 to 2: it is of a newer one"), "{error}");
+
     let bytes = std::fs::read(repository("tests/fixtures/format1/run/policy.safetensors")).unwrap();
     let changed = |from: &str, to: &str| {
         assert_eq!(from.len(), to.len());

@@ -4,8 +4,10 @@ use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
+use supple::policy::Agent;
+use supple::robot::Robot;
 
-use crate::support::{assert_same, complaint, metrics, program, run, small_config_file, standing_policy};
+use crate::support::{assert_same, complaint, metrics, program, robot, run, small_config_file, standing_policy};
 
 /// Writes a configuration for each learner into a folder, with layers wide enough for candle to hand their products out to
 /// threads if it may.
@@ -111,6 +113,28 @@ fn a_run_and_its_policy_are_of_one_configuration_and_another_one_is_told_by_its_
     }
     // What a resumption changes stands in the run's own configuration, too.
     assert!(std::fs::read_to_string(folder.path().join("run/config.yaml")).unwrap().contains("samples: 512"));
+}
+
+#[test]
+fn a_run_of_another_robot_is_verified_and_has_a_card_and_without_its_robot_its_policy_takes_no_other() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = std::fs::read_to_string(small_config_file(folder.path())).unwrap();
+    let xml = robot("quadruped.xml");
+    let own = small.replacen("model: go1", &format!("model: {}", xml.display()), 1);
+    std::fs::write(folder.path().join("own.yaml"), own).unwrap();
+    train(folder.path(), &["--config", "own.yaml", "--samples", "256", "--out", "run"]);
+    for arguments in [&["verify", "run", "--config", "own.yaml"][..], &["card", "run"]] {
+        let output = run("policy", folder.path(), arguments);
+        assert!(output.status.success(), "{arguments:?}: {}", complaint(&output));
+    }
+    let far = folder.path().join("far");
+    std::fs::create_dir(&far).unwrap();
+    std::fs::copy(folder.path().join("run/policy.safetensors"), far.join("p.safetensors")).unwrap();
+    let model = Agent::load(&far.join("p.safetensors")).unwrap().config.robot.model;
+    assert_eq!(model, far.join("quadruped.xml").to_str().unwrap());
+    let error = Robot::load(&model).unwrap_err().to_string();
+    assert!(error.contains("there is no such file: put it there, or name another robot"), "{error}");
+    assert!(run("policy", folder.path(), &["verify", "far/p.safetensors"]).status.success());
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use supple::config::Config;
 use supple::mujoco::Kind;
 use supple::policy::Agent;
-use supple::policy::external::{ExternalPolicy, describe};
+use supple::policy::external::describe;
 use supple::policy::{onnx, shipped};
 use supple::robot::Robot;
 use supple::scenario::Rollout;
@@ -169,10 +169,10 @@ fn policy_run_answers_each_line_with_joint_targets() {
 #[test]
 fn examples_describe_what_they_say() {
     let folder = tempfile::tempdir().unwrap();
-    let policy = ExternalPolicy::load(&example(folder.path(), "rsl_rl")).unwrap();
+    let policy = Agent::load(&example(folder.path(), "rsl_rl")).unwrap();
     // Ours are FR, FL, RR, RL: Isaac Gym's left legs come first.
     assert_eq!(
-        policy.inference.action.nominal_pose,
+        policy.inference().action.nominal_pose,
         [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5, -0.1, 1.0, -1.5, 0.1, 1.0, -1.5]
     );
     assert_eq!((policy.config.simulation.physics_rate_hz, policy.config.simulation.policy_rate_hz), (200, 50));

@@ -5,7 +5,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 
 use anyhow::Context;
-use supple::policy::Policy;
+use supple::policy::Agent;
 use supple::scenario::Rollout;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::train::metrics::IterationMetrics;
@@ -28,7 +28,8 @@ const COMMANDS: [[f64; 3]; 8] = [
 /// The card of the policy in a run's folder, under `name` or that of the folder.
 pub fn card(run: &Path, name: Option<&str>) -> anyhow::Result<String> {
     let name = name.map_or_else(|| run.file_name().unwrap_or_default().to_string_lossy(), Into::into);
-    let policy = Policy::load(&run.join("policy.safetensors"))?;
+    let agent = Agent::load(&run.join("policy.safetensors"))?;
+    let policy = agent.policy().context("a run's policy is one of ours")?;
     let curve = read_metrics(&run.join("metrics.jsonl"), policy.provenance.samples)?;
     let provenance = &policy.provenance;
     let config = &provenance.config;
@@ -54,7 +55,7 @@ pub fn card(run: &Path, name: Option<&str>) -> anyhow::Result<String> {
         provenance.mujoco_version,
         policy.sha256(),
         curve_table(&curve),
-        walking_table(&policy)?,
+        walking_table(&agent)?,
     ))
 }
 
@@ -88,12 +89,12 @@ fn curve_table(curve: &[IterationMetrics]) -> String {
             "| {:.1} M | {:.1} min | {} | {} | {} | {} | {:.0} % | {} | {} | {} |\n",
             last.samples as f64 / 1e6,
             last.time.elapsed_s / 60.0,
-            cell(mean(|iteration| iteration.walking_linear), 1.0, 3, ""),
-            cell(mean(|iteration| iteration.fall_rate), 100.0, 1, " %"),
-            cell(mean(|iteration| iteration.pushed_fall_rate), 100.0, 1, " %"),
-            cell(mean(|iteration| iteration.push_fraction), 100.0, 0, " %"),
+            cell(mean(|iteration| iteration.means.walking_linear), 1.0, 3, ""),
+            cell(mean(|iteration| iteration.means.fall_rate), 100.0, 1, " %"),
+            cell(mean(|iteration| iteration.means.pushed_fall_rate), 100.0, 1, " %"),
+            cell(mean(|iteration| iteration.means.push_fraction), 100.0, 0, " %"),
             100.0 * last.command_fraction,
-            cell(mean(|iteration| iteration.swing_height_m), 1e3, 0, " mm"),
+            cell(mean(|iteration| iteration.means.swing_height_m), 1e3, 0, " mm"),
             cell(mean(|iteration| Some(iteration.action_std)), 1.0, 2, ""),
             cell(mean(|iteration| Some(iteration.step_reward)), 1.0, 2, ""),
         ));
@@ -106,7 +107,7 @@ fn cell(value: Option<f64>, factor: f64, decimals: usize, unit: &str) -> String 
     value.map_or("–".to_owned(), |value| format!("{:.decimals$}{unit}", factor * value))
 }
 
-fn walking_table(policy: &Policy) -> anyhow::Result<String> {
+fn walking_table(agent: &Agent) -> anyhow::Result<String> {
     let base: Walk = defaults("walk")?;
     let mut table = String::from(
         "| command: forward, left, turn | forward error | sideways error | yaw rate error | power | cost of transport | \
@@ -115,9 +116,8 @@ fn walking_table(policy: &Policy) -> anyhow::Result<String> {
     for [forward_m_s, left_m_s, yaw_rad_s] in COMMANDS {
         let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
         let scenario = Scenario::Walk(Walk { task });
-        let config = &policy.provenance.config;
-        let script = scenario.script(0, config)?;
-        let trace = Rollout::new(&script, config, Box::new(policy.inference().controller()))?.trace();
+        let script = scenario.script(0, &agent.config)?;
+        let trace = Rollout::new(&script, &agent.config, agent.controller())?.trace();
         let found = scenario.metrics(&script, &trace);
         let number = |name: &str| found.iter().find(|metric| metric.name == name).and_then(|metric| metric.value);
         let cell = |name: &str, factor, decimals, unit| cell(number(name), factor, decimals, unit);

@@ -91,7 +91,7 @@ fn run(command: Command) -> anyhow::Result<()> {
             let (found, sha256) = (&policy.provenance, policy.sha256());
             if let Some(config) = config {
                 let differs = |keys| anyhow::anyhow!("{name} does not come from {config}: {keys}");
-                found.config.check_same(&Config::load(&config)?).map_err(differs)?;
+                found.config.check_same(&Config::load(&config)?.without_folder()).map_err(differs)?;
             }
             let learnt = found.samples;
             anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");

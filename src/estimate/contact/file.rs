@@ -3,43 +3,25 @@
 Every tensor is under a checksum: a network that is damaged by one bit would be wrong without anybody noticing.
 */
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::{ContactNetwork, INPUTS, RATE_HZ, TICKS};
 use crate::estimate::SensorNoise;
-use crate::network::{Layer, Mlp};
+use crate::network::Mlp;
 use crate::robot::{JOINTS, LEGS, joint_names};
-use crate::util::files;
+use crate::util::files::{self, FileError};
 use crate::util::tensors::{self, Tensor};
 
 /// Version of the file format.
 const FORMAT: u32 = 1;
 
+/// What errors call it.
+const CONTACT: &str = "contact network";
+
 /// Larger files are not contact networks.
 const MAX_BYTES: u64 = 16 << 20;
-
-/// Why a contact network was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum ContactError {
-    /// Reading or writing failed.
-    #[error("contact network {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// The content is not a contact network of this format.
-    #[error("contact network {}: {problem}; train one with `cargo run --release --bin train_contact`", path.display())]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// What was found and expected.
-        problem: String,
-    },
-}
 
 /// A policy that data were gathered from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -112,12 +94,7 @@ impl ContactNetwork {
     /// # Errors
     /// If a layer's shape does not fit its weights.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
-        let mut all = Vec::new();
-        for (index, layer) in self.mlp.layers.iter().enumerate() {
-            let shape = vec![layer.outputs(), layer.inputs()];
-            all.push(Tensor::f32(format!("contact.{index}.weight"), shape, &layer.weight));
-            all.push(Tensor::f32(format!("contact.{index}.bias"), vec![layer.outputs()], &layer.bias));
-        }
+        let mut all = Tensor::of_network(self.mlp.tensors("contact."));
         all.push(Tensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
         all.push(Tensor::f32("normaliser.scale", vec![INPUTS], &self.scale));
         let metadata = Metadata {
@@ -137,21 +114,18 @@ impl ContactNetwork {
     /// Writes the file atomically.
     ///
     /// # Errors
-    /// [`ContactError`] with the file's name.
-    pub fn save(&self, path: &Path) -> Result<(), ContactError> {
-        let bytes = self
-            .to_bytes()
-            .map_err(|error| ContactError::Invalid { path: path.to_owned(), problem: error.to_string() })?;
-        files::write_atomically(path, &bytes).map_err(|source| ContactError::Io { path: path.to_owned(), source })
+    /// [`FileError`]
+    pub fn save(&self, path: &Path) -> Result<(), FileError> {
+        let bytes = self.to_bytes().map_err(FileError::of(CONTACT, path))?;
+        files::write_atomically(path, &bytes).map_err(FileError::of(CONTACT, path))
     }
 
     /// Reads a file and checks everything in it.
     ///
     /// # Errors
-    /// [`ContactError`] that says what was found and what was expected.
-    pub fn load(path: &Path) -> Result<Self, ContactError> {
-        let bytes = files::read_bounded(path, MAX_BYTES)
-            .map_err(|source| ContactError::Io { path: path.to_owned(), source })?;
+    /// [`FileError`] that says what was found and what was expected.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(CONTACT, path))?;
         Self::from_bytes(&bytes, path)
     }
 
@@ -159,8 +133,9 @@ impl ContactNetwork {
     ///
     /// # Errors
     /// See [`ContactNetwork::load`].
-    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, ContactError> {
-        parse(bytes).map_err(|problem| ContactError::Invalid { path: path.to_owned(), problem })
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
+        let advice = |problem| format!("{problem}; train one with `cargo run --release --bin train_contact`");
+        parse(bytes).map_err(advice).map_err(FileError::of(CONTACT, path))
     }
 
     /// Identity: the SHA-256 of weights and normaliser.
@@ -183,24 +158,11 @@ fn parse(bytes: &[u8]) -> Result<ContactNetwork, String> {
     let metadata: Metadata =
         serde_json::from_str(&json).map_err(|error| format!("its metadata do not parse: {error}"))?;
     metadata.check()?;
-    let (mut layers, mut width) = (Vec::new(), INPUTS);
-    while let Ok(view) = tensors.tensor(&format!("contact.{}.weight", layers.len())) {
-        let index = layers.len();
-        let outputs = view.shape().first().copied().unwrap_or(0);
-        if outputs == 0 {
-            return Err(format!("its tensor contact.{index}.weight has no rows"));
-        }
-        let weight = tensors::read_f32(&tensors, &format!("contact.{index}.weight"), &[outputs, width])?;
-        let bias = tensors::read_f32(&tensors, &format!("contact.{index}.bias"), &[outputs])?;
-        layers.push(Layer { weight, bias });
-        width = outputs;
-    }
-    if layers.is_empty() || width != LEGS.len() {
-        return Err(format!("its network has {} layers and {width} outputs, expected 4 outputs", layers.len()));
-    }
+    let network = tensors::read_group(&tensors, "contact.")?;
+    let mlp = Mlp::from_tensors(network, INPUTS, LEGS.len()).map_err(|error| format!("its network: {error}"))?;
     let offset = tensors::read_f32(&tensors, "normaliser.offset", &[INPUTS])?;
     let scale = tensors::read_f32(&tensors, "normaliser.scale", &[INPUTS])?;
-    let network = ContactNetwork::new(Mlp { layers }, offset, scale, metadata.provenance);
+    let network = ContactNetwork::new(mlp, offset, scale, metadata.provenance);
     let found = network.checksum();
     if found != metadata.checksum {
         return Err(format!("its tensors have checksum {found}, expected {}: it is damaged", metadata.checksum));
@@ -228,6 +190,7 @@ impl Metadata {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::network::Layer;
     use crate::util::random::{Purpose, stream};
 
     fn network() -> ContactNetwork {

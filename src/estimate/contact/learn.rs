@@ -95,13 +95,11 @@ pub fn learn(
 /// Orthogonal weights as everywhere; the last layer's are small, so that learning starts undecided.
 fn network(inputs: usize, outputs: usize, learning: &Learning) -> Result<(Vec<Linear>, Vec<Var>)> {
     let mut rng = stream(learning.seed, Purpose::Weights, 0, 0);
-    let widths: Vec<usize> = [inputs].iter().chain(&learning.hidden).chain(&[outputs]).copied().collect();
+    let mlp = Mlp::orthogonal(&[&[inputs], &learning.hidden[..], &[outputs]].concat(), 0.01, &mut rng);
     let (mut layers, mut variables) = (Vec::new(), Vec::new());
-    for (index, pair) in widths.windows(2).enumerate() {
-        let gain = if index + 2 == widths.len() { 0.01 } else { 2.0_f64.sqrt() };
-        let layer = Layer::orthogonal(pair[0], pair[1], gain, &mut rng);
-        let weight = Var::from_slice(&layer.weight, (pair[1], pair[0]), &Device::Cpu)?;
-        let bias = Var::from_slice(&layer.bias, pair[1], &Device::Cpu)?;
+    for layer in &mlp.layers {
+        let weight = Var::from_slice(&layer.weight, (layer.outputs(), layer.inputs()), &Device::Cpu)?;
+        let bias = Var::from_slice(&layer.bias, layer.outputs(), &Device::Cpu)?;
         layers.push(Linear::new(weight.as_tensor().clone(), Some(bias.as_tensor().clone())));
         variables.extend([weight, bias]);
     }

@@ -12,10 +12,10 @@ pub mod score;
 
 use crate::network::{Mlp, PackedMlp, Scratch};
 use crate::robot::{JOINTS, Joints};
-use crate::util::files;
+use crate::util::files::{self, FileError};
 
 use super::EncoderReading;
-pub use file::{ContactError, ContactProvenance, HeldOut, PolicySource};
+pub use file::{ContactProvenance, HeldOut, PolicySource};
 
 /// Ticks that the network looks back on, the present one included.
 pub const TICKS: usize = 4;
@@ -103,8 +103,8 @@ impl ContactNetwork {
     /// The network inside the program.
     ///
     /// # Errors
-    /// [`ContactError`] if the program was built with a broken file.
-    pub fn shipped() -> Result<Self, ContactError> {
+    /// [`FileError`] if the program was built with a broken file.
+    pub fn shipped() -> Result<Self, FileError> {
         Self::from_bytes(SHIPPED, std::path::Path::new("models/contact.safetensors"))
     }
 

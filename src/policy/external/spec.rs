@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
-use super::ExternalError;
+use super::POLICY;
 use crate::config::{Config, ConfigError, Simulation};
 use crate::observation::{Layout, Nominal, Numbers, Observed, limit, numbers};
+use crate::policy::AgentError;
 use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
 use crate::robot::{JOINTS, joint_names};
+use crate::util::files::FileError;
 use crate::util::yaml;
 
 #[derive(Debug, Deserialize)]
@@ -45,13 +47,13 @@ pub(super) struct Spec {
 
 impl Spec {
     /// Checks the text of the file at `path`.
-    pub(super) fn parse(path: &Path, text: &str) -> Result<Self, ExternalError> {
+    pub(super) fn parse(path: &Path, text: &str) -> Result<Self, AgentError> {
         let name = path.display().to_string();
         let raw: RawSpec = yaml::layered(&name, &[text]).map_err(ConfigError::from)?;
         let mut config = Config::load("compliant")?;
         config.simulation = raw.simulation.clone();
         config.check().map_err(|error| ConfigError::Value { name, error })?;
-        Self::new(raw, config).map_err(|problem| ExternalError::Invalid { path: path.to_owned(), problem })
+        Ok(Self::new(raw, config).map_err(FileError::of(POLICY, path))?)
     }
 
     fn new(raw: RawSpec, config: Config) -> Result<Self, String> {
@@ -67,7 +69,8 @@ impl Spec {
             nominal_pose[*place] = angle;
         }
         let scale = numbers("action.scale_rad", Some(&raw.action.scale_rad), JOINTS, 1.0)?;
-        let nominal = Nominal { pose: nominal_pose, height_m: config.reward.base_height_m, action_scale_rad: scale[0] };
+        let action_scale_rad = std::array::from_fn(|joint| scale[joint]);
+        let nominal = Nominal { pose: nominal_pose, height_m: config.reward.base_height_m, action_scale_rad };
         let history = raw.history.unwrap_or_else(|| vec![0]);
         Ok(Spec {
             onnx: raw.onnx,
@@ -75,7 +78,7 @@ impl Spec {
             action: Action {
                 nominal_pose,
                 meaning: raw.action.meaning,
-                scale_rad: std::array::from_fn(|joint| scale[joint]),
+                scale_rad: action_scale_rad,
                 clip: limit("action.clip", raw.action.clip)?,
             },
             config,
@@ -131,6 +134,16 @@ mod tests {
     fn the_example_parses() {
         let spec = Spec::parse(Path::new("rsl_rl.yaml"), EXAMPLE).unwrap();
         assert_eq!(spec.layout.length(), 48);
+    }
+
+    #[test]
+    fn last_targets_are_seen_in_the_scale_of_each_joints_action() {
+        let text = EXAMPLE.replace("quantity: last_action", "quantity: last_target, scale: action");
+        let (before, after) = text.split_once("scale_rad:").unwrap();
+        let rest = after.split_once('\n').unwrap().1;
+        let text = format!("{before}scale_rad: [0.5{}]\n{rest}", ", 0.25".repeat(11));
+        let spec = Spec::parse(Path::new("test"), &text).unwrap();
+        assert_eq!(spec.layout.scale()[36..39], [2.0, 4.0, 4.0]);
     }
 
     proptest! {

@@ -14,4 +14,4 @@ mod tensor;
 mod wire;
 
 pub use export::export;
-pub use network::{MAX_BYTES, Network, OnnxError, Scratch};
+pub use network::{MAX_BYTES, Network, Scratch};

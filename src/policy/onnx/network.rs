@@ -1,7 +1,7 @@
 //! A network from an ONNX file, ready to be evaluated with one observation at a time.
 
 use std::collections::HashMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use prost::Message;
 
@@ -9,7 +9,7 @@ use super::operators::Call;
 use super::proto::{Graph, Model, Node, Size, ValueInfo};
 use super::tensor::{Tensor, elements};
 use super::wire;
-use crate::util::files;
+use crate::util::files::FileError;
 
 /// Larger files are not policies.
 pub const MAX_BYTES: u64 = 32 << 20;
@@ -25,27 +25,6 @@ const MAX_TOTAL: usize = 1 << 24;
 
 /// Place of the input among the values.
 const INPUT: usize = 0;
-
-/// Why an ONNX file was refused.
-#[derive(Debug, thiserror::Error)]
-pub enum OnnxError {
-    /// Reading failed.
-    #[error("ONNX file {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's reason.
-        source: std::io::Error,
-    },
-    /// Not a network that can be run.
-    #[error("ONNX file {}: {problem}", path.display())]
-    Invalid {
-        /// The file.
-        path: PathBuf,
-        /// What was found and expected.
-        problem: String,
-    },
-}
 
 /// An operator with the places of its inputs and outputs among all values.
 #[derive(Debug)]
@@ -72,22 +51,12 @@ pub struct Network {
 pub struct Scratch(Vec<Option<Tensor>>);
 
 impl Network {
-    /// Reads a file and evaluates the network once.
+    /// Reads a file's bytes and evaluates the network once; `path` is for messages.
     ///
     /// # Errors
-    /// [`OnnxError`] that names the operator or shape that cannot be run.
-    pub fn load(path: &Path) -> Result<Self, OnnxError> {
-        let bytes =
-            files::read_bounded(path, MAX_BYTES).map_err(|source| OnnxError::Io { path: path.to_owned(), source })?;
-        Self::from_bytes(&bytes, path)
-    }
-
-    /// As [`Network::load`] from memory; `path` is for messages.
-    ///
-    /// # Errors
-    /// See [`Network::load`].
-    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, OnnxError> {
-        Self::read(bytes).map_err(|problem| OnnxError::Invalid { path: path.to_owned(), problem })
+    /// [`FileError`] that names the operator or shape that cannot be run.
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
+        Self::read(bytes).map_err(FileError::of("ONNX file", path))
     }
 
     fn read(bytes: &[u8]) -> Result<Self, String> {
@@ -281,16 +250,17 @@ mod tests {
         outputs: Vec<Vec<f32>>,
     }
 
-    fn fixture(file: &str) -> PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx").join(file)
+    fn fixture(file: &str) -> Vec<u8> {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx").join(file);
+        std::fs::read(path).unwrap()
     }
 
     #[test]
     fn networks_in_the_styles_of_torch_and_brax_and_every_operator_give_what_onnxruntime_gives() {
-        let golden: Vec<Golden> = serde_json::from_slice(&std::fs::read(fixture("golden.json")).unwrap()).unwrap();
+        let golden: Vec<Golden> = serde_json::from_slice(&fixture("golden.json")).unwrap();
         assert_eq!(golden.len(), 3);
         for Golden { file, inputs, outputs } in golden {
-            let network = Network::load(&fixture(&file)).unwrap();
+            let network = Network::from_bytes(&fixture(&file), Path::new(&file)).unwrap();
             let mut scratch = Scratch::default();
             for (input, expected) in inputs.iter().zip(&outputs) {
                 let found = network.forward(input, &mut scratch);
@@ -375,7 +345,7 @@ mod tests {
 
     #[test]
     fn every_truncation_is_refused_or_runs() {
-        let bytes = std::fs::read(fixture("operators.onnx")).unwrap();
+        let bytes = fixture("operators.onnx");
         for length in 0..bytes.len() {
             if let Ok(network) = Network::from_bytes(&bytes[..length], Path::new("cut")) {
                 network.forward(&vec![0.5; network.inputs()], &mut Scratch::default());
@@ -392,7 +362,7 @@ mod tests {
             changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
         ) {
             let name = ["operators.onnx", "rsl_rl.onnx", "playground.onnx"][which];
-            let mut bytes = std::fs::read(fixture(name)).unwrap();
+            let mut bytes = fixture(name);
             for (place, byte) in changes {
                 // Weights are most of the file; what they are changed to does not matter. Aim at the structure.
                 let length = bytes.len();

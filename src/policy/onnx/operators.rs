@@ -25,9 +25,6 @@ pub struct Call<'a> {
 
 impl Call<'_> {
     /// The outputs.
-    ///
-    /// # Errors
-    /// In words: an unknown operator, inputs that do not fit it.
     pub fn evaluate(&self) -> Result<Vec<Tensor>> {
         let domain = self.node.domain.as_str();
         if !matches!(domain, "" | "ai.onnx") {

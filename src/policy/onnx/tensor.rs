@@ -26,25 +26,16 @@ pub struct Tensor {
 
 impl Tensor {
     /// Single-precision values.
-    ///
-    /// # Errors
-    /// In words, if their number is not that of the shape.
     pub fn float(shape: Vec<usize>, values: Vec<f32>) -> Result<Self, String> {
         Self::new(shape, Values::Float(values))
     }
 
     /// Integers.
-    ///
-    /// # Errors
-    /// As [`Tensor::float`].
     pub fn int(shape: Vec<usize>, values: Vec<i64>) -> Result<Self, String> {
         Self::new(shape, Values::Int(values))
     }
 
     /// Values of either kind.
-    ///
-    /// # Errors
-    /// As [`Tensor::float`].
     pub fn new(shape: Vec<usize>, values: Values) -> Result<Self, String> {
         let count = elements(&shape)?;
         let found = match &values {
@@ -59,9 +50,6 @@ impl Tensor {
     }
 
     /// A constant of the file.
-    ///
-    /// # Errors
-    /// In words: a type, size or place of the values that is not supported.
     pub fn read(tensor: &proto::Tensor) -> Result<Self, String> {
         if tensor.data_location != 0 {
             return Err("its values are in another file; save the model as one file".into());
@@ -98,9 +86,6 @@ impl Tensor {
     }
 
     /// Single-precision values.
-    ///
-    /// # Errors
-    /// If they are integers.
     pub fn floats(&self) -> Result<&[f32], String> {
         match &self.values {
             Values::Float(values) => Ok(values),
@@ -109,9 +94,6 @@ impl Tensor {
     }
 
     /// Integers.
-    ///
-    /// # Errors
-    /// If they are not.
     pub fn ints(&self) -> Result<&[i64], String> {
         match &self.values {
             Values::Int(values) => Ok(values),
@@ -120,25 +102,16 @@ impl Tensor {
     }
 
     /// The same values in another shape.
-    ///
-    /// # Errors
-    /// As [`Tensor::float`].
     pub fn reshaped(&self, shape: Vec<usize>) -> Result<Self, String> {
         Self::new(shape, self.values.clone())
     }
 
     /// Applies a function to every value.
-    ///
-    /// # Errors
-    /// If they are integers.
     pub fn map(&self, function: impl Fn(f32) -> f32) -> Result<Self, String> {
         Self::float(self.shape.clone(), self.floats()?.iter().map(|value| function(*value)).collect())
     }
 
     /// Elements picked by their index in this tensor, in a new shape.
-    ///
-    /// # Errors
-    /// If an index is out of range.
     pub fn pick(&self, shape: Vec<usize>, indices: &[usize]) -> Result<Self, String> {
         fn of<T: Copy>(values: &[T], indices: &[usize]) -> Option<Vec<T>> {
             indices.iter().map(|index| values.get(*index).copied()).collect()
@@ -152,9 +125,6 @@ impl Tensor {
 }
 
 /// Number of elements of a shape.
-///
-/// # Errors
-/// If it is more than any policy needs.
 pub fn elements(shape: &[usize]) -> Result<usize, String> {
     let count = shape.iter().try_fold(1_usize, |product, size| product.checked_mul(*size));
     match count {

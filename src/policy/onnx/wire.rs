@@ -40,9 +40,6 @@ impl Message {
 }
 
 /// Refuses bytes with more fields than a policy has, or that are cut off.
-///
-/// # Errors
-/// In words.
 pub fn check(bytes: &[u8]) -> Result<(), String> {
     let mut fields = 0;
     count(bytes, Message::Model, &mut fields)

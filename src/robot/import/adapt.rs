@@ -23,9 +23,6 @@ struct Survey {
 }
 
 /// Makes a robot of the file's tree.
-///
-/// # Errors
-/// In words: what does not fit.
 pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Imported, String> {
     let file = std::path::absolute(&description.mjcf).map_err(|error| error.to_string())?;
     find_assets(&mut tree, file.parent().unwrap_or(Path::new("")))?;
@@ -133,14 +130,10 @@ impl Survey {
                 ));
             }
         }
-        let is_below = |mut body: usize| {
-            while body > trunk {
-                body = model.body_parent(body);
-            }
-            body == trunk
-        };
         let others: Vec<String> = (0..model.count(Kind::Joint))
-            .filter(|joint| *joint != root && !joints.contains(joint) && is_below(model.joint_body(*joint)))
+            .filter(|joint| {
+                *joint != root && !joints.contains(joint) && model.is_below(model.joint_body(*joint), trunk)
+            })
             .map(name)
             .collect();
         if !others.is_empty() {
@@ -248,7 +241,7 @@ impl Survey {
         {
             return Ok(stand.to_vec());
         }
-        let keyframe = model.keyframe("home").or_else(|| model.first_keyframe());
+        let keyframe = model.keyframe();
         let (pose, from) = match (description.pose, keyframe) {
             (Some(pose), _) => (pose, "its description's nominal pose"),
             (None, Some(positions)) => (ours(positions), "its keyframe"),
@@ -284,7 +277,7 @@ impl Survey {
     fn report(&self) -> Vec<String> {
         let model = &self.model;
         let mut lines = Vec::new();
-        let bodies = (self.trunk..model.count(Kind::Body)).filter(|body| *body == self.trunk || self.is_below(*body));
+        let bodies = (self.trunk..model.count(Kind::Body)).filter(|body| model.is_below(*body, self.trunk));
         let mass: f64 = bodies.map(|body| model.body_mass()[body]).sum();
         lines.push(format!("mass: {mass:.3} kg, kept, as are inertias, shapes, joint limits and armature"));
         let dofs = self.joints.map(|joint| model.joint_velocity_index(joint));
@@ -322,13 +315,6 @@ impl Survey {
         ));
         lines.push("contact: parts of the robot do not collide with one another; margins and gaps set to 0".into());
         lines
-    }
-
-    fn is_below(&self, mut body: usize) -> bool {
-        while body > self.trunk {
-            body = self.model.body_parent(body);
-        }
-        body == self.trunk
     }
 }
 

@@ -24,9 +24,6 @@ pub(super) struct Imported {
 }
 
 /// Reads an MJCF file, or a YAML file that names one and says what its parts are called.
-///
-/// # Errors
-/// In words: what does not fit.
 pub(super) fn read(path: &Path) -> Result<Imported, String> {
     let description = names::Description::read(path)?;
     let tree = xml::read(&description.mjcf)?;

@@ -59,9 +59,6 @@ pub(super) struct Description {
 
 impl Description {
     /// Of an MJCF file, or of a YAML file that names one.
-    ///
-    /// # Errors
-    /// In words.
     pub(super) fn read(path: &Path) -> Result<Self, String> {
         if !files::is_yaml(path) {
             return Ok(Description { mjcf: path.to_owned(), ..Description::default() });
@@ -91,9 +88,6 @@ impl Description {
     }
 
     /// The model's joints in our order, by the names given or by the usual ones.
-    ///
-    /// # Errors
-    /// In words, with the names that there are.
     pub(super) fn joints(&self, model: &Model) -> Result<[usize; JOINTS], String> {
         let names: Vec<&str> = (0..model.count(Kind::Joint)).map(|joint| model.name(Kind::Joint, joint)).collect();
         let find = |index: usize| {
@@ -144,9 +138,6 @@ fn usual(name: &str, index: usize) -> bool {
 }
 
 /// The foot of a leg: the geometry of that name, or the lowest sphere that collides below the calf.
-///
-/// # Errors
-/// In words.
 pub(super) fn foot(model: &Model, given: Option<&String>, leg: usize, calf: usize) -> Result<usize, String> {
     if let Some(name) = given {
         let foot = model.id(Kind::Geom, name).map_err(|error| error.to_string())?;
@@ -155,16 +146,10 @@ pub(super) fn foot(model: &Model, given: Option<&String>, leg: usize, calf: usiz
             other => Err(format!("its foot '{name}' is a {other:?}, expected a sphere or the round end of a capsule")),
         };
     }
-    let below = |mut body: usize| {
-        // A foot may be a body of its own, fixed to the calf.
-        while body > calf {
-            body = model.body_parent(body);
-        }
-        body == calf
-    };
+    // A foot may be a body of its own, fixed to the calf.
     let spheres = (0..model.count(Kind::Geom)).filter(|geom| {
         let shape = model.geom(*geom).shape;
-        shape == Shape::Sphere && model.geom_contact(*geom).collides() && below(model.geom_body(*geom))
+        shape == Shape::Sphere && model.geom_contact(*geom).collides() && model.is_below(model.geom_body(*geom), calf)
     });
     let depth = |geom: &usize| model.geom_position_at_rest(*geom)[2];
     spheres.min_by(|a, b| depth(a).total_cmp(&depth(b))).ok_or_else(|| {

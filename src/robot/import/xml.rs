@@ -67,9 +67,6 @@ impl Element {
 }
 
 /// Reads a file and what it includes, relative to its folder as MuJoCo has it.
-///
-/// # Errors
-/// In words: unreadable, not XML, not MJCF, too large, including itself.
 pub(super) fn read(path: &Path) -> Result<Element, String> {
     let folder = path.parent().unwrap_or(Path::new(""));
     let root = read_file(path, folder, 0, &mut 0)?;

@@ -24,6 +24,22 @@ use crate::task::episode::GRAVITY;
 use crate::util::random::{Purpose, stream};
 use crate::util::yaml::layered;
 
+/// Makes a struct of parameters: each field is a flag of the `scenario` program and a key of the YAML file, beside what every
+/// scenario asks of the policy.
+macro_rules! parameters {
+    ($(#[$about:meta])* pub struct $name:ident { $($(#[$help:meta])* pub $field:ident: $type:ty,)* }) => {
+        $(#[$about])*
+        #[derive(clap::Args, Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
+        pub struct $name {
+            #[command(flatten)]
+            #[serde(flatten)]
+            #[allow(missing_docs)]
+            pub task: $crate::scenario::catalog::Task,
+            $($(#[$help])* #[arg(long)] pub $field: $type,)*
+        }
+    };
+}
+
 /// Makes a line for each scenario into its module, its variant and its name: `"name" => Variant(module::Type): "help"`. Its
 /// defaults are in `configs/scenarios/NAME.yaml`. (`cargo fmt` does not look into macros for modules: `.ci/run` formats
 /// these files by name.)

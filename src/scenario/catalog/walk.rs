@@ -1,17 +1,10 @@
 //! Walking without disturbance (E0).
 
-use clap::Args;
-use serde::{Deserialize, Serialize};
+use super::Parameters;
 
-use super::{Parameters, Task};
-
-/// Walk without disturbance.
-#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Walk {
-    #[command(flatten)]
-    #[serde(flatten)]
-    #[allow(missing_docs)]
-    pub task: Task,
+parameters! {
+    /// Walk without disturbance.
+    pub struct Walk {}
 }
 
 impl Parameters for Walk {}
