@@ -1,4 +1,4 @@
-/*! The update of one Table III batch by either learner, against the rate at which this machine multiplies matrices.
+/*! The update of one Table III batch by either learner, in every arithmetic that the machine has, against the rate at which this machine multiplies matrices.
 
 The batch is a real rollout of a fresh policy. Every repetition starts from the same parameters, so that all do the same
 work. A sample that goes through one epoch once is a sample pass. The peak is measured in turn with the updates: square
@@ -8,9 +8,9 @@ f32 products of 1024 by candle, whose `gemm` uses all cores.
 use candle_core::{Device, Tensor};
 use rand::seq::SliceRandom;
 use serde::Serialize;
-use supple::config::{Config, LearnerKind, Ppo};
+use supple::config::{Config, LearnerKind, Ppo, Precision};
 use supple::network::{ActorCritic, Mlp};
-use supple::ppo::{Hyperparameters, LearnerState, learner};
+use supple::ppo::{Hyperparameters, LearnerState, learner, resolved};
 use supple::robot::JOINTS;
 use supple::task::Curriculum;
 use supple::train::collection::{Collection, Rollout};
@@ -50,17 +50,23 @@ pub struct Update {
     pub epochs: usize,
     /// Floating-point work of a sample pass [kFLOP].
     pub kflop_per_sample_pass: f64,
-    /// On one thread.
+    /// What `ppo.precision: auto` comes to.
+    pub precision: Precision,
+    /// In that, on one thread.
     pub one_thread: Rates,
-    /// On all threads.
+    /// In that, on all threads.
     pub all_threads: Rates,
+    /// In f32, and in the others that there are, on all threads.
+    pub precisions: Vec<(Precision, Rates)>,
+    /// Median of the repetitions' own ratios: each of these over f32.
+    pub over_f32: Vec<f64>,
     /// By the candle learner.
     pub candle: Rates,
-    /// Median of the repetitions' own ratios: fused on all threads over candle.
-    pub fused_over_candle: f64,
+    /// Median of the repetitions' own ratios: f32 on all threads over candle.
+    pub f32_over_candle: f64,
     /// Square f32 products on all threads [GFLOP/s].
     pub peak_gflop_per_s: f64,
-    /// Median of the repetitions' own ratios, on all threads.
+    /// Median of the repetitions' own ratios, of f32 on all threads.
     pub update_over_peak: f64,
 }
 
@@ -87,40 +93,49 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
         })
         .collect();
     let start = LearnerState::new(network.clone(), &Hyperparameters::from(ppo));
-    let sample_passes_per_s = |kind, threads, permutations: &[Vec<u32>]| -> anyhow::Result<f64> {
-        let mut learner = learner(&Ppo { learner: kind, ..ppo.clone() }, start.clone(), threads)?;
+    let sample_passes_per_s = |ppo: &Ppo, threads, permutations: &[Vec<u32>]| -> anyhow::Result<f64> {
+        let mut learner = learner(ppo, start.clone(), threads)?;
         let (elapsed_s, statistics) = timed(|| learner.update(&batch, permutations));
         statistics?;
         Ok((permutations.len() * rollout.len()) as f64 / elapsed_s)
     };
     let few = &permutations[..effort.epochs.min(CANDLE_EPOCHS)];
+    let with = |precision| Ppo { learner: LearnerKind::Fused, precision, ..ppo.clone() };
+    let by_candle = Ppo { learner: LearnerKind::Candle, precision: Precision::F32, ..ppo.clone() };
+    let precision = resolved(&with(Precision::Auto));
+    let mut precisions = vec![Precision::F32, Precision::Bf16x3, Precision::Mixed, Precision::Bf16];
+    precisions.retain(|precision| learner(&with(*precision), start.clone(), 1).is_ok());
 
     let flop = flop_per_sample_pass(&network);
     let (mut one, mut all, mut candle, mut peaks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
     for _ in 0..effort.repetitions {
         peaks.push(product_gflop_per_s()?);
-        all.push(sample_passes_per_s(LearnerKind::Fused, threads, &permutations)?);
-        one.push(sample_passes_per_s(LearnerKind::Fused, 1, &permutations)?);
-        candle.push(sample_passes_per_s(LearnerKind::Candle, 1, few)?);
+        let rates = precisions.iter().map(|precision| sample_passes_per_s(&with(*precision), threads, &permutations));
+        all.push(rates.collect::<anyhow::Result<Vec<f64>>>()?);
+        one.push(sample_passes_per_s(&with(precision), 1, &permutations)?);
+        candle.push(sample_passes_per_s(&by_candle, 1, few)?);
     }
     let gflop = |rate: f64| 1e-9 * flop * rate;
-    let update_over_peak = median(all.iter().zip(&peaks).map(|(rate, peak)| gflop(*rate) / peak));
-    let fused_over_candle = median(all.iter().zip(&candle).map(|(fused, candle)| fused / candle));
     let rates = |threads, rates: Vec<f64>| {
         let sample_passes_per_s = median(rates);
         Rates { threads, sample_passes_per_s, gflop_per_s: gflop(sample_passes_per_s) }
     };
+    let of = |index: usize| all.iter().map(move |rates| rates[index]).collect::<Vec<f64>>();
+    let used = precisions.iter().position(|of| *of == precision).unwrap_or(0);
     Ok(Update {
         batch_size: rollout.len(),
         minibatch_size: ppo.minibatch_size,
         epochs: effort.epochs,
         kflop_per_sample_pass: 1e-3 * flop,
+        precision,
         one_thread: rates(1, one),
-        all_threads: rates(threads, all),
+        all_threads: rates(threads, of(used)),
+        over_f32: (0..precisions.len()).map(|index| median(all.iter().map(|rates| rates[index] / rates[0]))).collect(),
+        precisions: precisions.iter().enumerate().map(|(index, of_it)| (*of_it, rates(threads, of(index)))).collect(),
+        f32_over_candle: median(all.iter().zip(&candle).map(|(rates, candle)| rates[0] / candle)),
         candle: rates(1, candle),
-        fused_over_candle,
+        update_over_peak: median(all.iter().zip(&peaks).map(|(rates, peak)| gflop(rates[0]) / peak)),
         peak_gflop_per_s: median(peaks),
-        update_over_peak,
     })
 }
 

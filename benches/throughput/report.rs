@@ -83,12 +83,14 @@ impl Display for Report {
         let (one, all) = (&update.one_thread, &update.all_threads);
         row("update [sample passes/s]", one.sample_passes_per_s, all.sample_passes_per_s)?;
         row("update [GFLOP/s]", one.gflop_per_s, all.gflop_per_s)?;
+        for ((precision, rates), over_f32) in update.precisions.iter().zip(&update.over_f32) {
+            let name = serde_json::to_value(precision).unwrap_or_default();
+            let name = name.as_str().unwrap_or_default();
+            row(&format!("  {name} [sample passes/s]"), f64::NAN, rates.sample_passes_per_s)?;
+            row(&format!("  {name} / f32"), f64::NAN, *over_f32)?;
+        }
         row("update by candle [sample passes/s]", update.candle.sample_passes_per_s, f64::NAN)?;
-        row(
-            "update / update by candle",
-            one.sample_passes_per_s / update.candle.sample_passes_per_s,
-            update.fused_over_candle,
-        )?;
+        row("update in f32 / update by candle", f64::NAN, update.f32_over_candle)?;
         row("1024³ product [GFLOP/s]", f64::NAN, update.peak_gflop_per_s)?;
         let (one, all) = (&training.one_thread, &training.all_threads);
         row("training [samples/s]", one.samples_per_s, all.samples_per_s)?;
@@ -127,7 +129,7 @@ impl Display for Report {
             writeln!(f, "{name:<46}{value:>12}{:>12}  {verdict}", format!("≥ {target:.2}"))
         };
         row("environment / mj_step", Some(self.env_over_raw), 0.9)?;
-        row("update / matrix products", Some(self.update_over_peak), 0.8)?;
+        row("update in f32 / matrix products", Some(self.update_over_peak), 0.8)?;
         row("update / PyTorch", self.update_over_torch, 2.2)?;
         row("training / Stable-Baselines3", self.end_to_end_over_sb3, 3.0)?;
         row("all threads / one thread", Some(self.thread_scaling), 1.85)?;

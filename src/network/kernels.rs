@@ -259,7 +259,7 @@ fn load<S: Simd>(from: &[f32]) -> S::f32s {
 
 /// `x` where positive, `eˣ − 1` elsewhere (also for NaN).
 #[inline(always)]
-pub fn elu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
+fn elu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let positive = simd.greater_than_f32s(x, simd.splat_f32s(0.0));
     simd.select_f32s(positive, x, exp_m1(simd, x))
 }

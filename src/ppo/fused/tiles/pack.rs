@@ -113,3 +113,80 @@ fn piece(from: &Tile, row: usize, quarter: usize) -> __m128i {
     let pieces: [u32x4; 4] = cast(from.0[row]);
     cast(pieces[quarter])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ppo::fused::tiles::unit::{SQUARE, Unit};
+
+    type Matrix = [[f32; 32]; 32];
+
+    fn lanes(row: &[f32; 32], half: usize) -> f32x16 {
+        cast(*row[16 * half..].first_chunk::<16>().unwrap())
+    }
+
+    fn left<const PARTS: usize>(simd: V4, a: &Matrix) -> Operand<PARTS> {
+        let mut operand = Operand::ZERO;
+        for (m, row) in a.iter().enumerate() {
+            let [first, second] = [0, 1].map(|half| split::<PARTS>(simd, lanes(row, half)));
+            put(simd, &mut operand, (m / 16, m % 16), first, second);
+        }
+        operand
+    }
+
+    fn right<const PARTS: usize>(simd: V4, b: &Matrix) -> Operand<PARTS> {
+        let mut operand = Operand::ZERO;
+        for k in 0..16 {
+            for half in 0..2 {
+                let [first, second] = [k, k + 16].map(|k| split::<PARTS>(simd, lanes(&b[k], half)));
+                put(simd, &mut operand, (half, k), first, second);
+            }
+        }
+        operand
+    }
+
+    fn check<const PARTS: usize>(unit: &Unit, scale: f32, error: f64) {
+        let number = |i: usize, j: usize| scale * ((i * 37 + j * 23) % 31) as f32 - 7.0;
+        let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(i, j)));
+        let b: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(j, i + 5)));
+        let (a_operand, b_operand) = (left::<PARTS>(unit.simd, &a), right::<PARTS>(unit.simd, &b));
+        let mut sums = [f32::NAN; SQUARE];
+        for (times, add) in [(1.0, false), (2.0, true)] {
+            unit.product([(&a_operand, &b_operand)].into_iter(), &mut sums, add, &mut ());
+            for (m, row) in a.iter().enumerate() {
+                for n in 0..32 {
+                    let exact: f64 = (0..32).map(|k| f64::from(row[k]) * f64::from(b[k][n])).sum();
+                    let sum = f64::from(sums[(m / 16 * 2 + n / 16) * 256 + m % 16 * 16 + n % 16]);
+                    assert!((sum - times * exact).abs() <= error, "{m}, {n}: {sum}, not {times} times {exact}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn products_are_exact_for_small_whole_numbers_and_close_for_others() {
+        let Some(unit) = Unit::new() else { return };
+        check::<1>(&unit, 1.0, 0.0);
+        check::<2>(&unit, 1.0, 0.0);
+        check::<1>(&unit, 1.234, 64.0);
+        check::<2>(&unit, 1.234, 0.1);
+    }
+
+    #[test]
+    fn what_was_put_comes_back_and_transposed_pairs_stay_pairs() {
+        let Some(simd) = V4::try_new() else { return };
+        let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| (i * 32 + j) as f32 / 64.0));
+        let operand = left::<2>(simd, &a);
+        let mut transposed = Operand::<2>::ZERO;
+        transpose(simd, &operand, &mut transposed);
+        for m in 0..32 {
+            let [first, second] = get(simd, &operand, (m / 16, m % 16));
+            assert_eq!([first, second], [lanes(&a[m], 0), lanes(&a[m], 1)]);
+            // Row `k` now holds the pairs of column `k`.
+            let [first, second]: [[f32; 16]; 2] = get(simd, &transposed, (m / 16, m % 16)).map(cast);
+            for k in 0..16 {
+                assert_eq!((first[k], second[k]), (a[m / 16 * 16 + k][m % 16], a[m / 16 * 16 + k][m % 16 + 16]));
+            }
+        }
+    }
+}
