@@ -61,10 +61,10 @@ pub fn learner(ppo: &Ppo, state: LearnerState, threads: usize) -> Result<Box<dyn
 
 /// What `ppo.precision` comes to on this machine: never [`Precision::Auto`].
 pub fn resolved(ppo: &Ppo) -> Precision {
-    match (ppo.precision, ppo.learner) {
-        (Precision::Auto, LearnerKind::Fused) if tiles_available() => Precision::Mixed,
-        (Precision::Auto, _) => Precision::F32,
-        (precision, _) => precision,
+    match ppo.precision {
+        Precision::Auto if ppo.learner != LearnerKind::Candle && tiles_available() => Precision::Mixed,
+        Precision::Auto => Precision::F32,
+        precision => precision,
     }
 }
 
