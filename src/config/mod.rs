@@ -118,7 +118,7 @@ impl Config {
     /// machine.
     pub fn differences(&self, other: &Config) -> Vec<Difference> {
         let mut other = Config { run: self.run.clone(), ..other.clone() };
-        if other.ppo.precision == Precision::Auto {
+        if [self.ppo.precision, other.ppo.precision].contains(&Precision::Auto) {
             other.ppo.precision = self.ppo.precision;
         }
         let differences = yaml::differences(self, &other).into_iter();

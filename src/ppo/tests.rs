@@ -77,17 +77,17 @@ fn fused<A: Arithmetic>(network: &ActorCritic, settings: Hyperparameters, thread
     FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
 }
 
-/// Every learner that this machine has, going on from `state`, with the error of its outputs.
+/// Every learner that this machine has, going on from `state`, and how far an update of it may be off.
 fn resumed(state: &LearnerState, settings: &Hyperparameters) -> Vec<(Box<dyn Learner>, f64)> {
     let mut learners: Vec<(Box<dyn Learner>, f64)> = vec![
-        (Box::new(FusedLearner::<Panels>::new(state, settings.clone(), 2)), 1e-5),
-        (Box::new(CandleLearner::new(state.clone(), settings.clone())), 1e-5),
+        (Box::new(FusedLearner::<Panels>::new(state, settings.clone(), 2)), 1e-4),
+        (Box::new(CandleLearner::new(state.clone(), settings.clone())), 1e-4),
     ];
     #[cfg(tiles)]
     if tiles_available() {
-        learners.push((Box::new(FusedLearner::<Tiles<2, 2>>::new(state, settings.clone(), 2)), 3e-5));
-        learners.push((Box::new(FusedLearner::<Tiles<2, 1>>::new(state, settings.clone(), 2)), 3e-5));
-        learners.push((Box::new(FusedLearner::<Tiles<1, 1>>::new(state, settings.clone(), 2)), 1e-2));
+        learners.push((Box::new(FusedLearner::<Tiles<2, 2>>::new(state, settings.clone(), 2)), 5e-4));
+        learners.push((Box::new(FusedLearner::<Tiles<2, 1>>::new(state, settings.clone(), 2)), 0.1));
+        learners.push((Box::new(FusedLearner::<Tiles<1, 1>>::new(state, settings.clone(), 2)), 0.2));
     }
     if !tiles_available() {
         eprintln!("this processor has no tile units: their arithmetic is not tested");
@@ -114,9 +114,9 @@ fn norm(x: impl Iterator<Item = f64>) -> f64 {
     x.map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Checks gradients over networks and minibatches of several sizes: by tensor, the largest error that its norm and its
-/// elements may have.
-fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64) {
+/// Checks gradients over networks and minibatches of several sizes: by tensor, the largest error that its norm, its
+/// elements and, in which much cancels, the norm of the gradient by `ln σ` may have.
+fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64, log_std_error: f64) {
     for (sizes, rows) in [(None, 150), (None, 64), (None, 3), (Some([83, 256, 128, 64, 12]), 512)] {
         let network = match sizes {
             Some([observations, hidden @ .., actions]) => {
@@ -137,6 +137,8 @@ fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64) {
             let scale = norm(expected.iter().copied());
             let error = norm(fused.iter().zip(expected).map(|(&fused, expected)| f64::from(fused) - expected));
             assert!(scale > 1e-6, "{name} has no gradient");
+            let (norm_error, element_error) =
+                if name == "log_std" { (log_std_error, 10.0 * log_std_error) } else { (norm_error, element_error) };
             assert!(error < norm_error * scale, "{name} with {rows} rows: error {error:e} of {scale:e}");
             let largest = expected.iter().fold(0.0_f64, |a, b| a.max(b.abs()));
             for (i, (&fused, expected)) in fused.iter().zip(expected).enumerate() {
@@ -150,7 +152,7 @@ fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64) {
 
 #[test]
 fn fused_gradients_equal_those_of_automatic_differentiation() {
-    check_gradients::<Panels>(1e-5, 1e-4);
+    check_gradients::<Panels>(1e-5, 1e-4, 1e-5);
 }
 
 #[test]
@@ -159,9 +161,9 @@ fn gradients_of_tiles_equal_those_of_automatic_differentiation() {
     if !tiles_available() {
         return;
     }
-    check_gradients::<Tiles<2, 2>>(1e-3, 1e-2);
-    check_gradients::<Tiles<2, 1>>(2e-2, 0.2);
-    check_gradients::<Tiles<1, 1>>(1.0, 10.0);
+    check_gradients::<Tiles<2, 2>>(1e-4, 1e-3, 1e-3);
+    check_gradients::<Tiles<2, 1>>(2e-2, 0.2, 1e-3);
+    check_gradients::<Tiles<1, 1>>(0.15, 1.5, 1.0);
 }
 
 /// Stable-Baselines3's loop with the learning-rate rule of rsl_rl, on candle's f64 gradients.
@@ -234,9 +236,7 @@ fn an_update_equals_the_textbook_loop() {
     let settings = settings(128); // leaves a last minibatch of 44
 
     let (expected, expected_statistics) = reference_update(&network, &samples.batch(), &order, &settings);
-    let statistics = |(index, (mut learner, _)): (usize, (Box<dyn Learner>, f64))| {
-        // The last two have gradients of bf16.
-        let tolerance = [1e-4, 1e-4, 1e-3, 0.1, 1.0][index];
+    let statistics = |(mut learner, tolerance): (Box<dyn Learner>, f64)| {
         let statistics = learner.update(&samples.batch(), &order).unwrap();
         let before = network.tensors();
         let after = learner.parameters();
@@ -259,7 +259,7 @@ fn an_update_equals_the_textbook_loop() {
         }
         statistics
     };
-    let statistics: Vec<_> = learners(&network, &settings).into_iter().enumerate().map(statistics).collect();
+    let statistics: Vec<_> = learners(&network, &settings).into_iter().map(statistics).collect();
     let (fused, candle) = (&statistics[0], &statistics[1]);
     assert!(fused.clip_fraction > 0.0 && fused.clip_fraction < 1.0);
     assert_eq!(fused.clip_fraction, candle.clip_fraction);
@@ -382,7 +382,7 @@ fn the_policy_of_the_rollout_is_at_distance_zero_in_the_first_minibatch() {
     let mut samples = Samples::new(&network, 64, 1);
     PackedMlp::new(&network.policy).forward(64, &samples.observations, &mut samples.means, &mut Scratch::default());
     samples.log_std.clone_from(&network.log_std);
-    for (mut learner, _) in learners(&network, &settings(64)).into_iter().filter(|(_, error)| *error < 1e-3) {
+    for (mut learner, _) in learners(&network, &settings(64)).into_iter().filter(|(_, tolerance)| *tolerance < 0.2) {
         let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
         assert_eq!(statistics.kl, 0.0);
         assert_eq!(statistics.learning_rate, SETTINGS.learning_rate);

@@ -59,6 +59,7 @@ impl<A: Arithmetic> FusedLearner<A> {
     pub fn new(state: &LearnerState, settings: Hyperparameters, threads: usize) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
+        let threads = threads.max(1);
         let blocks = settings.minibatch_size.div_ceil(A::BLOCK);
         let chunk_blocks = (CHUNK_ROWS * threads.div_ceil(2) / A::BLOCK).min(blocks);
         Self {
@@ -66,7 +67,7 @@ impl<A: Arithmetic> FusedLearner<A> {
             chunk_blocks,
             log_std: RwLock::new(Parameters::new(parts.map(|part| Buffer::from(&*part.log_std)))),
             sums: std::array::from_fn(|_| (0..blocks).map(|_| Mutex::default()).collect()),
-            threads: threads.max(1),
+            threads,
             steps: state.steps,
             learning_rate: state.learning_rate,
             shapes: state.parameters.zeros_like(),

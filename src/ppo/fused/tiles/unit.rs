@@ -13,6 +13,7 @@ Denormal numbers count as zero, on the way in and out.
 
 use std::arch::asm;
 use std::arch::x86_64::{__cpuid_count, _MM_HINT_T1, _mm_prefetch};
+use std::cell::Cell;
 use std::marker::PhantomData;
 use std::ops::Range;
 use std::sync::OnceLock;
@@ -62,6 +63,11 @@ pub struct Unit {
     thread: PhantomData<*const ()>,
 }
 
+thread_local! {
+    /// Of this thread: the last one to go releases the registers.
+    static UNITS: Cell<usize> = const { Cell::new(0) };
+}
+
 /// What `ldtilecfg` reads.
 #[repr(C, align(64))]
 struct Shapes {
@@ -73,7 +79,7 @@ struct Shapes {
 }
 
 /// Eight tiles of 16 rows of 64 bytes.
-const SHAPES: Shapes = {
+static SHAPES: Shapes = {
     let (mut bytes_per_row, mut rows, mut tile) = ([0; 16], [0; 16], 0);
     while tile < 8 {
         (bytes_per_row[tile], rows[tile]) = (64, 16);
@@ -114,9 +120,8 @@ impl Unit {
     pub fn new() -> Option<Self> {
         let simd = V4::try_new().filter(|_| available())?;
         // SAFETY: the processor has the instruction and Linux permits it; it reads 64 bytes.
-        unsafe {
-            asm!("ldtilecfg [{0}]", in(reg) &raw const SHAPES_IN_MEMORY, options(nostack, preserves_flags, readonly))
-        };
+        unsafe { asm!("ldtilecfg [{0}]", in(reg) &raw const SHAPES, options(nostack, preserves_flags, readonly)) };
+        UNITS.set(UNITS.get() + 1);
         Some(Self { simd, thread: PhantomData })
     }
 
@@ -155,13 +160,13 @@ impl Unit {
         let stages = if PARTS == 1 { 1 } else { 3 };
         let (mut stage, count) = (0, stages * count);
         for (left, right) in steps {
-            multiply_add_first(left, right);
+            self.multiply_add_first(left, right);
             meanwhile.pieces(self.simd, 16 * stage / count..16 * (stage + 1) / count);
             stage += 1;
             if PARTS == 2 {
-                multiply_add_second(left);
+                self.multiply_add_second(left);
                 meanwhile.pieces(self.simd, 16 * stage / count..16 * (stage + 1) / count);
-                multiply_add_third(right);
+                self.multiply_add_third(right);
                 meanwhile.pieces(self.simd, 16 * (stage + 1) / count..16 * (stage + 2) / count);
                 stage += 2;
             }
@@ -190,71 +195,75 @@ pub fn prefetch(numbers: &[f32]) {
     }
 }
 
-static SHAPES_IN_MEMORY: Shapes = SHAPES;
-
-/// Adds the product of the last part of `left` and the first of `right` to tiles 0 to 3. Only a [`Unit`] calls it.
-#[inline(always)]
-fn multiply_add_first<const PARTS: usize>(left: &Operand<PARTS>, right: &Operand<PARTS>) {
-    // SAFETY: the caller has a `Unit`, so that the instructions are there. Each part is two tiles of 1024 bytes, only read.
-    unsafe {
-        asm!(
-            "tileloadd tmm6, [{b} + {row}]",
-            "tileloadd tmm4, [{a} + {row}]",
-            "tdpbf16ps tmm0, tmm4, tmm6",
-            "tileloadd tmm7, [{b} + {row} + 1024]",
-            "tdpbf16ps tmm1, tmm4, tmm7",
-            "tileloadd tmm5, [{a} + {row} + 1024]",
-            "tdpbf16ps tmm2, tmm5, tmm6",
-            "tdpbf16ps tmm3, tmm5, tmm7",
-            a = in(reg) &left.0[PARTS - 1], b = in(reg) &right.0[0], row = in(reg) 64_usize,
-            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-            out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
-            options(nostack, preserves_flags, readonly),
-        );
+impl Unit {
+    /// Adds the product of the last part of `left` and the first of `right` to tiles 0 to 3.
+    #[inline(always)]
+    fn multiply_add_first<const PARTS: usize>(&self, left: &Operand<PARTS>, right: &Operand<PARTS>) {
+        // SAFETY: there is a `Unit`, so the instructions are there. Each part is two tiles of 1024 bytes, only read.
+        unsafe {
+            asm!(
+                "tileloadd tmm6, [{b} + {row}]",
+                "tileloadd tmm4, [{a} + {row}]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 1024]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 1024]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                a = in(reg) &left.0[PARTS - 1], b = in(reg) &right.0[0], row = in(reg) 64_usize,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                options(nostack, preserves_flags, readonly),
+            );
+        }
     }
-}
 
-/// Then that of both first parts. The right one is still in tiles 6 and 7.
-#[inline(always)]
-fn multiply_add_second<const PARTS: usize>(left: &Operand<PARTS>) {
-    // SAFETY: as above.
-    unsafe {
-        asm!(
-            "tileloadd tmm4, [{a} + {row}]",
-            "tdpbf16ps tmm0, tmm4, tmm6",
-            "tdpbf16ps tmm1, tmm4, tmm7",
-            "tileloadd tmm5, [{a} + {row} + 1024]",
-            "tdpbf16ps tmm2, tmm5, tmm6",
-            "tdpbf16ps tmm3, tmm5, tmm7",
-            a = in(reg) &left.0[0], row = in(reg) 64_usize,
-            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm4") _, out("tmm5") _,
-            options(nostack, preserves_flags, readonly),
-        );
+    /// Then that of both first parts. The right one is still in tiles 6 and 7.
+    #[inline(always)]
+    fn multiply_add_second<const PARTS: usize>(&self, left: &Operand<PARTS>) {
+        // SAFETY: as above.
+        unsafe {
+            asm!(
+                "tileloadd tmm4, [{a} + {row}]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 1024]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                a = in(reg) &left.0[0], row = in(reg) 64_usize,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm4") _, out("tmm5") _,
+                options(nostack, preserves_flags, readonly),
+            );
+        }
     }
-}
 
-/// Then that of the first part of the left one, still in tiles 4 and 5, and the second of `right`.
-#[inline(always)]
-fn multiply_add_third<const PARTS: usize>(right: &Operand<PARTS>) {
-    // SAFETY: as above.
-    unsafe {
-        asm!(
-            "tileloadd tmm6, [{b} + {row}]",
-            "tdpbf16ps tmm0, tmm4, tmm6",
-            "tdpbf16ps tmm2, tmm5, tmm6",
-            "tileloadd tmm7, [{b} + {row} + 1024]",
-            "tdpbf16ps tmm1, tmm4, tmm7",
-            "tdpbf16ps tmm3, tmm5, tmm7",
-            b = in(reg) &right.0[PARTS - 1], row = in(reg) 64_usize,
-            out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm6") _, out("tmm7") _,
-            options(nostack, preserves_flags, readonly),
-        );
+    /// Then that of the first part of the left one, still in tiles 4 and 5, and the second of `right`.
+    #[inline(always)]
+    fn multiply_add_third<const PARTS: usize>(&self, right: &Operand<PARTS>) {
+        // SAFETY: as above.
+        unsafe {
+            asm!(
+                "tileloadd tmm6, [{b} + {row}]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 1024]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                b = in(reg) &right.0[PARTS - 1], row = in(reg) 64_usize,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm6") _, out("tmm7") _,
+                options(nostack, preserves_flags, readonly),
+            );
+        }
     }
 }
 
 impl Drop for Unit {
     fn drop(&mut self) {
-        // SAFETY: the processor has the instruction; nothing else uses the registers.
-        unsafe { asm!("tilerelease", options(nomem, nostack, preserves_flags)) };
+        let others = UNITS.get() - 1;
+        UNITS.set(others);
+        if others == 0 {
+            // SAFETY: the processor has the instruction; no `Unit` of this thread needs the registers any more.
+            unsafe { asm!("tilerelease", options(nomem, nostack, preserves_flags)) };
+        }
     }
 }
