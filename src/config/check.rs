@@ -82,6 +82,26 @@ impl Config {
         not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
         fraction("episode.slope", e.slope)?;
         not_negative("episode.min_height_m", e.min_height_m)?;
+        if let Some(c) = &self.compliance {
+            positive("compliance.largest_m_s_per_n", c.largest_m_s_per_n)?;
+            fraction("compliance.zero_fraction", c.zero_fraction)?;
+            positive("compliance.speed_limit_m_s", c.speed_limit_m_s)?;
+            let sound = c.restarts_steps.iter().all(|steps| (1..=1000).contains(steps));
+            let found = format!("{:?}", c.restarts_steps);
+            require(sound, "compliance.restarts_steps", found, "a list of 1 to 1000 policy steps")?;
+            not_negative("compliance.force_n", c.force_n)?;
+            fraction("compliance.gentle_fraction", c.gentle_fraction)?;
+            positive("compliance.gentle_speed_m_s", c.gentle_speed_m_s)?;
+            for (key, [low, high]) in [("compliance.duration_s", c.duration_s), ("compliance.gap_s", c.gap_s)] {
+                let sound = period <= low && low <= high && high <= MAX_STAGE_S;
+                let expected = "[shortest, longest], at least one policy step and at most an hour";
+                require(sound, key, format!("{:?}", [low, high]), expected)?;
+            }
+            fraction("compliance.fraction_step", c.fraction_step)?;
+            fraction("compliance.fraction_gate", c.fraction_gate)?;
+            let expected = "false where compliance is commanded: there, what is tracked says what yielding is";
+            require(!e.recovery_stage, "episode.recovery_stage", "true", expected)?;
+        }
         let weights = &self.reward;
         not_negative("reward.linear_velocity", weights.linear_velocity)?;
         not_negative("reward.angular_velocity", weights.angular_velocity)?;

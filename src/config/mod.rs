@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, LearnerKind, Ppo, Precision, Randomisation, Reward, RobotModel, Run,
+    Action, CommandRange, Compliance, Config, Episode, LearnerKind, Ppo, Precision, Randomisation, Reward, RobotModel, Run,
     Simulation,
 };
 
@@ -29,6 +29,7 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("baseline", include_str!("../../configs/baseline.yaml")),
     ("fast", include_str!("../../configs/fast.yaml")),
     ("fast-baseline", include_str!("../../configs/fast-baseline.yaml")),
+    ("commanded", include_str!("../../configs/commanded.yaml")),
     ("hardware", include_str!("../../configs/hardware.yaml")),
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
 ];

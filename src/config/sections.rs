@@ -26,6 +26,9 @@ pub struct Config {
     pub command: CommandRange,
     /// Stages, pushes, slopes, termination.
     pub episode: Episode,
+    /// Compliance as a command; without it, none is commanded and nothing pulls.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compliance: Option<Compliance>,
     /// Weights and targets of Table II.
     pub reward: Reward,
     /// Dynamics randomisation.
@@ -135,6 +138,35 @@ pub struct Episode {
     pub slope: f64,
     /// Base height below which the robot has fallen \[m\].
     pub min_height_m: f64,
+}
+
+/// Training with commanded compliance, and pulls to yield to; not in the paper. What is rewarded is the motion of a virtual
+/// mass: see [`crate::task::compliance`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Compliance {
+    /// Largest commanded compliance [m/s/N]; drawn uniformly from zero on.
+    pub largest_m_s_per_n: f64,
+    /// Fraction of episodes with none.
+    pub zero_fraction: f64,
+    /// Bound of the virtual mass's speed [m/s]: nobody leads the robot faster than it can walk.
+    pub speed_limit_m_s: f64,
+    /// Further virtual masses are let go where the robot is, and tracked so many policy steps later.
+    pub restarts_steps: Vec<usize>,
+    /// Largest pull \[N\].
+    pub force_n: f64,
+    /// Fraction of pulls no stronger than lets the virtual mass be led at this speed [m/s].
+    pub gentle_fraction: f64,
+    /// That speed [m/s].
+    pub gentle_speed_m_s: f64,
+    /// Shortest and longest pull \[s\].
+    pub duration_s: [f64; 2],
+    /// Shortest and longest time between two pulls \[s\].
+    pub gap_s: [f64; 2],
+    /// Growth per iteration of the fraction of `force_n` that is open, from zero on.
+    pub fraction_step: f64,
+    /// Mean `r_lin` above which it grows.
+    pub fraction_gate: f64,
 }
 
 /// Table II and equations 1–3.

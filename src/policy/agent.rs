@@ -2,11 +2,13 @@
 
 use std::path::Path;
 
+use super::compliance::{Calibration, OuterLoop};
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
 use super::inference::Inference;
 use crate::config::{Config, ConfigError};
+use crate::observation::Quantity;
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
 
@@ -71,6 +73,20 @@ impl Agent {
     /// A controller of one robot.
     pub fn controller(&self) -> Box<dyn Controller + '_> {
         Box::new(self.inference().controller())
+    }
+
+    /// A controller of one robot whose commanded compliance is a setting: the policy's own input, or, with its calibration,
+    /// that of an outer loop around it.
+    pub fn set_to<'a>(&'a self, calibration: Option<&'a Calibration>) -> Box<dyn Controller + 'a> {
+        match calibration.filter(|_| !self.is_told_compliance()) {
+            Some(known) => Box::new(OuterLoop::new(self.controller(), known, self.inference().period_s)),
+            None => self.controller(),
+        }
+    }
+
+    /// Whether the policy sees a commanded compliance by itself.
+    pub fn is_told_compliance(&self) -> bool {
+        self.inference().layout.blocks().iter().any(|block| block.quantity == Quantity::Compliance)
     }
 
     /// What turns states into joint targets.

@@ -5,6 +5,7 @@
 */
 
 mod agent;
+pub mod compliance;
 mod controller;
 pub mod external;
 mod file;

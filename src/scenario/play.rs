@@ -167,7 +167,7 @@ impl<'a> Rollout<'a> {
         }
         let step = reward::Step {
             state: &state,
-            command: &self.script.command,
+            tracked: &[self.script.command],
             summary: &summary,
             landings: &landings,
             config: &config.reward,

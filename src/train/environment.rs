@@ -6,6 +6,7 @@ apart how an episode ended: a fall ends the return, a time limit does not, a phy
 
 use std::sync::Arc;
 
+use nalgebra::Vector3;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
@@ -16,8 +17,9 @@ use crate::observation::{Layout, Moment, Observer};
 use crate::robot::{JOINTS, Joints, Robot, RobotState, same_in_every_leg};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Scene, Sim, SimState};
+use crate::task::compliance::Pulled;
 use crate::task::reward;
-use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
+use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms, VirtualMasses};
 use crate::util::random::{Purpose, stream};
 
 /// How an episode ended.
@@ -98,6 +100,9 @@ struct Progress {
     #[serde(default)]
     last_action: Joints,
     last_target: Joints,
+    /// What is to be tracked where compliance is commanded.
+    #[serde(default)]
+    virtual_masses: VirtualMasses,
     /// Of checkpoints from before observations were lists: `ô_{t−1}` and `ô_t`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     previous: Vec<f64>,
@@ -262,18 +267,33 @@ impl LocomotionEnv {
         if self.progress.step == self.stages.recovery_start {
             // Without a push the episode ended with the step before.
             if let Some(push) = &self.progress.plan.push {
+                let before = self.sim.state().velocity_in_world();
                 self.sim.push(push)?;
+                self.progress.virtual_masses.push(self.sim.state().velocity_in_world() - before);
                 self.progress.pushed = true;
             }
+        }
+        let period_s = self.config.simulation.policy_period_s();
+        let force = self.progress.plan.force(self.progress.step as f64 * period_s);
+        if let Some(compliance) = &self.config.compliance {
+            let longest = compliance.restarts_steps.iter().copied().max().unwrap_or(0);
+            self.progress.virtual_masses.begin(&self.sim.state(), &self.progress.plan.command, longest);
+            self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
         }
         let summary = self.sim.step(&target, &mut self.progress.swings)?;
         let state = self.sim.state();
 
         let p = &mut self.progress;
         let landings = p.swings.take();
+        let mut tracked = vec![p.plan.command];
+        if let Some(compliance) = &self.config.compliance {
+            let pulled = Pulled { force, mass_kg: self.sim.robot().mass_kg, time_s: period_s };
+            p.virtual_masses.step(&state, &p.plan.command, pulled, compliance.speed_limit_m_s);
+            tracked = p.virtual_masses.commands(&state, &p.plan.command, &compliance.restarts_steps);
+        }
         let step = reward::Step {
             state: &state,
-            command: &p.plan.command,
+            tracked: &tracked,
             summary: &summary,
             landings: &landings,
             config: &self.config.reward,
@@ -391,6 +411,7 @@ fn start(
         observer: Observer::new(),
         last_action: [0.0; JOINTS],
         last_target: nominal,
+        virtual_masses: VirtualMasses::default(),
         previous: Vec::new(),
         current: Vec::new(),
     }

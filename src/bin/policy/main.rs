@@ -12,7 +12,8 @@ use supple::config::Config;
 use supple::policy::{Buffers, Policy};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::joint_names;
-use supple::util::{files, terminal};
+use supple::scenario::calibration::calibrate;
+use supple::util::{files, terminal, yaml};
 
 /// Look at a policy, check it, export it.
 #[derive(Parser)]
@@ -56,6 +57,14 @@ enum Command {
         #[arg(long)]
         name: Option<String>,
     },
+    /// Measure how far the policy yields when it is pulled, and print what `--compliance` needs to know
+    Calibrate {
+        /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
+        policy: String,
+        /// Threads [default: all cores]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+        threads: Option<u16>,
+    },
     /// Write the policy in another format
     Export {
         /// Policy file, run folder, or name of a shipped policy
@@ -96,6 +105,11 @@ fn run(command: Command) -> anyhow::Result<()> {
             let learnt = found.samples;
             anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");
             terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
+        }
+        Command::Calibrate { policy, threads } => {
+            let threads = threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
+            let calibration = calibrate(&shipped::find(&policy)?, threads).with_context(|| policy)?;
+            terminal::print(format_args!("{}", yaml::to_text(&calibration)))?;
         }
         Command::Run { policy } => answer(&shipped::find_ours(&policy)?)?,
         Command::Card { run, name } => terminal::print(card::card(&run, name.as_deref())?)?,

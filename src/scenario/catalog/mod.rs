@@ -147,6 +147,15 @@ pub struct Task {
     #[arg(long, alias = "joint-offset-sd-rad")]
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
+    /// Commanded compliance: how much velocity a newton of sustained pull is to buy (m/s/N); 0: whatever the policy has
+    #[arg(long, value_name = "COMPLIANCE", default_value_t = 0.0)]
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub compliance: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// What a scenario's parameters do; what they do not say is that of an undisturbed walk on a plane.
@@ -192,6 +201,7 @@ impl Scenario {
         in_range("yaw-rad-s", task.yaw_rad_s, -10.0, 10.0, "-10 to 10 rad/s")?;
         in_range("duration-s", task.duration_s, 0.1, 3600.0, "0.1 to 3600 s")?;
         in_range("encoder-bias-sd-rad", task.encoder_bias_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
+        in_range("compliance", task.compliance, 0.0, 1.0, "0 to 1 m/s/N")?;
         let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
             scene: Scene::flat(Robot::load(&config.robot.model)?, config.simulation.timestep_s()),
@@ -200,7 +210,10 @@ impl Scenario {
                 friction: config.randomisation.default_friction,
                 encoder_bias: std::array::from_fn(|_| task.encoder_bias_sd_rad * rng.sample::<f64, _>(StandardNormal)),
             },
-            command: Command::velocity(task.forward_m_s, task.left_m_s, task.yaw_rad_s),
+            command: Command {
+                compliance: task.compliance,
+                ..Command::velocity(task.forward_m_s, task.left_m_s, task.yaw_rad_s)
+            },
             duration_s: task.duration_s,
             after_fall_s: AFTER_FALL_S,
             pushes: Vec::new(),
