@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::compliance::{Calibration, OuterLoop};
+use super::compliance::{Calibration, ComplianceError, Compliant};
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
@@ -30,6 +30,8 @@ pub struct Agent {
     pub config: Config,
     /// Identity of the policy: SHA-256 of its files.
     pub sha256: String,
+    /// How far it yields, where that has been measured.
+    pub calibration: Option<Calibration>,
     mind: Mind,
 }
 
@@ -45,16 +47,19 @@ impl Agent {
     /// # Errors
     /// [`AgentError`]
     pub fn load(path: &Path) -> Result<Self, AgentError> {
-        if files::is_yaml(path) {
-            return external::load(path);
-        }
-        let mut agent = Agent::from(Policy::load(path)?);
-        agent.find_robot(path.parent().unwrap_or(Path::new("")));
+        let mut agent = if files::is_yaml(path) {
+            external::load(path)?
+        } else {
+            let mut agent = Agent::from(Policy::load(path)?);
+            agent.find_robot(path.parent().unwrap_or(Path::new("")));
+            agent
+        };
+        agent.calibration = Calibration::beside(path, &agent.sha256)?;
         Ok(agent)
     }
 
     pub(super) fn external(inference: Inference, config: Config, sha256: String) -> Self {
-        Agent { config, sha256, mind: Mind::External(Box::new(inference)) }
+        Agent { config, sha256, calibration: None, mind: Mind::External(Box::new(inference)) }
     }
 
     /// The file of a robot that does not ship goes by its name alone: it lies where the run had it, or beside the policy.
@@ -72,15 +77,23 @@ impl Agent {
 
     /// A controller of one robot.
     pub fn controller(&self) -> Box<dyn Controller + '_> {
-        Box::new(self.inference().controller())
+        let policy = Box::new(self.inference().controller());
+        match &self.calibration {
+            None => policy,
+            Some(calibration) if self.is_told_compliance() => Box::new(Compliant::told(policy, calibration)),
+            Some(calibration) => Box::new(Compliant::around(policy, calibration, &self.config)),
+        }
     }
 
-    /// A controller of one robot whose commanded compliance is a setting: the policy's own input, or, with its calibration,
-    /// that of an outer loop around it.
-    pub fn set_to<'a>(&'a self, calibration: Option<&'a Calibration>) -> Box<dyn Controller + 'a> {
-        match calibration.filter(|_| !self.is_told_compliance()) {
-            Some(known) => Box::new(OuterLoop::new(self.controller(), known, self.inference().period_s)),
-            None => self.controller(),
+    /// Whether it can yield by a commanded compliance [m/s/N].
+    ///
+    /// # Errors
+    /// [`ComplianceError`]
+    pub fn check_compliance(&self, compliance: f64) -> Result<(), ComplianceError> {
+        match &self.calibration {
+            Some(calibration) => Ok(calibration.check(compliance)?),
+            None if compliance == 0.0 => Ok(()),
+            None => Err(ComplianceError::NotCalibrated),
         }
     }
 
@@ -122,6 +135,6 @@ impl Agent {
 impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
         let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
-        Agent { config, sha256, mind: Mind::Ours(Box::new(policy)) }
+        Agent { config, sha256, calibration: None, mind: Mind::Ours(Box::new(policy)) }
     }
 }

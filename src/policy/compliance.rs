@@ -9,18 +9,20 @@ velocity is off by undisturbed: a pull f moves the robot by C₀ f from what it 
 Either way, what a setting comes to has been measured, and the setting is chosen that gives what is commanded.
 */
 
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use super::controller::Controller;
+use crate::config::Config;
 use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
+use crate::util::files::{self, FileError};
 
 /// Time constant of the low-pass: it takes out the gait \[s\].
 const SMOOTHING_S: f64 = 0.1;
-
-/// Fastest walk that the outer loop asks for, unless the command is faster [m/s].
-const SPEED_LIMIT_M_S: f64 = 1.0;
 
 /// What a policy does when it is pulled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -49,28 +51,98 @@ pub struct Point {
 
 /// A compliance that a policy cannot give.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[error("a compliance of {found} m/s/N is beyond this policy: it can be told {low:.4} to {high:.4} m/s/N")]
-pub struct OutOfReach {
-    found: f64,
-    low: f64,
-    high: f64,
+pub enum ComplianceError {
+    /// Softer or stiffer than it can be.
+    #[error("a compliance of {found} m/s/N is beyond it: it can be told {low:.4} to {high:.4} m/s/N")]
+    OutOfReach {
+        /// What was commanded.
+        found: f64,
+        /// The least that it can give.
+        low: f64,
+        /// The largest.
+        high: f64,
+    },
+    /// Nobody knows how far it yields.
+    #[error("how far it yields has not been measured: run `policy calibrate` with it first")]
+    NotCalibrated,
 }
 
+/// What errors call the file.
+const WHAT: &str = "calibration";
+
+/// Larger files are no calibrations.
+const MAX_BYTES: u64 = 64 << 10;
+
 impl Calibration {
-    /// The setting that gives a compliance [m/s/N].
+    /// Where a policy's calibration is: `NAME.calibration.json`.
+    pub fn path(policy: &Path) -> PathBuf {
+        policy.with_extension("calibration.json")
+    }
+
+    /// What lies beside a policy's file, if there is something.
     ///
     /// # Errors
-    /// [`OutOfReach`]
-    pub fn setting(&self, compliance: f64) -> Result<f64, OutOfReach> {
+    /// A file that cannot be read, is no calibration, or is another policy's.
+    pub fn beside(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
+        let path = Self::path(policy);
+        match files::read_bounded(&path, MAX_BYTES) {
+            Ok(bytes) => Self::from_json(&path, &String::from_utf8_lossy(&bytes), sha256).map(Some),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(FileError::of(WHAT, &path)(error)),
+        }
+    }
+
+    /// Reads and checks one.
+    ///
+    /// # Errors
+    /// As [`Calibration::beside`].
+    pub fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
+        let fail = FileError::of(WHAT, path);
+        let found: Calibration = serde_json::from_str(text).map_err(FileError::of(WHAT, path))?;
+        let points = &found.points;
+        let numbers = points.iter().flat_map(|point| [point.setting, point.measured]).chain([found.own_m_s_per_n]);
+        if found.sha256 != sha256 {
+            return Err(fail("it is of another policy: run `policy calibrate` again"));
+        }
+        let rising = points.windows(2).all(|pair| pair[1].measured > pair[0].measured && pair[1].setting > pair[0].setting);
+        let finite = numbers.chain(found.bias.into_iter().flatten()).all(f64::is_finite);
+        if points.len() < 2 || !rising || !finite || found.own_m_s_per_n < 0.0 {
+            return Err(fail("expected two points or more, rising, and finite numbers: run `policy calibrate` again"));
+        }
+        Ok(found)
+    }
+
+    /// Before anything has been measured: a setting is taken for what it comes to.
+    pub fn unmeasured(sha256: &str) -> Self {
+        let points = [0.0, 1.0].map(|setting| Point { setting, measured: setting }).to_vec();
+        Calibration { sha256: sha256.to_owned(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points }
+    }
+
+    /// The least and the largest compliance that the policy can give [m/s/N].
+    pub fn range(&self) -> [f64; 2] {
+        let measured = |point: Option<&Point>| point.map_or(0.0, |point| point.measured);
+        [measured(self.points.first()), measured(self.points.last())]
+    }
+
+    /// Whether it can give a compliance [m/s/N]; zero leaves it as it is.
+    ///
+    /// # Errors
+    /// [`ComplianceError::OutOfReach`]
+    pub fn check(&self, compliance: f64) -> Result<(), ComplianceError> {
+        let [low, high] = self.range();
+        let within = compliance == 0.0 || (low..=high).contains(&compliance);
+        if within { Ok(()) } else { Err(ComplianceError::OutOfReach { found: compliance, low, high }) }
+    }
+
+    /// The setting that gives a compliance, or comes nearest to it [m/s/N].
+    fn nearest_setting(&self, compliance: f64) -> f64 {
+        let [low, high] = self.range();
+        let wanted = compliance.clamp(low, high);
         let between = |pair: &[Point]| {
-            let [a, b] = [pair[0], pair[1]];
-            let part = (compliance - a.measured) / (b.measured - a.measured);
-            (0.0..=1.0).contains(&part).then_some(a.setting + part * (b.setting - a.setting))
+            let part = (wanted - pair[0].measured) / (pair[1].measured - pair[0].measured);
+            (0.0..=1.0).contains(&part).then_some(pair[0].setting + part * (pair[1].setting - pair[0].setting))
         };
-        self.points.windows(2).find_map(between).ok_or_else(|| {
-            let measured = |point: Option<&Point>| point.map_or(f64::NAN, |point| point.measured);
-            OutOfReach { found: compliance, low: measured(self.points.first()), high: measured(self.points.last()) }
-        })
+        self.points.windows(2).find_map(between).unwrap_or(compliance)
     }
 
     /// What the velocity is off by undisturbed, forward and left [m/s].
@@ -82,48 +154,71 @@ impl Calibration {
     }
 }
 
-/// An outer loop around a controller that tracks velocities.
-pub struct OuterLoop<'a> {
+/// A controller that yields as it is commanded to: a calibrated policy.
+pub struct Compliant<'a> {
     inner: Box<dyn Controller + 'a>,
     calibration: &'a Calibration,
-    /// `LP(v − v* − bias)`, forward and left [m/s].
-    led: Vector2<f64>,
-    /// Part of the difference that the low-pass takes over in a step.
-    step: f64,
+    /// None for a policy that is told its compliance.
+    outer_loop: Option<LowPass>,
 }
 
-impl<'a> OuterLoop<'a> {
-    /// Around a controller that is asked every `period_s`; the command's compliance is the setting `c`.
-    pub fn new(inner: Box<dyn Controller + 'a>, calibration: &'a Calibration, period_s: f64) -> Self {
-        OuterLoop { inner, calibration, led: Vector2::zeros(), step: 1.0 - (-period_s / SMOOTHING_S).exp() }
+/// `LP(v − v* − bias)`.
+struct LowPass {
+    /// Forward and left [m/s].
+    led: Vector2<f64>,
+    /// Part of the difference that is taken over in a step.
+    step: f64,
+    /// Fastest walk that is asked for, forward and left, unless the command is faster [m/s].
+    limits: Vector2<f64>,
+}
+
+impl<'a> Compliant<'a> {
+    /// Of a policy that is told its compliance.
+    pub fn told(inner: Box<dyn Controller + 'a>, calibration: &'a Calibration) -> Self {
+        Compliant { inner, calibration, outer_loop: None }
     }
 
-    /// What the controller is commanded.
-    fn yielding(&mut self, state: &RobotState, command: &Command) -> Command {
+    /// With an outer loop around a policy, for the rates and the commands that it was trained with.
+    pub fn around(inner: Box<dyn Controller + 'a>, calibration: &'a Calibration, config: &Config) -> Self {
+        let step = 1.0 - (-config.simulation.policy_period_s() / SMOOTHING_S).exp();
+        let limits = Vector2::new(config.command.forward_m_s, config.command.left_m_s);
+        let low_pass = LowPass { led: Vector2::zeros(), step, limits };
+        Compliant { inner, calibration, outer_loop: Some(low_pass) }
+    }
+
+    /// What the policy is commanded.
+    fn command(&mut self, state: &RobotState, command: &Command) -> Command {
         if command.compliance <= 0.0 {
             return *command;
         }
+        let setting = self.calibration.nearest_setting(command.compliance);
+        let Some(LowPass { led, step, limits }) = &mut self.outer_loop else {
+            return Command { compliance: setting, ..*command };
+        };
         let asked = Vector2::new(command.forward, command.left);
         let off = state.velocity_in_base.xy() - asked - self.calibration.bias(command);
-        self.led += self.step * (off - self.led);
-        let gain = 1.0 - self.calibration.own_m_s_per_n / command.compliance;
-        let led = (asked + gain * self.led).cap_magnitude(SPEED_LIMIT_M_S.max(asked.norm()));
-        Command { forward: led.x, left: led.y, ..*command }
+        *led += *step * (off - *led);
+        let gain = 1.0 - self.calibration.own_m_s_per_n / setting;
+        let limits = limits.sup(&asked.abs());
+        let velocity = (asked + gain * *led).sup(&-limits).inf(&limits);
+        Command { forward: velocity.x, left: velocity.y, yaw: command.yaw, compliance: 0.0 }
     }
 }
 
-impl Controller for OuterLoop<'_> {
+impl Controller for Compliant<'_> {
     fn rest(&self) -> Joints {
         self.inner.rest()
     }
 
     fn begin(&mut self, state: &RobotState) {
-        self.led = Vector2::zeros();
+        if let Some(low_pass) = &mut self.outer_loop {
+            low_pass.led = Vector2::zeros();
+        }
         self.inner.begin(state);
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
-        let command = self.yielding(state, command);
+        let command = self.command(state, command);
         self.inner.joint_targets(state, &command)
     }
 }

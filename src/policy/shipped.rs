@@ -1,11 +1,15 @@
 //! The policies that ship inside the program, and finding one by name or path.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use crate::policy::compliance::Calibration;
 use crate::policy::{Agent, AgentError, Policy};
 
 /// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
+
+/// Name and calibration of those of them that have one.
+const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibrations.rs"));
 
 /// Why no policy was found.
 #[derive(Debug, thiserror::Error)]
@@ -60,7 +64,17 @@ pub fn find(name: &str) -> Result<Agent, FindError> {
     let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
     let shipped = position(&names, name).ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
     let (known, bytes) = EMBEDDED[shipped];
-    Ok(Policy::from_bytes(bytes, Path::new(known)).map_err(AgentError::from)?.into())
+    let mut agent = Agent::from(Policy::from_bytes(bytes, Path::new(known)).map_err(AgentError::from)?);
+    if let Some((name, text)) = CALIBRATIONS.iter().find(|(name, _)| *name == known) {
+        agent.calibration = Some(Calibration::from_json(Path::new(name), text, &agent.sha256).map_err(AgentError::from)?);
+    }
+    Ok(agent)
+}
+
+/// The file that [`find`] reads; none for a policy inside the program.
+pub fn file_of(name: &str) -> Option<PathBuf> {
+    let path = Path::new(name);
+    if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.is_file().then(|| path.to_owned()) }
 }
 
 /// Which of the names is meant: itself, or the least seed's.

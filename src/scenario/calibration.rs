@@ -87,45 +87,42 @@ impl Probe {
 ///
 /// # Errors
 /// [`CalibrationError`]
-pub fn calibrate(agent: &Agent, threads: usize) -> Result<Calibration, CalibrationError> {
-    let mut calibration =
-        Calibration { sha256: agent.sha256.clone(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points: Vec::new() };
+pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<Calibration, CalibrationError> {
+    let mut calibration = Calibration::unmeasured(&agent.sha256);
     let walks: Vec<Probe> =
         WALKS.iter().map(|[forward, left, yaw]| Probe::walk(Command::velocity(*forward, *left, *yaw))).collect();
-    let undisturbed = offsets(agent, None, &walks, threads)?;
+    agent.calibration = None;
+    let undisturbed = offsets(agent, &walks, threads)?;
     if undisturbed[1].is_none() {
         return Err(CalibrationError::Falls("undisturbed at 0.5 m/s"));
     }
     calibration.bias = bias(&walks, &undisturbed);
-    let own = yielding(agent, None, 0.0, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
+    let own = yielding(agent, 0.0, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
     calibration.own_m_s_per_n = own;
     let settings = if agent.is_told_compliance() { TOLD } else { AROUND.map(|part| part * own) };
+    agent.calibration = Some(calibration.clone());
+    let mut points = Vec::new();
     for setting in settings {
         // A pull that brings it down ends the range.
-        let Some(measured) = yielding(agent, Some(&calibration), setting, threads)? else { break };
-        calibration.points.push(Point { setting, measured });
+        let Some(measured) = yielding(agent, setting, threads)? else { break };
+        points.push(Point { setting, measured });
     }
-    let rising = calibration.points.windows(2).all(|pair| pair[1].measured > pair[0].measured);
-    if calibration.points.len() < 2 || !rising {
-        return Err(CalibrationError::NotRising(calibration.points.iter().map(|point| point.measured).collect()));
+    let rising = points.windows(2).all(|pair| pair[1].measured > pair[0].measured);
+    if points.len() < 2 || !rising {
+        return Err(CalibrationError::NotRising(points.iter().map(|point| point.measured).collect()));
     }
-    Ok(calibration)
+    Ok(Calibration { points, ..calibration })
 }
 
 /// Mean compliance over all sides at a setting [m/s/N]; none if the robot fell.
-fn yielding(
-    agent: &Agent,
-    calibration: Option<&Calibration>,
-    setting: f64,
-    threads: usize,
-) -> Result<Option<f64>, CalibrationError> {
+fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, CalibrationError> {
     let command = Command { compliance: setting, ..Command::velocity(0.5, 0.0, 0.0) };
     let side = |index: u32| 360.0 * f64::from(index) / f64::from(DIRECTIONS);
     let pulls = FORCES_N.iter().flat_map(|force_n| {
         (0..DIRECTIONS).map(move |index| Probe { command, force_n: *force_n, direction_deg: side(index) })
     });
     let probes: Vec<Probe> = std::iter::once(Probe::walk(command)).chain(pulls).collect();
-    let found: Option<Vec<[f64; 2]>> = offsets(agent, calibration, &probes, threads)?.into_iter().collect();
+    let found: Option<Vec<[f64; 2]>> = offsets(agent, &probes, threads)?.into_iter().collect();
     Ok(found.map(|found| {
         let undisturbed = found[0];
         let along = |(probe, offset): (&Probe, &[f64; 2])| {
@@ -138,12 +135,7 @@ fn yielding(
 
 /// Mean velocity less the commanded one at the end of each probe, forward and left, in the heading that the robot started
 /// with [m/s]; none where it fell.
-fn offsets(
-    agent: &Agent,
-    calibration: Option<&Calibration>,
-    probes: &[Probe],
-    threads: usize,
-) -> Result<Vec<Option<[f64; 2]>>, CalibrationError> {
+fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option<[f64; 2]>>, CalibrationError> {
     let base: Leash = defaults("leash")?;
     let offset = &|probe: &Probe| -> Result<Option<[f64; 2]>, CalibrationError> {
         let Command { forward, left, yaw, compliance } = probe.command;
@@ -153,7 +145,7 @@ fn offsets(
         let (force_n, direction_deg) = (probe.force_n, probe.direction_deg);
         let scenario = Scenario::Leash(Leash { task, force_n, direction_deg, at_s: AT_S, for_s: FOR_S });
         let script = scenario.script(0, &agent.config)?;
-        let trace = Rollout::new(&script, &agent.config, agent.set_to(calibration))?.trace();
+        let trace = Rollout::new(&script, &agent.config, agent.controller())?.trace();
         let along = |direction: [f64; 2]| metrics::offset_along_force(&trace, direction, duration_s - MEAN_S, duration_s);
         // Turning, the world's directions are none of the robot's.
         let errors = || metrics::velocity_errors(&trace, duration_s - MEAN_S, duration_s).map(|[f, l, _]| [f, l]);

@@ -31,6 +31,12 @@ pub struct VirtualMasses {
 }
 
 impl VirtualMasses {
+    /// The free one begins with the robot as it is.
+    pub fn new(state: &RobotState, command: &Command) -> Self {
+        let off = state.velocity_in_world() - asked(state, command);
+        VirtualMasses { free: [off.x, off.y], begun: VecDeque::new() }
+    }
+
     /// Another one begins with the velocity of the robot as it is before a step; those older than `longest` steps end.
     pub fn begin(&mut self, state: &RobotState, command: &Command, longest: usize) {
         let off = state.velocity_in_world() - asked(state, command);

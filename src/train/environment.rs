@@ -206,6 +206,7 @@ impl LocomotionEnv {
         self.last_second.clear();
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
+        self.progress.virtual_masses = VirtualMasses::new(&state, &self.progress.plan.command);
         self.observe(&state);
         Ok(())
     }

@@ -42,6 +42,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
         robot.report.iter().for_each(|line| terminal::note(format_args!("  {line}")));
         robots.iter_mut().for_each(|(_, agent)| agent.run_on(&robot));
     }
+    for (name, agent) in &robots {
+        let compliance = scenario.task().compliance;
+        agent.check_compliance(compliance).with_context(|| format!("--compliance {compliance} with {name}"))?;
+    }
     let scripts: Vec<Script> = robots
         .iter()
         .map(|(_, agent)| Ok(scenario.script(args.seed, &agent.config)?))
