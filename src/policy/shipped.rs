@@ -7,60 +7,27 @@ use crate::policy::{Agent, AgentError, Policy};
 /// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
 
-/// Why no policy was found.
-#[derive(Debug, thiserror::Error)]
-pub enum FindError {
-    /// Neither a file nor a shipped policy.
-    #[error(
-        "there is no policy '{name}': give a policy file, a run's folder, the YAML file of an external policy, or \
-         one of: {known}"
-    )]
-    Unknown {
-        /// What was asked for.
-        name: String,
-        /// The shipped ones.
-        known: String,
-    },
-    /// The file is no good.
-    #[error(transparent)]
-    Agent(#[from] AgentError),
-    /// An ONNX file alone.
-    #[error(
-        "{name} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
-         examples/policies/rsl_rl.yaml does, and give that"
-    )]
-    Undescribed {
-        /// The file.
-        name: String,
-    },
-    /// It is not ours.
-    #[error("{name} is an external policy: this works with policy files of Supple")]
-    External {
-        /// What was asked for.
-        name: String,
-    },
-}
-
 /// A policy by path of its file, path of a run's folder, path of the YAML file of an external one, or name of a
 /// shipped one; `compliant` stands for the least seed's that ships, `compliant-seed0`.
 ///
 /// # Errors
-/// [`FindError`], with the names that there are.
-pub fn find(name: &str) -> Result<Agent, FindError> {
+/// [`AgentError`], with the names that there are.
+pub fn find(name: &str) -> Result<Agent, AgentError> {
     let path = Path::new(name);
     if path.is_dir() {
-        return Ok(Agent::load(&path.join("policy.safetensors"))?);
+        return Agent::load(&path.join("policy.safetensors"));
     }
     if path.is_file() {
         if path.extension().is_some_and(|extension| extension == "onnx") {
-            return Err(FindError::Undescribed { name: name.to_owned() });
+            return Err(AgentError::Undescribed { name: name.to_owned() });
         }
-        return Ok(Agent::load(path)?);
+        return Agent::load(path);
     }
     let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
-    let shipped = position(&names, name).ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
+    let shipped =
+        position(&names, name).ok_or_else(|| AgentError::Unknown { name: name.to_owned(), known: known() })?;
     let (known, bytes) = EMBEDDED[shipped];
-    Ok(Policy::from_bytes(bytes, Path::new(known)).map_err(AgentError::from)?.into())
+    Ok(Policy::from_bytes(bytes, Path::new(known))?.into())
 }
 
 /// Which of the names is meant: itself, or the least seed's.
@@ -74,8 +41,8 @@ fn position(names: &[&str], name: &str) -> Option<usize> {
 ///
 /// # Errors
 /// As [`find`], and if the policy is external.
-pub fn find_ours(name: &str) -> Result<Policy, FindError> {
-    find(name)?.into_policy().ok_or_else(|| FindError::External { name: name.to_owned() })
+pub fn find_ours(name: &str) -> Result<Policy, AgentError> {
+    find(name)?.into_policy().ok_or_else(|| AgentError::External { name: name.to_owned() })
 }
 
 fn known() -> String {
