@@ -42,12 +42,6 @@ impl Claim {
         let verdict = Verdict::of(&comparison, expected);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
-
-    /// That the first two sets stay below a bound.
-    pub fn bound(text: &str, paper: &str, quantity: Quantity, bound: f64, comparison: Comparison) -> Self {
-        let verdict = Verdict::below(bound, &comparison);
-        Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
-    }
 }
 
 /// A line of a table.
