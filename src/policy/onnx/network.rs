@@ -337,6 +337,10 @@ mod tests {
         };
         let refused = refusal(graph(vec![node("Reshape", &["obs", "shape"], "y")], vec![reshape]));
         assert!(refused.contains("too large"), "{refused}");
+        // A product of matrices without a value in them.
+        let (tall, wide) = (constant("tall", &[1 << 20, 0], vec![]), constant("wide", &[0, 1 << 20], vec![]));
+        let refused = refusal(graph(vec![node("MatMul", &["tall", "wide"], "y")], vec![tall, wide]));
+        assert!(refused.contains("too large"), "{refused}");
     }
 
     #[test]
