@@ -3,7 +3,6 @@
 use serde::Serialize;
 
 use super::Quantity;
-use super::results::Results;
 use super::statistics::{Comparison, Estimate, Expected, Numbers, Spread, Trials, Verdict};
 
 /// Everything that an experiment shows.
@@ -71,19 +70,6 @@ pub struct Table {
 }
 
 impl Table {
-    /// All quantities in all conditions.
-    pub fn of_conditions(name: String, caption: &str, results: &Results) -> Self {
-        let row = |condition: usize, quantity: &Quantity| Row {
-            condition: results.conditions[condition].label.clone(),
-            quantity: *quantity,
-            paper: String::new(),
-            comparison: results.compare(condition, quantity.name),
-        };
-        let conditions = 0..results.conditions.len();
-        let rows = conditions.flat_map(|condition| results.quantities.iter().map(move |it| row(condition, it)));
-        Table { name, caption: caption.to_owned(), rows: rows.collect(), in_page: true }
-    }
-
     /// States the paper's numbers in the rows of a quantity.
     pub fn state(&mut self, quantity: &str, paper: &str) {
         let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);

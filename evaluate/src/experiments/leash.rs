@@ -82,8 +82,7 @@ impl Experiment for Leash {
             );
             show.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
         }
-        let rows = groups.iter().flat_map(|group| QUANTITIES.iter().map(|quantity| show.row(group, *quantity)));
-        show.table_of("Velocity offset along a constant pull, mean over all directions.", rows.collect());
+        show.table_of("Velocity offset along a constant pull, mean over all directions.", show.rows(&groups));
         show.table_in_file("all", "Velocity offset along the pull by direction.");
         show.polar(
             "",

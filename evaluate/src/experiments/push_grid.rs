@@ -124,11 +124,8 @@ impl Experiment for PushGrid {
                 ..base
             }),
         };
-        Ok(coordinates
-            .iter()
-            .flat_map(|forward| coordinates.iter().map(move |left| (*forward, *left)))
-            .map(|(forward, left)| condition(forward, left))
-            .collect())
+        let pushes = coordinates.iter();
+        Ok(pushes.flat_map(|forward| coordinates.iter().map(|left| condition(*forward, *left))).collect())
     }
 
     fn check(&self) -> Result<(), ParameterError> {
@@ -163,10 +160,8 @@ impl Experiment for PushGrid {
             row(MEAN_SUCCESS, "", self.compare_by_seed(results, overall)),
         ];
         let level = 100.0 * self.level;
-        show.table_of(
-            format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %."),
-            rows,
-        );
+        let title = format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %.");
+        show.table_of(&title, rows);
         show.table_in_file("points", "Success rate at every grid point (forward, left).");
 
         let maps = show.by_set(|set| self.map(results, set));

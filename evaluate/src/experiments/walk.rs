@@ -144,8 +144,8 @@ impl Experiment for Walk {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
         let (results, first) = (show.results, show.first_label());
         let of_first = Group { name: first.to_owned(), conditions: vec![0] };
-        let rows = QUANTITIES.iter().map(|quantity| show.row(&of_first, *quantity)).collect();
-        show.table_of(format!("Walking undisturbed at the command of the other experiments ({first})."), rows);
+        let title = format!("Walking undisturbed at the command of the other experiments ({first}).");
+        show.table_of(&title, show.rows(&[of_first]));
         show.table_in_file("commands", caption);
         let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
         let text = format!("Walking undisturbed ({first}), both keep the velocity error below {bound} m/s in the mean");
