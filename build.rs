@@ -30,10 +30,9 @@ fn main() {
     let mujoco = std::env::var("DEP_MUJOCO_VERSION").unwrap_or_else(|_| "unknown".into());
     println!("cargo::rustc-env=SUPPLE_MUJOCO_VERSION={mujoco}");
     let out = PathBuf::from(std::env::var_os("OUT_DIR").unwrap_or_default());
-    for (file, suffix, include) in [
-        ("policies.rs", ".safetensors", "include_bytes"),
-        ("calibrations.rs", ".calibration.json", "include_str"),
-    ] {
+    for (file, suffix, include) in
+        [("policies.rs", ".safetensors", "include_bytes"), ("calibrations.rs", ".calibration.json", "include_str")]
+    {
         let out = out.join(file);
         if let Err(error) = std::fs::write(&out, embedded(Path::new("policies"), suffix, include)) {
             println!("cargo::error=cannot write {}: {error}", out.display());

@@ -21,6 +21,32 @@ pub enum AgentError {
     /// The simulation that an external policy asks for.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// Neither a file nor a shipped policy.
+    #[error(
+        "there is no policy '{name}': give a policy file, a run's folder, the YAML file of an external policy, or \
+         one of: {known}"
+    )]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// The shipped ones.
+        known: String,
+    },
+    /// An ONNX file alone.
+    #[error(
+        "{name} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
+         examples/policies/rsl_rl.yaml does, and give that"
+    )]
+    Undescribed {
+        /// The file.
+        name: String,
+    },
+    /// It is not ours.
+    #[error("{name} is an external policy: this works with policy files of Supple")]
+    External {
+        /// What was asked for.
+        name: String,
+    },
 }
 
 /// A policy with the robot, rates, gains and latency that it runs with.

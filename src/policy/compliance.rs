@@ -104,7 +104,8 @@ impl Calibration {
         if found.sha256 != sha256 {
             return Err(fail("it is of another policy: run `policy calibrate` again"));
         }
-        let rising = points.windows(2).all(|pair| pair[1].measured > pair[0].measured && pair[1].setting > pair[0].setting);
+        let rising =
+            points.windows(2).all(|pair| pair[1].measured > pair[0].measured && pair[1].setting > pair[0].setting);
         let finite = numbers.chain(found.bias.into_iter().flatten()).all(f64::is_finite);
         if points.len() < 2 || !rising || !finite || found.own_m_s_per_n < 0.0 {
             return Err(fail("expected two points or more, rising, and finite numbers: run `policy calibrate` again"));

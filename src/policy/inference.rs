@@ -159,23 +159,18 @@ impl Controller for PolicyController<'_> {
 mod tests {
     use std::path::Path;
 
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::Vector3;
 
     use super::*;
     use crate::policy::Agent;
-    use crate::robot::FootState;
 
     fn state(time: f64) -> RobotState {
         RobotState {
-            position: Vector3::zeros(),
-            world_from_base: UnitQuaternion::identity(),
             height: 0.3,
             velocity_in_base: Vector3::new(0.25 + time, 0.125, 9.0),
-            angular_velocity_in_base: Vector3::zeros(),
             gravity_in_base: Vector3::new(0.0, 0.0, -9.81),
             joint_angles: std::array::from_fn(|joint| joint as f64 + 100.0 * time),
-            joint_rates: [0.0; JOINTS],
-            feet: [FootState::default(); 4],
+            ..RobotState::default()
         }
     }
 

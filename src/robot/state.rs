@@ -28,7 +28,7 @@ pub struct FootState {
 }
 
 /// What there is to know about the robot at one instant.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct RobotState {
     /// Origin of the trunk, world frame \[m\].
     pub position: Vector3<f64>,

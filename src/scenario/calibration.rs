@@ -12,8 +12,8 @@ use super::metrics;
 use crate::config::ConfigError;
 use crate::mujoco;
 use crate::observation::Command;
-use crate::policy::compliance::{Calibration, Point};
 use crate::policy::Agent;
+use crate::policy::compliance::{Calibration, Point};
 
 /// Sides that the robot is pulled to.
 const DIRECTIONS: u32 = 12;
@@ -146,7 +146,8 @@ fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option
         let scenario = Scenario::Leash(Leash { task, force_n, direction_deg, at_s: AT_S, for_s: FOR_S });
         let script = scenario.script(0, &agent.config)?;
         let trace = Rollout::new(&script, &agent.config, agent.controller())?.trace();
-        let along = |direction: [f64; 2]| metrics::offset_along_force(&trace, direction, duration_s - MEAN_S, duration_s);
+        let along =
+            |direction: [f64; 2]| metrics::offset_along_force(&trace, direction, duration_s - MEAN_S, duration_s);
         // Turning, the world's directions are none of the robot's.
         let errors = || metrics::velocity_errors(&trace, duration_s - MEAN_S, duration_s).map(|[f, l, _]| [f, l]);
         let upright = trace.fall().is_none() && trace.fault().is_none();

@@ -68,20 +68,8 @@ const fn term(
 
 /// Table II, and `r_f`.
 pub const TERMS: &[Term] = &[
-    term(
-        "linear_velocity",
-        "r_lin",
-        Part::Positive,
-        |w| w.linear_velocity,
-        |step| tracking(step, linear_velocity),
-    ),
-    term(
-        "angular_velocity",
-        "r_ang",
-        Part::Positive,
-        |w| w.angular_velocity,
-        |step| tracking(step, angular_velocity),
-    ),
+    term("linear_velocity", "r_lin", Part::Positive, |w| w.linear_velocity, |step| tracking(step, linear_velocity)),
+    term("angular_velocity", "r_ang", Part::Positive, |w| w.angular_velocity, |step| tracking(step, angular_velocity)),
     term("energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
     term("torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
     term("pose", "r_pose", Part::Negative, |w| w.pose, |step| pose(step.state, step.config)),
@@ -286,15 +274,11 @@ mod tests {
 
     fn state() -> RobotState {
         RobotState {
-            position: Vector3::zeros(),
             world_from_base: UnitQuaternion::from_euler_angles(0.1, -0.2, 2.0),
             height: 0.36,
             velocity_in_base: Vector3::new(0.7, -0.1, 5.0),
             angular_velocity_in_base: Vector3::new(9.0, 9.0, 0.3),
-            gravity_in_base: Vector3::zeros(),
-            joint_angles: [0.0; 12],
-            joint_rates: [0.0; 12],
-            feet: [FootState::default(); 4],
+            ..RobotState::default()
         }
     }
 

@@ -18,11 +18,10 @@ use crate::mujoco;
 use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
-use crate::ppo::{
-    Batch, Hyperparameters, Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved,
-};
-use crate::robot::{JOINTS, Robot, RobotError};
+use crate::ppo::{Batch, Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
+use crate::robot::{JOINTS, Robot};
 use crate::task::Curriculum;
+use crate::util::files::FileError;
 use crate::util::provenance;
 use crate::util::random::{Purpose, stream};
 
@@ -34,7 +33,7 @@ pub enum TrainError {
     Config(#[from] ValueError),
     /// The robot's file.
     #[error(transparent)]
-    Robot(#[from] RobotError),
+    Robot(#[from] FileError),
     /// The arithmetic.
     #[error(transparent)]
     Precision(#[from] PrecisionError),
@@ -90,7 +89,7 @@ impl Trainer {
         let ppo = &config.ppo;
         let log_std = ppo.initial_log_std as f32;
         let network = ActorCritic::orthogonal(layout.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
-        let learner = learner(ppo, LearnerState::new(network, &Hyperparameters::from(ppo)), threads)?;
+        let learner = learner(ppo, LearnerState::new(network, ppo), threads)?;
         let curriculum = Curriculum::new(&config.command);
         let environments = environments(&config, &robot, &layout, seed, curriculum)?;
         let run = RunState {

@@ -111,7 +111,8 @@ fn run(command: Command) -> anyhow::Result<()> {
             terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
         Command::Calibrate { policy, threads, out } => {
-            let threads = threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
+            let threads =
+                threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
             let mut agent = shipped::find(&policy)?;
             let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
             let path = shipped::file_of(&policy).map(|file| Calibration::path(&file));

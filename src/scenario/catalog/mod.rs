@@ -15,12 +15,13 @@ use serde::{Deserialize, Serialize};
 use super::Script;
 use super::metrics::{self, Metric};
 use crate::config::{Config, ConfigError};
-use crate::robot::{Robot, RobotError};
+use crate::robot::Robot;
 use crate::scenario::trace::Trace;
 use crate::sim::Conditions;
 use crate::sim::Scene;
 use crate::task::Command;
 use crate::task::episode::GRAVITY;
+use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
 use crate::util::yaml::layered;
 
@@ -125,7 +126,7 @@ pub enum ScriptError {
     Parameter(#[from] ParameterError),
     /// The robot.
     #[error(transparent)]
-    Robot(#[from] RobotError),
+    Robot(#[from] FileError),
 }
 
 /// What every scenario asks of the policy.
@@ -229,39 +230,27 @@ impl Scenario {
     pub fn metrics(&self, script: &Script, trace: &Trace) -> Vec<Metric> {
         let end_s = trace.frames.last().map_or(0.0, |frame| frame.time_s);
         let settled_s = metrics::SETTLE_S.min(0.5 * end_s);
+        let errors = metrics::velocity_errors(trace, settled_s, end_s);
+        let error = |axis: usize| errors.map(|errors| errors[axis]);
+        let all = metrics::window(trace, settled_s, end_s);
+        let flight = metrics::flight_fraction(trace, settled_s, end_s);
         let mut found = vec![
             metric("duration_s", "simulated", Some(end_s), "s"),
             truth("fell", "fell", trace.fall().map(|_| true).or(trace.fault().is_none().then_some(false))),
             metric("fall_time_s", "fell after", trace.fall().map(|fall| fall.time_s), "s"),
+            metric("forward_error_m_s", "forward velocity error", error(0), "m/s"),
+            metric("left_error_m_s", "sideways velocity error", error(1), "m/s"),
+            metric("yaw_error_rad_s", "yaw rate error", error(2), "rad/s"),
+            metric("power_w", "mechanical power", metrics::mean(all.clone(), |f| f.power_w), "W"),
+            metric("torque_n_m", "torque norm", metrics::mean(all.clone(), |f| f.torque_n_m), "N m"),
+            metric("cost_of_transport", "cost of transport", metrics::cost_of_transport(trace, settled_s, end_s), ""),
+            metric("stride_frequency_hz", "stride frequency", metrics::stride_frequency(trace, settled_s, end_s), "Hz"),
+            metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"),
+            metric("swing_height_m", "swing height", metrics::swing_height(trace, settled_s, end_s), "m"),
+            // The first step from rest is harder than those of a walk.
+            metric("peak_foot_force_n", "peak foot force", metrics::largest(all, |f| f.peak_foot_force_n), "N"),
+            metric("distance_m", "distance ahead", trace.frames.last().map(|frame| frame.position[0]), "m"),
         ];
-        let errors = metrics::velocity_errors(trace, settled_s, end_s);
-        for (index, (name, label, unit)) in [
-            ("forward_error_m_s", "forward velocity error", "m/s"),
-            ("left_error_m_s", "sideways velocity error", "m/s"),
-            ("yaw_error_rad_s", "yaw rate error", "rad/s"),
-        ]
-        .into_iter()
-        .enumerate()
-        {
-            found.push(metric(name, label, errors.map(|errors| errors[index]), unit));
-        }
-        let all = metrics::window(trace, settled_s, end_s);
-        found.push(metric("power_w", "mechanical power", metrics::mean(all.clone(), |f| f.power_w), "W"));
-        found.push(metric("torque_n_m", "torque norm", metrics::mean(all.clone(), |f| f.torque_n_m), "N m"));
-        let transport = metrics::cost_of_transport(trace, settled_s, end_s);
-        found.push(metric("cost_of_transport", "cost of transport", transport, ""));
-        let strides = metrics::stride_frequency(trace, settled_s, end_s);
-        found.push(metric("stride_frequency_hz", "stride frequency", strides, "Hz"));
-        let flight = metrics::flight_fraction(trace, settled_s, end_s);
-        found.push(metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"));
-        let swing = metrics::swing_height(trace, settled_s, end_s);
-        found.push(metric("swing_height_m", "swing height", swing, "m"));
-        // The first step from rest is harder than those of a walk.
-        let peak = metrics::largest(all, |frame| frame.peak_foot_force_n);
-        found.push(metric("peak_foot_force_n", "peak foot force", peak, "N"));
-        let distance = trace.frames.last().map(|frame| frame.position[0]);
-        found.push(metric("distance_m", "distance ahead", distance, "m"));
-
         self.parameters().metrics(script, trace, &mut found);
         found
     }

@@ -10,7 +10,6 @@ use std::process::ExitCode;
 use anyhow::Context;
 use args::{Args, What};
 use clap::CommandFactory;
-use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
 use supple::estimate::contact::ContactNetwork;
 use supple::policy::Agent;
@@ -134,7 +133,8 @@ fn play(
         rollouts.push(rollout.with_sensing(args.sensing, args.seed)?);
     }
     let mut traces: Vec<Trace> = rollouts.iter().map(Rollout::empty_trace).collect();
-    let bar = progress_bar(rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64);
+    let steps = rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64;
+    let bar = terminal::progress_bar(steps, "{bar:30} {percent} %, {eta} left");
     let mut playing = true;
     while playing {
         playing = false;
@@ -149,12 +149,4 @@ fn play(
     }
     bar.finish_and_clear();
     Ok(traces)
-}
-
-fn progress_bar(steps: u64) -> ProgressBar {
-    let bar = ProgressBar::new(steps);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent} %, {eta} left") {
-        bar.set_style(style);
-    }
-    bar
 }
