@@ -83,12 +83,11 @@ impl Config {
         fraction("episode.slope", e.slope)?;
         not_negative("episode.min_height_m", e.min_height_m)?;
         if let Some(c) = &self.compliance {
-            positive("compliance.largest_m_s_per_n", c.largest_m_s_per_n)?;
-            fraction("compliance.zero_fraction", c.zero_fraction)?;
+            positive("compliance.own_m_s_per_n", c.own_m_s_per_n)?;
+            let [low, high] = c.range_m_s_per_n;
+            let sound = 0.0 < low && low <= high && high.is_finite();
+            require(sound, "compliance.range_m_s_per_n", format!("{:?}", [low, high]), "[least, largest], positive")?;
             positive("compliance.speed_limit_m_s", c.speed_limit_m_s)?;
-            let sound = c.restarts_steps.iter().all(|steps| (1..=1000).contains(steps));
-            let found = format!("{:?}", c.restarts_steps);
-            require(sound, "compliance.restarts_steps", found, "a list of 1 to 1000 policy steps")?;
             not_negative("compliance.force_n", c.force_n)?;
             fraction("compliance.gentle_fraction", c.gentle_fraction)?;
             positive("compliance.gentle_speed_m_s", c.gentle_speed_m_s)?;

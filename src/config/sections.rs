@@ -140,22 +140,20 @@ pub struct Episode {
     pub min_height_m: f64,
 }
 
-/// Training with commanded compliance, and pulls to yield to; not in the paper. What is rewarded is the motion of a virtual
-/// mass: see [`crate::task::compliance`].
+/// Training inside the outer loop that makes compliance a command, with pulls to yield to; not in the paper. What is tracked
+/// is the motion of virtual masses: see [`crate::task::compliance`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Compliance {
-    /// Largest commanded compliance [m/s/N]; drawn uniformly from zero on.
-    pub largest_m_s_per_n: f64,
-    /// Fraction of episodes with none.
-    pub zero_fraction: f64,
-    /// Bound of the virtual mass's speed [m/s]: nobody leads the robot faster than it can walk.
+    /// `C₀`: what the policy is to yield by itself [m/s/N].
+    pub own_m_s_per_n: f64,
+    /// Least and largest commanded compliance, drawn uniformly [m/s/N].
+    pub range_m_s_per_n: [f64; 2],
+    /// Bound of the virtual masses' speed [m/s]: nobody leads the robot faster than it can walk.
     pub speed_limit_m_s: f64,
-    /// Further virtual masses are let go where the robot is, and tracked so many policy steps later.
-    pub restarts_steps: Vec<usize>,
     /// Largest pull \[N\].
     pub force_n: f64,
-    /// Fraction of pulls no stronger than lets the virtual mass be led at this speed [m/s].
+    /// Fraction of pulls no stronger than leads the virtual mass to this speed [m/s].
     pub gentle_fraction: f64,
     /// That speed [m/s].
     pub gentle_speed_m_s: f64,

@@ -42,9 +42,6 @@ pub struct Observed {
     /// Of constants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<f64>>,
-    /// Of yielding commands [m/s/N].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub own_compliance: Option<f64>,
 }
 
 impl Observed {
@@ -60,7 +57,6 @@ impl Observed {
             frequency_hz: None,
             phases: None,
             values: None,
-            own_compliance: None,
         }
     }
 }
@@ -119,7 +115,7 @@ pub struct Block {
     pub steps_ago: Vec<u32>,
     /// Of clocks \[Hz\].
     pub frequency_hz: f64,
-    /// Of clocks, their phases; of constants, their values; of yielding commands, their own compliance [m/s/N].
+    /// Of clocks, their phases; of constants, their values.
     pub values: Vec<f64>,
     pub(super) width: usize,
     /// Where it begins in a frame.
@@ -160,11 +156,6 @@ pub(super) fn block(entry: &Observed) -> Result<Block, String> {
         (Kind::Clock, None, phases) => phases.unwrap_or_else(|| vec![0.0]),
         (_, None, None) => Vec::new(),
         _ => return Err("only constants have `values`, only clocks have `phases`".into()),
-    };
-    let values = match entry.own_compliance {
-        Some(own) if entry.quantity == Quantity::YieldingCommand && own > 0.0 => vec![own],
-        None if entry.quantity != Quantity::YieldingCommand => values,
-        _ => return Err("yielding commands, and they alone, need a positive `own_compliance` [m/s/N]".into()),
     };
     let frequency_hz = match entry.frequency_hz {
         Some(frequency) if kind == Kind::Clock && (0.0..=1e3).contains(&frequency) => frequency,

@@ -8,7 +8,6 @@ use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-use super::Command;
 use super::observer::Moment;
 use crate::robot::{JOINTS, Joints};
 
@@ -38,12 +37,6 @@ pub enum Quantity {
     LastTarget,
     /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
     Command,
-    /// Commanded compliance [m/s/N].
-    Compliance,
-    /// As `command`, but led by whoever has hold of the robot: `v* + exp(−C₀/c) (v − v*)` with the base's velocity `v`, the
-    /// commanded compliance `c` and the compliance `C₀` that the policy has by itself, `own_compliance`. It is where a
-    /// virtual mass m with a damper 1/c would be after a time of m·C₀ if it were let go now.
-    YieldingCommand,
     /// sin 2π(f·t + phase) for each of `phases`.
     ClockSin,
     /// cos 2π(f·t + phase) for each of `phases`.
@@ -86,8 +79,6 @@ impl Quantity {
             Quantity::LastAction => (Kind::Joints, "output", "1"),
             Quantity::LastTarget => (Kind::Joints, "target", "rad"),
             Quantity::Command => (Kind::Command, "commanded", "m/s, m/s, rad/s"),
-            Quantity::Compliance => (Kind::Scalar, "commanded compliance", "m/s/N"),
-            Quantity::YieldingCommand => (Kind::Command, "commanded, yielding,", "m/s, m/s, rad/s"),
             Quantity::ClockSin => (Kind::Clock, "sine of a clock", "1"),
             Quantity::ClockCos => (Kind::Clock, "cosine of a clock", "1"),
             Quantity::Constant => (Kind::Constant, "constant", "1"),
@@ -95,7 +86,7 @@ impl Quantity {
     }
 
     /// Measures this quantity into a slice of its width: of a vector these axes with their signs, of a clock this frequency
-    /// \[Hz\] and these phases, of a constant these values, of a yielding command its own compliance as the only value.
+    /// \[Hz\] and these phases, of a constant these values.
     pub(super) fn measure(
         self,
         axes: &[(usize, f64)],
@@ -115,13 +106,6 @@ impl Quantity {
             Quantity::BaseVelocity => vector(state.velocity_in_base.into()),
             Quantity::AngularVelocity => vector(state.angular_velocity_in_base.into()),
             Quantity::Command => vector([now.command.forward, now.command.left, now.command.yaw]),
-            Quantity::Compliance => out[0] = now.command.compliance,
-            Quantity::YieldingCommand => {
-                let Command { forward, left, yaw, compliance } = *now.command;
-                let kept = (-values[0] / compliance.max(f64::MIN_POSITIVE)).exp();
-                let velocity = state.velocity_in_base;
-                vector([forward + kept * (velocity.x - forward), left + kept * (velocity.y - left), yaw]);
-            }
             Quantity::JointAngles => reorder(&state.joint_angles, order, out),
             Quantity::JointOffsets => {
                 let offsets = std::array::from_fn(|joint| state.joint_angles[joint] - now.nominal[joint]);

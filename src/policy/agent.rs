@@ -8,7 +8,6 @@ use super::external;
 use super::file::Policy;
 use super::inference::Inference;
 use crate::config::{Config, ConfigError};
-use crate::observation::Quantity;
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
 
@@ -106,8 +105,7 @@ impl Agent {
         let policy = Box::new(self.inference().controller());
         match &self.calibration {
             None => policy,
-            Some(calibration) if self.is_told_compliance() => Box::new(Compliant::told(policy, calibration)),
-            Some(calibration) => Box::new(Compliant::around(policy, calibration, &self.config)),
+            Some(calibration) => Box::new(Compliant::new(policy, calibration, &self.config)),
         }
     }
 
@@ -121,11 +119,6 @@ impl Agent {
             None if compliance == 0.0 => Ok(()),
             None => Err(ComplianceError::NotCalibrated),
         }
-    }
-
-    /// Whether the policy sees a commanded compliance by itself.
-    pub fn is_told_compliance(&self) -> bool {
-        self.inference().layout.blocks().iter().any(|block| block.quantity == Quantity::Compliance)
     }
 
     /// What turns states into joint targets.

@@ -1,28 +1,20 @@
-/*! Compliance as a command, for policies that track a velocity: how far they yield is measured once, and then commanded.
+/*! Compliance as a command of a policy that tracks a velocity: how far it yields is measured once, and then commanded.
 
-A policy that can be told its compliance is told. Around any other one goes an outer loop, which commands the velocity
-
-`v* + (1 − C₀/c) · LP(v − v* − bias)`
-
-of the measured velocity v, LP being a low-pass, C₀ the compliance that the policy has by itself, and the bias what its
-velocity is off by undisturbed: a pull f moves the robot by C₀ f from what it is commanded, so that in all it yields by c f.
-Either way, what a setting comes to has been measured, and the setting is chosen that gives what is commanded.
+Around the policy goes the outer loop of [`crate::task::compliance`]. What a setting of it comes to has been measured, and the
+setting is chosen that gives what is commanded.
 */
 
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
 use super::controller::Controller;
 use crate::config::Config;
 use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
+use crate::task::OuterLoop;
 use crate::util::files::{self, FileError};
-
-/// Time constant of the low-pass: it takes out the gait \[s\].
-const SMOOTHING_S: f64 = 0.1;
 
 /// What a policy does when it is pulled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -43,7 +35,7 @@ pub struct Calibration {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// `c` of the outer loop, or of the policy's own input [m/s/N].
+    /// `c` of the outer loop [m/s/N].
     pub setting: f64,
     /// Measured: mean over directions [m/s/N].
     pub measured: f64,
@@ -147,79 +139,51 @@ impl Calibration {
     }
 
     /// What the velocity is off by undisturbed, forward and left [m/s].
-    fn bias(&self, command: &Command) -> Vector2<f64> {
+    fn bias(&self, command: &Command) -> [f64; 2] {
         let of = |[constant, forward, left, yaw]: [f64; 4]| {
             constant + forward * command.forward + left * command.left + yaw * command.yaw
         };
-        Vector2::new(of(self.bias[0]), of(self.bias[1]))
+        self.bias.map(of)
     }
 }
 
-/// A controller that yields as it is commanded to: a calibrated policy.
+/// A calibrated policy, which yields as it is commanded to.
 pub struct Compliant<'a> {
-    inner: Box<dyn Controller + 'a>,
+    policy: Box<dyn Controller + 'a>,
     calibration: &'a Calibration,
-    /// None for a policy that is told its compliance.
-    outer_loop: Option<LowPass>,
-}
-
-/// `LP(v − v* − bias)`.
-struct LowPass {
-    /// Forward and left [m/s].
-    led: Vector2<f64>,
-    /// Part of the difference that is taken over in a step.
-    step: f64,
-    /// Fastest walk that is asked for, forward and left, unless the command is faster [m/s].
-    limits: Vector2<f64>,
+    outer_loop: OuterLoop,
+    /// State of the loop's low-pass.
+    led: [f64; 2],
 }
 
 impl<'a> Compliant<'a> {
-    /// Of a policy that is told its compliance.
-    pub fn told(inner: Box<dyn Controller + 'a>, calibration: &'a Calibration) -> Self {
-        Compliant { inner, calibration, outer_loop: None }
-    }
-
     /// With an outer loop around a policy, for the rates and the commands that it was trained with.
-    pub fn around(inner: Box<dyn Controller + 'a>, calibration: &'a Calibration, config: &Config) -> Self {
-        let step = 1.0 - (-config.simulation.policy_period_s() / SMOOTHING_S).exp();
-        let limits = Vector2::new(config.command.forward_m_s, config.command.left_m_s);
-        let low_pass = LowPass { led: Vector2::zeros(), step, limits };
-        Compliant { inner, calibration, outer_loop: Some(low_pass) }
-    }
-
-    /// What the policy is commanded.
-    fn command(&mut self, state: &RobotState, command: &Command) -> Command {
-        if command.compliance <= 0.0 {
-            return *command;
-        }
-        let setting = self.calibration.nearest_setting(command.compliance);
-        let Some(LowPass { led, step, limits }) = &mut self.outer_loop else {
-            return Command { compliance: setting, ..*command };
+    pub fn new(policy: Box<dyn Controller + 'a>, calibration: &'a Calibration, config: &Config) -> Self {
+        let outer_loop = OuterLoop {
+            own_m_s_per_n: calibration.own_m_s_per_n,
+            limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
+            period_s: config.simulation.policy_period_s(),
         };
-        let asked = Vector2::new(command.forward, command.left);
-        let off = state.velocity_in_base.xy() - asked - self.calibration.bias(command);
-        *led += *step * (off - *led);
-        let gain = 1.0 - self.calibration.own_m_s_per_n / setting;
-        let limits = limits.sup(&asked.abs());
-        let velocity = (asked + gain * *led).sup(&-limits).inf(&limits);
-        Command { forward: velocity.x, left: velocity.y, yaw: command.yaw, compliance: 0.0 }
+        Compliant { policy, calibration, outer_loop, led: [0.0; 2] }
     }
 }
 
 impl Controller for Compliant<'_> {
     fn rest(&self) -> Joints {
-        self.inner.rest()
+        self.policy.rest()
     }
 
     fn begin(&mut self, state: &RobotState) {
-        if let Some(low_pass) = &mut self.outer_loop {
-            low_pass.led = Vector2::zeros();
-        }
-        self.inner.begin(state);
+        self.led = [0.0; 2];
+        self.policy.begin(state);
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
-        let command = self.command(state, command);
-        self.inner.joint_targets(state, &command)
+        if command.compliance <= 0.0 {
+            return self.policy.joint_targets(state, command);
+        }
+        let (setting, bias) = (self.calibration.nearest_setting(command.compliance), self.calibration.bias(command));
+        let command = self.outer_loop.command(state, command, setting, bias, &mut self.led);
+        self.policy.joint_targets(state, &command)
     }
 }

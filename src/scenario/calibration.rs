@@ -27,12 +27,9 @@ const AT_S: f64 = 2.0;
 const FOR_S: f64 = 6.0;
 const MEAN_S: f64 = 3.0;
 
-/// Settings of a policy's own input [m/s/N].
-const TOLD: [f64; 9] = [0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05];
-
 /// Settings of the outer loop, in units of what the policy yields by itself. Below, the loop would fight its own delay; above,
 /// any bias would lead the robot away.
-const AROUND: [f64; 9] = [0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0];
+const SETTINGS: [f64; 9] = [0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0];
 
 /// Walks that show the bias: forward [m/s], left [m/s], yaw rate [rad/s].
 const WALKS: [[f64; 3]; 11] = [
@@ -99,10 +96,9 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<Calibration, Calib
     calibration.bias = bias(&walks, &undisturbed);
     let own = yielding(agent, 0.0, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
     calibration.own_m_s_per_n = own;
-    let settings = if agent.is_told_compliance() { TOLD } else { AROUND.map(|part| part * own) };
     agent.calibration = Some(calibration.clone());
     let mut points = Vec::new();
-    for setting in settings {
+    for setting in SETTINGS.map(|part| part * own) {
         // A pull that brings it down ends the range.
         let Some(measured) = yielding(agent, setting, threads)? else { break };
         points.push(Point { setting, measured });

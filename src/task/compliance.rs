@@ -1,15 +1,20 @@
-/*! Compliance as a command: the motion that is asked of a robot that somebody has hold of.
+/*! Compliance as a command: how a robot that somebody has hold of is to move, and how one that tracks velocities does.
 
-On the horizontal plane it is to move like a virtual mass with a virtual damper of 1/c to its commanded velocity:
+On the horizontal plane it is to move like a virtual mass with a virtual damper of 1/c to its commanded velocity,
 
 `m v̇_ref = (v* − v_ref) / c + f`
 
 with the robot's mass m, the commanded velocity v*, the commanded compliance c [m/s/N] and the force f of the hand. A steady
-force offsets its velocity by c·f, a push decays with the time constant m·c, and with c = 0 there is no yielding. Gravity on
-a slope is no hand.
-*/
+force offsets its velocity by c·f, and a push decays with the time constant m·c. Gravity on a slope is no hand.
 
-use std::collections::VecDeque;
+A policy that tracks velocities yields a little by itself, by `C₀`, its own compliance. An outer loop around it makes that any
+c: it commands the velocity
+
+`v* + (1 − C₀/c) · LP(v − v* − bias)`
+
+of the measured velocity v, LP being a low-pass and the bias what the policy's velocity is off by undisturbed. Softer than C₀,
+the command goes with the hand; stiffer, it goes against it.
+*/
 
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
@@ -17,67 +22,49 @@ use serde::{Deserialize, Serialize};
 use crate::observation::Command;
 use crate::robot::RobotState;
 
-/// `v_ref − v*` of a virtual mass, world frame, horizontal [m/s].
-type Offset = [f64; 2];
+/// Time constant of the low-pass, which takes out the gait \[s\].
+const SMOOTHING_S: f64 = 0.1;
 
-/// What a robot is to track: a virtual mass that began with the episode, and others that began with the robot's own velocity
-/// some steps ago. The first says where to be in the long run, but a robot that does not yield yet is far from it; the others
-/// stay near, and say which way to go.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct VirtualMasses {
-    free: Offset,
-    /// Newest first: the one at `k` began `k + 1` steps ago.
-    begun: VecDeque<Offset>,
+/// What the outer loop knows of a policy.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OuterLoop {
+    /// `C₀` [m/s/N].
+    pub own_m_s_per_n: f64,
+    /// Fastest walk that it asks for, forward and left, unless the command is faster [m/s].
+    pub limits_m_s: [f64; 2],
+    /// Between two policy steps \[s\].
+    pub period_s: f64,
 }
 
-impl VirtualMasses {
-    /// The free one begins with the robot as it is.
-    pub fn new(state: &RobotState, command: &Command) -> Self {
-        let off = state.velocity_in_world() - asked(state, command);
-        VirtualMasses { free: [off.x, off.y], begun: VecDeque::new() }
-    }
-
-    /// Another one begins with the velocity of the robot as it is before a step; those older than `longest` steps end.
-    pub fn begin(&mut self, state: &RobotState, command: &Command, longest: usize) {
-        let off = state.velocity_in_world() - asked(state, command);
-        self.begun.push_front([off.x, off.y]);
-        self.begun.truncate(longest);
-    }
-
-    /// Lets a force act on all of them for a while, the exact solution; they get no faster than `limit_m_s`.
-    pub fn step(&mut self, state: &RobotState, command: &Command, pull: Pulled, limit_m_s: f64) {
-        let c = command.compliance;
-        let kept = if c > 0.0 { (-pull.time_s / (pull.mass_kg * c)).exp() } else { 0.0 };
-        let asked = asked(state, command);
-        for offset in std::iter::once(&mut self.free).chain(&mut self.begun) {
-            let led = |axis: usize| asked[axis] + kept * offset[axis] + (1.0 - kept) * c * pull.force[axis];
-            let velocity = Vector2::new(led(0), led(1)).cap_magnitude(limit_m_s.max(asked.norm()));
-            *offset = (velocity - asked.xy()).into();
-        }
-    }
-
-    /// Adds what a push has changed the robot's velocity by, world frame [m/s].
-    pub fn push(&mut self, change: Vector3<f64>) {
-        for offset in std::iter::once(&mut self.free).chain(&mut self.begun) {
-            *offset = [offset[0] + change.x, offset[1] + change.y];
-        }
-    }
-
-    /// The velocities of the free one and of those that began so many steps ago, or with the episode, in place of the
-    /// commanded one; in the robot's heading.
-    pub fn commands(&self, state: &RobotState, command: &Command, steps_ago: &[usize]) -> Vec<Command> {
-        let begun = steps_ago.iter().filter_map(|steps| self.begun.get(steps - 1).or(self.begun.back()));
-        let of = |offset: &Offset| {
-            let offset = heading(state).inverse() * Vector3::new(offset[0], offset[1], 0.0);
-            Command { forward: command.forward + offset.x, left: command.left + offset.y, ..*command }
-        };
-        std::iter::once(&self.free).chain(begun).map(of).collect()
+impl OuterLoop {
+    /// What to command of a policy that is to walk at `command` and yield by `c` [m/s/N]. `led` is the state of the
+    /// low-pass, zero at first, forward and left; so is the bias [m/s].
+    pub fn command(
+        &self,
+        state: &RobotState,
+        command: &Command,
+        c: f64,
+        bias: [f64; 2],
+        led: &mut [f64; 2],
+    ) -> Command {
+        let step = 1.0 - (-self.period_s / SMOOTHING_S).exp();
+        let gain = 1.0 - self.own_m_s_per_n / c;
+        let asked = [command.forward, command.left];
+        let velocity: [f64; 2] = std::array::from_fn(|axis| {
+            let off = state.velocity_in_base[axis] - asked[axis] - bias[axis];
+            led[axis] += step * (off - led[axis]);
+            let limit = self.limits_m_s[axis].max(asked[axis].abs());
+            (asked[axis] + gain * led[axis]).clamp(-limit, limit)
+        });
+        Command { forward: velocity[0], left: velocity[1], ..*command }
     }
 }
 
-/// The commanded velocity in the world [m/s].
-fn asked(state: &RobotState, command: &Command) -> Vector3<f64> {
-    heading(state) * Vector3::new(command.forward, command.left, 0.0)
+/// A virtual mass.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct VirtualMass {
+    /// `v_ref`, world frame, horizontal [m/s].
+    velocity: [f64; 2],
 }
 
 /// What acts on a virtual mass for a while.
@@ -89,6 +76,35 @@ pub struct Pulled {
     pub mass_kg: f64,
     /// How long \[s\].
     pub time_s: f64,
+}
+
+impl VirtualMass {
+    /// As fast as a robot is.
+    pub fn of(state: &RobotState) -> Self {
+        let velocity = state.velocity_in_world();
+        VirtualMass { velocity: [velocity.x, velocity.y] }
+    }
+
+    /// Lets a force act on it for a while, with a damper of `1/c` to the command: the exact solution. It gets no faster than
+    /// `limit_m_s`, unless the command is.
+    pub fn step(&mut self, state: &RobotState, command: &Command, c: f64, pulled: Pulled, limit_m_s: f64) {
+        let asked = heading(state) * Vector3::new(command.forward, command.left, 0.0);
+        let kept = (-pulled.time_s / (pulled.mass_kg * c)).exp();
+        let towards = asked.xy() + c * Vector2::from(pulled.force);
+        let velocity = towards + kept * (Vector2::from(self.velocity) - towards);
+        self.velocity = velocity.cap_magnitude(limit_m_s.max(asked.norm())).into();
+    }
+
+    /// Adds what a push has changed the robot's velocity by, world frame [m/s].
+    pub fn push(&mut self, change: Vector3<f64>) {
+        self.velocity = [self.velocity[0] + change.x, self.velocity[1] + change.y];
+    }
+
+    /// Its velocity in the robot's heading, in place of the commanded one.
+    pub fn command(&self, state: &RobotState, command: &Command) -> Command {
+        let velocity = heading(state).inverse() * Vector3::new(self.velocity[0], self.velocity[1], 0.0);
+        Command { forward: velocity.x, left: velocity.y, ..*command }
+    }
 }
 
 fn heading(state: &RobotState) -> UnitQuaternion<f64> {

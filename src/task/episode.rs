@@ -103,7 +103,8 @@ impl EpisodePlan {
         };
         let mut pulls = Vec::new();
         if let Some(compliance) = &config.compliance {
-            command.compliance = drawn_compliance(compliance, rng);
+            let [low, high] = compliance.range_m_s_per_n;
+            command.compliance = rng.random_range(low..=high);
             let force_n = compliance.force_n * curriculum.force_fraction;
             let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
             pulls = drawn_pulls(compliance, command.compliance, force_n, length_s, rng);
@@ -119,11 +120,6 @@ impl EpisodePlan {
     }
 }
 
-fn drawn_compliance(range: &Compliance, rng: &mut impl Rng) -> f64 {
-    let drawn = range.largest_m_s_per_n * rng.random_range(0.0..=1.0);
-    if rng.random_range(0.0..1.0) < range.zero_fraction { 0.0 } else { drawn }
-}
-
 /// Pulls of up to `force_n` from any side, with pauses, until the end.
 fn drawn_pulls(range: &Compliance, compliance: f64, force_n: f64, length_s: f64, rng: &mut impl Rng) -> Vec<Pull> {
     let mut pulls = Vec::new();
@@ -132,7 +128,7 @@ fn drawn_pulls(range: &Compliance, compliance: f64, force_n: f64, length_s: f64,
     while time_s < length_s {
         let until_s = time_s + within(range.duration_s);
         let gentle = within([0.0, 1.0]) < range.gentle_fraction;
-        let gentle_n = range.gentle_speed_m_s / compliance.max(f64::MIN_POSITIVE);
+        let gentle_n = range.gentle_speed_m_s / compliance;
         let largest_n = if gentle { force_n.min(gentle_n) } else { force_n };
         let (size, angle) = (within([0.0, largest_n]), within([0.0, std::f64::consts::TAU]));
         pulls.push(Pull { from_s: time_s, until_s, force: [size * angle.cos(), size * angle.sin()] });

@@ -7,7 +7,7 @@ pub mod compliance;
 pub mod episode;
 pub mod reward;
 
-pub use compliance::VirtualMasses;
+pub use compliance::{OuterLoop, VirtualMass};
 pub use episode::{Curriculum, EpisodePlan, Stage, Stages};
 pub use reward::{SwingTracker, Terms};
 

@@ -13,13 +13,13 @@ use serde::{Deserialize, Serialize};
 use super::TrainError;
 use crate::config::{Config, ValueError};
 use crate::mujoco;
-use crate::observation::{Layout, Moment, Observer};
+use crate::observation::{Command, Layout, Moment, Observer};
 use crate::robot::{JOINTS, Joints, Robot, RobotState, same_in_every_leg};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Scene, Sim, SimState};
-use crate::task::compliance::Pulled;
+use crate::task::compliance::{OuterLoop, Pulled};
 use crate::task::reward;
-use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms, VirtualMasses};
+use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms, VirtualMass};
 use crate::util::random::{Purpose, stream};
 
 /// How an episode ended.
@@ -100,14 +100,27 @@ struct Progress {
     #[serde(default)]
     last_action: Joints,
     last_target: Joints,
-    /// What is to be tracked where compliance is commanded.
-    #[serde(default)]
-    virtual_masses: VirtualMasses,
+    /// Where compliance is commanded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    yielding: Option<Yielding>,
     /// Of checkpoints from before observations were lists: `ô_{t−1}` and `ô_t`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     previous: Vec<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     current: Vec<f64>,
+}
+
+/// What an outer loop asks for, and what is to be tracked in it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+struct Yielding {
+    /// State of the low-pass.
+    led: [f64; 2],
+    /// What the policy is commanded.
+    asked: Command,
+    /// Follows what the policy is commanded, by the policy's own compliance.
+    near: VirtualMass,
+    /// Follows the command itself, by the commanded compliance.
+    free: VirtualMass,
 }
 
 impl Progress {
@@ -135,6 +148,7 @@ pub struct LocomotionEnv {
     layout: Arc<Layout>,
     stages: Stages,
     nominal: Joints,
+    outer_loop: Option<OuterLoop>,
     seed: u64,
     index: u64,
     sim: Sim,
@@ -177,6 +191,11 @@ impl LocomotionEnv {
             layout,
             stages,
             nominal,
+            outer_loop: config.compliance.as_ref().map(|compliance| OuterLoop {
+                own_m_s_per_n: compliance.own_m_s_per_n,
+                limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
+                period_s: config.simulation.policy_period_s(),
+            }),
             seed,
             index,
             last_second: LastSecond::new(
@@ -206,16 +225,22 @@ impl LocomotionEnv {
         self.last_second.clear();
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
-        self.progress.virtual_masses = VirtualMasses::new(&state, &self.progress.plan.command);
+        let (mass, asked) = (VirtualMass::of(&state), self.progress.plan.command);
+        let yielding = || Yielding { led: [0.0; 2], asked, near: mass, free: mass };
+        self.progress.yielding = self.outer_loop.map(|_| yielding());
         self.observe(&state);
         Ok(())
     }
 
     fn observe(&mut self, state: &RobotState) {
         let p = &mut self.progress;
+        if let (Some(outer_loop), Some(yielding)) = (&self.outer_loop, &mut p.yielding) {
+            let command = &p.plan.command;
+            yielding.asked = outer_loop.command(state, command, command.compliance, [0.0; 2], &mut yielding.led);
+        }
         let now = Moment {
             state,
-            command: &p.plan.command,
+            command: p.yielding.as_ref().map_or(&p.plan.command, |yielding| &yielding.asked),
             last_action: &p.last_action,
             last_target: &p.last_target,
             nominal: &self.nominal,
@@ -270,15 +295,17 @@ impl LocomotionEnv {
             if let Some(push) = &self.progress.plan.push {
                 let before = self.sim.state().velocity_in_world();
                 self.sim.push(push)?;
-                self.progress.virtual_masses.push(self.sim.state().velocity_in_world() - before);
+                if let Some(yielding) = &mut self.progress.yielding {
+                    let change = self.sim.state().velocity_in_world() - before;
+                    yielding.near.push(change);
+                    yielding.free.push(change);
+                }
                 self.progress.pushed = true;
             }
         }
         let period_s = self.config.simulation.policy_period_s();
         let force = self.progress.plan.force(self.progress.step as f64 * period_s);
-        if let Some(compliance) = &self.config.compliance {
-            let longest = compliance.restarts_steps.iter().copied().max().unwrap_or(0);
-            self.progress.virtual_masses.begin(&self.sim.state(), &self.progress.plan.command, longest);
+        if self.outer_loop.is_some() {
             self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
         }
         let summary = self.sim.step(&target, &mut self.progress.swings)?;
@@ -286,15 +313,21 @@ impl LocomotionEnv {
 
         let p = &mut self.progress;
         let landings = p.swings.take();
-        let mut tracked = vec![p.plan.command];
-        if let Some(compliance) = &self.config.compliance {
-            let pulled = Pulled { force, mass_kg: self.sim.robot().mass_kg, time_s: period_s };
-            p.virtual_masses.step(&state, &p.plan.command, pulled, compliance.speed_limit_m_s);
-            tracked = p.virtual_masses.commands(&state, &p.plan.command, &compliance.restarts_steps);
-        }
+        let mut tracked = [p.plan.command; 2];
+        let several = match (&self.config.compliance, &mut p.yielding) {
+            (Some(compliance), Some(Yielding { asked, near, free, .. })) => {
+                let pulled = Pulled { force, mass_kg: self.sim.robot().mass_kg, time_s: period_s };
+                let (command, limit) = (&p.plan.command, compliance.speed_limit_m_s);
+                near.step(&state, asked, compliance.own_m_s_per_n, pulled, limit);
+                free.step(&state, command, command.compliance, pulled, limit);
+                tracked = [near.command(&state, command), free.command(&state, command)];
+                2
+            }
+            _ => 1,
+        };
         let step = reward::Step {
             state: &state,
-            tracked: &tracked,
+            tracked: &tracked[..several],
             summary: &summary,
             landings: &landings,
             config: &self.config.reward,
@@ -412,7 +445,7 @@ fn start(
         observer: Observer::new(),
         last_action: [0.0; JOINTS],
         last_target: nominal,
-        virtual_masses: VirtualMasses::default(),
+        yielding: None,
         previous: Vec::new(),
         current: Vec::new(),
     }
