@@ -161,7 +161,7 @@ impl<'a> Compliant<'a> {
     pub fn new(policy: Box<dyn Controller + 'a>, calibration: &'a Calibration, config: &Config) -> Self {
         let outer_loop = OuterLoop {
             own_m_s_per_n: calibration.own_m_s_per_n,
-            limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
+            limits_m_s: config.led_limits_m_s(),
             period_s: config.simulation.policy_period_s(),
         };
         Compliant { policy, calibration, outer_loop, led: [0.0; 2] }

@@ -104,7 +104,8 @@ impl EpisodePlan {
         let mut pulls = Vec::new();
         if let Some(compliance) = &config.compliance {
             let [low, high] = compliance.range_m_s_per_n;
-            command.compliance = rng.random_range(low..=high);
+            let (own, open) = (compliance.own_m_s_per_n, curriculum.force_fraction);
+            command.compliance = own * (rng.random_range(low..=high) / own).powf(open);
             let force_n = compliance.force_n * curriculum.force_fraction;
             let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
             pulls = drawn_pulls(compliance, command.compliance, force_n, length_s, rng);
@@ -151,7 +152,7 @@ pub struct Curriculum {
     pub command_fraction: f64,
     /// Whether episodes go on to the push and what follows it. Once they do, they always do.
     pub pushes: bool,
-    /// Open fraction of the pulls' range, 0 to 1; where there are pulls.
+    /// Open fraction of the pulls and of the outer loop's gain, 0 to 1; where there are such. It grows once there are pushes.
     #[serde(default)]
     pub force_fraction: f64,
 }
@@ -173,7 +174,8 @@ impl Curriculum {
             self.command_fraction = (self.command_fraction + config.command.fraction_step).min(1.0);
         }
         self.pushes |= mean_linear_reward > config.episode.push_gate;
-        if let Some(compliance) = config.compliance.as_ref().filter(|c| mean_linear_reward > c.fraction_gate) {
+        let walks = |compliance: &&Compliance| self.pushes && mean_linear_reward > compliance.fraction_gate;
+        if let Some(compliance) = config.compliance.as_ref().filter(walks) {
             self.force_fraction = (self.force_fraction + compliance.fraction_step).min(1.0);
         }
     }

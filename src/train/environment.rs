@@ -193,7 +193,7 @@ impl LocomotionEnv {
             nominal,
             outer_loop: config.compliance.as_ref().map(|compliance| OuterLoop {
                 own_m_s_per_n: compliance.own_m_s_per_n,
-                limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
+                limits_m_s: config.led_limits_m_s(),
                 period_s: config.simulation.policy_period_s(),
             }),
             seed,

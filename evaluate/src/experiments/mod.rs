@@ -73,6 +73,7 @@ experiments! {
     pendulum: pendulum::Pendulum,
     rubble: rubble::Rubble,
     outdoor: outdoor::Outdoor,
+    calibration: calibration::Calibration,
 }
 
 /// What a robot does at a forward command \[m/s\].

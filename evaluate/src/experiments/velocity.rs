@@ -51,9 +51,8 @@ fn curve(results: &Results, set: usize, condition: usize) -> Curve {
     let seed = seed.map_or("–".into(), |seed| seed.to_string());
     let mut curve = Curve {
         title: format!("{}, seed {seed}, {} runs", results.names[set], runs.len()),
-        points: Vec::new(),
-        mark: None,
-        tolerance: None,
+        set,
+        ..Curve::default()
     };
     let longest = runs.iter().max_by_key(|run| run.series[0].len());
     for (step, time) in longest.map_or(&[][..], |run| &run.series[0]).iter().enumerate() {
