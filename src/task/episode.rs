@@ -277,4 +277,40 @@ mod tests {
         curriculum.update(0.5, &config);
         assert_eq!(push(curriculum), first);
     }
+
+    #[test]
+    fn pulls_and_the_loop_open_together_from_a_robot_as_it_is() {
+        let config = Config::load("commanded").unwrap();
+        let compliance = config.compliance.clone().unwrap();
+        let plans = |force_fraction: f64| -> Vec<EpisodePlan> {
+            let curriculum = Curriculum { force_fraction, ..Curriculum::complete() };
+            (0..500).map(|k| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, k, 0))).collect()
+        };
+        let strongest = |plans: &[EpisodePlan]| {
+            let forces = plans.iter().flat_map(|plan| &plan.pulls).map(|pull| pull.force[0].hypot(pull.force[1]));
+            forces.fold(0.0, f64::max)
+        };
+        let closed = plans(0.0);
+        assert!(
+            closed.iter().all(|plan| (plan.command.compliance - 0.0105).abs() < 1e-12) && strongest(&closed) == 0.0
+        );
+        let open = plans(1.0);
+        let [low, high] = compliance.range_m_s_per_n;
+        let told: Vec<f64> = open.iter().map(|plan| plan.command.compliance).collect();
+        assert!(told.iter().all(|c| (low..=high).contains(c)) && told.iter().any(|c| *c > 0.9 * high));
+        assert!((0.9..=1.0).contains(&(strongest(&open) / compliance.force_n)));
+        // One after the other, with pauses, to the end of the episode.
+        for pulls in open.iter().map(|plan| &plan.pulls) {
+            assert!(pulls.windows(2).all(|pair| pair[1].from_s - pair[0].until_s >= 0.2));
+            assert!(pulls.last().is_some_and(|last| last.until_s + 1.5 >= 6.0));
+        }
+        let first = open[0].pulls[0];
+        assert_eq!(open[0].force(0.5 * (first.from_s + first.until_s)), first.force);
+        assert_eq!(open[0].force(first.until_s + 0.1), [0.0; 2]);
+        // What there was before is drawn as before.
+        let without = Config { compliance: None, ..config.clone() };
+        let plan = EpisodePlan::draw(&without, Curriculum::complete(), &mut stream(1, Purpose::Episode, 0, 0));
+        let command = Command { compliance: 0.0, ..open[0].command };
+        assert_eq!(plan, EpisodePlan { command, pulls: Vec::new(), ..open[0].clone() });
+    }
 }

@@ -454,6 +454,7 @@ fn start(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::Pull;
 
     /// Actions of a clumsy trot.
     fn action(step: usize) -> [f32; 12] {
@@ -480,20 +481,46 @@ mod tests {
 
     #[test]
     fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
-        let mut config = Config::load("compliant").unwrap();
-        config.episode.walking_s = 0.5;
-        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-        let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
-        for step in 0..200 {
-            let json = serde_json::to_string(&env.save()).unwrap();
-            other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
-            assert_eq!(env.save(), other.save(), "step {step}");
-            let (outcome, report) = env.step(&action(step));
-            assert_eq!((outcome, report), other.step(&action(step)), "step {step}");
-            assert_eq!(env.observation(), other.observation(), "step {step}");
-            if outcome.end.is_some() {
-                env.reset(Curriculum::complete()).unwrap();
+        // With pushes alone, and with pulls and an outer loop.
+        for name in ["compliant", "commanded"] {
+            let mut config = Config::load(name).unwrap();
+            config.episode.walking_s = 0.5;
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
+            for step in 0..200 {
+                let json = serde_json::to_string(&env.save()).unwrap();
+                other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
+                assert_eq!(env.save(), other.save(), "{name}, step {step}");
+                let (outcome, report) = env.step(&action(step));
+                assert_eq!((outcome, report), other.step(&action(step)), "{name}, step {step}");
+                assert_eq!(env.observation(), other.observation(), "{name}, step {step}");
+                if outcome.end.is_some() {
+                    env.reset(Curriculum::complete()).unwrap();
+                }
             }
         }
+    }
+
+    #[test]
+    fn a_pull_shows_in_what_the_policy_is_commanded_and_in_what_it_is_paid_for() {
+        let mut config = Config::load("commanded").unwrap();
+        (config.command.forward_m_s, config.command.left_m_s, config.episode.slope) = (0.0, 0.0, 0.0);
+        config.reward.linear_velocity = 1.0;
+        let stand = |force: [f64; 2], compliance: f64| {
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            env.progress.plan.pulls = vec![Pull { from_s: 0.0, until_s: 10.0, force }];
+            env.progress.plan.command = Command { compliance, ..Command::default() };
+            let paid: f64 = (0..30).map(|_| env.step(&[0.0; 12]).0.reward).sum();
+            // The last two of the observation's command, which ends it: forward and yaw; left comes before.
+            let observed = env.observation();
+            (paid, observed[observed.len() - 3])
+        };
+        // It stands still on stiff legs: pulled, that is no yielding.
+        let (at_ease, asked) = stand([0.0; 2], 0.03);
+        assert!(asked.abs() < 0.02, "{asked}");
+        let (pulled, asked) = stand([0.0, 20.0], 0.03);
+        assert!(pulled < 0.8 * at_ease, "{pulled} {at_ease}");
+        // The trunk gives way to the left a little: the loop goes with it when it is to be softer, against it when stiffer.
+        assert!(asked > 0.0 && stand([0.0, 20.0], 0.005).1 < 0.0);
     }
 }

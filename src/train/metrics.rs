@@ -25,6 +25,9 @@ pub struct IterationMetrics {
     /// Open fraction of the command range.
     #[serde(alias = "command_share")]
     pub command_fraction: f64,
+    /// Open fraction of pulls and of the outer loop, where there are such.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_fraction: Option<f64>,
     /// Mean standard deviation of the actions.
     pub action_std: f64,
     /// Fraction of the variance of the returns that the values explain.
@@ -152,6 +155,7 @@ impl IterationMetrics {
         put("episode/walking_linear", self.means.walking_linear);
         put("episode/swing_height_m", self.means.swing_height_m);
         put("curriculum/command_fraction", Some(self.command_fraction));
+        put("curriculum/force_fraction", self.force_fraction);
         put("curriculum/push_fraction", self.means.push_fraction);
         for (name, value) in self.means.terms.iter().flat_map(Terms::fields) {
             put(&format!("reward/{name}"), Some(value));

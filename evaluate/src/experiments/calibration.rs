@@ -36,8 +36,8 @@ pub(super) const INFO: Info = Info {
     paper: "not in the paper",
     method: "The robot is told by how much it is to yield, standing and walking at 0.5 m/s, and is pulled by constant \
              horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last seconds of \
-             the pull. Lines are fitted to each policy's numbers over the commanded compliance c, directions and \
-             forces, as far as c·F is at most 0.5 m/s: no robot is led faster than it can walk. Told so, it is also pushed to the \
+             the pull. Lines are fitted to each policy's means over all directions, over the commanded compliance c and the \
+             forces F, as far as c·F is at most 0.5 m/s: no robot is led faster than it can walk. Told so, it is also pushed to the \
              left by 0.5 m/s: an ideal one takes 2.3·m·c until a tenth is left.",
     quantities: QUANTITIES,
 };
@@ -94,12 +94,14 @@ impl Calibration {
     fn lines(&self, results: &Results, set: usize, command: usize) -> Vec<PerSeed> {
         let mut lines = vec![PerSeed::new(); LINE.len()];
         for seed in results.sets[set].keys() {
-            let point = |condition: usize| {
-                let (c, force) = told(&results.conditions[condition]);
-                let measured = *results.per_seed(set, condition, MEASURED.name).get(seed)?;
-                (c * force? <= LED_M_S + 1e-9).then_some([c, measured])
+            let point = |sides: &[usize]| {
+                let (c, force) = told(&results.conditions[*sides.first()?]);
+                let of = |condition: &usize| results.per_seed(set, *condition, MEASURED.name).get(seed).copied();
+                let measured: Option<Vec<f64>> = sides.iter().map(of).collect();
+                (c * force? <= LED_M_S + 1e-9).then_some([c, mean(measured?.into_iter())?])
             };
-            let points: Vec<[f64; 2]> = self.pulls(command).filter_map(point).collect();
+            let conditions: Vec<usize> = self.pulls(command).collect();
+            let points: Vec<[f64; 2]> = conditions.chunks(self.directions as usize).filter_map(point).collect();
             let Some([slope, intercept, r_squared]) = line(&points) else { continue };
             for (numbers, number) in lines.iter_mut().zip([slope, intercept, r_squared, (slope - 1.0).abs()]) {
                 numbers.insert(*seed, number);

@@ -61,7 +61,9 @@ fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
         let ends = [panel.x[0].max(panel.y[0]), panel.x[1].min(panel.y[1])];
         svg.line(panel.at([ends[0]; 2]), panel.at([ends[1]; 2]), Stroke::new(GREY, 1.3).dashed("5 3"));
     }
-    svg.line(panel.at([0.0, panel.y[0]]), panel.at([0.0, panel.y[1]]), Stroke::new(GREY, 1.0));
+    if panel.x[0] <= 0.0 {
+        svg.line(panel.at([0.0, panel.y[0]]), panel.at([0.0, panel.y[1]]), Stroke::new(GREY, 1.0));
+    }
     svg.polyline(&line(1).collect::<Vec<_>>(), Stroke::new(colour(curve.set), 2.0));
     if let Some((time, label)) = &curve.mark {
         let top = panel.at([*time, panel.y[1]]);
@@ -78,10 +80,8 @@ mod tests {
 
     #[test]
     fn all_sets_are_drawn_on_one_scale() {
-        let level = |size: f64| Curve {
-            points: vec![[0.0, 0.5, -size, size], [1.0, 0.5, -size, size]],
-            ..Curve::default()
-        };
+        let level =
+            |size: f64| Curve { points: vec![[0.0, 0.5, -size, size], [1.0, 0.5, -size, size]], ..Curve::default() };
         let svg = draw("", &[level(1.0), level(10.0)], "", "");
         let heights: Vec<&str> = svg
             .split("<polyline points=\"")
