@@ -170,12 +170,12 @@ mod tests {
     #[test]
     fn an_outer_loop_makes_a_policys_own_compliance_any_other() {
         for c in [0.005, 0.01, 0.02, 0.05] {
-            assert!((led(c, 10.0, [0.0; 2]) - 10.0 * c).abs() < 1e-6, "{c}");
+            assert!((led(c, 10.0, [0.0; 2]) - 10.0 * c).abs() < 1e-4, "{c}");
         }
         // It asks for 0.6 m/s to the left and no more; the policy itself yields by 30 · 0.01 m/s.
-        assert!((led(0.05, 30.0, [0.0; 2]) - 0.9).abs() < 1e-6);
+        assert!((led(0.05, 30.0, [0.0; 2]) - 0.9).abs() < 1e-4);
         // What the policy is off by is five times as much at five times its own compliance, unless it is known.
-        assert!((led(0.05, 0.0, [0.02, 0.0]) - 0.1).abs() < 1e-6);
-        assert!((led(0.05, 0.0, [0.02, 0.02]) - 0.02).abs() < 1e-6);
+        assert!((led(0.05, 0.0, [0.02, 0.0]) - 0.1).abs() < 1e-4);
+        assert!((led(0.05, 0.0, [0.02, 0.02]) - 0.02).abs() < 1e-4);
     }
 }
