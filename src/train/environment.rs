@@ -39,6 +39,10 @@ pub struct Step {
     pub reward: f64,
     /// Set if this step ended the episode. The observation afterwards is the final one.
     pub end: Option<End>,
+    /// The stage that it was a step of.
+    pub stage: Stage,
+    /// Its terms as measured (never replaced); zero if the physics failed.
+    pub terms: Terms,
 }
 
 /// Summary of a finished episode.
@@ -165,7 +169,7 @@ impl LocomotionEnv {
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = same_in_every_leg(config.action.nominal_pose_rad);
-        let cut = stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start);
+        let cut = first_cut(seed, index, &stages);
         let mut env = LocomotionEnv {
             progress: start(config, seed, index, 0, curriculum, cut, nominal),
             config: config.clone(),
@@ -196,6 +200,17 @@ impl LocomotionEnv {
         self.begin()
     }
 
+    /// Starts the first episode of another seed: the same bits as a new environment of that seed.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
+        self.seed = seed;
+        let cut = first_cut(seed, self.index, &self.stages);
+        self.progress = start(&self.config, seed, self.index, 0, curriculum, cut, self.nominal);
+        self.begin()
+    }
+
     fn begin(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
         self.last_second.clear();
@@ -216,6 +231,11 @@ impl LocomotionEnv {
             time_s: p.step as f64 * self.config.simulation.policy_period_s(),
         };
         p.observer.measure(&self.layout, &now);
+    }
+
+    /// What was drawn for this episode.
+    pub fn plan(&self) -> &EpisodePlan {
+        &self.progress.plan
     }
 
     /// What the observation is made of.
@@ -248,7 +268,8 @@ impl LocomotionEnv {
                     step: self.progress.step,
                     last_second: self.last_second.csv(),
                 };
-                let step = Step { reward: 0.0, end: Some(End::Fault) };
+                let stage = self.stages.at(self.progress.step);
+                let step = Step { reward: 0.0, end: Some(End::Fault), stage, terms: Terms::default() };
                 (step, Some(self.report(End::Fault, Some(Box::new(fault)))))
             }
         }
@@ -299,7 +320,7 @@ impl LocomotionEnv {
 
         let end = self.end(summary.fall.is_some());
         let report = end.map(|end| self.report(end, None));
-        Ok((Step { reward, end }, report))
+        Ok((Step { reward, end, stage, terms }, report))
     }
 
     fn end(&self, fell: bool) -> Option<End> {
@@ -364,6 +385,11 @@ impl LocomotionEnv {
             Err(mujoco::Error::Load { what: "a saved state".into(), message })
         }
     }
+}
+
+/// Steps after which the first episode is cut.
+fn first_cut(seed: u64, index: u64, stages: &Stages) -> usize {
+    stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start)
 }
 
 fn start(
