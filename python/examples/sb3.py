@@ -50,7 +50,7 @@ parser.add_argument("--threads", type=int, default=2)
 parser.add_argument("--out", type=pathlib.Path, default="policy")
 args = parser.parse_args()
 args.out.mkdir(parents=True, exist_ok=True)
-torch.set_num_threads(args.threads)
+torch.set_num_threads(1)  # enough for networks this small, and steady on a machine that is shared
 
 env = supple.sb3.SB3VecEnv(supple.make_vec(args.config, num_envs=64, seed=args.seed, threads=args.threads))
 hidden = [256, 128, 64]

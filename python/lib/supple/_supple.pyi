@@ -4,6 +4,21 @@ from typing import Any, final
 import numpy as np
 from numpy.typing import NDArray
 
+__all__ = [
+    "CONFIGURATIONS",
+    "Environments",
+    "POLICIES",
+    "Policy",
+    "RECORDS",
+    "REVISION",
+    "_panic",
+    "describe",
+    "evaluate",
+    "experiments",
+    "run_scenario",
+    "scenarios",
+]
+
 CONFIGURATIONS: list[str]
 POLICIES: list[str]
 RECORDS: bool

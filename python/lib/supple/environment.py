@@ -90,7 +90,7 @@ class _Described:
     def curriculum(self, curriculum: Curriculum) -> None:
         self._native.set_curriculum(Curriculum(*curriculum))
 
-    def _spaces(self) -> tuple[spaces.Box, spaces.Box]:
+    def _spaces(self) -> "tuple[spaces.Space[Observations], spaces.Space[NDArray[np.float32]]]":
         limit = self._native.observation_scaling()[2].astype(np.float32)
         low, high = self._native.action_bounds()
         return spaces.Box(-limit, limit, dtype=np.float32), spaces.Box(low, high, dtype=np.float32)
@@ -181,7 +181,7 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
         for index, observation in zip(which, observations):
             final[index] = observation
         episode = {"r": spread(returns), "l": spread(lengths), "_r": mask, "_l": mask}
-        about = {"episode": episode, "_episode": mask, "pushed": spread(pushed), "_pushed": mask}
+        about: Info = {"episode": episode, "_episode": mask, "pushed": spread(pushed), "_pushed": mask}
         if faults:
             about["fault"], about["_fault"] = np.full(self.num_envs, None, dtype=object), np.zeros_like(mask)
             for index, words in faults:
