@@ -2,6 +2,9 @@
 
 import json
 import pickle
+import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -201,3 +204,27 @@ def test_a_network_in_onnx_with_its_description_is_the_function_that_it_was(prog
         )
     )
     assert printed["runs"][0]["metrics"] == supple.run_scenario("walk", policy, duration_s=0.5).metrics
+
+
+def test_what_the_docs_show_runs(programs):
+    blocks = re.findall(r"```python\n(.*?)```", (programs.root / "docs/python.md").read_text(), re.DOTALL)
+    shown = {"network": supple.Policy.load("baseline")}
+    for block in blocks:
+        # The last one needs PyTorch: the examples do what it does.
+        if "torch" not in block:
+            exec(block, shown)
+    assert len(blocks) == 3 and shown["observations"].shape == (64, 83) and shown["table4"].values.size
+
+
+@pytest.mark.parametrize("example", ["ppo", "sb3"])
+def test_the_examples_learn_and_leave_a_policy_that_plays(programs, tmp_path, example):
+    for package in ("torch", "onnxscript", "stable_baselines3"):
+        pytest.importorskip(package)
+    subprocess.run(
+        [sys.executable, f"python/examples/{example}.py", "--samples", "16384", "--out", tmp_path],
+        cwd=programs.root,
+        check=True,
+    )
+    assert len((tmp_path / "curve.csv").read_text().splitlines()) == 3
+    programs.run("scenario", "walk", "--policy", tmp_path / "policy.yaml", "--duration-s", 0.5, "--no-record")
+    assert supple.Policy.load(tmp_path / "policy.yaml").action_names[0] == "FR_hip"

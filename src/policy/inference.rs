@@ -246,6 +246,20 @@ action: {meaning: offset_from_nominal, scale_rad: 0.25, clip: 1.0}
 ";
 
     #[test]
+    fn a_function_acts_as_a_network_does_and_each_row_as_alone() {
+        let config = Config::load("fast").unwrap();
+        let function: Function = Box::new(|seen| std::array::from_fn(|joint| seen[0] + joint as f32));
+        let inference = Inference::in_environment(&config, Network::Function(function)).unwrap();
+        let length = inference.layout.length();
+        let mut seen = vec![0.0; 2 * length];
+        seen[length] = 100.0;
+        let actions = inference.actions(2, &seen, &mut Buffers::default());
+        assert_eq!((actions[1], actions[JOINTS + 2]), (1.0, 102.0));
+        let (alone, targets) = inference.act(&seen[length..], &mut Buffers::default());
+        assert_eq!((alone[2], targets[2]), (102.0, -1.44 + 0.3 * 102.0));
+    }
+
+    #[test]
     fn an_observation_is_in_the_order_axes_scales_and_ages_of_its_description() {
         let folder = tempfile::tempdir().unwrap();
         let network = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx/rsl_rl.onnx");

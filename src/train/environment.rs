@@ -450,6 +450,48 @@ mod tests {
     }
 
     #[test]
+    fn a_restarted_environment_has_the_bits_of_a_new_one() {
+        let mut config = Config::load("compliant").unwrap();
+        config.episode.walking_s = 0.5;
+        let curriculum = Curriculum::complete();
+        let mut used = LocomotionEnv::new(&config, 1, 2, curriculum).unwrap();
+        // Into the second episode, in the middle of a step's latency.
+        for step in 0..40 {
+            if used.step(&action(step)).0.end.is_some() {
+                used.reset(curriculum).unwrap();
+            }
+        }
+        used.restart(7, curriculum).unwrap();
+        let mut new = LocomotionEnv::new(&config, 7, 2, curriculum).unwrap();
+        for step in 0..150 {
+            assert_eq!(used.observation(), new.observation(), "step {step}");
+            let outcome = used.step(&action(step));
+            assert_eq!(outcome, new.step(&action(step)), "step {step}");
+            if outcome.0.end.is_some() {
+                used.reset(curriculum).unwrap();
+                new.reset(curriculum).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_tells_its_stage_and_its_terms() {
+        let config = Config::load("compliant").unwrap();
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let (mut terms, mut stages) = (Terms::default(), Vec::new());
+        let report = loop {
+            let (step, report) = env.step(&[0.0; 12]);
+            terms.add(&step.terms);
+            stages.push(step.stage);
+            if let Some(report) = report {
+                break report;
+            }
+        };
+        assert_eq!((report.terms, report.steps), (terms, stages.len()));
+        assert!(stages.iter().enumerate().all(|(step, stage)| *stage == env.stages.at(step)));
+    }
+
+    #[test]
     fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
         let mut config = Config::load("compliant").unwrap();
         config.episode.walking_s = 0.5;
