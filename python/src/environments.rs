@@ -132,12 +132,7 @@ impl Environments {
     }
 
     /// One policy step of every environment. Those whose episode ends go on with the next one at once, if `resets`.
-    fn step<'py>(
-        &self,
-        py: Python<'py>,
-        actions: PyReadonlyArray2<'py, f32>,
-        resets: bool,
-    ) -> PyResult<Stepped<'py>> {
+    fn step<'py>(&self, py: Python<'py>, actions: PyReadonlyArray2<'py, f32>, resets: bool) -> PyResult<Stepped<'py>> {
         let shape = actions.shape().to_vec();
         // Another thread of Python could write into the array while this one goes without the lock: the actions, which
         // are small, are copied.
@@ -258,7 +253,9 @@ impl Environments {
             Ok(slot) => slot,
             Err(TryLockError::Poisoned(slot)) => slot.into_inner(),
             Err(TryLockError::WouldBlock) => {
-                return Err(PyRuntimeError::new_err("another thread is at work on these environments: give each its own"));
+                return Err(PyRuntimeError::new_err(
+                    "another thread is at work on these environments: give each its own",
+                ));
             }
         };
         let Some(mut world) = slot.take() else {
