@@ -227,6 +227,26 @@ def test_a_configuration_of_ones_own_is_taken(tmp_path):
     assert [env.step(np.zeros(12))[3] for _ in range(30)] == [False] * 29 + [True]
 
 
+def test_a_fault_of_the_physics_truncates_its_episode_says_why_and_leaves_the_others_alone(tmp_path):
+    # Ten steps a second without damping, and joints that are torn from one end to the other.
+    (tmp_path / "bad.yaml").write_text(
+        "base: fast\nsimulation: {physics_rate_hz: 10, policy_rate_hz: 10, kd_n_m_s_per_rad: 0.0}\n"
+    )
+    env, rng = supple.make_vec(tmp_path / "bad.yaml", num_envs=32, threads=2), np.random.default_rng(0)
+    env.reset()
+    faults = 0
+    for _ in range(20):
+        seen, rewards, terminations, truncations, info = env.step(rng.choice([-50.0, 50.0], size=(32, 12)))
+        told = info.get("final_info", {})
+        for k in np.flatnonzero(told.get("_fault", [])):
+            faults += 1
+            assert truncations[k] and not terminations[k] and rewards[k] == 0.0
+            assert "buffer" in told["fault"][k] or "unstable" in told["fault"][k]
+            assert np.isfinite(info["final_obs"][k]).all()
+        assert np.isfinite(seen).all()
+    assert faults > 0
+
+
 def test_copies_of_environments_are_refused():
     env = supple.make_vec(num_envs=1, threads=1)
     for attempt in (pickle.dumps, copy.deepcopy):
