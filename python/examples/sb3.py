@@ -17,8 +17,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 
-class Curve(BaseCallback):
-    """A row for each batch."""
+class Watch(BaseCallback):
+    """A row of the curve for each batch; and the learning rate, which keeps the divergence of an update near its target."""
+
+    rate, target = 3e-4, 0.02
 
     def __init__(self, path):
         super().__init__()
@@ -27,6 +29,10 @@ class Curve(BaseCallback):
         self.started = time.perf_counter()
 
     def _on_rollout_start(self):
+        divergence = self.logger.name_to_value.get("train/approx_kl", self.target)
+        factor = 1 / 1.5 if divergence > 2 * self.target else 1.5 if divergence < self.target / 2 else 1.0
+        self.rate = min(max(self.rate * factor, 1e-5), 1e-2)
+        self.model.lr_schedule = lambda _: self.rate
         self.r_lin, self.reward, self.steps = 0.0, 0.0, 0
 
     def _on_step(self):
@@ -55,12 +61,12 @@ torch.set_num_threads(1)  # enough for networks this small, and steady on a mach
 env = supple.sb3.SB3VecEnv(supple.make_vec(args.config, num_envs=64, seed=args.seed, threads=args.threads))
 hidden = [256, 128, 64]
 model = PPO(
-    "MlpPolicy", env, seed=args.seed, device="cpu", n_steps=128, batch_size=512, n_epochs=8, target_kl=0.02,
-    learning_rate=1e-3, gamma=0.99, gae_lambda=0.95, clip_range=0.2, ent_coef=0.01, vf_coef=0.5, max_grad_norm=0.5,
+    "MlpPolicy", env, seed=args.seed, device="cpu", n_steps=128, batch_size=512, n_epochs=8,
+    gamma=0.99, gae_lambda=0.95, clip_range=0.2, ent_coef=0.01, vf_coef=0.5, max_grad_norm=0.5,
     policy_kwargs={"net_arch": {"pi": hidden, "vf": hidden}, "activation_fn": torch.nn.ELU, "log_std_init": -1.0,
                    "optimizer_kwargs": {"eps": 1e-5}},
 )
-model.learn(args.samples, callback=Curve(args.out / "curve.csv"))
+model.learn(args.samples, callback=Watch(args.out / "curve.csv"))
 
 policy = model.policy
 actor = torch.nn.Sequential(*policy.mlp_extractor.policy_net, policy.action_net).eval()
