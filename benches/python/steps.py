@@ -4,8 +4,8 @@
     target/peers/bin/python benches/python/steps.py [--threads N] [--repetitions N]
 
 Ours and Rust's do the same work: the same seed, the same random actions, the same bits. The others are Ant-v5, which is the
-Gymnasium task that is nearest: MuJoCo, four legs, eight joints, 5 physics steps for one of the policy where ours has 4; what
-they do in a step is not what ours do. Each takes its turn in every repetition; numbers are medians. EnvPool leaves its
+Gymnasium task that is nearest: MuJoCo, four legs, eight joints, 5 physics steps for one of the policy where ours has 4, each
+with four evaluations (RK4) where ours has one: what they do in a step is not what ours do. Each takes its turn in every repetition; numbers are medians. EnvPool leaves its
 threads unpinned and waits for all environments, as ours do.
 """
 
@@ -113,8 +113,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--environments", type=int, default=64)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--steps", type=int, default=256)
-    parser.add_argument("--repetitions", type=int, default=7)
+    parser.add_argument("--steps", type=int, default=128)
+    parser.add_argument("--repetitions", type=int, default=15)
     parser.add_argument("--no-peers", action="store_true")
     args = parser.parse_args()
     shape = (args.steps, args.environments, 12)
