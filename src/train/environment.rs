@@ -41,6 +41,10 @@ pub struct Step {
     pub reward: f64,
     /// Set if this step ended the episode. The observation afterwards is the final one.
     pub end: Option<End>,
+    /// The stage that it was a step of.
+    pub stage: Stage,
+    /// Its terms as measured (never replaced); zero if the physics failed.
+    pub terms: Terms,
 }
 
 /// Summary of a finished episode.
@@ -184,7 +188,7 @@ impl LocomotionEnv {
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = same_in_every_leg(config.action.nominal_pose_rad);
-        let cut = stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start);
+        let cut = first_cut(seed, index, &stages);
         let mut env = LocomotionEnv {
             progress: start(config, seed, index, 0, curriculum, cut, nominal),
             config: config.clone(),
@@ -220,6 +224,17 @@ impl LocomotionEnv {
         self.begin()
     }
 
+    /// Starts the first episode of another seed: the same bits as a new environment of that seed.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
+        self.seed = seed;
+        let cut = first_cut(seed, self.index, &self.stages);
+        self.progress = start(&self.config, seed, self.index, 0, curriculum, cut, self.nominal);
+        self.begin()
+    }
+
     fn begin(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
         self.last_second.clear();
@@ -247,6 +262,11 @@ impl LocomotionEnv {
             time_s: p.step as f64 * self.config.simulation.policy_period_s(),
         };
         p.observer.measure(&self.layout, &now);
+    }
+
+    /// What was drawn for this episode.
+    pub fn plan(&self) -> &EpisodePlan {
+        &self.progress.plan
     }
 
     /// What the observation is made of.
@@ -279,7 +299,8 @@ impl LocomotionEnv {
                     step: self.progress.step,
                     last_second: self.last_second.csv(),
                 };
-                let step = Step { reward: 0.0, end: Some(End::Fault) };
+                let stage = self.stages.at(self.progress.step);
+                let step = Step { reward: 0.0, end: Some(End::Fault), stage, terms: Terms::default() };
                 (step, Some(self.report(End::Fault, Some(Box::new(fault)))))
             }
         }
@@ -353,7 +374,7 @@ impl LocomotionEnv {
 
         let end = self.end(summary.fall.is_some());
         let report = end.map(|end| self.report(end, None));
-        Ok((Step { reward, end }, report))
+        Ok((Step { reward, end, stage, terms }, report))
     }
 
     fn end(&self, fell: bool) -> Option<End> {
@@ -420,6 +441,11 @@ impl LocomotionEnv {
     }
 }
 
+/// Steps after which the first episode is cut.
+fn first_cut(seed: u64, index: u64, stages: &Stages) -> usize {
+    stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start)
+}
+
 fn start(
     config: &Config,
     seed: u64,
@@ -477,6 +503,48 @@ mod tests {
             let report = (0..15).find_map(|_| env.step(&[0.0; 12]).1).unwrap();
             assert_eq!((report.end, report.terms.flight()), (End::TimeLimit, 15.0 * expected));
         }
+    }
+
+    #[test]
+    fn a_restarted_environment_has_the_bits_of_a_new_one() {
+        let mut config = Config::load("compliant").unwrap();
+        config.episode.walking_s = 0.5;
+        let curriculum = Curriculum::complete();
+        let mut used = LocomotionEnv::new(&config, 1, 2, curriculum).unwrap();
+        // Into the second episode, in the middle of a step's latency.
+        for step in 0..40 {
+            if used.step(&action(step)).0.end.is_some() {
+                used.reset(curriculum).unwrap();
+            }
+        }
+        used.restart(7, curriculum).unwrap();
+        let mut new = LocomotionEnv::new(&config, 7, 2, curriculum).unwrap();
+        for step in 0..150 {
+            assert_eq!(used.observation(), new.observation(), "step {step}");
+            let outcome = used.step(&action(step));
+            assert_eq!(outcome, new.step(&action(step)), "step {step}");
+            if outcome.0.end.is_some() {
+                used.reset(curriculum).unwrap();
+                new.reset(curriculum).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_tells_its_stage_and_its_terms() {
+        let config = Config::load("compliant").unwrap();
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let (mut terms, mut stages) = (Terms::default(), Vec::new());
+        let report = loop {
+            let (step, report) = env.step(&[0.0; 12]);
+            terms.add(&step.terms);
+            stages.push(step.stage);
+            if let Some(report) = report {
+                break report;
+            }
+        };
+        assert_eq!((report.terms, report.steps), (terms, stages.len()));
+        assert!(stages.iter().enumerate().all(|(step, stage)| *stage == env.stages.at(step)));
     }
 
     #[test]

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use crate::config::Config;
 use crate::ppo::UpdateStatistics;
-use crate::task::Terms;
+use crate::task::{Curriculum, Terms};
 use crate::train::collection::Rollout;
 use crate::train::environment::{End, EpisodeReport};
 
@@ -119,6 +120,16 @@ impl EpisodeMeans {
             walking_linear: mean(walks()),
             swing_height_m: mean(episodes.iter().filter_map(|episode| episode.swing_height_m)),
             terms: (steps > 0).then(|| terms.divided(steps as f64)),
+        }
+    }
+}
+
+impl EpisodeMeans {
+    /// Makes episodes harder if these went well enough.
+    pub fn advance(&self, curriculum: &mut Curriculum, config: &Config) {
+        // The few that walk among many that fall are no measure.
+        if let Some(mean) = self.walking_linear.filter(|_| 2 * self.walks >= self.episodes) {
+            curriculum.update(mean, config);
         }
     }
 }

@@ -184,10 +184,7 @@ impl Trainer {
         })?;
 
         let means = EpisodeMeans::new(&rollout.episodes);
-        // The few that walk among many that fall are no measure.
-        if let Some(mean) = means.walking_linear.filter(|_| 2 * means.walks >= means.episodes) {
-            self.run.curriculum.update(mean, &self.run.config);
-        }
+        means.advance(&mut self.run.curriculum, &self.run.config);
         self.run.iteration += 1;
         self.run.samples += rollout.len() as u64;
         let whole = started.elapsed();
