@@ -92,7 +92,7 @@ impl Environments {
         num_envs: usize,
         seed: u64,
         threads: usize,
-        curriculum: Option<(f64, bool)>,
+        curriculum: Option<(f64, bool, f64)>,
     ) -> PyResult<Self> {
         if num_envs == 0 {
             return Err(PyValueError::new_err("num_envs is 0, expected at least 1"));
@@ -176,13 +176,16 @@ impl Environments {
         *self.world.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
-    /// Open fraction of the command range, and whether there are pushes.
-    fn curriculum(&self, py: Python<'_>) -> PyResult<(f64, bool)> {
-        self.with(py, |world| Ok((world.curriculum.command_fraction, world.curriculum.pushes)))
+    /// Open fraction of the command range, whether there are pushes, open fraction of pulls.
+    fn curriculum(&self, py: Python<'_>) -> PyResult<(f64, bool, f64)> {
+        self.with(py, |world| {
+            let Curriculum { command_fraction, pushes, force_fraction } = world.curriculum;
+            Ok((command_fraction, pushes, force_fraction))
+        })
     }
 
     /// Of episodes that start from now on, and of what a seed starts from.
-    fn set_curriculum(&self, py: Python<'_>, curriculum: (f64, bool)) -> PyResult<()> {
+    fn set_curriculum(&self, py: Python<'_>, curriculum: (f64, bool, f64)) -> PyResult<()> {
         let curriculum = checked(curriculum)?;
         self.with(py, |world| {
             (world.curriculum, world.first_curriculum) = (curriculum, curriculum);
@@ -380,12 +383,13 @@ fn helpers(threads: usize) -> Result<Option<ThreadPool>, rayon::ThreadPoolBuildE
     (threads > 1).then(|| pool(threads - 1)).transpose()
 }
 
-fn checked((command_fraction, pushes): (f64, bool)) -> PyResult<Curriculum> {
-    if (0.0..=1.0).contains(&command_fraction) {
-        Ok(Curriculum { command_fraction, pushes })
-    } else {
-        Err(PyValueError::new_err(format!("command_fraction is {command_fraction}, expected 0 to 1")))
+fn checked((command_fraction, pushes, force_fraction): (f64, bool, f64)) -> PyResult<Curriculum> {
+    for (name, fraction) in [("command_fraction", command_fraction), ("force_fraction", force_fraction)] {
+        if !(0.0..=1.0).contains(&fraction) {
+            return Err(PyValueError::new_err(format!("{name} is {fraction}, expected 0 to 1")));
+        }
     }
+    Ok(Curriculum { command_fraction, pushes, force_fraction })
 }
 
 fn numbers(command: &Command) -> [f64; 3] {

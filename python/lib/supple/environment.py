@@ -31,6 +31,8 @@ class Curriculum(NamedTuple):
     """Fraction of the command range that commands are drawn from, 0 to 1."""
     pushes: bool
     """Whether there is a push, and the stages that follow it."""
+    force_fraction: float = 0.0
+    """Fraction of the pulls' range and of the outer loop's gain, 0 to 1; where compliance is commanded."""
 
 
 def make_vec(

@@ -173,7 +173,7 @@ pub struct Task {
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
     /// Commanded compliance: how much velocity a newton of sustained pull is to buy (m/s/N); 0: whatever the policy has
-    #[arg(long, value_name = "COMPLIANCE", default_value_t = 0.0)]
+    #[arg(long)]
     #[serde(default, skip_serializing_if = "is_zero")]
     pub compliance: f64,
 }
