@@ -121,10 +121,8 @@ struct Yielding {
     led: [f64; 2],
     /// What the policy is commanded.
     asked: Command,
-    /// Follows what the policy is commanded, by the policy's own compliance.
-    near: VirtualMass,
-    /// Follows the command itself, by the commanded compliance.
-    free: VirtualMass,
+    /// What is to be tracked.
+    mass: VirtualMass,
 }
 
 impl Progress {
@@ -241,7 +239,7 @@ impl LocomotionEnv {
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
         let (mass, asked) = (VirtualMass::of(&state), self.progress.plan.command);
-        let yielding = || Yielding { led: [0.0; 2], asked, near: mass, free: mass };
+        let yielding = || Yielding { led: [0.0; 2], asked, mass };
         self.progress.yielding = self.outer_loop.map(|_| yielding());
         self.observe(&state);
         Ok(())
@@ -317,9 +315,7 @@ impl LocomotionEnv {
                 let before = self.sim.state().velocity_in_world();
                 self.sim.push(push)?;
                 if let Some(yielding) = &mut self.progress.yielding {
-                    let change = self.sim.state().velocity_in_world() - before;
-                    yielding.near.push(change);
-                    yielding.free.push(change);
+                    yielding.mass.push(self.sim.state().velocity_in_world() - before);
                 }
                 self.progress.pushed = true;
             }
@@ -334,21 +330,15 @@ impl LocomotionEnv {
 
         let p = &mut self.progress;
         let landings = p.swings.take();
-        let mut tracked = [p.plan.command; 2];
-        let several = match (&self.config.compliance, &mut p.yielding) {
-            (Some(compliance), Some(Yielding { asked, near, free, .. })) => {
-                let pulled = Pulled { force, mass_kg: self.sim.robot().mass_kg, time_s: period_s };
-                let (command, limit) = (&p.plan.command, compliance.speed_limit_m_s);
-                near.step(&state, asked, compliance.own_m_s_per_n, pulled, limit);
-                free.step(&state, command, command.compliance, pulled, limit);
-                tracked = [near.command(&state, command), free.command(&state, command)];
-                2
-            }
-            _ => 1,
-        };
+        let mut tracked = p.plan.command;
+        if let (Some(compliance), Some(Yielding { mass, .. })) = (&self.config.compliance, &mut p.yielding) {
+            let pulled = Pulled { force, mass_kg: self.sim.robot().mass_kg, time_s: period_s };
+            mass.step(&state, &tracked, tracked.compliance, pulled, compliance.speed_limit_m_s);
+            tracked = mass.command(&state, &tracked);
+        }
         let step = reward::Step {
             state: &state,
-            tracked: &tracked[..several],
+            command: &tracked,
             summary: &summary,
             landings: &landings,
             config: &self.config.reward,
