@@ -1,7 +1,7 @@
 /*! The native half of the Python package `supple`: environments, policies, scenarios and experiments as Python sees them.
 
 What Python users meet is in `supple/`, written in Python; here is what it calls. Everything long runs without the
-interpreter's lock, arrays that come out are handed over rather than copied, and no panic gets through: see [`failure`].
+interpreter's lock, arrays that come out are handed over rather than copied, and no panic gets through: see `failure`.
 */
 
 mod environments;
