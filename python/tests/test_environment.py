@@ -47,7 +47,7 @@ def test_the_same_seed_gives_the_bits_of_trainings_rollout_while_the_curriculum_
         zip(actions, read("observations", "<f4", 83), read("rewards", "<f4"))
     ):
         assert np.array_equal(seen, observation), f"step {step}"
-        assert tuple(env.curriculum) == tuple(curricula[step // 128])
+        assert tuple(env.curriculum)[:2] == tuple(curricula[step // 128])
         seen, rewards, terminations, truncations, info = env.step(action)
         assert np.array_equal(rewards.astype(np.float32), reward), f"step {step}"
         assert np.array_equal(terminations, ends[step] == 1) and np.array_equal(truncations, ends[step] > 1)
