@@ -4,7 +4,8 @@
 
 `FOLDER` then has `observations`, `actions`, `rewards` (f32), `ends` (u8: 0 none, 1 fall, 2 time limit, 3 fault) and
 `curriculum` (f64: fraction of the commands and whether there are pushes, before each batch), little-endian; rows are by
-batch, environment and step. The robots are moved by the shipped policy and its noise, so that the curriculum goes on.
+batch, environment and step. The robots are moved by the shipped policy with little noise, so that the curriculum goes on,
+and with so much in every third batch that some fall.
 */
 
 use std::path::Path;
@@ -21,8 +22,8 @@ use supple::train::environment::{End, LocomotionEnv};
 use supple::train::metrics::EpisodeMeans;
 use supple::util::random::{Purpose, stream};
 
-/// `ln σ` of the noise.
-const LOG_STD: f32 = -2.0;
+/// `ln σ` of the noise in three batches.
+const LOG_STD: [f32; 3] = [-2.0, -2.0, 0.0];
 
 fn main() -> anyhow::Result<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -34,8 +35,8 @@ fn main() -> anyhow::Result<()> {
 
     let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout().map_err(anyhow::Error::msg)?);
     let mut rng = stream(seed, Purpose::Weights, 0, 0);
-    let untrained = ActorCritic::orthogonal(layout.length(), &config.ppo.hidden_layers, JOINTS, LOG_STD, &mut rng);
-    let network = ActorCritic { policy: shipped::find_ours("compliant")?.actor, ..untrained };
+    let untrained = ActorCritic::orthogonal(layout.length(), &config.ppo.hidden_layers, JOINTS, 0.0, &mut rng);
+    let mut network = ActorCritic { policy: shipped::find_ours("compliant")?.actor, ..untrained };
     let mut curriculum = Curriculum::new(&config.command);
     let layout = Arc::new(layout);
     let mut environments = (0..config.ppo.environments as u64)
@@ -46,6 +47,7 @@ fn main() -> anyhow::Result<()> {
     let (mut ends, mut curricula) = (Vec::new(), Vec::new());
     for iteration in 0..batches {
         curricula.extend([curriculum.command_fraction, f64::from(u8::from(curriculum.pushes))]);
+        network.log_std.fill(LOG_STD[iteration as usize % LOG_STD.len()]);
         let steps = config.ppo.steps();
         let collection = Collection { network: &network, seed, iteration, steps, curriculum, threads: 2 };
         let rollout = collection.collect(&mut environments)?;

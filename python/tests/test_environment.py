@@ -31,7 +31,7 @@ def play(env, actions):
 
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_same_seed_gives_the_bits_of_trainings_rollout_while_the_curriculum_goes_on(programs, tmp_path, threads):
-    batches = 3
+    batches = 4
     programs.run("examples/rollout", "fast", 3, batches, tmp_path)
 
     def read(name, kind, *shape):
@@ -311,7 +311,9 @@ def test_a_panic_becomes_an_exception():
     ],
 )
 def test_ctrl_c_ends_whatever_is_under_way(work):
-    program = f"import supple, numpy\nprint('begun', flush=True)\n{work}"
+    # What is started in the background of a script would ignore it.
+    listen = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"import numpy, signal, supple\n{listen}\nprint('begun', flush=True)\n{work}"
     child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert child.stdout is not None and child.stdout.readline() == "begun\n"
     time.sleep(1.0)
