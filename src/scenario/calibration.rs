@@ -138,7 +138,7 @@ fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, 
 fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option<[f64; 2]>>, CalibrationError> {
     let base: Leash = defaults("leash")?;
     let offset = &|probe: &Probe| -> Result<Option<[f64; 2]>, CalibrationError> {
-        let Command { forward, left, yaw, compliance } = probe.command;
+        let Command { forward, left, yaw, compliance, .. } = probe.command;
         let duration_s = AT_S + FOR_S;
         let task =
             Task { forward_m_s: forward, left_m_s: left, yaw_rad_s: yaw, compliance, duration_s, ..base.task.clone() };
