@@ -1,17 +1,24 @@
 //! What programs say: to a standard output and a standard error that may be closed at any moment, as by `| head -1`.
 
+use std::borrow::Cow;
 use std::error::Error;
+use std::ffi::OsStr;
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::os::unix::ffi::OsStrExt;
 use std::process::ExitCode;
 
-/// Writes to standard output. That nobody reads it any more is no error: whoever reads decides how much.
+use clap::builder::{OsStringValueParser, TypedValueParser};
+
+use super::files;
+
+/// Writes to standard output, [`plain`]. That nobody reads it any more is no error: whoever reads decides how much.
 ///
 /// # Errors
 /// The system's, such as a full disk.
 pub fn print(text: impl Display) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    match write!(out, "{text}").and_then(|()| out.flush()) {
+    match out.write_all(plain(&text.to_string()).as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(error) => Err(io::Error::new(error.kind(), format!("cannot write to standard output: {error}"))),
         Ok(()) => Ok(()),
@@ -29,13 +36,13 @@ pub fn conclude(outcome: Result<(), impl AsRef<dyn Error + Send + Sync>>) -> Exi
     }
 }
 
-/// An error and its causes on one line, without repeating a cause that a message already ends with.
+/// An error and its causes on one line, without repeating a cause that a message already has.
 pub fn complaint(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
         let words = error.to_string();
-        if !text.ends_with(&words) {
+        if !text.contains(&words) {
             text = format!("{text}: {words}");
         }
         cause = error.source();
@@ -43,9 +50,37 @@ pub fn complaint(error: &dyn Error) -> String {
     text
 }
 
-/// Writes a line to standard error, if there is still one: nobody is left to tell if not.
+/// A word for a shell to read: quoted if it has to be, whatever its bytes are.
+pub fn shell_word(word: impl AsRef<OsStr>) -> String {
+    let bytes = word.as_ref().as_bytes();
+    if let Some(quoted) = word.as_ref().to_str().and_then(|text| shlex::try_quote(text).ok()) {
+        return quoted.into_owned();
+    }
+    let escape = |byte: &u8| match byte {
+        b'\'' | b'\\' => format!("\\{}", char::from(*byte)),
+        b' '..=b'~' => char::from(*byte).to_string(),
+        byte => format!("\\x{byte:02x}"),
+    };
+    format!("$'{}'", bytes.iter().map(escape).collect::<String>())
+}
+
+/// Reads a word of the command line as text that stands for any path, see [`files::as_path`].
+pub fn path_as_text() -> impl TypedValueParser<Value = String> {
+    OsStringValueParser::new().map(files::as_text)
+}
+
+/// A text without what would command a terminal: control characters but for ends of lines and tabs are spelt out.
+pub fn plain(text: &str) -> Cow<'_, str> {
+    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    if !text.contains(commands) {
+        return text.into();
+    }
+    text.chars().map(|c| if commands(c) { c.escape_default().to_string() } else { c.to_string() }).collect()
+}
+
+/// Writes a line to standard error, [`plain`], if there is still one: nobody is left to tell if not.
 pub fn note(text: impl Display) {
-    let _ = writeln!(io::stderr(), "{text}");
+    let _ = writeln!(io::stderr(), "{}", plain(&text.to_string()));
 }
 
 #[cfg(test)]
@@ -59,9 +94,25 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_that_the_message_ends_with_is_not_repeated() {
+    fn words_for_a_shell_are_read_as_what_they_were() {
+        for word in [&b"plain"[..], b"it's two", b"caf\xe9 'x' \\y", b"\xff"] {
+            let line = format!("printf %s {}", shell_word(OsStr::from_bytes(word)));
+            let output = std::process::Command::new("bash").args(["-c", &line]).output().unwrap();
+            assert_eq!(output.stdout, word, "{line}");
+        }
+    }
+
+    #[test]
+    fn control_characters_are_spelt_out() {
+        assert_eq!(plain("a\tb\u{1b}[31mred\u{7}\u{9b}\n"), "a\tb\\u{1b}[31mred\\u{7}\\u{9b}\n");
+    }
+
+    #[test]
+    fn a_cause_that_the_message_has_is_not_repeated() {
         let error = Named { source: io::Error::other("disk full") };
         assert_eq!(complaint(&error), "file x: disk full");
+        let told = anyhow::Error::from(io::Error::other("disk full")).context("x: disk full; make room");
+        assert_eq!(complaint(told.as_ref()), "x: disk full; make room");
         let error = anyhow::Error::from(error).context("stopped");
         assert_eq!(complaint(error.as_ref()), "stopped: file x: disk full");
     }
