@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use crate::policy::{Agent, AgentError, Policy};
+use crate::util::files;
 
 /// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
@@ -47,15 +48,15 @@ pub enum FindError {
 /// # Errors
 /// [`FindError`], with the names that there are.
 pub fn find(name: &str) -> Result<Agent, FindError> {
-    let path = Path::new(name);
+    let path = files::as_path(name);
     if path.is_dir() {
         return Ok(Agent::load(&path.join("policy.safetensors"))?);
     }
-    if path.is_file() {
+    if path.exists() {
         if path.extension().is_some_and(|extension| extension == "onnx") {
             return Err(FindError::Undescribed { name: name.to_owned() });
         }
-        return Ok(Agent::load(path)?);
+        return Ok(Agent::load(&path)?);
     }
     let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
     let shipped = position(&names, name).ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
