@@ -8,12 +8,17 @@ without what contradicts that. Masses, inertias, shapes, joint limits and armatu
 */
 
 mod adapt;
+mod isolated;
 mod names;
-mod xml;
+mod source;
 
 use std::path::Path;
 
+pub use isolated::isolate_imports;
+use serde::{Deserialize, Serialize};
+
 /// A robot that fits our scenes.
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Imported {
     /// Compiler settings, defaults, assets, the trunk in a world body, motors, the starting pose.
     pub(super) mjcf: String,
@@ -23,9 +28,24 @@ pub(super) struct Imported {
     pub(super) fall_height_m: Option<f64>,
 }
 
+/// A robot's file, read and within limits, that MuJoCo has not seen yet.
+pub(super) struct Checked {
+    source: source::Source,
+}
+
 /// Reads an MJCF file, or a YAML file that names one and says what its parts are called.
-pub(super) fn read(path: &Path) -> Result<Imported, String> {
-    let description = names::Description::read(path)?;
-    let tree = xml::read(&description.mjcf)?;
-    adapt::adapt(tree, &description)
+pub(super) fn read(path: &Path) -> Result<Checked, String> {
+    Ok(Checked { source: source::Source::read(path)? })
+}
+
+impl Checked {
+    /// Hash of all that its files say.
+    pub(super) fn sha256(&self) -> String {
+        self.source.sha256()
+    }
+
+    /// Makes a robot of it, in a process of its own if this program has one: [`isolate_imports`].
+    pub(super) fn import(&self, path: &Path) -> Result<Imported, String> {
+        isolated::import(path).unwrap_or_else(|| adapt::adapt(&self.source))
+    }
 }
