@@ -22,7 +22,7 @@ use crate::sim::Scene;
 use crate::task::Command;
 use crate::task::episode::GRAVITY;
 use crate::util::random::{Purpose, stream};
-use crate::util::yaml::layered;
+use crate::util::yaml::{Text, layered};
 
 /// Makes a struct of parameters: each field is a flag of the `scenario` program and a key of the YAML file, beside what every
 /// scenario asks of the policy.
@@ -99,7 +99,7 @@ scenarios! {
 /// [`ConfigError`] if there is no scenario of this name, or its parameters are of another type.
 pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
     let text = DEFAULTS.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
-    Ok(layered(name, &[text])?)
+    Ok(layered(&[Text::new(name, text)])?)
 }
 
 /// Length still shown after a fall \[s\].
@@ -212,15 +212,21 @@ impl Scenario {
         Ok(script)
     }
 
-    /// The numbers this scenario is about.
+    /// The numbers this scenario is about: of the time that the robot is on its feet.
     pub fn metrics(&self, script: &Script, trace: &Trace) -> Vec<Metric> {
-        let end_s = trace.frames.last().map_or(0.0, |frame| frame.time_s);
-        let settled_s = metrics::SETTLE_S.min(0.5 * end_s);
+        let last_s = |trace: &Trace| trace.frames.last().map_or(0.0, |frame| frame.time_s);
+        let fall = trace.fall().map(|fall| fall.time_s);
+        let fell = fall.map(|_| true).or(trace.fault().is_none().then_some(false));
         let mut found = vec![
-            metric("duration_s", "simulated", Some(end_s), "s"),
-            truth("fell", "fell", trace.fall().map(|_| true).or(trace.fault().is_none().then_some(false))),
-            metric("fall_time_s", "fell after", trace.fall().map(|fall| fall.time_s), "s"),
+            metric("duration_s", "simulated", Some(last_s(trace)), "s"),
+            truth("fell", "fell", fell),
+            metric("fall_time_s", "fell after", fall, "s").because(metrics::NO_FALL),
         ];
+        let upright = trace.on_its_feet();
+        let trace = upright.as_ref();
+        let end_s = last_s(trace);
+        let settled_s = metrics::SETTLE_S.min(0.5 * end_s);
+        found.push(metric("window_s", "averages are over", Some(end_s - settled_s), "s"));
         let errors = metrics::velocity_errors(trace, settled_s, end_s);
         for (index, (name, label, unit)) in [
             ("forward_error_m_s", "forward velocity error", "m/s"),
@@ -236,13 +242,13 @@ impl Scenario {
         found.push(metric("power_w", "mechanical power", metrics::mean(all.clone(), |f| f.power_w), "W"));
         found.push(metric("torque_n_m", "torque norm", metrics::mean(all.clone(), |f| f.torque_n_m), "N m"));
         let transport = metrics::cost_of_transport(trace, settled_s, end_s);
-        found.push(metric("cost_of_transport", "cost of transport", transport, ""));
+        found.push(metric("cost_of_transport", "cost of transport", transport, "").because("it stands"));
         let strides = metrics::stride_frequency(trace, settled_s, end_s);
         found.push(metric("stride_frequency_hz", "stride frequency", strides, "Hz"));
         let flight = metrics::flight_fraction(trace, settled_s, end_s);
         found.push(metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"));
         let swing = metrics::swing_height(trace, settled_s, end_s);
-        found.push(metric("swing_height_m", "swing height", swing, "m"));
+        found.push(metric("swing_height_m", "swing height", swing, "m").because("no foot was lifted and put down"));
         // The first step from rest is harder than those of a walk.
         let peak = metrics::largest(all, |frame| frame.peak_foot_force_n);
         found.push(metric("peak_foot_force_n", "peak foot force", peak, "N"));
@@ -250,16 +256,23 @@ impl Scenario {
         found.push(metric("distance_m", "distance ahead", distance, "m"));
 
         self.parameters().metrics(script, trace, &mut found);
-        found
+        let reason = if trace.fault().is_some() {
+            "the simulation stopped"
+        } else if fall.is_some() {
+            "it fell"
+        } else {
+            "the rollout is too short"
+        };
+        found.into_iter().map(|metric| metric.because(reason)).collect()
     }
 }
 
 fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'static str) -> Metric {
-    Metric { name, label, value, unit }
+    Metric::new(name, label, value, unit)
 }
 
 fn truth(name: &'static str, label: &'static str, value: Option<bool>) -> Metric {
-    Metric { name, label, value: value.map(|truth| f64::from(u8::from(truth))), unit: metrics::TRUTH }
+    metric(name, label, value.map(|truth| f64::from(u8::from(truth))), metrics::TRUTH)
 }
 
 /// A direction from forward, counter-clockwise, as a unit vector: forward, left.

@@ -141,7 +141,6 @@ impl Parameters for Pendulum {
             let time_s = impact.map(|impact| impact.time_s);
             time_s.map(|time_s| metrics::window(trace, time_s, time_s + IMPULSE_S))
         };
-        let decay = |threshold| self.decay(trace, impact.as_ref()?, threshold)?.ended_s();
         let [ahead, left] = self.direction();
         let push = impact.map(|impact| impact.push[0] * ahead + impact.push[1] * left);
         // A fall before the second is over ends the trace, and with it the sum.
@@ -149,13 +148,17 @@ impl Parameters for Pendulum {
             .zip(trace.frames.last())
             .is_some_and(|(impact, last)| last.time_s + 0.5 * trace.period_s > impact.time_s + IMPULSE_S);
         let impulse = after().filter(|_| is_whole).map(|frames| frames.map(|frame| frame.obstacle_impulse_n_s).sum());
-        found.push(metric("impact_time_s", "hit at", impact.map(|impact| impact.time_s), "s"));
-        found.push(metric("push_m_s", "velocity change by the hit", push, "m/s"));
-        found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
-        found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
+        let why = |metric: Metric| if impact.is_none() { metric.because("it was not hit") } else { metric };
+        found.push(why(metric("impact_time_s", "hit at", impact.map(|impact| impact.time_s), "s")));
+        found.push(why(metric("push_m_s", "velocity change by the hit", push, "m/s")));
+        for (name, label, threshold) in [("decay_10_s", "decay to 10 %", 0.1), ("decay_20_s", "decay to 20 %", 0.2)] {
+            let decay = impact.as_ref().and_then(|impact| self.decay(trace, impact, threshold));
+            let found_s = why(metric(name, label, decay.and_then(Decay::ended_s), "s"));
+            found.push(if decay.is_some() { found_s.because("it goes on to the end") } else { found_s });
+        }
         let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n).filter(|_| impact.is_some());
-        found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
-        found.push(metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s"));
+        found.push(why(metric("peak_contact_force_n", "peak contact force", peak, "N")));
+        found.push(why(metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s")));
     }
 
     fn delay(&mut self, phase_s: f64) {

@@ -3,8 +3,8 @@
 use rand::RngExt;
 
 use super::{ParameterError, Parameters, in_range, metric, towards};
-use crate::scenario::metrics::{self, Metric, PHASE_S, STRIDE_S};
-use crate::scenario::trace::Trace;
+use crate::scenario::metrics::{self, Decay, Metric, PHASE_S, STRIDE_S};
+use crate::scenario::trace::{Frame, Trace};
 use crate::scenario::{Script, TimedPush};
 use crate::sim::Push;
 use crate::util::random::{Purpose, stream};
@@ -50,17 +50,30 @@ impl Parameters for PushAway {
         let alone = script.pushes.get(1).map(|second| trace.until(second.time_s));
         let trace = alone.as_ref().unwrap_or(trace);
         let at_s = first.time_s;
-        let before = metrics::window(trace, at_s - 1.0, at_s);
-        let after = metrics::window(trace, at_s, at_s + 1.0);
-        let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S)?.ended_s();
-        found.push(metric("push_time_s", "pushed at", Some(at_s), "s"));
-        found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
-        found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
-        let power = |frames| metrics::mean(frames, |frame| frame.power_w);
-        found.push(metric("power_before_w", "power, 1 s before", power(before.clone()), "W"));
-        let torque_before = metrics::mean(before, |frame| frame.torque_n_m);
-        found.push(metric("power_after_w", "power, 1 s after", metrics::mean(after.clone(), |f| f.power_w), "W"));
-        found.push(metric("torque_before_n_m", "torque, 1 s before", torque_before, "N m"));
-        found.push(metric("torque_after_n_m", "torque, 1 s after", metrics::mean(after, |f| f.torque_n_m), "N m"));
+        let pushed_s = trace.disturbed("push");
+        let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S);
+        let [to_10, to_20] = [decay(0.1), decay(0.2)].map(|decay| decay.filter(|_| pushed_s.is_some()));
+        let goes_on = [to_10, to_20].iter().flatten().any(|decay| !decay.is_over);
+        let mean = |from_s: f64, of: fn(&Frame) -> f64| {
+            // Of a whole second or not at all: means over different times are no comparison.
+            let frames = metrics::whole_window(trace, from_s, from_s + 1.0).filter(|_| pushed_s.is_some())?;
+            metrics::mean(frames, of)
+        };
+        let numbers = [
+            metric("push_time_s", "pushed at", pushed_s, "s"),
+            metric("decay_10_s", "decay to 10 %", to_10.and_then(Decay::ended_s), "s"),
+            metric("decay_20_s", "decay to 20 %", to_20.and_then(Decay::ended_s), "s"),
+            metric("power_before_w", "power, 1 s before", mean(at_s - 1.0, |frame| frame.power_w), "W"),
+            metric("power_after_w", "power, 1 s after", mean(at_s, |frame| frame.power_w), "W"),
+            metric("torque_before_n_m", "torque, 1 s before", mean(at_s - 1.0, |frame| frame.torque_n_m), "N m"),
+            metric("torque_after_n_m", "torque, 1 s after", mean(at_s, |frame| frame.torque_n_m), "N m"),
+        ];
+        let reason = |metric: Metric| match () {
+            () if pushed_s.is_none() => metric.because("it was not pushed"),
+            () if goes_on && metric.name.starts_with("decay") => metric.because("it goes on to the end"),
+            () if alone.is_some() && trace.fall().is_none() => metric.because("the next push comes too early"),
+            () => metric,
+        };
+        found.extend(numbers.map(reason));
     }
 }

@@ -1,7 +1,6 @@
 //! What a scenario leaves behind: a summary for people, JSON, CSV.
 
 use std::io::{self, Write};
-use std::path::Path;
 
 use serde_json::{Value, json};
 use supple::scenario::Sensing;
@@ -31,17 +30,31 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
     text.push_str(&format!("{:28}{header}\n", ""));
     for index in 0..outcomes.first().map_or(0, |outcome| outcome.metrics.len()) {
         let Metric { label, unit, .. } = outcomes[0].metrics[index];
+        let is_truth = outcomes[0].metrics[index].is_truth();
         let values: Vec<Option<f64>> = outcomes.iter().map(|outcome| outcome.metrics[index].value).collect();
         if values.iter().all(Option::is_none) {
             continue;
         }
-        let is_truth = unit == metrics::TRUTH;
         let cell = |value: &Option<f64>| match value {
             None => format!("{:>16}", "-"),
             Some(truth) if is_truth => format!("{:>16}", if *truth > 0.5 { "yes" } else { "no" }),
             Some(value) => format!("{:>16}", format!("{value:.3} {unit}")),
         };
         text.push_str(&format!("  {label:26}{}\n", values.iter().map(cell).collect::<String>()));
+    }
+    for outcome in outcomes {
+        // A reason once, with all that it is the reason for.
+        let mut reasons: Vec<&str> = Vec::new();
+        for reason in outcome.metrics.iter().filter_map(|metric| metric.reason) {
+            if reason != metrics::NO_FALL && !reasons.contains(&reason) {
+                reasons.push(reason);
+            }
+        }
+        for reason in reasons {
+            let of: Vec<&str> =
+                outcome.metrics.iter().filter(|m| m.reason == Some(reason)).map(|metric| metric.label).collect();
+            text.push_str(&format!("  undefined of {}, as {reason}: {}\n", outcome.policy, of.join("; ")));
+        }
     }
     for outcome in outcomes {
         for event in &outcome.trace.events {
@@ -54,13 +67,20 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
 /// Everything as one JSON object.
 pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
     let run = |outcome: &Outcome<'_>| {
+        let value = |metric: &Metric| match metric.value {
+            Some(truth) if metric.is_truth() => json!(truth > 0.5),
+            value => json!(value),
+        };
         let metrics: serde_json::Map<String, Value> =
-            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.value))).collect();
+            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), value(metric))).collect();
+        let undefined: serde_json::Map<String, Value> =
+            outcome.metrics.iter().filter_map(|metric| Some((metric.name.to_owned(), json!(metric.reason?)))).collect();
         json!({
             "policy": outcome.policy,
             "sha256": outcome.sha256,
             "robot": outcome.robot,
             "metrics": metrics,
+            "undefined": undefined,
             "events": outcome.trace.events,
         })
     };
@@ -79,8 +99,7 @@ pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Out
 }
 
 /// Writes the traces as CSV, one row for each policy step.
-pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
-    let mut file = io::BufWriter::new(std::fs::File::create(path)?);
+pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<()> {
     writeln!(
         file,
         "policy,time_s,x_m,y_m,height_m,roll_rad,pitch_rad,yaw_rad,forward_m_s,left_m_s,yaw_rad_s,\
@@ -129,5 +148,5 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
             writeln!(file, "{},{}", outcome.policy, row.join(","))?;
         }
     }
-    file.flush()
+    Ok(())
 }
