@@ -218,6 +218,11 @@ impl LocomotionEnv {
         p.observer.measure(&self.layout, &now);
     }
 
+    /// Memory that its simulation takes \[bytes\].
+    pub fn simulation_bytes(&self) -> usize {
+        self.sim.data().bytes()
+    }
+
     /// What the observation is made of.
     pub fn layout(&self) -> &Layout {
         &self.layout
