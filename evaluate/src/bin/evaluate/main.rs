@@ -3,10 +3,11 @@
 mod args;
 mod progress;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use args::Args;
+use args::{Args, POLICIES};
 use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
@@ -18,6 +19,7 @@ use supple_evaluate::runner::{self, Measurement, Settings};
 use supple_evaluate::store::Store;
 
 fn main() -> ExitCode {
+    supple::robot::isolate_imports();
     terminal::conclude(run(&Args::parse()))
 }
 
@@ -101,7 +103,11 @@ fn contest(args: &Args) -> anyhow::Result<Contest> {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
             Contest::of_paths(&[&pair[..], &args.also].concat())?
         }
-        _ => Contest::in_folder(&args.policies, &names, &args.also)?,
+        _ => match &args.policies {
+            Some(folder) => Contest::in_folder(folder, &names, &args.also)?,
+            None if Path::new(POLICIES).is_dir() => Contest::in_folder(Path::new(POLICIES), &names, &args.also)?,
+            None => Contest::shipped(&names, &args.also)?,
+        },
     })
 }
 

@@ -2,8 +2,9 @@
 
 use std::time::Instant;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::ProgressBar;
 use supple::scenario::Sensing;
+use supple::util::progress::progress;
 use supple::util::terminal;
 use supple_evaluate::Info;
 
@@ -18,11 +19,7 @@ pub struct Progress {
 
 impl Default for Progress {
     fn default() -> Self {
-        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr_with_hz(4));
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %, {eta} left, {msg}") {
-            bar.set_style(style);
-        }
-        Progress { bar, begun: Instant::now() }
+        Progress { bar: progress(0), begun: Instant::now() }
     }
 }
 
