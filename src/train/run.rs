@@ -111,7 +111,7 @@ impl RunFolder {
     /// Creates the folder of a new run.
     ///
     /// # Errors
-    /// [`RunError::Exists`] if there is something at that path, or the system's reason.
+    /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or the system's reason.
     pub fn create(path: &Path, trainer: &Trainer) -> Result<Self, RunError> {
         if is_run(path) {
             return Err(RunError::Exists(path.to_owned()));

@@ -100,7 +100,8 @@ impl Recording {
             self.unless_the_viewer_is_gone(finished)?;
         }
         if let Some(Sink::File(path)) = self.sink {
-            terminal::note(format_args!("recorded {path}; open it with: rerun {path}", path = path.display()));
+            let (path, word) = (path.display(), terminal::shell_word(&path));
+            terminal::note(format_args!("recorded {path}; open it with: rerun {word}"));
         }
         Ok(())
     }
