@@ -3,8 +3,7 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use supple::policy::Agent;
-use supple::policy::shipped::{self, FindError};
+use supple::policy::{Agent, AgentError, shipped};
 use supple::util::files;
 
 /// Keys of a configuration that trials are played with.
@@ -43,7 +42,7 @@ pub enum ContestantError {
     },
     /// A file is no good.
     #[error(transparent)]
-    Policy(#[from] FindError),
+    Agent(#[from] AgentError),
 }
 
 /// A policy that is measured.
@@ -244,7 +243,7 @@ fn unlike(sides: &[Side]) -> Vec<String> {
     let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
     let Some(first) = configs.next() else { return Vec::new() };
     let keys = configs.flat_map(|config| first.differences(config));
-    let keys: BTreeSet<String> = keys.map(|difference| difference.key).collect();
+    let keys: BTreeSet<String> = keys.map(|(key, _)| key).collect();
     keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
 }
 

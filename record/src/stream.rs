@@ -72,7 +72,7 @@ impl Stream {
     pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
         // RERUN=off must not silently lose a recording that was asked for.
         let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title);
-        let stream = match sink {
+        let (recording, file, page, target) = match sink {
             Sink::File(path) => {
                 let target = path.display().to_string();
                 let create = |source| RecordError::Create { path: path.clone(), source };
@@ -82,15 +82,7 @@ impl Stream {
                 File::create(&path).map_err(create)?;
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
-                let recording = builder.batcher_config(batches).save(&path)?;
-                Stream {
-                    recording: Some(recording),
-                    file: Some(path),
-                    _page: None,
-                    target,
-                    frames_per_flush: 1200,
-                    frames: 0,
-                }
+                (builder.batcher_config(batches).save(&path)?, Some(path), None, target)
             }
             Sink::Connect(url) => {
                 let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
@@ -98,21 +90,18 @@ impl Stream {
                     .batcher_config(LIVE)
                     .connect_grpc_opts(target.clone())
                     .map_err(|error| RecordError::Viewer { url: target.clone(), reason: error.to_string() })?;
-                let recording = Some(recording);
-                Stream { recording, file: None, _page: None, target, frames_per_flush: 120, frames: 0 }
+                (recording, None, None, target)
             }
             Sink::Serve(port) => {
-                let target = page_url(port);
                 let (recording, page) = serve(builder, port)?;
-                let recording = Some(recording);
-                Stream { recording, file: None, _page: Some(page), target, frames_per_flush: 120, frames: 0 }
+                (recording, None, Some(page), page_url(port))
             }
         };
-        let mut stream = stream;
-        if let Some(recording) = &stream.recording {
-            recording.set_log_time_enabled(false);
-            recording.set_log_tick_enabled(false);
-        }
+        recording.set_log_time_enabled(false);
+        recording.set_log_tick_enabled(false);
+        let frames_per_flush = if file.is_some() { 1200 } else { 120 };
+        let recording = Some(recording);
+        let mut stream = Stream { recording, file, _page: page, target, frames_per_flush, frames: 0 };
         stream.flush().map_err(|error| match (error, &stream.file) {
             (RecordError::Write { target, .. }, None) => {
                 RecordError::Viewer { url: target, reason: format!("nothing within {PATIENCE:?}") }

@@ -8,14 +8,13 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
-use indicatif::ProgressBar;
 use supple::config::Config;
 use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
 use supple::train::{Memory, TrainError, Trainer};
 use supple::util::files;
-use supple::util::progress::progress;
+use supple::util::progress::{ProgressBar, progress};
 use supple::util::provenance::GIT_REVISION;
 use supple::util::terminal::{self, shell_word};
 

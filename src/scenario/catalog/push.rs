@@ -2,9 +2,9 @@
 
 use rand::RngExt;
 
-use super::{ParameterError, Parameters, in_range, metric, towards};
-use crate::scenario::metrics::{self, Decay, Metric, PHASE_S, STRIDE_S};
-use crate::scenario::trace::{Frame, Trace};
+use super::{ParameterError, Parameters, in_range, lasting, metric, towards};
+use crate::scenario::metrics::{self, Metric, PHASE_S, STRIDE_S};
+use crate::scenario::trace::Trace;
 use crate::scenario::{Script, TimedPush};
 use crate::sim::Push;
 use crate::util::random::{Purpose, stream};
@@ -52,25 +52,22 @@ impl Parameters for PushAway {
         let at_s = first.time_s;
         let pushed_s = trace.disturbed("push");
         let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S);
-        let [to_10, to_20] = [decay(0.1), decay(0.2)].map(|decay| decay.filter(|_| pushed_s.is_some()));
-        let goes_on = [to_10, to_20].iter().flatten().any(|decay| !decay.is_over);
-        let mean = |from_s: f64, of: fn(&Frame) -> f64| {
-            // Of a whole second or not at all: means over different times are no comparison.
-            let frames = metrics::whole_window(trace, from_s, from_s + 1.0).filter(|_| pushed_s.is_some())?;
-            metrics::mean(frames, of)
-        };
+        let [to_10, to_20] = [0.1, 0.2].map(|threshold| decay(threshold).filter(|_| pushed_s.is_some()));
+        // Of a whole second or not at all: means over different times are no comparison.
+        let second = |from_s: f64| metrics::whole_window(trace, from_s, from_s + 1.0).filter(|_| pushed_s.is_some());
+        let power = |from_s: f64| metrics::mean(second(from_s)?, |frame| frame.power_w);
+        let torque = |from_s: f64| metrics::mean(second(from_s)?, |frame| frame.torque_n_m);
         let numbers = [
             metric("push_time_s", "pushed at", pushed_s, "s"),
-            metric("decay_10_s", "decay to 10 %", to_10.and_then(Decay::ended_s), "s"),
-            metric("decay_20_s", "decay to 20 %", to_20.and_then(Decay::ended_s), "s"),
-            metric("power_before_w", "power, 1 s before", mean(at_s - 1.0, |frame| frame.power_w), "W"),
-            metric("power_after_w", "power, 1 s after", mean(at_s, |frame| frame.power_w), "W"),
-            metric("torque_before_n_m", "torque, 1 s before", mean(at_s - 1.0, |frame| frame.torque_n_m), "N m"),
-            metric("torque_after_n_m", "torque, 1 s after", mean(at_s, |frame| frame.torque_n_m), "N m"),
+            lasting("decay_10_s", "decay to 10 %", to_10),
+            lasting("decay_20_s", "decay to 20 %", to_20),
+            metric("power_before_w", "power, 1 s before", power(at_s - 1.0), "W"),
+            metric("power_after_w", "power, 1 s after", power(at_s), "W"),
+            metric("torque_before_n_m", "torque, 1 s before", torque(at_s - 1.0), "N m"),
+            metric("torque_after_n_m", "torque, 1 s after", torque(at_s), "N m"),
         ];
         let reason = |metric: Metric| match () {
             () if pushed_s.is_none() => metric.because("it was not pushed"),
-            () if goes_on && metric.name.starts_with("decay") => metric.because("it goes on to the end"),
             () if alone.is_some() && trace.fall().is_none() => metric.because("the next push comes too early"),
             () => metric,
         };

@@ -2,9 +2,8 @@
 
 use std::time::Instant;
 
-use indicatif::ProgressBar;
 use supple::scenario::Sensing;
-use supple::util::progress::progress;
+use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 use supple_evaluate::Info;
 

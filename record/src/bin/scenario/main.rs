@@ -12,7 +12,6 @@ use std::process::ExitCode;
 use anyhow::Context;
 use args::{Args, What};
 use clap::CommandFactory;
-use indicatif::ProgressBar;
 use output::Outcome;
 use recording::Recording;
 use seeds::OfSeeds;
@@ -26,7 +25,7 @@ use supple::scenario::metrics::Metric;
 use supple::scenario::trace::Trace;
 use supple::scenario::{Rollout, Script, Sensing};
 use supple::util::files::{self, Target};
-use supple::util::progress::progress;
+use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 
 fn main() -> ExitCode {
@@ -54,6 +53,10 @@ fn run(args: &Args) -> anyhow::Result<()> {
         let robot = Robot::load(model)?;
         robot.report.iter().for_each(|line| terminal::note(format_args!("  {line}")));
         robots.iter_mut().for_each(|(_, agent)| agent.run_on(&robot));
+    }
+    for (name, agent) in &robots {
+        let compliance = scenario.task().compliance;
+        agent.check_compliance(compliance).with_context(|| format!("--compliance {compliance} with {name}"))?;
     }
     let scripts = scripts(args, scenario, &robots, args.seed)?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
