@@ -5,7 +5,7 @@ use std::path::Path;
 pub use super::experiments::Protocol;
 use supple::config::ConfigError;
 use supple::scenario::catalog::{ParameterError, in_range};
-use supple::util::yaml::{Text, layered};
+use supple::util::yaml::{Text, YamlError, layered};
 
 /// The protocol of the whole report.
 pub const FULL: &str = include_str!("../../configs/evaluation/full.yaml");
@@ -25,6 +25,9 @@ pub enum ProtocolError {
         source: std::io::Error,
     },
     /// Not YAML, an unknown or missing key, a wrong type.
+    #[error("protocol {0}")]
+    Parse(#[from] YamlError),
+    /// The parameters of a scenario inside the program.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// A number outside its range.
@@ -67,7 +70,7 @@ impl Protocol {
     }
 
     fn parse(layers: &[Text]) -> Result<Self, ProtocolError> {
-        let protocol: Protocol = layered(layers).map_err(ConfigError::from)?;
+        let protocol: Protocol = layered(layers)?;
         protocol.check()?;
         Ok(protocol)
     }

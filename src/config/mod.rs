@@ -44,15 +44,21 @@ const MAX_BASES: usize = 8;
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
+    /// Neither a file nor an embedded configuration.
+    #[error("there is no config {}: give a file, or one of: {known}", path.display())]
+    Unknown {
+        /// The file that was looked for.
+        path: PathBuf,
+        /// Names of the embedded configurations.
+        known: String,
+    },
     /// The file cannot be read.
-    #[error("cannot read config {}: {source}; the embedded ones are: {known}", path.display())]
+    #[error("cannot read config {}: {source}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// The system's reason.
         source: std::io::Error,
-        /// Names of the embedded configurations.
-        known: String,
     },
     /// Not YAML, an unknown key, a missing key or a wrong type.
     #[error("config {0}")]
@@ -155,10 +161,13 @@ fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<
     let path = folder.join(files::as_path(name_or_path));
     let text = match embedded {
         Some((name, text)) => Text::new(name, text),
-        None => Text::read(&path).map_err(|source| ConfigError::Read {
-            path: path.clone(),
-            source,
-            known: EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "),
+        None => Text::read(&path).map_err(|source| {
+            let path = path.clone();
+            if source.kind() != std::io::ErrorKind::NotFound {
+                return ConfigError::Read { path, source };
+            }
+            let known: Vec<&str> = EMBEDDED.iter().map(|(name, _)| *name).collect();
+            ConfigError::Unknown { path, known: known.join(", ") }
         })?,
     };
     let mut value = text.parse()?;
@@ -187,7 +196,7 @@ fn changing(change: &str) -> Result<Text, YamlError> {
     };
     let depth = key.split('.').count();
     let opened: String = key.split('.').map(|part| format!("{{{part}: ")).collect();
-    Ok(Text::new(&name, &format!("{opened}{value}{}", "}".repeat(depth))))
+    Ok(Text::of_flag(&name, &format!("{opened}{value}{}", "}".repeat(depth))))
 }
 
 /// Old names of keys, by section; serde knows them as aliases.

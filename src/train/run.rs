@@ -89,6 +89,9 @@ pub enum RunError {
         /// What was changed, with both values.
         keys: String,
     },
+    /// Its configuration cannot be understood, and may be what somebody has just written.
+    #[error("{0}; mend it, or remove the file: it is written again from the checkpoint")]
+    Unreadable(String),
     /// Another process trains there.
     #[error("another process is training in {}: wait for it, or choose another folder", .0.display())]
     Busy(PathBuf),
@@ -359,14 +362,14 @@ fn check_identity(path: &Path, checkpoint: &Checkpoint, notes: &mut Vec<String>)
 /// Checks that the configuration in the folder is that of the checkpoint, and takes over how long the run is to be.
 fn check_config(path: &Path, checkpoint: &mut Checkpoint, notes: &mut Vec<String>) -> Result<(), RunError> {
     let file = path.join(CONFIG);
-    let read = files::read_text(&file, MAX_BYTES).map_err(|error| FileError::of("config", &file)(error).to_string());
     let name = file.display().to_string();
-    let config = match read.and_then(|text| Config::from_yaml(&name, &text).map_err(|error| error.to_string())) {
-        Ok(config) => config,
-        Err(error) => {
-            notes.push(format!("{error}; it is written again from the checkpoint"));
+    let config = match files::read_text(&file, MAX_BYTES) {
+        Ok(text) => Config::from_yaml(&name, &text).map_err(|error| RunError::Unreadable(error.to_string()))?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            notes.push(format!("there is no {name}: it is written again from the checkpoint"));
             return Ok(());
         }
+        Err(error) => return Err(at(&file)(error).into()),
     };
     let ours = &mut checkpoint.run.config;
     config.check_same(ours).map_err(|keys| RunError::Changed { path: path.to_owned(), keys })?;

@@ -77,8 +77,8 @@ pub fn write_keeping(path: &Path, old: &Path, bytes: &[u8]) -> io::Result<()> {
     replace(path, |out| out.write_all(bytes), keep)
 }
 
-/// Writes a temporary file beside `path` and renames it, after what is to be done `before` that. Its name cannot be guessed, and it is made anew or not at all:
-/// nobody can have put a link in its place.
+/// Writes a temporary file beside `path` and renames it, after what is to be done `before` that. Its name cannot be guessed,
+/// and it is made anew or not at all: nobody can have put a link in its place.
 fn replace(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -272,6 +272,11 @@ pub fn as_path(text: &str) -> PathBuf {
         }
     }
     OsString::from_vec(bytes).into()
+}
+
+/// Whether a character stands for a byte of a path, see [`as_text`].
+pub fn is_byte(character: char) -> bool {
+    private(character).is_some()
 }
 
 /// First of the 256 characters that stand for bytes.

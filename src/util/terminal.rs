@@ -69,13 +69,15 @@ pub fn path_as_text() -> impl TypedValueParser<Value = String> {
     OsStringValueParser::new().map(files::as_text)
 }
 
-/// A text without what would command a terminal: control characters but for ends of lines and tabs are spelt out.
+/// A text without what would command a terminal: control characters but for ends of lines and tabs, and what stands for the
+/// bytes of a path that is not UTF-8, are spelt out as JSON does, which means the same there.
 pub fn plain(text: &str) -> Cow<'_, str> {
-    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || files::is_byte(c);
     if !text.contains(commands) {
         return text.into();
     }
-    text.chars().map(|c| if commands(c) { c.escape_default().to_string() } else { c.to_string() }).collect()
+    let spelt = |c: char| if commands(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() };
+    text.chars().map(spelt).collect::<String>().into()
 }
 
 /// Writes a line to standard error, [`plain`], if there is still one: nobody is left to tell if not.
@@ -104,7 +106,10 @@ mod tests {
 
     #[test]
     fn control_characters_are_spelt_out() {
-        assert_eq!(plain("a\tb\u{1b}[31mred\u{7}\u{9b}\n"), "a\tb\\u{1b}[31mred\\u{7}\\u{9b}\n");
+        assert_eq!(plain("a\tb\u{1b}[31mred\u{7}\u{9b}\n"), "a\tb\\u001b[31mred\\u0007\\u009b\n");
+        let odd = files::as_text(OsStr::from_bytes(b"caf\xe9"));
+        assert_eq!(plain(&odd), "caf\\uf7e9");
+        assert_eq!(serde_json::from_str::<String>(&plain(&format!("\"{odd}\""))).unwrap(), odd);
     }
 
     #[test]

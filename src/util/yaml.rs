@@ -39,12 +39,19 @@ pub struct Text {
     pub name: String,
     /// Its content.
     pub content: String,
+    /// Whether a line of it means something to whoever reads an error.
+    has_lines: bool,
 }
 
 impl Text {
     /// Of a name and a content.
     pub fn new(name: &str, content: &str) -> Self {
-        Text { name: name.to_owned(), content: content.to_owned() }
+        Text { name: name.to_owned(), content: content.to_owned(), has_lines: true }
+    }
+
+    /// What somebody wrote as `name` on the command line, which `content` spells out.
+    pub fn of_flag(name: &str, content: &str) -> Self {
+        Text { has_lines: false, ..Text::new(name, content) }
     }
 
     /// Reads a file, of at most a megabyte.
@@ -52,7 +59,7 @@ impl Text {
     /// # Errors
     /// The system's, or that it is no text.
     pub fn read(path: &Path) -> io::Result<Self> {
-        Ok(Text { name: path.display().to_string(), content: files::read_text(path, MAX_BYTES)? })
+        Ok(Text::new(&path.display().to_string(), &files::read_text(path, MAX_BYTES)?))
     }
 
     /// Its keys and values.
@@ -61,8 +68,8 @@ impl Text {
     /// If it is not YAML, or anything but keys with values.
     pub fn parse(&self) -> Result<Value, YamlError> {
         let fail = |line, message: String| Err(YamlError { name: self.name.clone(), line, message });
-        if let Some(line) = too_deep(&self.content) {
-            return fail(Some(line), format!("more than {MAX_DEPTH} brackets are open"));
+        if self.content.matches(['[', '{']).count() > MAX_BRACKETS {
+            return fail(None, format!("it has more than {MAX_BRACKETS} brackets"));
         }
         let value: Value = match serde_yaml::from_str(&self.content) {
             Ok(value) => value,
@@ -108,33 +115,8 @@ impl Text {
 /// Larger files are not made of settings.
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Brackets within brackets; the parser's time grows with their square.
-const MAX_DEPTH: usize = 64;
-
-/// The line in which too many brackets are open, those in quotes and comments not counted.
-fn too_deep(text: &str) -> Option<usize> {
-    let (mut depth, mut line, mut quote, mut before) = (0_usize, 1, None, ' ');
-    let mut characters = text.chars();
-    while let Some(c) = characters.next() {
-        line += usize::from(c == '\n');
-        match (quote, c) {
-            (Some('#'), '\n') => quote = None,
-            (Some('"'), '\\') => drop(characters.next()),
-            (Some(open), c) if open == c && c != '#' => quote = None,
-            (Some(_), _) => {}
-            (None, '#') if before.is_whitespace() => quote = Some('#'),
-            (None, '"' | '\'') if before.is_whitespace() || "[{,:".contains(before) => quote = Some(c),
-            (None, '[' | '{') => depth += 1,
-            (None, ']' | '}') => depth = depth.saturating_sub(1),
-            (None, _) => {}
-        }
-        if depth > MAX_DEPTH {
-            return Some(line);
-        }
-        before = c;
-    }
-    None
-}
+/// Brackets of a text: where they are within one another, the parser's time grows with their square.
+const MAX_BRACKETS: usize = 10_000;
 
 /// A value as a checked type; `texts` are those that it was made of, the one that counts most first.
 ///
@@ -148,7 +130,10 @@ pub fn typed<T: DeserializeOwned>(value: Value, texts: &[Text]) -> Result<T, Yam
         for whole in ["usize", "u64", "u32", "u16", "i64", "i32"] {
             reason = reason.replace(&format!("expected {whole}"), "expected a whole number");
         }
-        let reason = reason.replace("expected f64", "expected a number");
+        reason = reason.replace("expected f64", "expected a number").replace("type: unit value", "type: nothing");
+        if let Some((found, _)) = reason.split_once("expected struct ") {
+            reason = format!("{found}expected keys with values");
+        }
         let message = if key.is_empty() { reason } else { format!("{key}: {reason}") };
         let (name, line) = find(texts, &key);
         YamlError { name, line, message }
@@ -164,7 +149,8 @@ pub fn place(texts: &[Text], key: &str) -> String {
 fn find(texts: &[Text], key: &str) -> (String, Option<usize>) {
     // Elements of lists have no lines of their own.
     let parts: Vec<&str> = key.split('.').map(|part| part.split('[').next().unwrap_or(part)).collect();
-    let found = texts.iter().find_map(|text| Some((text.name.clone(), Some(text.line(&parts)?))));
+    let place = |text: &Text| text.line(&parts).map(|line| (text.name.clone(), text.has_lines.then_some(line)));
+    let found = texts.iter().find_map(place);
     found.unwrap_or_else(|| (texts.first().map_or_else(String::new, |text| text.name.clone()), None))
 }
 
@@ -306,12 +292,13 @@ mod tests {
     }
 
     #[test]
-    fn brackets_within_brackets_are_counted_but_for_those_in_quotes_and_comments() {
-        let deep = |count: usize| format!("a: {}", "[".repeat(count));
-        assert_eq!(too_deep(&deep(MAX_DEPTH)), None);
-        assert_eq!(too_deep(&format!("b: 1\n{}", deep(MAX_DEPTH + 1))), Some(2));
-        for fine in ["a: '[[[['", "a: \"\\\"[[[[\"", "a: 1 # [[[[[", "a: {b: '['}"] {
-            assert_eq!(too_deep(&format!("{fine}\n").repeat(MAX_DEPTH)), None, "{fine}");
+    fn brackets_are_limited_whatever_they_hide_behind() {
+        let quoted = format!("a: |\n  \"\nb: {}", "[".repeat(MAX_BRACKETS + 1));
+        let closed = format!("a: {}", "[ #]\n".repeat(MAX_BRACKETS + 1));
+        for text in [quoted, closed] {
+            assert!(Text::new("x", &text).parse().unwrap_err().to_string().contains("brackets"));
         }
+        let list = format!("a: [{}]", "[], ".repeat(MAX_BRACKETS / 2));
+        assert!(Text::new("x", &list).parse().is_ok());
     }
 }

@@ -67,6 +67,7 @@ enum Command {
     /// Measure how far the policy yields when it is pulled, and print what `--compliance` needs to know
     Calibrate {
         /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
+        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Threads [default: all cores]
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -128,9 +129,10 @@ fn run(command: Command) -> anyhow::Result<()> {
             let threads =
                 threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
             let mut agent = shipped::find(&policy)?;
-            let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
+            // Not after minutes of work.
             let path = shipped::file_of(&policy).map(|file| Calibration::path(&file));
             let out = out.or(path).context("a policy inside the program has no place beside it: say --out FILE")?;
+            let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
             write(&out, format!("{}\n", serde_json::to_string_pretty(&calibration)?).as_bytes())?;
             terminal::print(calibration_table(&calibration))?;
         }

@@ -39,7 +39,9 @@ impl Source {
             return Err(format!("its root element is <{}>, expected <mujoco>", tree.name));
         }
         let source = Source { description, tree };
-        check_sizes(&source.taken())?;
+        let taken = source.taken();
+        check_sizes(&taken)?;
+        check_finite(&taken)?;
         Ok(source)
     }
 
@@ -60,6 +62,17 @@ impl Source {
         self.tree.write(&mut text);
         files::sha256(&[text.as_bytes()])
     }
+}
+
+/// Refuses numbers that are not finite: MuJoCo takes them, and whatever comes of them later is charged to it.
+fn check_finite(element: &Element) -> Result<(), String> {
+    for (name, value) in element.attributes.iter().filter(|(name, _)| name != "name") {
+        let numbers: Result<Vec<f64>, _> = value.split_whitespace().map(str::parse).collect();
+        if numbers.is_ok_and(|numbers| !numbers.iter().all(|number| number.is_finite())) {
+            return Err(format!("{name} of <{}> is '{value}', expected finite numbers", element.name));
+        }
+    }
+    element.children.iter().try_for_each(check_finite)
 }
 
 struct Reader<'a> {
