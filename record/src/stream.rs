@@ -88,7 +88,10 @@ impl Stream {
                 File::create(&path).map_err(create)?;
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
-                let failed = |error: RecordingStreamError| RecordError::Write { target: target.clone(), reason: error.to_string() };
+                let failed = |error: RecordingStreamError| RecordError::Write {
+                    target: target.clone(),
+                    reason: error.to_string(),
+                };
                 (builder.batcher_config(batches).save(&path).map_err(failed)?, Some(path), None, target)
             }
             Sink::Connect(url) => {

@@ -295,6 +295,8 @@ fn seeds_give_means_and_spread_of_the_numbers_that_each_gives_alone() {
     assert!((found("mean") - 0.5 * (low + high)).abs() < 1e-12);
     assert!((found("standard_deviation") - (high - low).abs() / 2.0_f64.sqrt()).abs() < 1e-12);
     assert_eq!(found("count"), 2.0);
+    assert_eq!(all["fell"]["of_seeds"], serde_json::json!([false, false]));
+    assert_eq!(all["fall_time_s"]["undefined"], serde_json::json!(["it did not fall", "it did not fall"]));
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "a recording of one of them was written");
     let output = run("scenario", folder.path(), &["walk", "--seeds", "9..0"]);
     assert_eq!(output.status.code(), Some(2));

@@ -63,6 +63,14 @@ impl Metric {
     pub fn is_truth(&self) -> bool {
         self.unit == TRUTH
     }
+
+    /// As JSON: a number, `true` or `false`, or null.
+    pub fn to_json(&self) -> serde_json::Value {
+        match self.value {
+            Some(truth) if self.is_truth() => (truth > 0.5).into(),
+            value => value.into(),
+        }
+    }
 }
 
 /// Frames of a window.

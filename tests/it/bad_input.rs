@@ -182,6 +182,8 @@ fn paths_need_not_be_utf8() {
     let own = odd.join("own.yaml");
     train(&["--config".as_ref(), own.as_ref(), samples, begin, "--out".as_ref(), out.as_ref()]);
     train(&["--resume".as_ref(), out.as_ref(), samples, more]);
+    let output = Command::new(program("policy")).arg("show").arg(odd.join("none")).output().unwrap();
+    assert!(complaint(&output).contains("caf\\uf7e9"), "{}", complaint(&output));
     let shown = Command::new(program("policy")).arg("verify").arg(&out).arg("--config").arg(&own).output().unwrap();
     assert!(shown.status.success(), "{}", complaint(&shown));
 }
@@ -200,6 +202,22 @@ fn sizes_that_nobody_meant_are_refused_before_they_are_taken() {
     set(&["ppo=4"], "expected keys with values");
     set(&[&format!("ppo.hidden_layers=[{}]", vec!["4096"; 101].join(","))], "1 to 16 widths");
     assert!(!folder.path().join("x").exists());
+}
+
+#[test]
+fn ctrl_c_while_a_run_is_set_up_stops_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe.yaml");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let mut train = Command::new(program("train"));
+    train.args(["--config", "pipe.yaml", "--out", "x"]).current_dir(folder.path()).stderr(Stdio::piped());
+    let child = train.spawn().unwrap();
+    // Open as soon as `train` opens it, which waits then for the configuration.
+    let _writer = std::fs::File::options().write(true).open(pipe).unwrap();
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    assert!(complaint(&output).contains("stopped before training began") && !folder.path().join("x").exists());
 }
 
 #[test]

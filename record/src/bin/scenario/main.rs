@@ -141,10 +141,15 @@ fn play_seeds(
             metrics: Vec::new(),
         })
         .collect();
+    let of_seed = |seed: &u64| scripts(args, scenario, robots, *seed);
+    let (first, last) = (seeds.start(), seeds.end());
+    if first < last && args.sensing == Sensing::True && of_seed(first)? == of_seed(last)? {
+        terminal::note(format_args!("note: seeds draw nothing in {}: all runs are the same", scenario.name()));
+    }
     let mut failed = None;
     let bar = progress(0);
     for seed in seeds.clone() {
-        let scripts = scripts(args, scenario, robots, seed)?;
+        let scripts = of_seed(&seed)?;
         bar.set_length(seeds.clone().count() as u64 * steps(robots, &scripts));
         bar.set_message(format!("seed {seed}"));
         let traces = play(args, seed, robots, &scripts, &mut Recording::none(), &bar)?;

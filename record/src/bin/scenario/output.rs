@@ -42,20 +42,7 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
         };
         text.push_str(&format!("  {label:26}{}\n", values.iter().map(cell).collect::<String>()));
     }
-    for outcome in outcomes {
-        // A reason once, with all that it is the reason for.
-        let mut reasons: Vec<&str> = Vec::new();
-        for reason in outcome.metrics.iter().filter_map(|metric| metric.reason) {
-            if reason != metrics::NO_FALL && !reasons.contains(&reason) {
-                reasons.push(reason);
-            }
-        }
-        for reason in reasons {
-            let of: Vec<&str> =
-                outcome.metrics.iter().filter(|m| m.reason == Some(reason)).map(|metric| metric.label).collect();
-            text.push_str(&format!("  undefined of {}, as {reason}: {}\n", outcome.policy, of.join("; ")));
-        }
-    }
+    outcomes.iter().for_each(|outcome| text.push_str(&undefined(outcome.policy, &outcome.metrics)));
     for outcome in outcomes {
         for event in &outcome.trace.events {
             text.push_str(&format!("  {:6.2} s  {}: {}\n", event.time_s, outcome.policy, event.text));
@@ -64,15 +51,27 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
     text
 }
 
+/// What is undefined of a policy, and why: a line for each reason. That most do not fall goes without saying.
+pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>) -> String {
+    let mut labels: Vec<(&str, Vec<&str>)> = Vec::new();
+    for Metric { label, reason, .. } in metrics {
+        let Some(reason) = reason.filter(|reason| *reason != metrics::NO_FALL) else { continue };
+        match labels.iter_mut().find(|(known, _)| *known == reason) {
+            Some((_, labels)) if labels.contains(label) => {}
+            Some((_, labels)) => labels.push(label),
+            None => labels.push((reason, vec![label])),
+        }
+    }
+    let line =
+        |(reason, labels): (&str, Vec<&str>)| format!("  undefined of {policy}, as {reason}: {}\n", labels.join("; "));
+    labels.into_iter().map(line).collect()
+}
+
 /// Everything as one JSON object.
 pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
     let run = |outcome: &Outcome<'_>| {
-        let value = |metric: &Metric| match metric.value {
-            Some(truth) if metric.is_truth() => json!(truth > 0.5),
-            value => json!(value),
-        };
         let metrics: serde_json::Map<String, Value> =
-            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), value(metric))).collect();
+            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
         let undefined: serde_json::Map<String, Value> =
             outcome.metrics.iter().filter_map(|metric| Some((metric.name.to_owned(), json!(metric.reason?)))).collect();
         json!({

@@ -7,6 +7,8 @@ use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::Metric;
 use supple::util::provenance::GIT_REVISION;
 
+use crate::output::undefined;
+
 /// What a policy made of all seeds.
 pub struct OfSeeds {
     /// Name of the policy.
@@ -87,6 +89,7 @@ pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds
         let cells: String = runs.iter().map(|run| format!("{:>30}", cell(run))).collect();
         text.push_str(&format!("  {label:26}{cells}\n"));
     }
+    runs.iter().for_each(|run| text.push_str(&undefined(&run.policy, run.metrics.iter().flatten())));
     text
 }
 
@@ -94,7 +97,7 @@ pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds
 pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value, runs: &[OfSeeds]) -> Value {
     let metrics = |run: &OfSeeds| -> Map<String, Value> {
         let of = |(index, metric): (usize, &Metric)| {
-            let values: Vec<Option<f64>> = run.metrics.iter().map(|metrics| metrics[index].value).collect();
+            let of_seeds = || run.metrics.iter().filter_map(|metrics| metrics.get(index));
             let spread = Spread::of(&run.values(index));
             let told = json!({
                 "mean": spread.as_ref().map(|spread| spread.mean),
@@ -102,7 +105,8 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
                 "least": spread.as_ref().map(|spread| spread.least),
                 "largest": spread.as_ref().map(|spread| spread.largest),
                 "count": spread.as_ref().map_or(0, |spread| spread.count),
-                "of_seeds": values,
+                "of_seeds": of_seeds().map(Metric::to_json).collect::<Vec<_>>(),
+                "undefined": of_seeds().map(|metric| metric.reason).collect::<Vec<_>>(),
             });
             (metric.name.to_owned(), told)
         };
