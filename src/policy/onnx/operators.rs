@@ -420,7 +420,8 @@ impl Call<'_> {
         sizes.into_iter().map(&mut part).collect()
     }
 }
-/// One of two numbers, NaN if one of them is: that of Rust is the other one then.
+
+/// One of two numbers, NaN if one of them is: Rust's own take the other one then.
 fn propagating(a: f32, b: f32, choose: fn(f32, f32) -> f32) -> f32 {
     if a.is_nan() || b.is_nan() { f32::NAN } else { choose(a, b) }
 }
