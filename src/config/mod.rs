@@ -392,7 +392,7 @@ mod tests {
         assert!(Path::new(&config.robot.model).is_absolute() && !config.ppo.symmetry);
         assert_eq!(with(&[]).unwrap(), Config::load("fast").unwrap());
         for (change, expected) in [
-            ("ppo.epochs=0", "config --set ppo.epochs=0, line 1: ppo.epochs is 0, expected 1 to 1000"),
+            ("ppo.epochs=0", "config --set ppo.epochs=0: ppo.epochs is 0, expected 1 to 1000"),
             ("ppo.epochs=2e7", "ppo.epochs: invalid type"),
             ("ppo.epoch=4", "unknown field `epoch`"),
             ("epochs=4", "unknown field `epochs`"),

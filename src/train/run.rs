@@ -65,7 +65,7 @@ pub enum RunError {
     #[error("{path} exists already: go on with --resume {path}, or choose another folder with --out", path = .0.display())]
     Exists(PathBuf),
     /// There is something else at that path.
-    #[error("{path} exists already and is no run: remove it, or choose another folder with --out", path = .0.display())]
+    #[error("{} exists already and is no run: choose another folder with --out", .0.display())]
     Taken(PathBuf),
     /// There is no run to go on with.
     #[error("{} is not a run's folder: it has no checkpoint to go on from", .0.display())]

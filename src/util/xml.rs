@@ -109,7 +109,7 @@ mod tests {
     #[test]
     fn an_element_with_too_many_attributes_is_refused_before_it_is_read() {
         let element = |count: usize| {
-            let attributes: String = (0..count).map(|k| format!(" a{k} =\n'1='")).collect();
+            let attributes: String = (0..count).map(|k| format!(" a{k} =\n'1'")).collect();
             format!("<r>\n<!-- {} --><e{attributes}/>it's = text\n</r>", "=".repeat(2 * MAX_ATTRIBUTES))
         };
         assert_eq!(parse(&element(MAX_ATTRIBUTES)).unwrap().children[0].attributes.len(), MAX_ATTRIBUTES);
