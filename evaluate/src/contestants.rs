@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use supple::policy::{Agent, AgentError, shipped};
-use supple::util::files;
+use supple::util::{files, paths};
 
 /// Keys of a configuration that trials are played with.
 const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
@@ -205,7 +205,7 @@ impl Side {
         }
         let mut members: Vec<Contestant> = Vec::new();
         for (seed, file) in files {
-            let agent = shipped::find(&files::as_text(&file))?;
+            let agent = shipped::find(&paths::as_text(&file))?;
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());

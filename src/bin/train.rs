@@ -13,7 +13,7 @@ use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
 use supple::train::{Memory, TrainError, Trainer};
-use supple::util::files;
+use supple::util::paths;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::provenance::GIT_REVISION;
 use supple::util::terminal::{self, shell_word};
@@ -195,9 +195,9 @@ fn start(args: &Args, threads: usize, training: &AtomicBool) -> anyhow::Result<(
     let name = args.config.as_deref().unwrap_or("fast");
     let mut config = Config::load_with(name, &args.set)?;
     config.run.samples = args.samples.unwrap_or(config.run.samples);
-    let stem = files::as_path(name).file_stem().map_or(name.to_owned(), files::as_text);
+    let stem = paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
     let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| files::as_path(&format!("runs/{stem}-seed{seed}")));
+    let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{stem}-seed{seed}")));
     let memory = Memory::of(&config)?;
     memory.check()?;
     if memory.total() > WORTH_TELLING_BYTES {

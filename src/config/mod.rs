@@ -20,7 +20,7 @@ pub use sections::{
 };
 
 use crate::robot::Robot;
-use crate::util::files;
+use crate::util::paths;
 use crate::util::yaml::{self, Text, Value, YamlError};
 
 /// The configurations inside the binary: name and text.
@@ -143,8 +143,8 @@ impl Config {
 
     /// As it is in policy files, which go to other machines: without the folder of a robot that does not ship.
     pub fn without_folder(mut self) -> Self {
-        if let (false, Some(name)) = (Robot::ships(&self.robot.model), files::as_path(&self.robot.model).file_name()) {
-            self.robot.model = files::as_text(name);
+        if let (false, Some(name)) = (Robot::ships(&self.robot.model), paths::as_path(&self.robot.model).file_name()) {
+            self.robot.model = paths::as_text(name);
         }
         self
     }
@@ -158,7 +158,7 @@ impl Config {
 /// Reads a configuration and lays it over its base. `folder` is where relative paths start; `texts` are what was read.
 fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<Text>) -> Result<Value, ConfigError> {
     let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
-    let path = folder.join(files::as_path(name_or_path));
+    let path = folder.join(paths::as_path(name_or_path));
     let text = match embedded {
         Some((name, text)) => Text::new(name, text),
         None => Text::read(&path).map_err(|source| {
@@ -247,8 +247,8 @@ fn modernise(change: &mut Value, base: &Value) {
 fn resolve_robot(value: &mut Value, file: &Path) {
     let model = value.get_mut("robot").and_then(|robot| robot.get_mut("model"));
     if let Some(Value::String(model)) = model.filter(|model| !model.as_str().is_some_and(Robot::ships)) {
-        let path = file.parent().unwrap_or(Path::new("")).join(files::as_path(model));
-        *model = files::as_text(std::path::absolute(&path).unwrap_or(path));
+        let path = file.parent().unwrap_or(Path::new("")).join(paths::as_path(model));
+        *model = paths::as_text(std::path::absolute(&path).unwrap_or(path));
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::policy::compliance::Calibration;
 use crate::policy::{Agent, AgentError, Policy};
-use crate::util::files;
+use crate::util::paths;
 
 /// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
@@ -18,7 +18,7 @@ const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibr
 /// # Errors
 /// [`AgentError`], with the names that there are.
 pub fn find(name: &str) -> Result<Agent, AgentError> {
-    let path = files::as_path(name);
+    let path = paths::as_path(name);
     if path.is_dir() {
         return Agent::load(&path.join("policy.safetensors"));
     }
@@ -41,7 +41,7 @@ pub fn find(name: &str) -> Result<Agent, AgentError> {
 
 /// The file that [`find`] reads; none for a policy inside the program.
 pub fn file_of(name: &str) -> Option<PathBuf> {
-    let path = files::as_path(name);
+    let path = paths::as_path(name);
     if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.exists().then_some(path) }
 }
 

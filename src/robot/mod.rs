@@ -23,6 +23,7 @@ pub use state::{FootState, Foothold, RobotState};
 
 use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
+use crate::util::paths;
 
 /// The robots inside the program: name and MJCF.
 const SHIPPED: &[(&str, &str)] = &[("go1", include_str!("../../models/go1.xml"))];
@@ -78,19 +79,19 @@ impl Robot {
         if let Some(index) = SHIPPED.iter().position(|(shipped, _)| *shipped == name) {
             return SHIPPED_ROBOTS[index].clone();
         }
-        let path = &files::as_path(name);
+        let path = &paths::as_path(name);
         let fail = FileError::of(ROBOT, path);
         if !path.exists() {
             return Err(fail("there is no such file: put it there, or name another robot".to_owned()));
         }
-        let checked = import::read(path).map_err(fail)?;
-        let key = [name.to_owned(), checked.sha256()];
+        let source = import::Source::read(path).map_err(fail)?;
+        let key = [name.to_owned(), source.sha256()];
         // Held while one is imported: who asks for the same one at the same time waits for it.
         let mut known = IMPORTED_ROBOTS.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
             return Ok(Arc::clone(robot));
         }
-        let import::Imported { mjcf, report, fall_height_m } = checked.import(path).map_err(fail)?;
+        let import::Imported { mjcf, report, fall_height_m } = import::import(&source, path).map_err(fail)?;
         let robot = Arc::new(Self::new(name, mjcf, report, fall_height_m)?);
         known.push((key, Arc::clone(&robot)));
         Ok(robot)
@@ -103,7 +104,7 @@ impl Robot {
 
     /// Reads everything from an MJCF document that has our names.
     fn new(name: &str, mjcf: String, report: Vec<String>, fall_height_m: Option<f64>) -> Result<Self, FileError> {
-        let path = &files::as_path(name);
+        let path = &paths::as_path(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Kind::Body, "trunk").map_err(words)?;

@@ -10,7 +10,7 @@ use std::process::ExitCode;
 
 use clap::builder::{OsStringValueParser, TypedValueParser};
 
-use super::files;
+use super::paths;
 
 /// Writes to standard output, [`plain`]. That nobody reads it any more is no error: whoever reads decides how much.
 ///
@@ -64,15 +64,15 @@ pub fn shell_word(word: impl AsRef<OsStr>) -> String {
     format!("$'{}'", bytes.iter().map(escape).collect::<String>())
 }
 
-/// Reads a word of the command line as text that stands for any path, see [`files::as_path`].
+/// Reads a word of the command line as text that stands for any path, see [`paths::as_path`].
 pub fn path_as_text() -> impl TypedValueParser<Value = String> {
-    OsStringValueParser::new().map(files::as_text)
+    OsStringValueParser::new().map(paths::as_text)
 }
 
 /// A text without what would command a terminal: control characters but for ends of lines and tabs, and what stands for the
 /// bytes of a path that is not UTF-8, are spelt out as JSON does, which means the same there.
 pub fn plain(text: &str) -> Cow<'_, str> {
-    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || files::is_byte(c);
+    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || paths::is_byte(c);
     if !text.contains(commands) {
         return text.into();
     }
@@ -107,7 +107,7 @@ mod tests {
     #[test]
     fn control_characters_are_spelt_out() {
         assert_eq!(plain("a\tb\u{1b}[31mred\u{7}\u{9b}\n"), "a\tb\\u001b[31mred\\u0007\\u009b\n");
-        let odd = files::as_text(OsStr::from_bytes(b"caf\xe9"));
+        let odd = paths::as_text(OsStr::from_bytes(b"caf\xe9"));
         assert_eq!(plain(&odd), "caf\\uf7e9");
         assert_eq!(serde_json::from_str::<String>(&plain(&format!("\"{odd}\""))).unwrap(), odd);
     }

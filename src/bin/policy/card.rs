@@ -9,7 +9,7 @@ use supple::policy::{Agent, shipped};
 use supple::scenario::Rollout;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::train::metrics::IterationMetrics;
-use supple::util::files;
+use supple::util::{files, paths};
 
 /// Rows of the learning curve.
 const ROWS: usize = 10;
@@ -31,7 +31,7 @@ const COMMANDS: [[f64; 3]; 8] = [
 
 /// The card of a policy, under `name` or what it was asked for by; with its learning curve if it is in a run's folder.
 pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
-    let path = files::as_path(policy);
+    let path = paths::as_path(policy);
     let named = if path.is_file() { path.file_stem() } else { path.file_name().filter(|_| path.is_dir()) };
     let named = named.map_or(policy.into(), |name| name.to_string_lossy());
     let name = name.unwrap_or(&named);

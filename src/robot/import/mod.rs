@@ -16,6 +16,7 @@ use std::path::Path;
 
 pub use isolated::isolate_imports;
 use serde::{Deserialize, Serialize};
+pub(super) use source::Source;
 
 /// A robot that fits our scenes.
 #[derive(Debug, Serialize, Deserialize)]
@@ -28,24 +29,7 @@ pub(super) struct Imported {
     pub(super) fall_height_m: Option<f64>,
 }
 
-/// A robot's file, read and within limits, that MuJoCo has not seen yet.
-pub(super) struct Checked {
-    source: source::Source,
-}
-
-/// Reads an MJCF file, or a YAML file that names one and says what its parts are called.
-pub(super) fn read(path: &Path) -> Result<Checked, String> {
-    Ok(Checked { source: source::Source::read(path)? })
-}
-
-impl Checked {
-    /// Hash of all that its files say.
-    pub(super) fn sha256(&self) -> String {
-        self.source.sha256()
-    }
-
-    /// Makes a robot of it, in a process of its own if this program has one: [`isolate_imports`].
-    pub(super) fn import(&self, path: &Path) -> Result<Imported, String> {
-        isolated::import(path).unwrap_or_else(|| adapt::adapt(&self.source))
-    }
+/// Makes a robot of the file at `path`, in a process of its own if this program has one: [`isolate_imports`].
+pub(super) fn import(source: &Source, path: &Path) -> Result<Imported, String> {
+    isolated::import(path).unwrap_or_else(|| adapt::adapt(source))
 }

@@ -21,7 +21,7 @@ const NOT_TAKEN: [&str; 6] = ["option", "size", "sensor", "contact", "statistic"
 
 /// A robot as its files have it.
 #[derive(Debug)]
-pub(super) struct Source {
+pub(in crate::robot) struct Source {
     /// What its YAML file says, if it has one.
     pub(super) description: Description,
     /// The MJCF file with what it includes.
@@ -30,7 +30,7 @@ pub(super) struct Source {
 
 impl Source {
     /// Reads an MJCF file, or a YAML file that names one and says what its parts are called.
-    pub(super) fn read(path: &Path) -> Result<Self, String> {
+    pub(in crate::robot) fn read(path: &Path) -> Result<Self, String> {
         let description = Description::read(path)?;
         let folder = description.mjcf.parent().unwrap_or(Path::new(""));
         let mut reader = Reader { given: path, folder, files: 0, elements: 0 };
@@ -57,7 +57,7 @@ impl Source {
     }
 
     /// Hash of all that it says.
-    pub(super) fn sha256(&self) -> String {
+    pub(in crate::robot) fn sha256(&self) -> String {
         let mut text = format!("{:?}", self.description);
         self.tree.write(&mut text);
         files::sha256(&[text.as_bytes()])

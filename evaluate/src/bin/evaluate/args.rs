@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::Parser;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use supple::scenario::Sensing;
-use supple::util::files;
+use supple::util::paths;
 use supple::util::terminal::{path_as_text, shell_word};
 use supple_evaluate::protocol::Protocol;
 
@@ -60,15 +60,20 @@ pub struct Args {
 }
 
 /// The folder of policies, if none is given.
-pub const POLICIES: &str = "policies";
+const POLICIES: &str = "policies";
 
 impl Args {
+    /// The folder with policies of both sets; none if it is those that ship.
+    pub fn folder(&self) -> Option<PathBuf> {
+        self.policies.clone().or_else(|| Some(PathBuf::from(POLICIES)).filter(|folder| folder.is_dir()))
+    }
+
     /// The arguments that decide what a report shows, each quoted for a shell; without the experiments.
     pub fn options(&self) -> Vec<String> {
         let path = |path: &PathBuf| shell_word(path);
         let sets = match (&self.a, &self.b) {
             (Some(a), Some(b)) => vec![("--a", path(a)), ("--b", path(b))],
-            _ => vec![("--policies", path(&self.policies.clone().unwrap_or_else(|| POLICIES.into())))],
+            _ => self.folder().iter().map(|folder| ("--policies", path(folder))).collect(),
         };
         let names = (self.names != ["compliant", "baseline"]).then(|| ("--names", shell_word(self.names.join(","))));
         let also = self
@@ -89,7 +94,7 @@ impl Args {
 /// `NAME=PATH`.
 fn name_and_path(text: String) -> Result<(String, PathBuf), String> {
     match text.split_once('=') {
-        Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), files::as_path(path))),
+        Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), paths::as_path(path))),
         _ => Err("expected NAME=PATH, as in mine=my-policy.yaml".to_owned()),
     }
 }

@@ -3,11 +3,10 @@
 mod args;
 mod progress;
 
-use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use args::{Args, POLICIES};
+use args::Args;
 use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
@@ -101,9 +100,8 @@ fn contest(args: &Args) -> anyhow::Result<Contest> {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
             Contest::of_paths(&[&pair[..], &args.also].concat())?
         }
-        _ => match &args.policies {
-            Some(folder) => Contest::in_folder(folder, &names, &args.also)?,
-            None if Path::new(POLICIES).is_dir() => Contest::in_folder(Path::new(POLICIES), &names, &args.also)?,
+        _ => match args.folder() {
+            Some(folder) => Contest::in_folder(&folder, &names, &args.also)?,
             None => Contest::shipped(&names, &args.also)?,
         },
     })

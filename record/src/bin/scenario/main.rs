@@ -25,6 +25,7 @@ use supple::scenario::metrics::Metric;
 use supple::scenario::trace::Trace;
 use supple::scenario::{Rollout, Script, Sensing};
 use supple::util::files::{self, Target};
+use supple::util::paths;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 
@@ -182,7 +183,7 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 /// The policies to play, by name.
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let label = |name: &str| {
-        let path = files::as_path(name);
+        let path = paths::as_path(name);
         path.file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
     };
     let first = args.policy.as_deref().unwrap_or("compliant");
