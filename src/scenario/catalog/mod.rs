@@ -271,6 +271,8 @@ impl Scenario {
         let flight = metrics::flight_fraction(trace, settled_s, end_s);
         let transport = metrics::cost_of_transport(trace, settled_s, end_s);
         let swing = metrics::swing_height(trace, settled_s, end_s);
+        // Where there are no frames, there is another reason.
+        let seen = |metric: Metric, reason| if flight.is_some() { metric.because(reason) } else { metric };
         found.extend([
             metric("window_s", "averages are over", Some(end_s - settled_s), "s"),
             metric("forward_error_m_s", "forward velocity error", error(0), "m/s"),
@@ -278,10 +280,10 @@ impl Scenario {
             metric("yaw_error_rad_s", "yaw rate error", error(2), "rad/s"),
             metric("power_w", "mechanical power", metrics::mean(all.clone(), |f| f.power_w), "W"),
             metric("torque_n_m", "torque norm", metrics::mean(all.clone(), |f| f.torque_n_m), "N m"),
-            metric("cost_of_transport", "cost of transport", transport, "").because("it stands"),
+            seen(metric("cost_of_transport", "cost of transport", transport, ""), "it stands"),
             metric("stride_frequency_hz", "stride frequency", metrics::stride_frequency(trace, settled_s, end_s), "Hz"),
             metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"),
-            metric("swing_height_m", "swing height", swing, "m").because("no foot was lifted and put down"),
+            seen(metric("swing_height_m", "swing height", swing, "m"), "no foot was lifted and put down"),
             // The first step from rest is harder than those of a walk.
             metric("peak_foot_force_n", "peak foot force", metrics::largest(all, |f| f.peak_foot_force_n), "N"),
             metric("distance_m", "distance ahead", trace.frames.last().map(|frame| frame.position[0]), "m"),
