@@ -117,14 +117,14 @@ mod tests {
     #[test]
     fn a_report_tells_the_arguments_that_decide_what_it_shows() {
         let options = |arguments: &[&str]| Args::parse_from([&["evaluate"], arguments].concat()).options().join(" ");
-        assert_eq!(options(&["walk", "--again", "--threads", "2"]), "--policies policies --out report");
+        assert_eq!(options(&["walk", "--again", "--threads", "2", "--policies", "p"]), "--policies p --out report");
         assert_eq!(
             options(&["--a", "x", "--b", "it's", "--names", "A set,B", "--quick", "--sensing", "estimated"]),
             "--quick --a x --b \"it's\" --names 'A set,B' --sensing estimated --out report"
         );
         assert_eq!(
-            options(&["--also", "mine=a b.yaml", "--also", "other=runs/3"]),
-            "--policies policies --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
+            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3"]),
+            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
         );
     }
 }
