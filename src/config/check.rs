@@ -14,6 +14,9 @@ const MAX_STAGE_S: f64 = 3600.0;
 /// Samples of an iteration, of which memory has to hold some hundred numbers each.
 const MAX_BATCH_SIZE: usize = 1 << 22;
 
+/// Deeper networks take hours to begin.
+const MAX_LAYERS: usize = 16;
+
 /// Each has its own order of the samples in memory.
 const MAX_EPOCHS: usize = 1000;
 
@@ -153,8 +156,10 @@ impl Config {
             p.symmetry,
             "false, unless the hip of action.nominal_pose_rad is 0",
         )?;
-        let widths = !p.hidden_layers.is_empty() && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
-        require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), "one or more widths from 1 to 4096")?;
+        let widths = (1..=MAX_LAYERS).contains(&p.hidden_layers.len());
+        let widths = widths && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
+        let expected = format!("1 to {MAX_LAYERS} widths from 1 to 4096");
+        require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), &expected)?;
         positive("ppo.clip_range", p.clip_range)?;
         not_negative("ppo.entropy_coefficient", p.entropy_coefficient)?;
         fraction("ppo.discount", p.discount)?;

@@ -11,18 +11,19 @@ pub mod kinematics;
 mod legs;
 mod state;
 
-use std::path::Path;
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
 use nalgebra::Vector3;
 
 pub use extent::Extent;
+pub use import::isolate_imports;
 pub use kinematics::{Foot, Leg};
 pub use legs::{JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, of_leg, opposite, same_in_every_leg};
 pub use state::{FootState, Foothold, RobotState};
 
 use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
+use crate::util::paths;
 
 /// The robots inside the program: name and MJCF.
 const SHIPPED: &[(&str, &str)] = &[("go1", include_str!("../../models/go1.xml"))];
@@ -66,6 +67,9 @@ static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::
     SHIPPED.iter().map(robot).collect()
 });
 
+/// Robots from elsewhere that this process has read: name, hash of the files.
+static IMPORTED_ROBOTS: Mutex<Vec<([String; 2], Arc<Robot>)>> = Mutex::new(Vec::new());
+
 impl Robot {
     /// A robot that ships, by name, or that of an MJCF file, or of a YAML file about one.
     ///
@@ -75,13 +79,22 @@ impl Robot {
         if let Some(index) = SHIPPED.iter().position(|(shipped, _)| *shipped == name) {
             return SHIPPED_ROBOTS[index].clone();
         }
-        let path = Path::new(name);
+        let path = &paths::as_path(name);
         let fail = FileError::of(ROBOT, path);
         if !path.exists() {
             return Err(fail("there is no such file: put it there, or name another robot".to_owned()));
         }
-        let import::Imported { mjcf, report, fall_height_m } = import::read(path).map_err(fail)?;
-        Self::new(name, mjcf, report, fall_height_m).map(Arc::new)
+        let source = import::Source::read(path).map_err(fail)?;
+        let key = [name.to_owned(), source.sha256()];
+        // Held while one is imported: who asks for the same one at the same time waits for it.
+        let mut known = IMPORTED_ROBOTS.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
+            return Ok(Arc::clone(robot));
+        }
+        let import::Imported { mjcf, report, fall_height_m } = import::import(&source, path).map_err(fail)?;
+        let robot = Arc::new(Self::new(name, mjcf, report, fall_height_m)?);
+        known.push((key, Arc::clone(&robot)));
+        Ok(robot)
     }
 
     /// Whether a robot of this name ships.
@@ -91,7 +104,8 @@ impl Robot {
 
     /// Reads everything from an MJCF document that has our names.
     fn new(name: &str, mjcf: String, report: Vec<String>, fall_height_m: Option<f64>) -> Result<Self, FileError> {
-        let (fail, words) = (FileError::of(ROBOT, Path::new(name)), FileError::of(ROBOT, Path::new(name)));
+        let path = &paths::as_path(name);
+        let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Kind::Body, "trunk").map_err(words)?;
         let (mut joint_limits, mut torque_limits) = ([[0.0; 2]; JOINTS], [0.0; JOINTS]);
