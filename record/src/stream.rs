@@ -4,6 +4,10 @@ rerun writes from threads of its own, keeps their errors to itself, and waits wi
 reading. So the stream is flushed now and then with a time limit, which turns a full disk and a dead viewer into errors
 while the program runs; a stream that has failed is let go in the background; and a finished file is checked for the
 footer that is written last.
+
+A live stream has no time: all of it is static, so that what is new takes the place of what was before, in our memory and in
+the viewer's, and hours of it take no more than a moment. A viewer keeps static transforms and forgets other static data,
+so poses are there what places an entity's own shapes.
 */
 
 use std::fs::{self, File};
@@ -13,10 +17,15 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
+use rerun::archetypes::{Clear, InstancePoses3D};
 use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
 use rerun::log::ChunkBatcherConfig;
+use rerun::sink::{BinaryStreamSink, BinaryStreamStorage};
 use rerun::web_viewer::WebViewerConfig;
-use rerun::{AsComponents, EntityPath, MemoryLimit, RecordingStream, RecordingStreamBuilder, ServerOptions};
+use rerun::{
+    AsComponents, EntityPath, MemoryLimit, Quaternion, RecordingStream, RecordingStreamBuilder, ServerOptions,
+    Transform3D,
+};
 
 use super::RecordError;
 use super::style::PATIENCE;
@@ -41,6 +50,15 @@ pub enum Sink {
     Serve(u16),
 }
 
+/// Where what happens now is shown.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum LiveSink {
+    /// Wherever [`Recorder::take`](super::Recorder::take) is carried to.
+    Memory,
+    /// A running viewer, as in [`Sink::Connect`].
+    Connect(Option<String>),
+}
+
 /// Where a browser finds the viewer that [`Sink::Serve`] serves on a port, with the recording open in it.
 pub fn page_url(port: u16) -> String {
     format!("http://{LOCAL}:{port}?url=rerun%2Bhttp://{LOCAL}:{}/proxy", port.saturating_add(1))
@@ -53,10 +71,13 @@ const LOCAL: &str = "127.0.0.1";
 type Page = Box<dyn std::any::Any + Send>;
 
 /// An open recording.
-#[derive(Debug)]
 pub(super) struct Stream {
     /// Nothing after a failure.
     recording: Option<RecordingStream>,
+    /// Whether all that there is is what is so now.
+    is_live: bool,
+    /// What was logged and not yet taken, of a live stream.
+    memory: Option<BinaryStreamStorage>,
     file: Option<PathBuf>,
     /// Serves the viewer's page as long as it lives.
     _page: Option<Page>,
@@ -83,14 +104,9 @@ impl Stream {
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
                 let recording = builder.batcher_config(batches).save(&path)?;
-                Stream {
-                    recording: Some(recording),
-                    file: Some(path),
-                    _page: None,
-                    target,
-                    frames_per_flush: 1200,
-                    frames: 0,
-                }
+                let mut stream = Stream::of(recording, target);
+                (stream.file, stream.frames_per_flush) = (Some(path), 1200);
+                stream
             }
             Sink::Connect(url) => {
                 let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
@@ -98,28 +114,75 @@ impl Stream {
                     .batcher_config(LIVE)
                     .connect_grpc_opts(target.clone())
                     .map_err(|error| RecordError::Viewer { url: target.clone(), reason: error.to_string() })?;
-                let recording = Some(recording);
-                Stream { recording, file: None, _page: None, target, frames_per_flush: 120, frames: 0 }
+                Stream::of(recording, target)
             }
             Sink::Serve(port) => {
                 let target = page_url(port);
                 let (recording, page) = serve(builder, port)?;
-                let recording = Some(recording);
-                Stream { recording, file: None, _page: Some(page), target, frames_per_flush: 120, frames: 0 }
+                let mut stream = Stream::of(recording, target);
+                stream._page = Some(page);
+                stream
             }
         };
-        let mut stream = stream;
-        if let Some(recording) = &stream.recording {
+        stream.begin()
+    }
+
+    /// Reaches the viewer, or begins to keep what is logged.
+    pub(super) fn open_live(sink: LiveSink, title: &str) -> Result<Self, RecordError> {
+        let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title);
+        let mut stream = match sink {
+            LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
+            LiveSink::Memory => {
+                // Whoever takes what was logged flushes.
+                let (recording, _) = builder.batcher_config(ChunkBatcherConfig::NEVER).memory()?;
+                let (sink, memory) = BinaryStreamSink::new(recording.clone());
+                recording.set_sink(Box::new(sink));
+                let mut stream = Stream::of(recording, "in memory".to_owned());
+                stream.memory = Some(memory);
+                stream.begin()?
+            }
+        };
+        stream.is_live = true;
+        Ok(stream)
+    }
+
+    fn of(recording: RecordingStream, target: String) -> Self {
+        Stream {
+            recording: Some(recording),
+            is_live: false,
+            memory: None,
+            file: None,
+            _page: None,
+            target,
+            frames_per_flush: 120,
+            frames: 0,
+        }
+    }
+
+    fn begin(mut self) -> Result<Self, RecordError> {
+        if let Some(recording) = &self.recording {
             recording.set_log_time_enabled(false);
             recording.set_log_tick_enabled(false);
         }
-        stream.flush().map_err(|error| match (error, &stream.file) {
+        let flushed = self.flush();
+        flushed.map_err(|error| match (error, &self.file) {
             (RecordError::Write { target, .. }, None) => {
                 RecordError::Viewer { url: target, reason: format!("nothing within {PATIENCE:?}") }
             }
             (error, _) => error,
         })?;
-        Ok(stream)
+        Ok(self)
+    }
+
+    /// Whether all that there is is what is so now.
+    pub(super) fn is_live(&self) -> bool {
+        self.is_live
+    }
+
+    /// What was logged since the last time, as a whole `.rrd` file.
+    pub(super) fn take(&mut self) -> Result<Vec<u8>, RecordError> {
+        self.flush()?;
+        Ok(self.memory.as_ref().and_then(BinaryStreamStorage::read).unwrap_or_default())
     }
 
     /// The rerun stream.
@@ -129,13 +192,44 @@ impl Stream {
 
     /// What is logged from now on belongs to this time \[s\].
     pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
-        self.recording()?.set_duration_secs(TIMELINE, time_s);
+        if !self.is_live {
+            self.recording()?.set_duration_secs(TIMELINE, time_s);
+        }
         Ok(())
     }
 
     /// Logs at the time that was set.
     pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+        if self.is_live {
+            return self.log_static(path, data);
+        }
         Ok(self.recording()?.log(path.clone(), data)?)
+    }
+
+    /// Logs where an entity is, and how it is turned.
+    pub(super) fn place(
+        &self,
+        path: &EntityPath,
+        translation: [f32; 3],
+        quaternion: Option<Quaternion>,
+    ) -> Result<(), RecordError> {
+        if self.is_live {
+            let pose = InstancePoses3D::update_fields().with_translations([translation]);
+            return match quaternion {
+                Some(quaternion) => self.log_static(path, &pose.with_quaternions([quaternion])),
+                None => self.log_static(path, &pose),
+            };
+        }
+        let pose = Transform3D::update_fields().with_translation(translation);
+        match quaternion {
+            Some(quaternion) => self.log(path, &pose.with_quaternion(quaternion)),
+            None => self.log(path, &pose),
+        }
+    }
+
+    /// Logs that an entity is there no longer; `nothing` is what it was, without anything in it.
+    pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<(), RecordError> {
+        if self.is_live { self.log_static(path, nothing) } else { self.log(path, &Clear::flat()) }
     }
 
     /// Logs something that holds at all times.
@@ -197,6 +291,12 @@ fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream,
     };
     let server = page.host_web_viewer().map_err(|error| failed(port, error.to_string()))?;
     Ok((recording, Box::new(server)))
+}
+
+impl std::fmt::Debug for Stream {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Stream").field("target", &self.target).field("is_live", &self.is_live).finish_non_exhaustive()
+    }
 }
 
 /// A recorder that is given up on must not hang either.

@@ -1,11 +1,13 @@
 //! What is put to the test in a scenario: a policy of ours, or an external one.
 
+use std::borrow::Borrow;
 use std::path::Path;
+use std::sync::Arc;
 
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
-use super::inference::Inference;
+use super::inference::{Inference, PolicyController};
 use crate::config::{Config, ConfigError};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
@@ -73,6 +75,11 @@ impl Agent {
         Box::new(self.inference().controller())
     }
 
+    /// A controller of one robot, to keep.
+    pub fn shared_controller(self: &Arc<Self>) -> Box<dyn Controller> {
+        Box::new(PolicyController::new(Shared(Arc::clone(self))))
+    }
+
     /// What turns states into joint targets.
     pub fn inference(&self) -> &Inference {
         match &self.mind {
@@ -100,6 +107,15 @@ impl Agent {
             Mind::Ours(policy) => Some(*policy),
             Mind::External(_) => None,
         }
+    }
+}
+
+/// An agent as the inference that it is.
+struct Shared(Arc<Agent>);
+
+impl Borrow<Inference> for Shared {
+    fn borrow(&self) -> &Inference {
+        self.0.inference()
     }
 }
 
