@@ -21,12 +21,7 @@ const send = connect({
     [most["m/s"], most["N·s"], most.N] = about.most;
     fill($("policies"), about.policies);
     fill($("scene"), about.scenes);
-    if (about.viewer && !$("robots").firstChild) {
-      const viewer = document.createElement("iframe");
-      viewer.title = "Robots, in rerun's viewer";
-      viewer.src = `viewer.html${location.search}`;
-      $("robots").append(viewer);
-    }
+    if (about.viewer && !$("robots").firstChild) openViewer();
   },
   state(now) {
     const first = !state;
@@ -128,6 +123,24 @@ function buttonsOfGamepad() {
   const actions = { 0: () => push(numbers(), pulls() ? "m/s" : $("unit").value), 8: () => send("reset"), 9: pause };
   for (const [button, action] of Object.entries(actions)) if (now[button] && !pressed[button]) action();
   pressed = now;
+}
+
+// ---- the viewer
+
+/** The same server by another name: the browser then gives the viewer a process of its own, and keys do not wait for pictures. */
+const OTHER_NAME = { "127.0.0.1": "localhost", localhost: "127.0.0.1" };
+
+function openViewer() {
+  const viewer = document.createElement("iframe");
+  viewer.title = "Robots, in rerun's viewer";
+  viewer.src = `http://${OTHER_NAME[location.hostname] ?? location.hostname}:${location.port}/viewer.html${location.search}`;
+  $("robots").append(viewer);
+  addEventListener("message", ({ source, data }) => {
+    if (source !== viewer.contentWindow) return;
+    if (data.kind === "ready") viewer.dataset.ready = true;
+    else if (data.kind === "blur") dispatchEvent(new Event("blur"));
+    else document.body.dispatchEvent(new KeyboardEvent(data.kind, { ...data.detail, bubbles: true, cancelable: true }));
+  });
 }
 
 // ---- who walks

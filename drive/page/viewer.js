@@ -6,20 +6,18 @@ const CHANNEL = "robots";
 const AGAIN_MS = 1000;
 const wait = document.getElementById("wait");
 
-// Keys that drive are for the page around; the viewer would fly its camera with them.
+// Keys are for the page around: the viewer would fly its camera with those that drive.
+const tell = (kind, detail = {}) => parent.postMessage({ kind, detail }, "*");
 for (const kind of ["keydown", "keyup"]) {
-  addEventListener(
-    kind,
-    (event) => {
-      event.stopImmediatePropagation();
-      const { code, key, shiftKey, ctrlKey, altKey, metaKey, repeat } = event;
-      const forwarded = new parent.KeyboardEvent(kind, { code, key, shiftKey, ctrlKey, altKey, metaKey, repeat, bubbles: true, cancelable: true });
-      if (parent !== window && !parent.document.body.dispatchEvent(forwarded)) event.preventDefault();
-    },
-    { capture: true },
-  );
+  const forward = (event) => {
+    event.stopImmediatePropagation();
+    if (event.code === "Space" || event.code.startsWith("Arrow")) event.preventDefault();
+    const { code, key, shiftKey, ctrlKey, altKey, metaKey, repeat } = event;
+    tell(kind, { code, key, shiftKey, ctrlKey, altKey, metaKey, repeat });
+  };
+  addEventListener(kind, forward, { capture: true });
 }
-addEventListener("blur", () => parent !== window && parent.dispatchEvent(new parent.Event("blur")));
+addEventListener("blur", () => tell("blur"));
 
 const hidden = "hidden";
 const options = {
@@ -33,11 +31,13 @@ const options = {
 };
 
 try {
-  await wasm_bindgen({ module_or_path: "rerun/re_viewer_bg.wasm" });
+  const { memory } = await wasm_bindgen({ module_or_path: "rerun/re_viewer_bg.wasm" });
+  window.memory = memory;
   const viewer = new wasm_bindgen.WebHandle(options);
   await viewer.start(document.getElementById("canvas"));
   wait.remove();
   feed(viewer);
+  tell("ready");
 } catch (error) {
   wait.textContent = `The viewer cannot run in this browser: ${error}. The robots can still be driven; drive --connect shows them in rerun itself.`;
 }

@@ -100,9 +100,11 @@ impl Display {
     pub fn wait(&mut self, world: &World, messages: &Receiver<Message>) -> Option<Due> {
         let due = self.clock.due(world.tick());
         let now = Instant::now();
-        if due.is_some_and(|due| due <= now) || std::mem::take(&mut self.is_stale) {
+        if self.is_stale || due.is_some_and(|due| due <= now) {
             // Everything that has come by now takes effect with this step.
-            return Some(messages.try_recv().map_or(Due::Step, Due::Message));
+            let message = messages.try_recv();
+            self.is_stale &= message.is_ok();
+            return Some(message.map_or(Due::Step, Due::Message));
         }
         let wait = due.map_or(LONGEST_WAIT, |due| due.duration_since(now).min(LONGEST_WAIT));
         match messages.recv_timeout(wait) {

@@ -13,11 +13,16 @@ use axum::response::{IntoResponse, Response};
 
 use super::Shared;
 
-/// What pages may load and talk to: what this server serves, and nothing else. rerun's viewer compiles its program, and
-/// egui sets styles.
-const POLICY: &str = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
-                      img-src 'self' data: blob:; connect-src 'self'; frame-src 'self'; frame-ancestors 'self'; \
-                      base-uri 'none'; form-action 'none'";
+/// What pages may load and talk to: what this server serves, and nothing else. rerun's viewer compiles its program, egui
+/// sets styles, and the viewer is a page of this server by its other name.
+fn policy(port: u16) -> String {
+    let ours = format!("'self' http://localhost:{port} http://127.0.0.1:{port}");
+    format!(
+        "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
+         img-src 'self' data: blob:; connect-src 'self'; frame-src {ours}; frame-ancestors {ours}; base-uri 'none'; \
+         form-action 'none'"
+    )
+}
 
 /// What an address must hold for its sockets to open.
 #[derive(Clone, PartialEq, Eq)]
@@ -56,7 +61,9 @@ pub(super) async fn check(State(shared): State<Shared>, request: Request, next: 
         None => next.run(request).await,
     };
     let headers = response.headers_mut();
-    headers.insert(CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY));
+    if let Ok(policy) = HeaderValue::from_str(&policy(shared.port)) {
+        headers.insert(CONTENT_SECURITY_POLICY, policy);
+    }
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-cache"));

@@ -131,7 +131,7 @@ impl Writer {
         let source = self.file.get_mut();
         let mut copy = |from: u64, until: u64| -> io::Result<()> {
             source.seek(SeekFrom::Start(from))?;
-            io::copy(&mut source.take(until - from), &mut out).map(drop)
+            io::copy(&mut Read::by_ref(source).take(until - from), &mut out).map(drop)
         };
         let mut earlier: Vec<(u64, u64)> = self.policies.values().copied().filter(|(at, _)| *at < begin).collect();
         earlier.sort_unstable();

@@ -89,6 +89,8 @@ pub struct Meter {
 struct Pushed {
     reading: PushReading,
     command: Command,
+    /// Whether [`Meter::concluded`] has told of it.
+    is_told: bool,
 }
 
 impl Meter {
@@ -101,11 +103,11 @@ impl Meter {
     /// The robot is about to be pushed: forward and left, heading frame [m/s].
     pub fn push(&mut self, size_m_s: [f64; 2]) {
         self.conclude(Outcome::Disturbed);
-        let at_s = self.trace.frames.last().map_or(0.0, |frame| frame.time_s);
+        let at_s = self.time_s();
         self.forget_before(at_s);
         let command = self.trace.frames.last().map_or_else(Command::default, |frame| frame.command);
         let reading = PushReading { at_s, size_m_s, carried_m: None, decay_s: None, outcome: Outcome::Watching };
-        self.pushed = Some(Pushed { reading, command });
+        self.pushed = Some(Pushed { reading, command, is_told: false });
     }
 
     /// A hand pulls from now on, forward and left in the heading frame \[N\], or lets go.
@@ -132,7 +134,7 @@ impl Meter {
         self.trace.frames.push(light(frame));
         let pushed = self.pushed.as_ref().filter(|pushed| pushed.reading.outcome == Outcome::Watching);
         let (at_s, command) = match pushed {
-            Some(Pushed { reading, command }) => (reading.at_s, *command),
+            Some(Pushed { reading, command, .. }) => (reading.at_s, *command),
             None => return self.forget_before(frame.time_s),
         };
         if events.iter().any(|event| matches!(event.kind, EventKind::Fall | EventKind::Fault)) {
@@ -143,6 +145,17 @@ impl Meter {
         } else if frame.time_s > at_s + WATCHED_S {
             self.conclude(Outcome::Over);
         }
+    }
+
+    /// A push that is no longer looked at, once.
+    pub fn concluded(&mut self) -> Option<PushReading> {
+        let pushed = self.pushed.as_mut().filter(|pushed| pushed.reading.outcome != Outcome::Watching)?;
+        (!std::mem::replace(&mut pushed.is_told, true)).then_some(pushed.reading)
+    }
+
+    /// The robot's clock \[s\].
+    pub fn time_s(&self) -> f64 {
+        self.trace.frames.last().map_or(0.0, |frame| frame.time_s)
     }
 
     /// Ends the look at a push, with the numbers that there are.

@@ -7,14 +7,18 @@ being watched.
 */
 
 mod file;
+mod measure;
 mod meter;
 mod scene;
 mod shelf;
+#[cfg(test)]
+mod tests;
 mod world;
 
 use serde::{Deserialize, Serialize};
 
 pub use file::{Playback, Session, SessionError, Step, Writer};
+pub use measure::{Take, takes};
 pub use meter::{CARRIED_S, Meter, Outcome, PullReading, PushReading, Reading};
 pub use scene::SceneKind;
 pub use shelf::{Shelf, ShelfError};

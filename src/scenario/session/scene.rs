@@ -13,7 +13,7 @@ use crate::task::Command;
 const LIES_S: f64 = 2.0;
 
 /// A command, and how long it is followed: for scenes whose ground is as large as the way.
-const WAY: (Command, f64) = (Command { forward: 0.5, left: 0.0, yaw: 0.5 }, 18.0);
+const WAY: ([f64; 3], f64) = ([0.5, 0.0, 0.5], 18.0);
 
 /// Where robots are driven.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -57,8 +57,8 @@ impl SceneKind {
 
     fn scenario(self) -> Result<Scenario, ConfigError> {
         let roaming = |task: Task| {
-            let (Command { forward, left, yaw, .. }, duration_s) = WAY;
-            Task { forward_m_s: forward, left_m_s: left, yaw_rad_s: yaw, duration_s, ..task }
+            let ([forward_m_s, left_m_s, yaw_rad_s], duration_s) = WAY;
+            Task { forward_m_s, left_m_s, yaw_rad_s, duration_s, ..task }
         };
         Ok(match self {
             SceneKind::Flat => Scenario::Walk(defaults::<Walk>("walk")?),

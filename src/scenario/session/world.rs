@@ -132,13 +132,11 @@ impl World {
     /// The largest commands that all policies were trained for.
     pub fn range(&self) -> Command {
         let ranges = self.players.iter().map(|player| &player.agent.config.command);
-        let start = Command { forward: f64::INFINITY, left: f64::INFINITY, yaw: f64::INFINITY, ..Command::default() };
-        ranges.fold(start, |least, range| Command {
-            forward: least.forward.min(range.forward_m_s),
-            left: least.left.min(range.left_m_s),
-            yaw: least.yaw.min(range.yaw_rad_s),
-            ..least
-        })
+        let least = [f64::INFINITY; 3];
+        let [forward, left, yaw] = ranges.fold(least, |[forward, left, yaw], range| {
+            [forward.min(range.forward_m_s), left.min(range.left_m_s), yaw.min(range.yaw_rad_s)]
+        });
+        Command::velocity(forward, left, yaw)
     }
 
     /// The tick at which the next step begins.
@@ -173,12 +171,13 @@ impl World {
                 };
                 let renewed = Seat { sha256: sha256.clone(), ..seat.clone() };
                 let agent = shelf.take(&renewed)?;
-                *seat = renewed;
                 if agent.config.simulation != player.agent.config.simulation {
-                    // Other rates, gains or latency: another body.
-                    *self = Self::since(self.tick(), self.setup.clone(), shelf)?;
-                    return Ok(());
+                    // Other rates, gains or latency: another body, in another world.
+                    let mut setup = self.setup.clone();
+                    setup.robots[*robot] = renewed;
+                    return self.apply(&Input::Setup(setup), shelf);
                 }
+                *seat = renewed;
                 player.rollout.hand_over(agent.shared_controller());
                 player.agent = agent;
             }

@@ -3,6 +3,7 @@
 mod args;
 mod output;
 mod recording;
+mod session;
 
 use std::path::Path;
 use std::process::ExitCode;
@@ -28,13 +29,23 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
-    let What::Play(scenario) = &args.what else {
-        for scenario in Args::command().get_subcommands().filter(|command| command.get_name() != "list") {
-            let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
-            terminal::print(format_args!("{:10} {about}\n", scenario.get_name()))?;
-        }
-        return Ok(());
-    };
+    match &args.what {
+        What::List => list(),
+        What::Session { file } => session::measure(args, file),
+        What::Play(scenario) => play_scenario(args, scenario),
+    }
+}
+
+fn list() -> anyhow::Result<()> {
+    let is_scenario = |command: &&clap::Command| !matches!(command.get_name(), "list" | "session");
+    for scenario in Args::command().get_subcommands().filter(is_scenario) {
+        let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
+        terminal::print(format_args!("{:10} {about}\n", scenario.get_name()))?;
+    }
+    Ok(())
+}
+
+fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     let mut robots = robots(args)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
@@ -77,7 +88,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     if args.json {
         terminal::print(format_args!("{}\n", output::to_json(scenario, args.seed, args.sensing, &outcomes)))?;
     } else {
-        terminal::print(output::summary(scenario, &outcomes))?;
+        terminal::print(output::summary(scenario.name(), &outcomes))?;
     }
     recording.finish(args, scenario, &robots, &scripts, &traces)?;
     let failed = outcomes.iter().find_map(|outcome| Some((outcome.policy, outcome.trace.fault()?)));

@@ -25,8 +25,8 @@ pub struct Outcome<'a> {
 }
 
 /// A table with a column for each policy, and the events.
-pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
-    let mut text = format!("{}\n", scenario.name());
+pub fn summary(title: &str, outcomes: &[Outcome<'_>]) -> String {
+    let mut text = format!("{title}\n");
     let header: String = outcomes.iter().map(|outcome| format!("{:>16}", outcome.policy)).collect();
     text.push_str(&format!("{:28}{header}\n", ""));
     for index in 0..outcomes.first().map_or(0, |outcome| outcome.metrics.len()) {
@@ -53,29 +53,34 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
 
 /// Everything as one JSON object.
 pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
-    let run = |outcome: &Outcome<'_>| {
-        let metrics: serde_json::Map<String, Value> =
-            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.value))).collect();
-        json!({
-            "policy": outcome.policy,
-            "sha256": outcome.sha256,
-            "robot": outcome.robot,
-            "metrics": metrics,
-            "events": outcome.trace.events,
-        })
-    };
-    let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
-    let units: serde_json::Map<String, Value> =
-        metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
     json!({
         "scenario": scenario.name(),
         "revision": GIT_REVISION,
         "seed": seed,
         "sensing": sensing,
         "parameters": scenario,
-        "units": units,
+        "units": units(outcomes),
         "runs": outcomes.iter().map(run).collect::<Vec<_>>(),
     })
+}
+
+/// A rollout as JSON.
+pub fn run(outcome: &Outcome<'_>) -> Value {
+    let metrics: serde_json::Map<String, Value> =
+        outcome.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.value))).collect();
+    json!({
+        "policy": outcome.policy,
+        "sha256": outcome.sha256,
+        "robot": outcome.robot,
+        "metrics": metrics,
+        "events": outcome.trace.events,
+    })
+}
+
+/// Units of the metrics by name.
+pub fn units(outcomes: &[Outcome<'_>]) -> Value {
+    let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
+    metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect()
 }
 
 /// Writes the traces as CSV, one row for each policy step.

@@ -1,0 +1,59 @@
+//! A session of `drive`, measured.
+
+use std::path::Path;
+
+use anyhow::Context;
+use serde_json::json;
+use supple::scenario::session::{Session, Take, takes};
+use supple::util::provenance::GIT_REVISION;
+use supple::util::terminal;
+
+use crate::args::Args;
+use crate::output::{self, Outcome};
+
+/// Plays a session again and tells its numbers.
+pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
+    let asked = [args.policy.is_some(), args.compare.is_some(), args.model.is_some(), args.params.is_some()];
+    anyhow::ensure!(!asked.contains(&true), "a session has its own policies and robots: measure it without naming others");
+    let drawn = [args.record.is_some(), args.connect.is_some(), args.serve.is_some(), args.on_fall.is_some()];
+    anyhow::ensure!(!drawn.contains(&true), "record a session with `drive --replay {} --record FILE`", file.display());
+
+    let mut playback = Session::load(file)?.play()?;
+    let takes = takes(&mut playback)?;
+    let names: Vec<String> = takes.iter().map(|take| format!("{}, {}", take.seat.policy, take.scene.name())).collect();
+    let outcomes: Vec<Outcome<'_>> = takes.iter().zip(&names).map(|(take, name)| outcome(take, name)).collect();
+    if let Some(path) = &args.csv {
+        output::write_csv(path, &outcomes).with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if args.json {
+        let run = |(take, outcome): (&Take, &Outcome<'_>)| {
+            let mut run = output::run(outcome);
+            run["policy"] = json!(take.seat.policy);
+            run["scene"] = json!(take.scene);
+            run["seed"] = json!(take.seed);
+            run["pushes"] = json!(take.pushes);
+            run["pulls"] = json!(take.pulls);
+            run
+        };
+        let runs: Vec<_> = takes.iter().zip(&outcomes).map(run).collect();
+        let units = output::units(&outcomes);
+        let object = json!({ "scenario": "session", "revision": GIT_REVISION, "units": units, "runs": runs });
+        terminal::print(format_args!("{object}\n"))?;
+    } else {
+        terminal::print(output::summary("session", &outcomes))?;
+    }
+    match playback.is_as_it_was() {
+        Some(false) => anyhow::bail!("it did not end as it had: this program, or this machine, computes otherwise"),
+        Some(true) | None => Ok(()),
+    }
+}
+
+fn outcome<'a>(take: &'a Take, name: &'a str) -> Outcome<'a> {
+    Outcome {
+        policy: name,
+        sha256: take.seat.sha256.clone(),
+        robot: &take.seat.robot,
+        trace: &take.trace,
+        metrics: take.metrics(),
+    }
+}
