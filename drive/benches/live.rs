@@ -71,6 +71,9 @@ fn watch(drive: &Drive) -> std::thread::JoinHandle<(f64, f64)> {
             if let Message::Binary(file) = message {
                 frames += 1.0;
                 bytes += file.len() as f64;
+                if socket.send(Message::text("shown")).is_err() {
+                    break;
+                }
             }
         }
         (frames, bytes)

@@ -1,6 +1,6 @@
 /*! Recordings for the rerun viewer: robots in their scenes, forces, plots and events on one time axis.
 
-This package is the only one that knows rerun. A recording holds its own layout, so that a file opens ready to look at:
+This package and `drive` are the only ones that know rerun. A recording holds its own layout, so that a file opens ready to look at:
 robots on the left, one view for each, plots on the right, events below. It takes finished [`Frame`]s and [`Event`]s;
 nothing here steps physics, and nothing that steps physics waits here for longer than a few seconds.
 */

@@ -24,6 +24,8 @@ const RATE: f64 = 150.0;
 const BURST: f64 = 300.0;
 /// How long a page may take to read a message.
 const PATIENCE: Duration = Duration::from_secs(5);
+/// Files that a viewer may have that it has not shown.
+const AHEAD: u32 = 2;
 /// Time between two looks whether a page is still there, and after how long without a word it is not.
 const LOOK: Duration = Duration::from_secs(5);
 const SILENT: Duration = Duration::from_secs(15);
@@ -142,14 +144,23 @@ async fn feed(mut socket: WebSocket, shared: &Shared) {
     if std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work).is_err() {
         return;
     }
+    let (mut ahead, mut heard, mut look) = (0, Instant::now(), interval(LOOK));
     loop {
         let going_on = tokio::select! {
-            file = arriving.recv() => match file {
-                Some(file) => send(&mut socket, Frame::Binary(file.into())).await,
+            file = arriving.recv(), if ahead < AHEAD => match file {
+                Some(file) => {
+                    ahead += 1;
+                    send(&mut socket, Frame::Binary(file.into())).await
+                }
                 None => false,
             },
-            // A viewer has nothing to say but that it goes.
-            message = socket.recv() => matches!(message, Some(Ok(Frame::Ping(_) | Frame::Pong(_)))),
+            message = socket.recv() => {
+                heard = Instant::now();
+                // A viewer has nothing to say but that it has shown something.
+                ahead = ahead.saturating_sub(u32::from(matches!(message, Some(Ok(Frame::Text(_))))));
+                matches!(message, Some(Ok(Frame::Text(_) | Frame::Ping(_) | Frame::Pong(_))))
+            }
+            _ = look.tick() => heard.elapsed() < SILENT && send(&mut socket, Frame::Ping(Vec::new().into())).await,
         };
         if !going_on {
             return;
