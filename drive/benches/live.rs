@@ -124,7 +124,13 @@ fn measure(args: &Args, drive: &Drive, page: &mut Page, mut browser: Option<chro
     for (what, times) in [("takes effect", &mut effects), ("motion", &mut motions)] {
         times.sort_by(f64::total_cmp);
         let at = |share: f64| 1e3 * times[((times.len() - 1) as f64 * share).round() as usize];
-        println!("{what:13} median {:.1} ms, 99 % {:.1} ms, worst {:.1} ms, of {}", at(0.5), at(0.99), at(1.0), times.len());
+        println!(
+            "{what:13} median {:.1} ms, 99 % {:.1} ms, worst {:.1} ms, of {}",
+            at(0.5),
+            at(0.99),
+            at(1.0),
+            times.len()
+        );
     }
     for (time_s, mb, heap) in memory {
         let heap = heap.map_or(String::new(), |mb| format!(", the viewer's program {mb:.0} MB"));

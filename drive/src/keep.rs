@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
 use std::thread;
 use std::time::Duration;
@@ -17,13 +18,24 @@ use crate::show::Cast;
 const STEP_ASIDE: Duration = Duration::from_millis(30);
 
 /// Frames of the last minute.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Minute {
+    cast: Arc<Cast>,
     /// Each with the tick at which it began.
     steps: VecDeque<(u64, Played)>,
 }
 
 impl Minute {
+    /// Of these robots, with nothing in it yet.
+    pub fn of(cast: &Arc<Cast>) -> Self {
+        Minute { cast: Arc::clone(cast), steps: VecDeque::new() }
+    }
+
+    /// Whether it is of these robots.
+    pub fn is_of(&self, cast: &Arc<Cast>) -> bool {
+        Arc::ptr_eq(&self.cast, cast)
+    }
+
     /// Adds steps that began at a tick.
     pub fn add(&mut self, tick: u64, steps: Vec<Played>) {
         self.steps.extend(steps.into_iter().map(|played| (tick, played)));
@@ -40,8 +52,8 @@ impl Minute {
     ///
     /// # Errors
     /// As of a full disk.
-    pub fn record(&self, cast: &Cast, path: &Path) -> anyhow::Result<()> {
-        let mut recorder = cast.record(Sink::File(path.to_owned()))?;
+    pub fn record(&self, path: &Path) -> anyhow::Result<()> {
+        let mut recorder = self.cast.record(Sink::File(path.to_owned()))?;
         self.steps.iter().try_for_each(|(_, played)| replay::record(&mut recorder, played))?;
         Ok(recorder.finish()?)
     }

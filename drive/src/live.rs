@@ -82,13 +82,14 @@ impl Live {
         writer.input(0, &Input::Setup(world.setup().clone()), &shelf)?;
         let watched = Arc::default();
         policies::start(Arc::clone(&watched), to_self.clone())?;
+        let display = Display::new(&world);
         let live = Live {
-            display: Display::new(&world),
             world,
             shelf,
             writer,
             folder,
-            minute: Minute::default(),
+            minute: Minute::of(display.cast()),
+            display,
             command: Command::default(),
             pull: None,
             watched,
@@ -124,6 +125,10 @@ impl Live {
 
     fn step(&mut self) -> anyhow::Result<()> {
         let tick = self.world.tick();
+        // Frames of another world do not belong to the same recording.
+        if !self.minute.is_of(self.display.cast()) {
+            self.minute = Minute::of(self.display.cast());
+        }
         let played = self.world.step()?;
         self.display.note_steps(&self.world, tick, &played);
         self.minute.add(tick, played);
@@ -155,11 +160,9 @@ impl Live {
             Message::Renewed { robot, agent, file } => {
                 let sha256 = agent.sha256.clone();
                 self.shelf.put(*agent, Some(file));
-                self.input(Input::Renew { robot, sha256 })?;
+                self.set_up(Input::Renew { robot, sha256 })?;
                 let name = self.display.cast().names.get(robot).cloned().unwrap_or_default();
                 self.display.notice(format!("{name}: its run has saved a newer policy, which now walks"));
-                self.shelf.tidy(&self.world.setup().robots);
-                self.watch_policies();
             }
             Message::Notice(text) => display.notice(text),
             // Who does not drive is not heard.
@@ -194,9 +197,9 @@ impl Live {
             Request::Seed(seed) => {
                 let setup = self.world.setup();
                 let seed = seed.unwrap_or(setup.seed.wrapping_add(1));
-                self.set_up(Setup { seed, ..setup.clone() })?;
+                self.set_up(Input::Setup(Setup { seed, ..setup.clone() }))?;
             }
-            Request::Scene(scene) => self.set_up(Setup { scene, ..self.world.setup().clone() })?,
+            Request::Scene(scene) => self.set_up(Input::Setup(Setup { scene, ..self.world.setup().clone() }))?,
             Request::Robot { index, policy, robot } => self.change_robot(index, policy, robot)?,
             Request::Pause(is_paused) => self.display.clock.pause(is_paused, tick),
             Request::Speed(speed) => self.display.clock.set_speed(speed, tick),
@@ -238,16 +241,10 @@ impl Live {
         Ok(())
     }
 
-    /// Another world; what is asked and held goes on in it.
-    fn set_up(&mut self, setup: Setup) -> anyhow::Result<()> {
-        let before = self.world.setup().clone();
-        self.input(Input::Setup(setup))?;
-        if *self.world.setup() == before {
-            // It was refused, or is the same.
-            return Ok(());
-        }
+    /// Another world, or other policies in it: what is asked and held goes on.
+    fn set_up(&mut self, input: Input) -> anyhow::Result<()> {
+        self.input(input)?;
         self.shelf.tidy(&self.world.setup().robots);
-        self.minute = Minute::default();
         let (command, pull) = (std::mem::take(&mut self.command), self.pull.take());
         self.ask(command)?;
         self.hold(pull)?;
@@ -267,9 +264,12 @@ impl Live {
                 }
             },
             None if setup.robots.len() > 1 && index < setup.robots.len() => drop(setup.robots.remove(index)),
-            None => self.display.notice("one robot has to stay".to_owned()),
+            None => {
+                self.display.notice("one robot has to stay".to_owned());
+                return Ok(());
+            }
         }
-        self.set_up(setup)
+        self.set_up(Input::Setup(setup))
     }
 
     fn keep(&mut self, what: Kept) {
@@ -286,8 +286,8 @@ impl Live {
         let shown = self.display.news().shown;
         let started = match what {
             Kept::Minute => {
-                let (cast, minute) = (Arc::clone(self.display.cast()), self.minute.clone());
-                keep::in_background(move || minute.record(&cast, &recording), to_self)
+                let minute = self.minute.clone();
+                keep::in_background(move || minute.record(&recording), to_self)
             }
             Kept::All => {
                 keep::in_background(move || keep::all(&session, &recording, || shown.borrow().is_behind), to_self)

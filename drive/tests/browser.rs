@@ -1,8 +1,8 @@
 //! `drive` in a real browser: headless Chromium presses keys and drags on the pad.
 
-mod common;
 #[path = "common/chromium.rs"]
 mod chromium;
+mod common;
 
 use std::time::Duration;
 
@@ -57,7 +57,10 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     // By keyboard alone: the numbers beside the pad.
     browser.value("document.querySelector('#left').value = '-0.7'; document.querySelector('#shove').focus()");
     browser.value("document.querySelector('#ahead').value = '0'");
-    browser.call("Input.dispatchKeyEvent", serde_json::json!({ "type": "keyDown", "key": "Enter", "code": "Enter", "text": "\r" }));
+    browser.call(
+        "Input.dispatchKeyEvent",
+        serde_json::json!({ "type": "keyDown", "key": "Enter", "code": "Enter", "text": "\r" }),
+    );
     browser.wait("state.robots[0].reading.push.size_m_s[1] === -0.7");
 
     assert_eq!(browser.complaints, [""; 0]);

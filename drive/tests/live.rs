@@ -24,7 +24,9 @@ fn a_command_moves_both_robots_and_goes_to_zero_when_the_driver_falls_silent_or_
     }
     // Connected, but silent.
     let silent = Instant::now();
-    page.wait("a command of zero", |state, _| (state["robots"][0]["reading"]["command"] == json!([0.0, 0.0, 0.0])).then_some(()));
+    page.wait("a command of zero", |state, _| {
+        (state["robots"][0]["reading"]["command"] == json!([0.0, 0.0, 0.0])).then_some(())
+    });
     assert!(silent.elapsed() < Duration::from_millis(500), "{:?}", silent.elapsed());
 
     // Gone, while it pulls and drives.
@@ -58,7 +60,8 @@ fn a_push_arrives_with_its_size_and_the_robots_take_it_differently() {
 
     // 12 kg: 6 N·s are about half a metre per second; and no push is larger than the largest.
     page.send(&json!({ "push": { "size": [6.0, 0.0], "unit": "N·s" } }));
-    let speed = |state: &Value| state["robots"][0]["reading"]["push"]["size_m_s"][0].as_f64().filter(|size| *size > 0.0);
+    let speed =
+        |state: &Value| state["robots"][0]["reading"]["push"]["size_m_s"][0].as_f64().filter(|size| *size > 0.0);
     let mass_kg = supple::robot::Robot::load("go1").unwrap().mass_kg;
     assert!((page.wait("another push", |state, _| speed(state)) - 6.0 / mass_kg).abs() < 1e-12);
     page.send(&json!({ "push": { "size": [1e300, 0.0], "unit": "m/s" } }));
@@ -94,7 +97,9 @@ fn time_stops_slows_down_and_scenes_and_robots_change_while_it_runs() {
     page.wait("two robots", |state, _| (state["seed"] == 4 && state["robots"].as_array()?.len() == 2).then_some(()));
     for scene in ["box", "hills", "blocks", "terrain", "ball-pit", "flat"] {
         page.send(&json!({ "scene": scene }));
-        page.wait(scene, |state, _| (state["scene"] == scene && state["robots"][1]["time_s"].as_f64()? > 0.05).then_some(()));
+        page.wait(scene, |state, _| {
+            (state["scene"] == scene && state["robots"][1]["time_s"].as_f64()? > 0.05).then_some(())
+        });
         assert_eq!(page.state["robots"][1]["name"], "baseline-seed1");
     }
     page.send(&json!({ "robot": { "index": 0, "policy": "nobody" } }));
@@ -113,7 +118,10 @@ fn one_page_drives_until_another_takes_over_and_others_watch() {
     second.send(&json!({ "scene": "box" }));
     second.send(&json!({ "command": [0.5, 0.0, 0.0] }));
     first.ask_for([0.0, 0.0, 0.3], Duration::from_millis(500));
-    assert_eq!((&first.state["scene"], &first.state["robots"][0]["reading"]["command"]), (&json!("flat"), &json!([0.0, 0.0, 0.3])));
+    assert_eq!(
+        (&first.state["scene"], &first.state["robots"][0]["reading"]["command"]),
+        (&json!("flat"), &json!([0.0, 0.0, 0.3]))
+    );
     second.send(&json!("drive"));
     second.ask_for([0.2, 0.0, 0.0], Duration::from_millis(500));
     assert_eq!(second.state["driver"], second.me);

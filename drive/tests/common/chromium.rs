@@ -146,7 +146,10 @@ impl Chromium {
 
     pub fn key(&mut self, code: &str, down: bool) {
         let kind = if down { "rawKeyDown" } else { "keyUp" };
-        self.call("Input.dispatchKeyEvent", json!({ "type": kind, "code": code, "key": code.trim_start_matches("Key") }));
+        self.call(
+            "Input.dispatchKeyEvent",
+            json!({ "type": kind, "code": code, "key": code.trim_start_matches("Key") }),
+        );
     }
 
     pub fn mouse(&mut self, kind: &str, [x, y]: [f64; 2]) {

@@ -142,7 +142,12 @@ fn a_robot_that_falls_is_set_on_its_feet_after_two_seconds_where_it_lies_and_the
     let (before, after) = (&frames[again - 1].1, &frames[again].1);
     assert!((after.time_s - fell_s - 2.0).abs() < 0.04, "fell at {fell_s}, stood at {}", after.time_s);
     for axis in [0, 1] {
-        assert!((before.position[axis] - after.position[axis]).abs() < 0.01, "{:?} {:?}", before.position, after.position);
+        assert!(
+            (before.position[axis] - after.position[axis]).abs() < 0.01,
+            "{:?} {:?}",
+            before.position,
+            after.position
+        );
     }
     let turned = (before.roll_pitch_yaw[2] - after.roll_pitch_yaw[2]).abs();
     assert!(turned < 0.01 && after.roll_pitch_yaw[0].abs() < 0.02 && after.height_m > 0.25, "{after:?}");
@@ -248,8 +253,14 @@ fn what_is_no_session_is_refused_line_by_line() {
         (format!("{head}\n{head}\n"), "line 2: a second session begins"),
         (format!("{head}\n{{\"input\":{{\"tick\":-1,\"input\":\"reset\"}}}}\n"), "line 2: it is no session"),
         (head.replace("\"format\":1", "\"format\":2") + "\n", "line 1: it has format 2, this program knows 1"),
-        (format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"00\"}}}}\n"), "line 2: the policy 'p' is damaged"),
-        (format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"0\"}}}}\n"), "line 2: the policy's file is not"),
+        (
+            format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"00\"}}}}\n"),
+            "line 2: the policy 'p' is damaged",
+        ),
+        (
+            format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"0\"}}}}\n"),
+            "line 2: the policy's file is not",
+        ),
     ] {
         std::fs::write(&path, &text).unwrap();
         let error = Session::load(&path).unwrap_err().to_string();

@@ -14,7 +14,10 @@ use crate::output::{self, Outcome};
 /// Plays a session again and tells its numbers.
 pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
     let asked = [args.policy.is_some(), args.compare.is_some(), args.model.is_some(), args.params.is_some()];
-    anyhow::ensure!(!asked.contains(&true), "a session has its own policies and robots: measure it without naming others");
+    anyhow::ensure!(
+        !asked.contains(&true),
+        "a session has its own policies and robots: measure it without naming others"
+    );
     let drawn = [args.record.is_some(), args.connect.is_some(), args.serve.is_some(), args.on_fall.is_some()];
     anyhow::ensure!(!drawn.contains(&true), "record a session with `drive --replay {} --record FILE`", file.display());
 
