@@ -3,7 +3,7 @@
 import { drag } from "./command.js";
 
 /** A pointer that rests for so long pulls. */
-const HOLD_MS = 450;
+const HOLD_MS = 600;
 
 /** A pointer that moves less than this rests, in the drawing's units; so near to the middle it does nothing. */
 const STILL = 4;

@@ -32,7 +32,6 @@ const options = {
   hide_welcome_screen: true,
   enable_history: false,
   notebook: false,
-  theme: "dark",
   render_backend: new URLSearchParams(location.search).get("renderer") ?? undefined,
   panel_state_overrides: { top: hidden, blueprint: hidden, selection: hidden, time: hidden },
 };

@@ -32,10 +32,13 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     let (middle, width) = browser.place("#pad");
     let half = 50.0 / 220.0 * width;
     let [x, y] = middle;
-    browser.mouse("mousePressed", middle);
-    browser.mouse("mouseMoved", [x - half / 2.0, y]);
-    browser.mouse("mouseMoved", [x - half, y]);
-    browser.mouse("mouseReleased", [x - half, y]);
+    let left = [x - half, y];
+    browser.mouse(&[
+        ("mousePressed", middle),
+        ("mouseMoved", [x - 10.0, y]),
+        ("mouseMoved", left),
+        ("mouseReleased", left),
+    ]);
     browser.wait("state.robots[1].reading.push?.carried_m > 0.1");
     let sizes = browser.value("state.robots.map((robot) => robot.reading.push.size_m_s)");
     for size in sizes.as_array().unwrap() {
@@ -47,10 +50,9 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     assert!(shown.as_str().unwrap().contains("1.50"), "{shown}");
 
     // Held still, a drag forward pulls, for as long as it is held: half of the largest force.
-    browser.mouse("mousePressed", middle);
-    browser.mouse("mouseMoved", [x, y - half]);
+    browser.mouse(&[("mousePressed", middle), ("mouseMoved", [x, y - half])]);
     browser.wait("state.robots.every(({ reading }) => Math.abs(reading.pull?.force_n - 50) < 1)");
-    browser.mouse("mouseReleased", [x, y - half]);
+    browser.mouse(&[("mouseReleased", [x, y - half])]);
     browser.wait("state.robots.every(({ reading }) => reading.pull === null)");
     assert_eq!(browser.value("state.robots[0].reading.push.size_m_s[1] > 1.4"), true, "letting go is no push");
 

@@ -77,13 +77,7 @@ impl Chromium {
 
     /// Calls a method of the protocol.
     pub fn call(&mut self, method: &str, parameters: Value) -> Value {
-        self.count += 1;
-        let id = self.count;
-        let mut message = json!({ "id": id, "method": method, "params": parameters });
-        if !self.session.is_empty() {
-            message["sessionId"] = json!(self.session);
-        }
-        self.socket.send(Message::text(message.to_string())).unwrap();
+        let id = self.post(method, parameters);
         loop {
             let Message::Text(text) = self.socket.read().unwrap() else { continue };
             let message: Value = serde_json::from_str(&text).unwrap();
@@ -93,6 +87,17 @@ impl Chromium {
             }
             self.note(&message["params"], message["method"].as_str().unwrap_or_default());
         }
+    }
+
+    /// Calls a method without waiting for its answer.
+    pub fn post(&mut self, method: &str, parameters: Value) -> u64 {
+        self.count += 1;
+        let mut message = json!({ "id": self.count, "method": method, "params": parameters });
+        if !self.session.is_empty() {
+            message["sessionId"] = json!(self.session);
+        }
+        self.socket.send(Message::text(message.to_string())).unwrap();
+        self.count
     }
 
     fn note(&mut self, parameters: &Value, event: &str) {
@@ -152,9 +157,12 @@ impl Chromium {
         );
     }
 
-    pub fn mouse(&mut self, kind: &str, [x, y]: [f64; 2]) {
-        let button = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1 });
-        self.call("Input.dispatchMouseEvent", button);
+    /// What the mouse does, one thing right after the other.
+    pub fn mouse(&mut self, events: &[(&str, [f64; 2])]) {
+        for (kind, [x, y]) in events {
+            let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1 });
+            self.post("Input.dispatchMouseEvent", event);
+        }
     }
 
     /// The middle and the width of an element on the screen.
@@ -166,13 +174,6 @@ impl Chromium {
         let found = self.value(&find);
         let number = |index: usize| found[index].as_f64().unwrap();
         ([number(0), number(1)], number(2))
-    }
-
-    /// Clicks on an element.
-    pub fn click(&mut self, selector: &str) {
-        let (middle, _) = self.place(selector);
-        self.mouse("mousePressed", middle);
-        self.mouse("mouseReleased", middle);
     }
 
     /// A picture of the page as PNG, in base64.
