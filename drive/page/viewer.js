@@ -4,6 +4,10 @@ import { address } from "./link.js";
 
 const CHANNEL = "robots";
 const AGAIN_MS = 1000;
+
+/** Each scene is another recording to the viewer, and it keeps old ones: beyond this it starts afresh. */
+const MOST_BYTES = 1 << 30;
+
 const wait = document.getElementById("wait");
 
 // Keys are for the page around: the viewer would fly its camera with those that drive.
@@ -42,13 +46,13 @@ try {
   const viewer = new wasm_bindgen.WebHandle(options);
   await viewer.start(document.getElementById("canvas"));
   wait.remove();
-  feed(viewer);
+  feed(viewer, memory);
   tell("ready");
 } catch (error) {
   wait.textContent = `The viewer cannot run in this browser: ${error}. The robots can still be driven; drive --connect shows them in rerun itself.`;
 }
 
-function feed(viewer) {
+function feed(viewer, memory) {
   let channels = 0;
   const open = () => {
     const channel = `${CHANNEL} ${(channels += 1)}`;
@@ -56,6 +60,7 @@ function feed(viewer) {
     socket.binaryType = "arraybuffer";
     socket.onopen = () => viewer.open_channel(channel, CHANNEL);
     socket.onmessage = ({ data }) => {
+      if (memory.buffer.byteLength > MOST_BYTES) location.reload();
       viewer.send_rrd_to_channel(channel, new Uint8Array(data));
       // More only when this has been shown: a slow viewer misses frames, and none pile up.
       requestAnimationFrame(() => socket.readyState === WebSocket.OPEN && socket.send("shown"));
