@@ -29,23 +29,31 @@ fn main() {
     println!("cargo::rustc-env=SUPPLE_MEASURES={:016x}", hash_of(&measured_files()));
     let mujoco = std::env::var("DEP_MUJOCO_VERSION").unwrap_or_else(|_| "unknown".into());
     println!("cargo::rustc-env=SUPPLE_MUJOCO_VERSION={mujoco}");
-    let out = PathBuf::from(std::env::var_os("OUT_DIR").unwrap_or_default()).join("policies.rs");
-    if let Err(error) = std::fs::write(&out, embedded_policies(Path::new("policies"))) {
-        println!("cargo::error=cannot write {}: {error}", out.display());
+    let out = PathBuf::from(std::env::var_os("OUT_DIR").unwrap_or_default());
+    for (file, suffix, include) in
+        [("policies.rs", ".safetensors", "include_bytes"), ("calibrations.rs", ".calibration.json", "include_str")]
+    {
+        let out = out.join(file);
+        if let Err(error) = std::fs::write(&out, embedded(Path::new("policies"), suffix, include)) {
+            println!("cargo::error=cannot write {}: {error}", out.display());
+        }
     }
 }
 
-/// An array expression of (name, bytes), by name: `compliant-seed0`, `hardware/compliant-seed0`.
-fn embedded_policies(folder: &Path) -> String {
-    let mut files = files_in(folder);
-    files.retain(|file| file.extension().is_some_and(|extension| extension == "safetensors"));
-    files.sort_by_key(|file| file.with_extension(""));
+/// An array expression of (name, content) of the files with a suffix, by name: `compliant-seed0`, `hardware/compliant-seed0`.
+fn embedded(folder: &Path, suffix: &str, include: &str) -> String {
+    let name = |file: &PathBuf| {
+        let relative = file.strip_prefix(folder).unwrap_or(file).to_string_lossy();
+        relative.strip_suffix(suffix).map(str::to_owned)
+    };
+    let mut files: Vec<(String, PathBuf)> =
+        files_in(folder).into_iter().filter_map(|file| Some((name(&file)?, file))).collect();
+    files.sort();
     let mut code = String::from("&[\n");
-    for file in files {
-        let name = file.strip_prefix(folder).unwrap_or(&file).with_extension("").display().to_string();
+    for (name, file) in files {
         let path = file.canonicalize().unwrap_or(file).display().to_string();
         // Writing into a String cannot fail.
-        let _ = writeln!(code, "    ({name:?}, include_bytes!({path:?})),");
+        let _ = writeln!(code, "    ({name:?}, {include}!({path:?})),");
     }
     code.push(']');
     code

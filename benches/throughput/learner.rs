@@ -10,7 +10,7 @@ use rand::seq::SliceRandom;
 use serde::Serialize;
 use supple::config::{Config, LearnerKind, Ppo, Precision};
 use supple::network::{ActorCritic, Mlp};
-use supple::ppo::{Hyperparameters, LearnerState, learner, resolved};
+use supple::ppo::{LearnerState, learner, resolved};
 use supple::robot::JOINTS;
 use supple::task::Curriculum;
 use supple::train::collection::{Collection, Rollout};
@@ -92,7 +92,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
             order
         })
         .collect();
-    let start = LearnerState::new(network.clone(), &Hyperparameters::from(ppo));
+    let start = LearnerState::new(network.clone(), ppo);
     let sample_passes_per_s = |ppo: &Ppo, threads, permutations: &[Vec<u32>]| -> anyhow::Result<f64> {
         let mut learner = learner(ppo, start.clone(), threads)?;
         let (elapsed_s, statistics) = timed(|| learner.update(&batch, permutations));

@@ -223,7 +223,7 @@ fn unlike(sides: &[Side]) -> Vec<String> {
     let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
     let Some(first) = configs.next() else { return Vec::new() };
     let keys = configs.flat_map(|config| first.differences(config));
-    let keys: BTreeSet<String> = keys.map(|difference| difference.key).collect();
+    let keys: BTreeSet<String> = keys.map(|(key, _)| key).collect();
     keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
 }
 

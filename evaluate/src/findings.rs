@@ -3,7 +3,6 @@
 use serde::Serialize;
 
 use super::Quantity;
-use super::results::Results;
 use super::statistics::{Comparison, Estimate, Expected, Numbers, Spread, Trials, Verdict};
 
 /// Everything that an experiment shows.
@@ -42,12 +41,6 @@ impl Claim {
         let verdict = Verdict::of(&comparison, expected);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
-
-    /// That the first two sets stay below a bound.
-    pub fn bound(text: &str, paper: &str, quantity: Quantity, bound: f64, comparison: Comparison) -> Self {
-        let verdict = Verdict::below(bound, &comparison);
-        Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
-    }
 }
 
 /// A line of a table.
@@ -77,19 +70,6 @@ pub struct Table {
 }
 
 impl Table {
-    /// All quantities in all conditions.
-    pub fn of_conditions(name: String, caption: &str, results: &Results) -> Self {
-        let row = |condition: usize, quantity: &Quantity| Row {
-            condition: results.conditions[condition].label.clone(),
-            quantity: *quantity,
-            paper: String::new(),
-            comparison: results.compare(condition, quantity.name),
-        };
-        let conditions = 0..results.conditions.len();
-        let rows = conditions.flat_map(|condition| results.quantities.iter().map(move |it| row(condition, it)));
-        Table { name, caption: caption.to_owned(), rows: rows.collect(), in_page: true }
-    }
-
     /// States the paper's numbers in the rows of a quantity.
     pub fn state(&mut self, quantity: &str, paper: &str) {
         let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);

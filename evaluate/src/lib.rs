@@ -110,6 +110,9 @@ impl From<Vec<Option<f64>>> for Measured {
 
 /// An experiment's section of the protocol; the table in [`experiments`] implements it.
 pub trait Parameters {
+    /// What the experiment is.
+    fn info(&self) -> Info;
+
     /// Trials of each condition with each policy.
     fn trials(&self) -> u32;
 
@@ -119,9 +122,6 @@ pub trait Parameters {
 
 /// A table or figure of the paper: what is played, what is measured, what is shown.
 pub trait Experiment: Parameters + Sync {
-    /// What it is.
-    fn info(&self) -> Info;
-
     /// What is varied.
     ///
     /// # Errors

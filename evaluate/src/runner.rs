@@ -1,8 +1,8 @@
-//! Plays the trials of an experiment on all cores. What comes out does not depend on how many there are.
+//! Plays the trials of an experiment on the threads of rayon's global pool. What comes out does not depend on how many there are.
 
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
+
+use rayon::prelude::*;
 
 use super::contestants::{Contest, Contestant, Side};
 use super::results::{PolicyResult, Results};
@@ -41,8 +41,6 @@ pub enum RunError {
 /// How to run.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Threads that play trials.
-    pub threads: usize,
     /// Whether to measure again what is already there.
     pub again: bool,
     /// What policies act on.
@@ -153,7 +151,7 @@ impl Measurement {
     }
 }
 
-/// All trials of one policy, shape (conditions, trials).
+/// All trials of one policy, shape (conditions, trials); of several failures one is told.
 fn play_all(
     experiment: &dyn Experiment,
     conditions: &[Condition],
@@ -161,43 +159,16 @@ fn play_all(
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<PolicyResult, TrialError> {
-    let trials = experiment.trials() as usize;
-    let count = conditions.len() * trials;
-    let next = AtomicUsize::new(0);
-    let failure: Mutex<Option<(usize, TrialError)>> = Mutex::new(None);
-    let work = || {
-        let mut played: Vec<(usize, Sample)> = Vec::new();
-        loop {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            if index >= count {
-                return played;
-            }
-            let (condition, trial) = (index / trials, index % trials);
-            let number = experiment.info().number;
-            let seed = trial::trial_seed(contestant.seed, number, condition, trial as u32);
-            match trial::play(experiment, &conditions[condition], seed, &contestant.agent, settings.sensing) {
-                Ok(sample) => played.push((index, sample)),
-                Err(error) => {
-                    // The others stop at their next trial; of several failures the first trial's is told.
-                    next.store(count, Ordering::Relaxed);
-                    let mut failure = failure.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-                    if failure.as_ref().is_none_or(|(first, _)| index < *first) {
-                        *failure = Some((index, error));
-                    }
-                    return played;
-                }
-            }
-            progress(conditions[condition].scenario.cost());
-        }
+    let (number, trials) = (experiment.info().number, experiment.trials() as usize);
+    let play = |index: usize| {
+        let condition = &conditions[index / trials];
+        let seed = trial::trial_seed(contestant.seed, number, index / trials, (index % trials) as u32);
+        let sample = trial::play(experiment, condition, seed, &contestant.agent, settings.sensing)?;
+        progress(condition.scenario.cost());
+        Ok(sample)
     };
-    let mut played: Vec<(usize, Sample)> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..settings.threads.clamp(1, count.max(1))).map(|_| scope.spawn(work)).collect();
-        workers.into_iter().flat_map(|w| w.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))).collect()
-    });
-    if let Some((_, error)) = failure.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner) {
-        return Err(error);
-    }
-    played.sort_by_key(|(index, _)| *index);
-    let mut samples = played.into_iter().map(|(_, sample)| sample);
+    let played =
+        (0..conditions.len() * trials).into_par_iter().map(play).collect::<Result<Vec<Sample>, TrialError>>()?;
+    let mut samples = played.into_iter();
     Ok(conditions.iter().map(|_| samples.by_ref().take(trials).collect()).collect())
 }

@@ -69,24 +69,34 @@ impl<'a> Show<'a> {
 
     /// A table of all quantities in all conditions.
     pub fn table(&mut self, caption: &str) -> &mut Table {
-        self.add_table(Table::of_conditions(self.named(""), caption, self.results))
+        self.add_table("", caption, self.all_rows(), true)
     }
 
     /// The same in a file of its own, not in the page.
-    pub fn table_in_file(&mut self, part: &str, caption: &str) -> &mut Table {
-        let table = Table::of_conditions(self.named(part), caption, self.results);
-        self.add_table(Table { in_page: false, ..table })
+    pub fn table_in_file(&mut self, part: &str, caption: &str) {
+        self.add_table(part, caption, self.all_rows(), false);
     }
 
     /// A table of these rows.
-    pub fn table_of(&mut self, caption: impl Into<String>, rows: Vec<Row>) {
-        self.add_table(Table { name: self.named(""), caption: caption.into(), rows, in_page: true });
+    pub fn table_of(&mut self, caption: &str, rows: Vec<Row>) {
+        self.add_table("", caption, rows, true);
     }
 
-    fn add_table(&mut self, table: Table) -> &mut Table {
-        let index = self.findings.tables.len();
-        self.findings.tables.push(table);
+    fn add_table(&mut self, part: &str, caption: &str, rows: Vec<Row>, in_page: bool) -> &mut Table {
+        let (name, index) = (self.named(part), self.findings.tables.len());
+        self.findings.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
         &mut self.findings.tables[index]
+    }
+
+    /// All quantities in every condition by itself.
+    fn all_rows(&self) -> Vec<Row> {
+        self.rows(&Group::all(self.labels().into_iter(), self.results))
+    }
+
+    /// All quantities, of each the mean over each group.
+    pub fn rows(&self, groups: &[Group]) -> Vec<Row> {
+        let quantities = self.results.quantities;
+        groups.iter().flat_map(|group| quantities.iter().map(|quantity| self.row(group, *quantity))).collect()
     }
 
     /// A row of a quantity's mean over a group.

@@ -55,16 +55,14 @@ pub(super) fn log_model(
 
     let mut bodies = Vec::new();
     for body in (0..count).filter(|body| !balls.contains(body)) {
-        let mut solids = Solids::default();
-        for geom in &looks[body] {
-            solids.add(geom, colour(geom.rgba, tint.filter(|_| is_robot[body])));
-        }
+        let solid = |geom: &&Geom| Solid::new(geom, colour(geom.rgba, tint.filter(|_| is_robot[body])));
+        let solids: Vec<Solid> = looks[body].iter().map(solid).collect();
         let path = match (body, model.name(Kind::Body, body)) {
             (0, _) => child(&scene_path(root), "fixed"),
             (_, "") => child(root, &format!("body {body}")),
             (_, name) => child(root, name),
         };
-        solids.log(stream, &path)?;
+        log_solids(stream, &path, &solids)?;
         if body != 0 {
             bodies.push((body, path));
         }
@@ -126,74 +124,51 @@ fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
     Color::from_unmultiplied_rgba(byte(red), byte(green), byte(blue), byte(alpha))
 }
 
-/// Geometries of one kind.
-#[derive(Default)]
-struct Batch {
-    /// As MuJoCo has them, see [`Shape`] \[m\].
-    sizes: Vec<[f32; 3]>,
-    positions: Vec<[f32; 3]>,
-    quaternions: Vec<Quaternion>,
-    colours: Vec<Color>,
+/// A geometry as rerun has it; sizes are MuJoCo's, see [`Shape`] \[m\].
+struct Solid {
+    shape: Shape,
+    size: [f32; 3],
+    position: [f32; 3],
+    quaternion: Quaternion,
+    colour: Color,
 }
 
-impl Batch {
-    fn add(&mut self, size: [f32; 3], position: [f32; 3], quaternion: Quaternion, colour: Color) {
-        self.sizes.push(size);
-        self.positions.push(position);
-        self.quaternions.push(quaternion);
-        self.colours.push(colour);
-    }
-}
-
-/// The geometries of one body.
-#[derive(Default)]
-struct Solids {
-    boxes: Batch,
-    capsules: Batch,
-    cylinders: Batch,
-    ellipsoids: Batch,
-}
-
-impl Solids {
-    fn add(&mut self, geom: &Geom, colour: Color) {
-        let size = geom.size.map(|x| x as f32);
-        let position = geom.position.map(|x| x as f32);
+impl Solid {
+    fn new(geom: &Geom, colour: Color) -> Self {
+        let mut size = geom.size.map(|x| x as f32);
+        let mut position = geom.position.map(|x| x as f32);
         let [w, x, y, z] = geom.quaternion.map(|x| x as f32);
-        let quaternion = Quaternion::from_xyzw([x, y, z, w]);
         match geom.shape {
-            Shape::Box => self.boxes.add(size, position, quaternion, colour),
-            Shape::Cylinder => self.cylinders.add(size, position, quaternion, colour),
-            Shape::Ellipsoid => self.ellipsoids.add(size, position, quaternion, colour),
-            Shape::Sphere => self.ellipsoids.add([size[0]; 3], position, quaternion, colour),
-            Shape::Capsule => {
-                let start = capsule_start(size[1], position, [w, x, y, z]);
-                self.capsules.add(size, start, quaternion, colour);
-            }
+            Shape::Sphere => size = [size[0]; 3],
+            Shape::Capsule => position = capsule_start(size[1], position, [w, x, y, z]),
             // Grounds are drawn by `ground`; `looks_of` leaves out the rest.
-            Shape::Plane | Shape::HeightField(_) | Shape::Mesh(_) => {}
+            _ => {}
         }
+        Solid { shape: geom.shape, size, position, quaternion: Quaternion::from_xyzw([x, y, z, w]), colour }
     }
+}
 
-    fn log(self, stream: &Stream, path: &EntityPath) -> Result<(), RecordError> {
-        let half_sizes = |batch: &Batch| batch.sizes.iter().copied().map(HalfSize3D::from).collect::<Vec<_>>();
-        let lengths = |batch: &Batch| batch.sizes.iter().map(|size| 2.0 * size[1]).collect::<Vec<f32>>();
-        let radii = |batch: &Batch| batch.sizes.iter().map(|size| size[0]).collect::<Vec<f32>>();
-        let Solids { boxes, capsules, cylinders, ellipsoids } = self;
-        macro_rules! log {
-            ($batch:ident, $archetype:expr, $with_positions:ident) => {
-                if !$batch.sizes.is_empty() {
-                    let archetype = $archetype.$with_positions($batch.positions).with_quaternions($batch.quaternions);
-                    let archetype = archetype.with_colors($batch.colours).with_fill_mode(FillMode::Solid);
-                    stream.log_static(path, &archetype)?;
-                }
-            };
-        }
-        log!(boxes, Boxes3D::from_half_sizes(half_sizes(&boxes)), with_centers);
-        log!(capsules, Capsules3D::from_lengths_and_radii(lengths(&capsules), radii(&capsules)), with_translations);
-        log!(cylinders, Cylinders3D::from_lengths_and_radii(lengths(&cylinders), radii(&cylinders)), with_centers);
-        log!(ellipsoids, Ellipsoids3D::from_half_sizes(half_sizes(&ellipsoids)), with_centers);
-        Ok(())
+/// Logs the geometries of a body, those of a kind together.
+fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<(), RecordError> {
+    let half_sizes = |batch: &[&Solid]| batch.iter().map(|solid| HalfSize3D::from(solid.size)).collect::<Vec<_>>();
+    let lengths = |batch: &[&Solid]| batch.iter().map(|solid| 2.0 * solid.size[1]).collect::<Vec<f32>>();
+    let radii = |batch: &[&Solid]| batch.iter().map(|solid| solid.size[0]).collect::<Vec<f32>>();
+    macro_rules! log {
+        ($shape:pat, $with_positions:ident, |$batch:ident| $archetype:expr) => {
+            let $batch: Vec<&Solid> = solids.iter().filter(|solid| matches!(solid.shape, $shape)).collect();
+            if !$batch.is_empty() {
+                let archetype = $archetype.$with_positions($batch.iter().map(|solid| solid.position));
+                let archetype = archetype.with_quaternions($batch.iter().map(|solid| solid.quaternion));
+                let archetype = archetype.with_colors($batch.iter().map(|solid| solid.colour));
+                stream.log_static(path, &archetype.with_fill_mode(FillMode::Solid))?;
+            }
+        };
     }
+    log!(Shape::Box, with_centers, |batch| Boxes3D::from_half_sizes(half_sizes(&batch)));
+    log!(Shape::Capsule, with_translations, |batch| Capsules3D::from_lengths_and_radii(lengths(&batch), radii(&batch)));
+    log!(Shape::Cylinder, with_centers, |batch| Cylinders3D::from_lengths_and_radii(lengths(&batch), radii(&batch)));
+    log!(Shape::Sphere | Shape::Ellipsoid, with_centers, |batch| Ellipsoids3D::from_half_sizes(half_sizes(&batch)));
+    Ok(())
 }
 
 /// Centre of a capsule's lower cap: rerun's capsules begin there, MuJoCo's have their position in the middle.

@@ -67,6 +67,11 @@ pub fn page_url(port: u16) -> String {
 /// Pages are for this machine alone.
 const LOCAL: &str = "127.0.0.1";
 
+/// RERUN=off must not silently lose a recording that was asked for.
+fn builder(title: &str) -> RecordingStreamBuilder {
+    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title)
+}
+
 /// The server of the viewer's page, whose type rerun does not name.
 type Page = Box<dyn std::any::Any + Send>;
 
@@ -91,9 +96,8 @@ pub(super) struct Stream {
 impl Stream {
     /// Creates the file or reaches the viewer.
     pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
-        // RERUN=off must not silently lose a recording that was asked for.
-        let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title);
-        let stream = match sink {
+        let builder = builder(title);
+        let (recording, file, page, target) = match sink {
             Sink::File(path) => {
                 let target = path.display().to_string();
                 let create = |source| RecordError::Create { path: path.clone(), source };
@@ -103,10 +107,7 @@ impl Stream {
                 File::create(&path).map_err(create)?;
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
-                let recording = builder.batcher_config(batches).save(&path)?;
-                let mut stream = Stream::of(recording, target);
-                (stream.file, stream.frames_per_flush) = (Some(path), 1200);
-                stream
+                (builder.batcher_config(batches).save(&path)?, Some(path), None, target)
             }
             Sink::Connect(url) => {
                 let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
@@ -114,49 +115,35 @@ impl Stream {
                     .batcher_config(LIVE)
                     .connect_grpc_opts(target.clone())
                     .map_err(|error| RecordError::Viewer { url: target.clone(), reason: error.to_string() })?;
-                Stream::of(recording, target)
+                (recording, None, None, target)
             }
             Sink::Serve(port) => {
-                let target = page_url(port);
                 let (recording, page) = serve(builder, port)?;
-                let mut stream = Stream::of(recording, target);
-                stream._page = Some(page);
-                stream
+                (recording, None, Some(page), page_url(port))
             }
         };
-        stream.begin()
+        let frames_per_flush = if file.is_some() { 1200 } else { 120 };
+        let recording = Some(recording);
+        let (is_live, memory) = (false, None);
+        Stream { recording, is_live, memory, file, _page: page, target, frames_per_flush, frames: 0 }.begin()
     }
 
     /// Reaches the viewer, or begins to keep what is logged.
     pub(super) fn open_live(sink: LiveSink, title: &str) -> Result<Self, RecordError> {
-        let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title);
         let mut stream = match sink {
             LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
             LiveSink::Memory => {
                 // Whoever takes what was logged flushes.
-                let (recording, _) = builder.batcher_config(ChunkBatcherConfig::NEVER).memory()?;
+                let (recording, _) = builder(title).batcher_config(ChunkBatcherConfig::NEVER).memory()?;
                 let (sink, memory) = BinaryStreamSink::new(recording.clone());
                 recording.set_sink(Box::new(sink));
-                let mut stream = Stream::of(recording, "in memory".to_owned());
-                stream.memory = Some(memory);
-                stream.begin()?
+                let (recording, memory, target) = (Some(recording), Some(memory), "in memory".to_owned());
+                let (is_live, file, _page, frames_per_flush) = (true, None, None, 120);
+                Stream { recording, is_live, memory, file, _page, target, frames_per_flush, frames: 0 }.begin()?
             }
         };
         stream.is_live = true;
         Ok(stream)
-    }
-
-    fn of(recording: RecordingStream, target: String) -> Self {
-        Stream {
-            recording: Some(recording),
-            is_live: false,
-            memory: None,
-            file: None,
-            _page: None,
-            target,
-            frames_per_flush: 120,
-            frames: 0,
-        }
     }
 
     fn begin(mut self) -> Result<Self, RecordError> {

@@ -13,7 +13,7 @@ use supple::mujoco::Data;
 use supple::robot::Robot;
 use supple::scenario::trace::{Disturbance, EventKind, Pose, Rope, Sensed};
 use supple::sim::{Buffers, Ground, HeightField, Scene};
-use supple::task::{Command, Stage, Terms};
+use supple::task::{Command, Stage};
 
 fn obstacles() -> String {
     let ball = |k: usize| {
@@ -51,22 +51,13 @@ fn frame(model: &Model, time_s: f64) -> Frame {
         command: Command::velocity(0.5, 0.0, 0.0),
         velocity: [0.4, 0.0, 0.0],
         velocity_in_heading: [0.4, 0.0, 0.0],
-        yaw_rate: 0.0,
-        roll_pitch_yaw: [0.0; 3],
         height_m: 0.3,
         power_w: 20.0,
         torque_n_m: 10.0,
         reward: 0.8,
-        terms: Terms::default(),
-        joint_angles: [0.0; 12],
-        joint_targets: [0.0; 12],
-        torques: [0.0; 12],
         foot_positions: [[0.1, 0.1, 0.02]; 4],
         foot_forces: [[0.0, 0.0, 30.0]; 4],
         peak_foot_force_n: 40.0,
-        peak_obstacle_force_n: 0.0,
-        obstacle_impulse_n_s: 0.0,
-        disturbance: None,
         stage: Some(Stage::Walking),
         ..Frame::default()
     }

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use supple::config::Config;
 use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
@@ -107,7 +107,9 @@ fn train(
     saved: &mut u64,
 ) -> anyhow::Result<()> {
     let every = trainer.run().config.run.checkpoint_every;
-    let bar = progress_bar(total, trainer.run().samples);
+    let style = "{bar:30} {human_pos}/{human_len} samples, {per_sec}, {eta} left  {msg}";
+    let bar = terminal::progress_bar(total, style).with_position(trainer.run().samples);
+    bar.reset_eta();
     while trainer.run().samples < total && !stop.load(Ordering::Relaxed) {
         let metrics = trainer.iterate().map_err(|error| explain(error, folder))?;
         folder.log(&metrics)?;
@@ -213,16 +215,6 @@ fn resume(path: &Path, args: &Args, threads: usize) -> anyhow::Result<(Trainer, 
     folder.save_config(&trainer)?;
     folder.save_policy(&trainer)?;
     Ok((trainer, folder))
-}
-
-fn progress_bar(total: u64, done: u64) -> ProgressBar {
-    let style = "{bar:30} {human_pos}/{human_len} samples, {per_sec}, {eta} left  {msg}";
-    let bar = ProgressBar::new(total).with_position(done);
-    if let Ok(style) = ProgressStyle::with_template(style) {
-        bar.set_style(style);
-    }
-    bar.reset_eta();
-    bar
 }
 
 fn summary(metrics: &IterationMetrics) -> String {

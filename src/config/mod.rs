@@ -11,13 +11,12 @@ was so before it; a key with a better name keeps its old one as an alias.
 mod check;
 mod sections;
 
-use std::fmt;
 use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, LearnerKind, Ppo, Precision, Randomisation, Reward, RobotModel, Run,
-    Simulation,
+    Action, CommandRange, Compliance, Config, Episode, LearnerKind, Ppo, Precision, Randomisation, Reward, RobotModel,
+    Run, Simulation,
 };
 
 use crate::robot::Robot;
@@ -29,6 +28,7 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("baseline", include_str!("../../configs/baseline.yaml")),
     ("fast", include_str!("../../configs/fast.yaml")),
     ("fast-baseline", include_str!("../../configs/fast-baseline.yaml")),
+    ("commanded", include_str!("../../configs/commanded.yaml")),
     ("hardware", include_str!("../../configs/hardware.yaml")),
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
 ];
@@ -66,29 +66,14 @@ pub enum ConfigError {
     },
 }
 
-/// A key in which two configurations differ.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Difference {
-    /// Dotted key.
-    pub key: String,
-    /// Its value in the one and in the other, as YAML.
-    pub values: [String; 2],
-}
-
-impl fmt::Display for Difference {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let [ours, theirs] = &self.values;
-        write!(f, "{}: {ours} and {theirs}", self.key)
-    }
-}
-
 impl Config {
     /// Checks that this is the same as another configuration but for the length of the run.
     ///
     /// # Errors
     /// In words: the keys in which they differ, with both values.
     pub fn check_same(&self, other: &Config) -> Result<(), String> {
-        let differences: Vec<String> = self.differences(other).iter().map(Difference::to_string).collect();
+        let differences = self.differences(other).into_iter();
+        let differences: Vec<_> = differences.map(|(key, [a, b])| format!("{key}: {a} and {b}")).collect();
         if differences.is_empty() { Ok(()) } else { Err(differences.join("; ")) }
     }
 
@@ -114,15 +99,14 @@ impl Config {
         Ok(config)
     }
 
-    /// Where this configuration and another one differ. The length of the run is not looked at, nor what is left to the
+    /// Where this configuration and another one differ: dotted keys, and both values as YAML. The length of the run is not looked at, nor what is left to the
     /// machine.
-    pub fn differences(&self, other: &Config) -> Vec<Difference> {
+    pub fn differences(&self, other: &Config) -> Vec<(String, [String; 2])> {
         let mut other = Config { run: self.run.clone(), ..other.clone() };
         if [self.ppo.precision, other.ppo.precision].contains(&Precision::Auto) {
             other.ppo.precision = self.ppo.precision;
         }
-        let differences = yaml::differences(self, &other).into_iter();
-        differences.map(|(key, values)| Difference { key, values }).collect()
+        yaml::differences(self, &other)
     }
 
     /// As it is in policy files, which go to other machines: without the folder of a robot that does not ship.

@@ -82,22 +82,10 @@ fn walk(speed: f64, seconds: u32, seed: u64, mut spoil: impl FnMut(&mut Tick, &m
 
 fn nothing(_: &mut Tick, _: &mut Walker) {}
 
-fn report(name: &str, errors: &Errors) {
-    println!(
-        "{name}: velocity {:.4} m/s (worst {:.4}), height {:.4} m, tilt {:.2}°, drift {:.3} m",
-        errors.velocity_rmse(1.0),
-        errors.worst_velocity(1.0, f64::INFINITY),
-        errors.height_rmse(1.0),
-        errors.worst_tilt().to_degrees(),
-        errors.drift.last().unwrap()
-    );
-}
-
 #[test]
 fn a_robot_that_stands_stays_where_it_is() {
     for seed in 0..3 {
         let errors = walk(0.0, 20, seed, nothing);
-        report("stand", &errors);
         assert!(errors.velocity_rmse(1.0) < 0.005, "{}", errors.velocity_rmse(1.0));
         assert!(errors.height_rmse(1.0) < 0.003, "{}", errors.height_rmse(1.0));
         assert!(errors.drift.iter().all(|drift| *drift < 0.02), "{}", errors.drift.last().unwrap());
@@ -108,7 +96,6 @@ fn a_robot_that_stands_stays_where_it_is() {
 fn a_trot_is_followed() {
     for (speed, seed) in [(0.5, 0), (0.5, 1), (0.5, 2), (1.0, 3), (-0.5, 4)] {
         let errors = walk(speed, 12, seed, nothing);
-        report("trot", &errors);
         assert!(errors.velocity_rmse(1.0) < 0.02, "{}", errors.velocity_rmse(1.0));
         assert!(errors.height_rmse(1.0) < 0.005, "{}", errors.height_rmse(1.0));
         assert!(errors.worst_tilt() < 3.0_f64.to_radians(), "{}", errors.worst_tilt());
@@ -126,7 +113,6 @@ fn a_foot_that_slips_moves_the_velocity_by_a_fifth_of_its_slip() {
                 slipped += u32::from(slips && tick.contacts[leg]);
                 walker.slip = slips.then_some((leg, Vector3::new(-0.5, 0.3, 0.0)));
             });
-            report("slip", &errors);
             assert_eq!(slipped, 24);
             // 0.58 m/s: half of it would be the mean of both feet.
             let worst = errors.worst_velocity(5.0, 5.6);
@@ -147,7 +133,6 @@ fn a_contact_flag_may_be_wrong_for_50_ms() {
                 tick.contacts[leg] = says;
             }
         });
-        report("contact", &errors);
         assert!(errors.worst_velocity(5.0, 5.4) < 0.1, "{}", errors.worst_velocity(5.0, 5.4));
         assert!(errors.velocity_rmse(5.5) < 0.02);
         assert!(errors.height_rmse(5.0) < 0.005);
@@ -164,7 +149,6 @@ fn silence_of_a_sensor_is_bridged() {
                 if imu { tick.imu = None } else { tick.encoders = None }
             }
         });
-        report("silence", &errors);
         let worst = errors.worst_velocity(5.0, 5.6);
         assert!(worst < worst_m_s, "{imu} {silent_s}: {worst}");
         assert!(errors.velocity_rmse(6.0) < 0.03, "{imu} {silent_s}: {}", errors.velocity_rmse(6.0));

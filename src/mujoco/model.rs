@@ -164,6 +164,107 @@ impl Drop for Model {
     }
 }
 
+/// Fields of mjModel by kind: sizes, whole arrays of numbers, and by id of an element an index or some numbers of it. The
+/// length of an array is that of the size behind it, which mjmodel.h documents.
+macro_rules! fields {
+    (sizes: $($(#[$doc:meta])* $name:ident = $field:ident;)*) => {
+        impl Model {$(
+            $(#[$doc])*
+            pub fn $name(&self) -> usize {
+                self.raw().$field as usize
+            }
+        )*}
+    };
+    (arrays: $($(#[$doc:meta])* $name:ident = $field:ident[$count:ident];)*) => {
+        impl Model {$(
+            $(#[$doc])*
+            pub fn $name(&self) -> &[f64] {
+                self.slice(self.raw().$field, self.raw().$count)
+            }
+        )*}
+    };
+    (indices: $($(#[$doc:meta])* $name:ident = $field:ident[$count:ident];)*) => {
+        impl Model {$(
+            $(#[$doc])*
+            pub fn $name(&self, id: usize) -> usize {
+                self.slice(self.raw().$field, self.raw().$count)[id] as usize
+            }
+        )*}
+    };
+    (vectors: $($(#[$doc:meta])* $name:ident: $width:literal = $field:ident[$count:ident];)*) => {
+        impl Model {$(
+            $(#[$doc])*
+            pub fn $name(&self, id: usize) -> [f64; $width] {
+                row(self.slice(self.raw().$field, $width * self.raw().$count), id)
+            }
+        )*}
+    };
+}
+
+fields! {
+    sizes:
+    /// Number of generalised positions.
+    nq = nq;
+    /// Number of generalised velocities.
+    nv = nv;
+    /// Number of actuators.
+    nu = nu;
+    /// Capacity of the contact buffer.
+    nconmax = nconmax;
+    /// Capacity of the constraint buffer \[rows\].
+    njmax = njmax;
+    /// Number of bodies that are moved from outside.
+    mocap_count = nmocap;
+}
+
+fields! {
+    arrays:
+    /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
+    damping = dof_damping[nv];
+    /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
+    armature = dof_armature[nv];
+    /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
+    friction_loss = dof_frictionloss[nv];
+    /// Positions that the file puts everything at, shape (nq).
+    rest_positions = qpos0[nq];
+    /// Mass of every body, shape (nbody). \[kg\]
+    body_mass = body_mass[nbody];
+}
+
+fields! {
+    indices:
+    /// Index of a joint's first position.
+    joint_position_index = jnt_qposadr[njnt];
+    /// Index of a joint's first velocity.
+    joint_velocity_index = jnt_dofadr[njnt];
+    /// Body that a joint moves.
+    joint_body = jnt_bodyid[njnt];
+    /// Body of a site.
+    site_body = site_bodyid[nsite];
+    /// Body to which a body is attached.
+    body_parent = body_parentid[nbody];
+    /// Body of a geometry.
+    geom_body = geom_bodyid[ngeom];
+}
+
+fields! {
+    vectors:
+    /// Lower and upper limit of a joint \[rad\].
+    joint_range: 2 = jnt_range[njnt];
+    /// Lower and upper limit of an actuator's control.
+    control_range: 2 = actuator_ctrlrange[nu];
+    /// Centre of mass of a body in its own frame \[m\].
+    body_centre_of_mass: 3 = body_ipos[nbody];
+    /// Origin of a body in the frame of the body above it \[m\].
+    body_position: 3 = body_pos[nbody];
+    /// Where a joint is, in its body's frame \[m\].
+    joint_anchor: 3 = jnt_pos[njnt];
+    /// The unit vector that a hinge turns about, in its body's frame.
+    joint_axis: 3 = jnt_axis[njnt];
+    /// Where a site is, in its body's frame \[m\].
+    site_position: 3 = site_pos[nsite];
+}
+
 impl Model {
     /// Compiles MJCF held in memory: `(name, text)` pairs, the main file first, then those it includes.
     ///
@@ -228,31 +329,6 @@ impl Model {
     fn raw_mut(&mut self) -> &mut sys::mjModel {
         // SAFETY: the pointer is valid as long as `self`, which is borrowed mutably.
         unsafe { self.0.as_mut() }
-    }
-
-    /// Number of generalised positions.
-    pub fn nq(&self) -> usize {
-        self.raw().nq as usize
-    }
-
-    /// Number of generalised velocities.
-    pub fn nv(&self) -> usize {
-        self.raw().nv as usize
-    }
-
-    /// Number of actuators.
-    pub fn nu(&self) -> usize {
-        self.raw().nu as usize
-    }
-
-    /// Capacity of the contact buffer.
-    pub fn nconmax(&self) -> usize {
-        self.raw().nconmax as usize
-    }
-
-    /// Capacity of the constraint buffer \[rows\].
-    pub fn njmax(&self) -> usize {
-        self.raw().njmax as usize
     }
 
     /// Number of elements of a kind.
@@ -354,61 +430,14 @@ impl Model {
         unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
     }
 
-    /// Number of bodies that are moved from outside.
-    pub fn mocap_count(&self) -> usize {
-        self.raw().nmocap as usize
-    }
-
     /// Index among the bodies that are moved from outside, if a body is one.
     pub fn mocap_index(&self, body: usize) -> Option<usize> {
         usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[body]).ok()
     }
 
-    /// Index of a joint's first position.
-    pub fn joint_position_index(&self, joint: usize) -> usize {
-        self.slice(self.raw().jnt_qposadr, self.raw().njnt)[joint] as usize
-    }
-
-    /// Index of a joint's first velocity.
-    pub fn joint_velocity_index(&self, joint: usize) -> usize {
-        self.slice(self.raw().jnt_dofadr, self.raw().njnt)[joint] as usize
-    }
-
-    /// Lower and upper limit of a joint \[rad\].
-    pub fn joint_range(&self, joint: usize) -> [f64; 2] {
-        let range = self.slice(self.raw().jnt_range, 2 * self.raw().njnt);
-        [range[2 * joint], range[2 * joint + 1]]
-    }
-
-    /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
-    pub fn damping(&self) -> &[f64] {
-        self.slice(self.raw().dof_damping, self.raw().nv)
-    }
-
-    /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
-    pub fn armature(&self) -> &[f64] {
-        self.slice(self.raw().dof_armature, self.raw().nv)
-    }
-
-    /// Lower and upper limit of an actuator's control.
-    pub fn control_range(&self, actuator: usize) -> [f64; 2] {
-        let range = self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu);
-        [range[2 * actuator], range[2 * actuator + 1]]
-    }
-
-    /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
-    pub fn friction_loss(&self) -> &[f64] {
-        self.slice(self.raw().dof_frictionloss, self.raw().nv)
-    }
-
     /// Whether a joint leaves its body free in space.
     pub fn is_free(&self, joint: usize) -> bool {
         self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_FREE as i32
-    }
-
-    /// Body that a joint moves.
-    pub fn joint_body(&self, joint: usize) -> usize {
-        self.slice(self.raw().jnt_bodyid, self.raw().njnt)[joint] as usize
     }
 
     /// What an actuator does.
@@ -448,7 +477,7 @@ impl Model {
         let mut position: [f64; 3] = row(self.slice(raw.geom_pos, 3 * raw.ngeom), id);
         let mut body = self.geom_body(id);
         while body != 0 && self.slice(raw.body_jntnum, raw.nbody)[body] == 0 {
-            let offset: [f64; 3] = row(self.slice(raw.body_pos, 3 * raw.nbody), body);
+            let offset = self.body_position(body);
             (0..3).for_each(|axis| position[axis] += offset[axis]);
             body = self.body_parent(body);
         }
@@ -471,63 +500,10 @@ impl Model {
         all.nth(usize::try_from(home).unwrap_or(0))
     }
 
-    /// Positions that the file puts everything at, shape (nq).
-    pub fn rest_positions(&self) -> &[f64] {
-        self.slice(self.raw().qpos0, self.raw().nq)
-    }
-
-    /// Mass of every body, shape (nbody). \[kg\]
-    pub fn body_mass(&self) -> &[f64] {
-        self.slice(self.raw().body_mass, self.raw().nbody)
-    }
-
-    /// Centre of mass of a body in its own frame \[m\].
-    ///
-    /// # Panics
-    /// If there is no body of this id.
-    pub fn body_centre_of_mass(&self, body: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_ipos, 3 * self.raw().nbody), body)
-    }
-
-    /// Origin of a body in the frame of the body above it \[m\].
-    pub fn body_position(&self, body: usize) -> [f64; 3] {
-        row(self.slice(self.raw().body_pos, 3 * self.raw().nbody), body)
-    }
-
     /// Rotation from a body's frame to that of the body above it.
     pub fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
         let [w, x, y, z] = row(self.slice(self.raw().body_quat, 4 * self.raw().nbody), body);
         UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
-    }
-
-    /// Where a joint is, in its body's frame \[m\].
-    pub fn joint_anchor(&self, joint: usize) -> [f64; 3] {
-        row(self.slice(self.raw().jnt_pos, 3 * self.raw().njnt), joint)
-    }
-
-    /// The unit vector that a hinge turns about, in its body's frame.
-    pub fn joint_axis(&self, joint: usize) -> [f64; 3] {
-        row(self.slice(self.raw().jnt_axis, 3 * self.raw().njnt), joint)
-    }
-
-    /// Where a site is, in its body's frame \[m\].
-    pub fn site_position(&self, site: usize) -> [f64; 3] {
-        row(self.slice(self.raw().site_pos, 3 * self.raw().nsite), site)
-    }
-
-    /// Body of a site.
-    pub fn site_body(&self, site: usize) -> usize {
-        self.slice(self.raw().site_bodyid, self.raw().nsite)[site] as usize
-    }
-
-    /// Body to which each body is attached, shape (nbody).
-    pub fn body_parent(&self, body: usize) -> usize {
-        self.slice(self.raw().body_parentid, self.raw().nbody)[body] as usize
-    }
-
-    /// Body of each geom, shape (ngeom).
-    pub fn geom_body(&self, geom: usize) -> usize {
-        self.slice(self.raw().geom_bodyid, self.raw().ngeom)[geom] as usize
     }
 
     /// Everything that is needed to draw a geometry.

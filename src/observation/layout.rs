@@ -256,23 +256,22 @@ impl Layout {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::Vector3;
 
     use super::*;
     use crate::observation::{Command, Numbers, Observer, Scales, Word, paper_layout};
-    use crate::robot::{FootState, RobotState, same_in_every_leg};
+    use crate::robot::{RobotState, same_in_every_leg};
 
     fn state() -> RobotState {
         RobotState {
             position: Vector3::new(7.0, 8.0, 9.0),
-            world_from_base: UnitQuaternion::identity(),
             height: 0.25,
             velocity_in_base: Vector3::new(1.0, 2.0, 3.0),
             angular_velocity_in_base: Vector3::new(4.0, 5.0, 6.0),
             gravity_in_base: Vector3::new(-0.1, -0.2, -9.8),
             joint_angles: std::array::from_fn(|k| k as f64),
             joint_rates: std::array::from_fn(|k| 100.0 + k as f64),
-            feet: [FootState::default(); 4],
+            ..RobotState::default()
         }
     }
 

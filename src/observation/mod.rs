@@ -32,11 +32,20 @@ pub struct Command {
     pub left: f64,
     /// `ω_y*` of the paper [rad/s].
     pub yaw: f64,
+    /// Velocity that a newton of sustained horizontal force is to buy [m/s/N]; not in the paper. Zero: none, or, of a policy
+    /// that cannot be told, whatever it has.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub compliance: f64,
 }
 
 impl Command {
     /// A walk: forward and left [m/s], yaw rate [rad/s].
     pub fn velocity(forward: f64, left: f64, yaw: f64) -> Self {
-        Command { forward, left, yaw }
+        Command { forward, left, yaw, ..Command::default() }
     }
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }

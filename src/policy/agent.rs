@@ -4,6 +4,7 @@ use std::borrow::Borrow;
 use std::path::Path;
 use std::sync::Arc;
 
+use super::compliance::{Calibration, ComplianceError, Compliant};
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
@@ -21,6 +22,32 @@ pub enum AgentError {
     /// The simulation that an external policy asks for.
     #[error(transparent)]
     Config(#[from] ConfigError),
+    /// Neither a file nor a shipped policy.
+    #[error(
+        "there is no policy '{name}': give a policy file, a run's folder, the YAML file of an external policy, or \
+         one of: {known}"
+    )]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// The shipped ones.
+        known: String,
+    },
+    /// An ONNX file alone.
+    #[error(
+        "{name} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
+         examples/policies/rsl_rl.yaml does, and give that"
+    )]
+    Undescribed {
+        /// The file.
+        name: String,
+    },
+    /// It is not ours.
+    #[error("{name} is an external policy: this works with policy files of Supple")]
+    External {
+        /// What was asked for.
+        name: String,
+    },
 }
 
 /// A policy with the robot, rates, gains and latency that it runs with.
@@ -30,6 +57,8 @@ pub struct Agent {
     pub config: Config,
     /// Identity of the policy: SHA-256 of its files.
     pub sha256: String,
+    /// How far it yields, where that has been measured.
+    pub calibration: Option<Calibration>,
     mind: Mind,
 }
 
@@ -45,16 +74,20 @@ impl Agent {
     /// # Errors
     /// [`AgentError`]
     pub fn load(path: &Path) -> Result<Self, AgentError> {
-        if files::is_yaml(path) {
-            return external::load(path);
-        }
-        let mut agent = Agent::from(Policy::load(path)?);
-        agent.find_robot(path.parent().unwrap_or(Path::new("")));
+        let mut agent = if files::is_yaml(path) {
+            external::load(path)?
+        } else {
+            let mut agent = Agent::from(Policy::load(path)?);
+            agent.find_robot(path.parent().unwrap_or(Path::new("")));
+            agent
+        };
+        agent.calibration = Calibration::beside(path, &agent.sha256)?;
         Ok(agent)
     }
 
-    pub(super) fn external(inference: Inference, config: Config, sha256: String) -> Self {
-        Agent { config, sha256, mind: Mind::External(Box::new(inference)) }
+    /// A policy that is in no file of ours, with what it runs with. Its identity is for what keeps results by policy.
+    pub fn external(inference: Inference, config: Config, sha256: String) -> Self {
+        Agent { config, sha256, calibration: None, mind: Mind::External(Box::new(inference)) }
     }
 
     /// The file of a robot that does not ship goes by its name alone: it lies where the run had it, or beside the policy.
@@ -72,7 +105,23 @@ impl Agent {
 
     /// A controller of one robot.
     pub fn controller(&self) -> Box<dyn Controller + '_> {
-        Box::new(self.inference().controller())
+        let policy = Box::new(self.inference().controller());
+        match &self.calibration {
+            None => policy,
+            Some(calibration) => Box::new(Compliant::new(policy, calibration, &self.config)),
+        }
+    }
+
+    /// Whether it can yield by a commanded compliance [m/s/N].
+    ///
+    /// # Errors
+    /// [`ComplianceError`]
+    pub fn check_compliance(&self, compliance: f64) -> Result<(), ComplianceError> {
+        match &self.calibration {
+            Some(calibration) => Ok(calibration.check(compliance)?),
+            None if compliance == 0.0 => Ok(()),
+            None => Err(ComplianceError::NotCalibrated),
+        }
     }
 
     /// A controller of one robot, to keep.
@@ -122,6 +171,6 @@ impl Borrow<Inference> for Shared {
 impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
         let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
-        Agent { config, sha256, mind: Mind::Ours(Box::new(policy)) }
+        Agent { config, sha256, calibration: None, mind: Mind::Ours(Box::new(policy)) }
     }
 }

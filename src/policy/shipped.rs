@@ -1,66 +1,47 @@
 //! The policies that ship inside the program, and finding one by name or path.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
+use crate::policy::compliance::Calibration;
 use crate::policy::{Agent, AgentError, Policy};
 
 /// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
 
-/// Why no policy was found.
-#[derive(Debug, thiserror::Error)]
-pub enum FindError {
-    /// Neither a file nor a shipped policy.
-    #[error(
-        "there is no policy '{name}': give a policy file, a run's folder, the YAML file of an external policy, or \
-         one of: {known}"
-    )]
-    Unknown {
-        /// What was asked for.
-        name: String,
-        /// The shipped ones.
-        known: String,
-    },
-    /// The file is no good.
-    #[error(transparent)]
-    Agent(#[from] AgentError),
-    /// An ONNX file alone.
-    #[error(
-        "{name} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
-         examples/policies/rsl_rl.yaml does, and give that"
-    )]
-    Undescribed {
-        /// The file.
-        name: String,
-    },
-    /// It is not ours.
-    #[error("{name} is an external policy: this works with policy files of Supple")]
-    External {
-        /// What was asked for.
-        name: String,
-    },
-}
+/// Name and calibration of those of them that have one.
+const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibrations.rs"));
 
 /// A policy by path of its file, path of a run's folder, path of the YAML file of an external one, or name of a
 /// shipped one; `compliant` stands for the least seed's that ships, `compliant-seed0`.
 ///
 /// # Errors
-/// [`FindError`], with the names that there are.
-pub fn find(name: &str) -> Result<Agent, FindError> {
+/// [`AgentError`], with the names that there are.
+pub fn find(name: &str) -> Result<Agent, AgentError> {
     let path = Path::new(name);
     if path.is_dir() {
-        return Ok(Agent::load(&path.join("policy.safetensors"))?);
+        return Agent::load(&path.join("policy.safetensors"));
     }
     if path.is_file() {
         if path.extension().is_some_and(|extension| extension == "onnx") {
-            return Err(FindError::Undescribed { name: name.to_owned() });
+            return Err(AgentError::Undescribed { name: name.to_owned() });
         }
-        return Ok(Agent::load(path)?);
+        return Agent::load(path);
     }
     let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
-    let shipped = position(&names, name).ok_or_else(|| FindError::Unknown { name: name.to_owned(), known: known() })?;
+    let shipped =
+        position(&names, name).ok_or_else(|| AgentError::Unknown { name: name.to_owned(), known: known() })?;
     let (known, bytes) = EMBEDDED[shipped];
-    Ok(Policy::from_bytes(bytes, Path::new(known)).map_err(AgentError::from)?.into())
+    let mut agent = Agent::from(Policy::from_bytes(bytes, Path::new(known))?);
+    if let Some((name, text)) = CALIBRATIONS.iter().find(|(name, _)| *name == known) {
+        agent.calibration = Some(Calibration::from_json(Path::new(name), text, &agent.sha256)?);
+    }
+    Ok(agent)
+}
+
+/// The file that [`find`] reads; none for a policy inside the program.
+pub fn file_of(name: &str) -> Option<PathBuf> {
+    let path = Path::new(name);
+    if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.is_file().then(|| path.to_owned()) }
 }
 
 /// Which of the names is meant: itself, or the least seed's.
@@ -74,8 +55,8 @@ fn position(names: &[&str], name: &str) -> Option<usize> {
 ///
 /// # Errors
 /// As [`find`], and if the policy is external.
-pub fn find_ours(name: &str) -> Result<Policy, FindError> {
-    find(name)?.into_policy().ok_or_else(|| FindError::External { name: name.to_owned() })
+pub fn find_ours(name: &str) -> Result<Policy, AgentError> {
+    find(name)?.into_policy().ok_or_else(|| AgentError::External { name: name.to_owned() })
 }
 
 fn known() -> String {

@@ -7,7 +7,7 @@ use std::fmt::Debug;
 #[cfg(tiles)]
 use super::fused::Tiles;
 use super::fused::{Panels, tiles_available};
-use super::{Batch, CandleLearner, FusedLearner, Hyperparameters, UpdateFault, UpdateStatistics};
+use super::{Batch, CandleLearner, FusedLearner, UpdateFault, UpdateStatistics};
 use crate::config::{LearnerKind, Ppo, Precision};
 use crate::network::ActorCritic;
 use crate::util::yaml;
@@ -37,7 +37,7 @@ pub trait Learner: Debug + Send {
 /// # Panics
 /// When the minibatch size is zero, or the moments do not have the shapes of the parameters.
 pub fn learner(ppo: &Ppo, state: LearnerState, threads: usize) -> Result<Box<dyn Learner>, PrecisionError> {
-    let settings = Hyperparameters::from(ppo);
+    let settings = ppo.clone();
     Ok(match (ppo.learner, resolved(ppo)) {
         (LearnerKind::Candle, _) => Box::new(CandleLearner::new(state, settings)),
         (LearnerKind::Fused, Precision::Auto | Precision::F32) => {
@@ -93,8 +93,8 @@ pub struct LearnerState {
 
 impl LearnerState {
     /// Before the first update.
-    pub fn new(parameters: ActorCritic, settings: &Hyperparameters) -> Self {
+    pub fn new(parameters: ActorCritic, settings: &Ppo) -> Self {
         let (first_moment, second_moment) = (parameters.zeros_like(), parameters.zeros_like());
-        Self { parameters, first_moment, second_moment, steps: 0, learning_rate: settings.learning_rate }
+        Self { parameters, first_moment, second_moment, steps: 0, learning_rate: settings.initial_learning_rate }
     }
 }

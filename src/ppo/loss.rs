@@ -1,67 +1,20 @@
 /*!
-PPO's per-sample arithmetic and its settings.
+PPO's per-sample arithmetic.
+
+Settings are those of the configuration; the number of epochs is that of the permutations given to each update.
 */
 
 use crate::config::Ppo;
 
-/// Settings of the learner; the number of epochs is that of the permutations given to each update.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Hyperparameters {
-    /// Samples per gradient step.
-    pub minibatch_size: usize,
-    /// `c`: the ratio of probabilities is clipped to 1 ± c.
-    pub clip_range: f64,
-    /// Weight of the value loss.
-    pub value_coefficient: f64,
-    /// Weight of the entropy bonus.
-    pub entropy_coefficient: f64,
-    /// The joint gradient is scaled down to this norm.
-    pub max_gradient_norm: f64,
-    /// At the start of training.
-    pub learning_rate: f64,
-    /// The adaptive learning rate never goes below.
-    pub learning_rate_min: f64,
-    /// The adaptive learning rate never goes above.
-    pub learning_rate_max: f64,
-    /// The learning rate follows the divergence of the policy from that of the rollout, and aims at this one.
-    pub desired_kl: f64,
-    /// Adam's decay of the first moment.
-    pub adam_beta1: f64,
-    /// Adam's decay of the second moment.
-    pub adam_beta2: f64,
-    /// Adam's ε.
-    pub adam_epsilon: f64,
-}
-
-impl From<&Ppo> for Hyperparameters {
-    fn from(ppo: &Ppo) -> Self {
-        Hyperparameters {
-            minibatch_size: ppo.minibatch_size,
-            clip_range: ppo.clip_range,
-            value_coefficient: ppo.value_coefficient,
-            entropy_coefficient: ppo.entropy_coefficient,
-            max_gradient_norm: ppo.max_gradient_norm,
-            learning_rate: ppo.initial_learning_rate,
-            learning_rate_min: ppo.min_learning_rate,
-            learning_rate_max: ppo.max_learning_rate,
-            desired_kl: ppo.desired_kl,
-            // Adam's own, which neither the paper nor Stable-Baselines3 changes.
-            adam_beta1: 0.9,
-            adam_beta2: 0.999,
-            adam_epsilon: ppo.adam_epsilon,
-        }
-    }
-}
-
-impl Hyperparameters {
+impl Ppo {
     /// The learning rate for a step at which the policy is `kl` away from the rollout's (Rudin et al., 2021): lower by
     /// 1.5 above twice the desired divergence, higher by 1.5 below half of it. As in rsl_rl, a divergence of exactly
     /// zero (the first minibatch of an update) says nothing and changes nothing.
     pub fn adapted_learning_rate(&self, learning_rate: f64, kl: f64) -> f64 {
         if kl > 2.0 * self.desired_kl {
-            (learning_rate / 1.5).max(self.learning_rate_min)
+            (learning_rate / 1.5).max(self.min_learning_rate)
         } else if kl > 0.0 && kl < 0.5 * self.desired_kl {
-            (learning_rate * 1.5).min(self.learning_rate_max)
+            (learning_rate * 1.5).min(self.max_learning_rate)
         } else {
             learning_rate
         }
@@ -131,7 +84,7 @@ impl Samples {
 #[derive(Debug, Clone, Copy)]
 pub struct Minibatch<'a> {
     pub batch: &'a Batch<'a>,
-    pub settings: &'a Hyperparameters,
+    pub settings: &'a Ppo,
     /// Counted from zero.
     pub epoch: usize,
     /// Within the epoch, counted from zero.
@@ -146,11 +99,7 @@ pub struct Minibatch<'a> {
 impl<'a> Minibatch<'a> {
     /// Those of an update: for each of `permutations` an epoch over the batch in that order, the last minibatch of each
     /// with what remains.
-    pub fn all(
-        batch: &'a Batch<'a>,
-        settings: &'a Hyperparameters,
-        permutations: &'a [Vec<u32>],
-    ) -> impl Iterator<Item = Self> {
+    pub fn all(batch: &'a Batch<'a>, settings: &'a Ppo, permutations: &'a [Vec<u32>]) -> impl Iterator<Item = Self> {
         permutations.iter().enumerate().flat_map(move |(epoch, permutation)| {
             let minibatches = permutation.chunks(settings.minibatch_size).enumerate();
             minibatches.map(move |(index, rows)| Self::new(batch, settings, epoch, index, rows))
@@ -158,13 +107,7 @@ impl<'a> Minibatch<'a> {
     }
 
     /// A single sample is not normalised, as in Stable-Baselines3.
-    pub fn new(
-        batch: &'a Batch<'a>,
-        settings: &'a Hyperparameters,
-        epoch: usize,
-        index: usize,
-        rows: &'a [u32],
-    ) -> Self {
+    pub fn new(batch: &'a Batch<'a>, settings: &'a Ppo, epoch: usize, index: usize, rows: &'a [u32]) -> Self {
         let (advantage_mean, advantage_scale) = if rows.len() < 2 {
             (0.0, 1.0)
         } else {
@@ -212,21 +155,12 @@ impl Surrogate {
 #[cfg(test)]
 pub(in crate::ppo) mod tests {
     use super::*;
+    use crate::config::Config;
 
-    pub const SETTINGS: Hyperparameters = Hyperparameters {
-        minibatch_size: 512,
-        clip_range: 0.2,
-        value_coefficient: 0.5,
-        entropy_coefficient: 0.01,
-        max_gradient_norm: 0.5,
-        learning_rate: 1e-3,
-        learning_rate_min: 1e-5,
-        learning_rate_max: 1e-2,
-        desired_kl: 0.02,
-        adam_beta1: 0.9,
-        adam_beta2: 0.999,
-        adam_epsilon: 1e-5,
-    };
+    /// The paper's.
+    pub fn settings() -> Ppo {
+        Config::load("compliant").unwrap().ppo
+    }
 
     #[test]
     fn surrogate_takes_the_smaller_of_the_free_and_the_clipped_gain() {
@@ -261,14 +195,16 @@ pub(in crate::ppo) mod tests {
             returns: none,
         };
         // Rows 3, 0, 2: 8, 1, 3; mean 4; variance (16 + 9 + 1)/2 = 13.
-        let minibatch = Minibatch::new(batch, &SETTINGS, 0, 0, &[3, 0, 2]);
+        let settings = &settings();
+        let minibatch = Minibatch::new(batch, settings, 0, 0, &[3, 0, 2]);
         assert!((minibatch.advantage(3) - 4.0 / (13.0_f64.sqrt() + 1e-8)).abs() < 1e-15);
-        assert_eq!(Minibatch::new(batch, &SETTINGS, 0, 0, &[3]).advantage(3), 8.0);
+        assert_eq!(Minibatch::new(batch, settings, 0, 0, &[3]).advantage(3), 8.0);
     }
 
     #[test]
     fn learning_rate_follows_the_divergence_within_its_limits() {
-        let rate = |learning_rate, kl| SETTINGS.adapted_learning_rate(learning_rate, kl);
+        let settings = settings();
+        let rate = |learning_rate, kl| settings.adapted_learning_rate(learning_rate, kl);
         assert_eq!(rate(3e-3, 0.041), 2e-3);
         assert_eq!(rate(2e-3, 0.009), 3e-3);
         assert_eq!(rate(2e-3, 0.02), 2e-3);

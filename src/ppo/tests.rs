@@ -12,7 +12,8 @@ use super::fused::Tiles;
 use super::fused::team::Team;
 use super::fused::{Arithmetic, Panels, tiles_available};
 use super::loss::Minibatch;
-use super::loss::tests::SETTINGS;
+use super::loss::tests::settings as paper;
+use super::update::ADAM_BETAS;
 use super::*;
 use crate::config::{Config, LOG_STD_RANGE, LearnerKind, Ppo, Precision};
 use crate::network::{ActorCritic, Layer, PackedMlp, Scratch};
@@ -69,16 +70,16 @@ fn network() -> ActorCritic {
     network
 }
 
-fn settings(minibatch_size: usize) -> Hyperparameters {
-    Hyperparameters { minibatch_size, ..SETTINGS }
+fn settings(minibatch_size: usize) -> Ppo {
+    Ppo { minibatch_size, ..paper() }
 }
 
-fn fused<A: Arithmetic>(network: &ActorCritic, settings: Hyperparameters, threads: usize) -> FusedLearner<A> {
+fn fused<A: Arithmetic>(network: &ActorCritic, settings: Ppo, threads: usize) -> FusedLearner<A> {
     FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
 }
 
 /// Every learner that this machine has, going on from `state`, and how far an update of it may be off.
-fn resumed(state: &LearnerState, settings: &Hyperparameters) -> Vec<(Box<dyn Learner>, f64)> {
+fn resumed(state: &LearnerState, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64)> {
     let mut learners: Vec<(Box<dyn Learner>, f64)> = vec![
         (Box::new(FusedLearner::<Panels>::new(state, settings.clone(), 2)), 1e-4),
         (Box::new(CandleLearner::new(state.clone(), settings.clone())), 1e-4),
@@ -96,7 +97,7 @@ fn resumed(state: &LearnerState, settings: &Hyperparameters) -> Vec<(Box<dyn Lea
 }
 
 /// Every learner at the start.
-fn learners(network: &ActorCritic, settings: &Hyperparameters) -> Vec<(Box<dyn Learner>, f64)> {
+fn learners(network: &ActorCritic, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64)> {
     resumed(&LearnerState::new(network.clone(), settings), settings)
 }
 
@@ -171,13 +172,13 @@ fn reference_update(
     network: &ActorCritic,
     batch: &Batch<'_>,
     permutations: &[Vec<u32>],
-    settings: &Hyperparameters,
+    settings: &Ppo,
 ) -> (Vec<Vec<f64>>, UpdateStatistics) {
     let networks = Networks::new(network, DType::F64).unwrap();
     let mut moments: Vec<(Vec<f64>, Vec<f64>)> =
         network.tensors().iter().map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()])).collect();
     let scalar = |x: &Tensor| x.to_scalar::<f64>().unwrap();
-    let (mut rate, mut count, mut statistics) = (settings.learning_rate, 0, UpdateStatistics::default());
+    let (mut rate, mut count, mut statistics) = (settings.initial_learning_rate, 0, UpdateStatistics::default());
     for rows in permutations.iter().flat_map(|rows| rows.chunks(settings.minibatch_size)) {
         let loss = Loss::new(&networks, &Minibatch::new(batch, settings, 0, 0, rows)).unwrap();
         let gradients = candle_gradient(&networks, &loss);
@@ -185,15 +186,15 @@ fn reference_update(
         let kl = scalar(&loss.kl);
         let desired = settings.desired_kl;
         if kl > 2.0 * desired {
-            rate = settings.learning_rate_min.max(rate / 1.5);
+            rate = settings.min_learning_rate.max(rate / 1.5);
         } else if kl > 0.0 && kl < desired / 2.0 {
-            rate = settings.learning_rate_max.min(rate * 1.5);
+            rate = settings.max_learning_rate.min(rate * 1.5);
         }
         let total_norm = norm(gradients.iter().flatten().copied());
         let clip = (settings.max_gradient_norm / (total_norm + 1e-6)).min(1.0);
 
         count += 1;
-        let (b1, b2) = (settings.adam_beta1, settings.adam_beta2);
+        let [b1, b2] = ADAM_BETAS;
         for ((variable, gradient), (m, v)) in networks.variables.iter().zip(&gradients).zip(&mut moments) {
             let mut values = numbers(variable.as_tensor());
             for (i, value) in values.iter_mut().enumerate() {
@@ -385,7 +386,7 @@ fn the_policy_of_the_rollout_is_at_distance_zero_in_the_first_minibatch() {
     for (mut learner, _) in learners(&network, &settings(64)).into_iter().filter(|(_, tolerance)| *tolerance < 0.2) {
         let statistics = learner.update(&samples.batch(), &permutations(64, 1, 1)).unwrap();
         assert_eq!(statistics.kl, 0.0);
-        assert_eq!(statistics.learning_rate, SETTINGS.learning_rate);
+        assert_eq!(statistics.learning_rate, 1e-3);
     }
 }
 
@@ -469,7 +470,7 @@ fn a_batch_that_does_not_fit_is_refused() {
 
 impl<A: Arithmetic> FusedLearner<A> {
     /// Gradient over one minibatch, without a step.
-    fn gradient(&self, batch: &Batch<'_>, settings: &Hyperparameters, rows: &[u32]) -> ActorCritic {
+    fn gradient(&self, batch: &Batch<'_>, settings: &Ppo, rows: &[u32]) -> ActorCritic {
         Team::run(1, |team| {
             let minibatch = Minibatch::new(batch, settings, 0, 0, rows);
             self.differentiate(team, &mut self.arithmetic.workspace(), &minibatch, |_| ());
@@ -481,7 +482,7 @@ impl<A: Arithmetic> FusedLearner<A> {
 #[test]
 fn a_precision_that_the_machine_does_not_have_is_refused_by_name() {
     let network = network();
-    let state = LearnerState::new(network, &SETTINGS);
+    let state = LearnerState::new(network, &settings(512));
     for (name, precision) in [("mixed", Precision::Mixed), ("bf16x3", Precision::Bf16x3), ("bf16", Precision::Bf16)] {
         let ppo = Ppo { precision, ..Config::load("fast").unwrap().ppo };
         assert_eq!(resolved(&ppo), precision);

@@ -4,8 +4,9 @@ The course of an update: from the sums of a minibatch to its step, statistics or
 
 use serde::{Deserialize, Serialize};
 
+use super::Batch;
 use super::loss::Minibatch;
-use super::{Batch, Hyperparameters};
+use crate::config::Ppo;
 
 /// What an update did; means over its minibatches unless said otherwise.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -77,6 +78,9 @@ impl From<candle_core::Error> for UpdateFault {
     }
 }
 
+/// Adam's decay of the first and the second moment: its own, which neither the paper nor Stable-Baselines3 changes.
+pub const ADAM_BETAS: [f64; 2] = [0.9, 0.999];
+
 /// What the minibatches of an update pass on.
 #[derive(Debug)]
 pub struct Progress {
@@ -102,7 +106,7 @@ pub struct Step {
 
 impl Step {
     /// For a joint gradient of `gradient_norm`.
-    pub fn new(settings: &Hyperparameters, count: u64, learning_rate: f64, gradient_norm: f64) -> Self {
+    pub fn new(settings: &Ppo, count: u64, learning_rate: f64, gradient_norm: f64) -> Self {
         let gradient_scale = (settings.max_gradient_norm / (gradient_norm + 1e-6)).min(1.0);
         Self { count, learning_rate, gradient_scale }
     }
@@ -110,7 +114,7 @@ impl Step {
 
 impl Progress {
     /// At the start of an update.
-    pub fn new(steps: u64, learning_rate: f64, settings: &Hyperparameters, permutations: &[Vec<u32>]) -> Self {
+    pub fn new(steps: u64, learning_rate: f64, settings: &Ppo, permutations: &[Vec<u32>]) -> Self {
         let count = permutations.iter().map(|rows| rows.chunks(settings.minibatch_size).len()).sum();
         Self { steps, learning_rate, statistics: UpdateStatistics::default(), count, step: None, fault: None }
     }

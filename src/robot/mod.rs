@@ -11,7 +11,7 @@ pub mod kinematics;
 mod legs;
 mod state;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
 use nalgebra::Vector3;
@@ -22,7 +22,7 @@ pub use legs::{JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, of_leg, opp
 pub use state::{FootState, Foothold, RobotState};
 
 use crate::mujoco::{Kind, Model};
-use crate::util::files;
+use crate::util::files::{self, FileError};
 
 /// The robots inside the program: name and MJCF.
 const SHIPPED: &[(&str, &str)] = &[("go1", include_str!("../../models/go1.xml"))];
@@ -30,15 +30,8 @@ const SHIPPED: &[(&str, &str)] = &[("go1", include_str!("../../models/go1.xml"))
 /// Name of the site at the trunk's centre of mass, to which ropes are tied.
 pub const HARNESS: &str = "harness";
 
-/// A robot that cannot be used.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("robot {}: {problem}", path.display())]
-pub struct RobotError {
-    /// The MJCF or YAML file, or the name of a robot that ships.
-    pub path: PathBuf,
-    /// What was found and expected.
-    pub problem: String,
-}
+/// What errors call it.
+const ROBOT: &str = "robot";
 
 /// A quadruped.
 #[derive(Debug, Clone, PartialEq)]
@@ -68,7 +61,7 @@ pub struct Robot {
     pub colliding: Vec<String>,
 }
 
-static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, RobotError>>> = LazyLock::new(|| {
+static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::new(|| {
     let robot = |(name, mjcf): &(&str, &str)| Robot::new(name, (*mjcf).to_owned(), Vec::new(), None).map(Arc::new);
     SHIPPED.iter().map(robot).collect()
 });
@@ -77,15 +70,15 @@ impl Robot {
     /// A robot that ships, by name, or that of an MJCF file, or of a YAML file about one.
     ///
     /// # Errors
-    /// [`RobotError`] that says what does not fit.
-    pub fn load(name: &str) -> Result<Arc<Self>, RobotError> {
+    /// [`FileError`] that says what does not fit.
+    pub fn load(name: &str) -> Result<Arc<Self>, FileError> {
         if let Some(index) = SHIPPED.iter().position(|(shipped, _)| *shipped == name) {
             return SHIPPED_ROBOTS[index].clone();
         }
         let path = Path::new(name);
-        let fail = |problem| RobotError { path: path.to_owned(), problem };
+        let fail = FileError::of(ROBOT, path);
         if !path.exists() {
-            return Err(fail("there is no such file: put it there, or name another robot".into()));
+            return Err(fail("there is no such file: put it there, or name another robot".to_owned()));
         }
         let import::Imported { mjcf, report, fall_height_m } = import::read(path).map_err(fail)?;
         Self::new(name, mjcf, report, fall_height_m).map(Arc::new)
@@ -97,9 +90,8 @@ impl Robot {
     }
 
     /// Reads everything from an MJCF document that has our names.
-    fn new(name: &str, mjcf: String, report: Vec<String>, fall_height_m: Option<f64>) -> Result<Self, RobotError> {
-        let fail = |problem: String| RobotError { path: name.into(), problem };
-        let words = |error: crate::mujoco::Error| fail(error.to_string());
+    fn new(name: &str, mjcf: String, report: Vec<String>, fall_height_m: Option<f64>) -> Result<Self, FileError> {
+        let (fail, words) = (FileError::of(ROBOT, Path::new(name)), FileError::of(ROBOT, Path::new(name)));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Kind::Body, "trunk").map_err(words)?;
         let (mut joint_limits, mut torque_limits) = ([[0.0; 2]; JOINTS], [0.0; JOINTS]);
@@ -110,7 +102,7 @@ impl Robot {
             torque_limits[joint] = model.control_range(motor)[1];
         }
         let legs = (0..LEGS.len()).map(|leg| Leg::of(&model, leg)).collect::<Result<Vec<_>, _>>().map_err(fail)?;
-        let legs = <[Leg; 4]>::try_from(legs).map_err(|_| fail("it has not four legs".into()))?;
+        let legs = <[Leg; 4]>::try_from(legs).map_err(|_| fail("it has not four legs".to_owned()))?;
         let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
         let collides = |geom: &usize| model.geom_contact(*geom).collides();
         let colliding = (0..model.count(Kind::Geom)).filter(collides);

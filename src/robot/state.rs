@@ -28,7 +28,7 @@ pub struct FootState {
 }
 
 /// What there is to know about the robot at one instant.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct RobotState {
     /// Origin of the trunk, world frame \[m\].
     pub position: Vector3<f64>,
@@ -56,10 +56,14 @@ impl RobotState {
         self.world_from_base.euler_angles()
     }
 
+    /// Velocity of the base in the world frame [m/s].
+    pub fn velocity_in_world(&self) -> Vector3<f64> {
+        self.world_from_base * self.velocity_in_base
+    }
+
     /// Velocity in the heading frame (world rotated by yaw alone) [m/s].
     pub fn velocity_in_heading(&self) -> Vector3<f64> {
         let (_, _, yaw) = self.roll_pitch_yaw();
-        let in_world = self.world_from_base * self.velocity_in_base;
-        UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * in_world
+        UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * self.velocity_in_world()
     }
 }

@@ -6,6 +6,7 @@ any [`Controller`](crate::policy::Controller) and yields a [`Trace`](crate::scen
 training.
 */
 
+pub mod calibration;
 pub mod catalog;
 pub mod estimation;
 pub mod metrics;
@@ -19,7 +20,7 @@ pub mod trace;
 use serde::{Deserialize, Serialize};
 
 use crate::sim::Scene;
-use crate::sim::{Conditions, Push};
+use crate::sim::{Conditions, Pull, Push};
 use crate::task::Command;
 
 pub use play::{Played, Rollout};
@@ -33,17 +34,6 @@ pub struct TimedPush {
     pub time_s: f64,
     /// Heading frame.
     pub push: Push,
-}
-
-/// A constant force on the trunk during an interval, as of a leash.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Pull {
-    /// Begins \[s\].
-    pub from_s: f64,
-    /// Ends \[s\].
-    pub until_s: f64,
-    /// Forward and left at the robot's start: world frame \[N\].
-    pub force: [f64; 2],
 }
 
 /// What happens in a rollout.

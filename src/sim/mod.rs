@@ -74,6 +74,17 @@ pub struct Push {
     pub angular: [f64; 3],
 }
 
+/// A constant force on the trunk during an interval, as of a leash.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Pull {
+    /// Begins \[s\].
+    pub from_s: f64,
+    /// Ends \[s\].
+    pub until_s: f64,
+    /// Forward and left at the robot's start: world frame \[N\].
+    pub force: [f64; 2],
+}
+
 /// Looks at every physics step of a policy step.
 pub trait StepObserver {
     /// Called between the two halves, when contact forces exist: with the state after integration, and contacts and

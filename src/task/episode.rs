@@ -7,10 +7,10 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{CommandRange, Config, Episode, Simulation};
+use crate::config::{CommandRange, Compliance, Config, Episode, Simulation};
 use crate::observation::Command;
 use crate::robot::JOINTS;
-use crate::sim::{Conditions, Push};
+use crate::sim::{Conditions, Pull, Push};
 
 /// Standard gravity as used by the paper's simulator and MuJoCo [m/s²].
 pub const GRAVITY: f64 = 9.81;
@@ -60,7 +60,7 @@ impl Stages {
 }
 
 /// Everything random about an episode but the policy's noise.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodePlan {
     /// What the policy is asked to do.
     pub command: Command,
@@ -68,6 +68,9 @@ pub struct EpisodePlan {
     pub conditions: Conditions,
     /// The push at the start of the recovery stage; the episode ends after the walking stage without one.
     pub push: Option<Push>,
+    /// What pulls, in order of time; only where compliance is commanded.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pulls: Vec<Pull>,
 }
 
 impl EpisodePlan {
@@ -75,7 +78,7 @@ impl EpisodePlan {
     pub fn draw(config: &Config, curriculum: Curriculum, rng: &mut impl Rng) -> Self {
         let mut within = |range: f64| range * rng.random_range(-1.0..=1.0);
         let open = curriculum.command_fraction;
-        let command = Command::velocity(
+        let mut command = Command::velocity(
             within(config.command.forward_m_s * open),
             within(config.command.left_m_s * open),
             within(config.command.yaw_rad_s * open),
@@ -98,9 +101,41 @@ impl EpisodePlan {
             friction: if randomisation.enabled { friction } else { randomisation.default_friction },
             encoder_bias: if randomisation.enabled { encoder_bias } else { [0.0; JOINTS] },
         };
+        let mut pulls = Vec::new();
+        if let Some(compliance) = &config.compliance {
+            let [low, high] = compliance.range_m_s_per_n;
+            let (own, open) = (compliance.own_m_s_per_n, curriculum.force_fraction);
+            command.compliance = own * (rng.random_range(low..=high) / own).powf(open);
+            let force_n = compliance.force_n * curriculum.force_fraction;
+            let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
+            pulls = drawn_pulls(compliance, command.compliance, force_n, length_s, rng);
+        }
         // Drawn in any case, too.
-        EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push) }
+        EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls }
     }
+
+    /// The force that acts at a time of the episode, world frame \[N\].
+    pub fn force(&self, time_s: f64) -> [f64; 2] {
+        let acting = self.pulls.iter().find(|pull| (pull.from_s..pull.until_s).contains(&time_s));
+        acting.map_or([0.0; 2], |pull| pull.force)
+    }
+}
+
+/// Pulls of up to `force_n` from any side, with pauses, until the end.
+fn drawn_pulls(range: &Compliance, compliance: f64, force_n: f64, length_s: f64, rng: &mut impl Rng) -> Vec<Pull> {
+    let mut pulls = Vec::new();
+    let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
+    let mut time_s = within(range.gap_s);
+    while time_s < length_s {
+        let until_s = time_s + within(range.duration_s);
+        let gentle = within([0.0, 1.0]) < range.gentle_fraction;
+        let gentle_n = range.gentle_speed_m_s / compliance;
+        let largest_n = if gentle { force_n.min(gentle_n) } else { force_n };
+        let (size, angle) = (within([0.0, largest_n]), within([0.0, std::f64::consts::TAU]));
+        pulls.push(Pull { from_s: time_s, until_s, force: [size * angle.cos(), size * angle.sin()] });
+        time_s = until_s + within(range.gap_s);
+    }
+    pulls
 }
 
 /// Gravity as felt on a slope (rise over run) that rises towards the direction `uphill` [rad from forward] [m/s²].
@@ -117,17 +152,20 @@ pub struct Curriculum {
     pub command_fraction: f64,
     /// Whether episodes go on to the push and what follows it. Once they do, they always do.
     pub pushes: bool,
+    /// Open fraction of the pulls and of the outer loop's gain, 0 to 1; where there are such. It grows once there are pushes.
+    #[serde(default)]
+    pub force_fraction: f64,
 }
 
 impl Curriculum {
     /// A part of the command range, and no pushes.
     pub fn new(range: &CommandRange) -> Self {
-        Curriculum { command_fraction: range.initial_fraction, pushes: false }
+        Curriculum { command_fraction: range.initial_fraction, pushes: false, force_fraction: 0.0 }
     }
 
     /// Everything that a configuration asks for.
     pub fn complete() -> Self {
-        Curriculum { command_fraction: 1.0, pushes: true }
+        Curriculum { command_fraction: 1.0, pushes: true, force_fraction: 1.0 }
     }
 
     /// Takes the mean `r_lin` of the walking stages of an iteration.
@@ -136,6 +174,10 @@ impl Curriculum {
             self.command_fraction = (self.command_fraction + config.command.fraction_step).min(1.0);
         }
         self.pushes |= mean_linear_reward > config.episode.push_gate;
+        let walks = |compliance: &&Compliance| self.pushes && mean_linear_reward > compliance.fraction_gate;
+        if let Some(compliance) = config.compliance.as_ref().filter(walks) {
+            self.force_fraction = (self.force_fraction + compliance.fraction_step).min(1.0);
+        }
     }
 }
 
@@ -169,7 +211,7 @@ mod tests {
     #[test]
     fn drawn_episodes_stay_within_their_ranges_and_fill_them() {
         let config = config();
-        let half = Curriculum { command_fraction: 0.5, pushes: true };
+        let half = Curriculum { command_fraction: 0.5, ..Curriculum::complete() };
         let plans: Vec<EpisodePlan> =
             (0..2000).map(|k| EpisodePlan::draw(&config, half, &mut stream(3, Purpose::Episode, 0, k))).collect();
         let largest = |of: fn(&EpisodePlan) -> f64| plans.iter().map(|plan| of(plan).abs()).fold(0.0, f64::max);
@@ -234,5 +276,41 @@ mod tests {
         assert!(first.is_some());
         curriculum.update(0.5, &config);
         assert_eq!(push(curriculum), first);
+    }
+
+    #[test]
+    fn pulls_and_the_loop_open_together_from_a_robot_as_it_is() {
+        let config = Config::load("commanded").unwrap();
+        let compliance = config.compliance.clone().unwrap();
+        let plans = |force_fraction: f64| -> Vec<EpisodePlan> {
+            let curriculum = Curriculum { force_fraction, ..Curriculum::complete() };
+            (0..500).map(|k| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, k, 0))).collect()
+        };
+        let strongest = |plans: &[EpisodePlan]| {
+            let forces = plans.iter().flat_map(|plan| &plan.pulls).map(|pull| pull.force[0].hypot(pull.force[1]));
+            forces.fold(0.0, f64::max)
+        };
+        let closed = plans(0.0);
+        assert!(
+            closed.iter().all(|plan| (plan.command.compliance - 0.0105).abs() < 1e-12) && strongest(&closed) == 0.0
+        );
+        let open = plans(1.0);
+        let [low, high] = compliance.range_m_s_per_n;
+        let told: Vec<f64> = open.iter().map(|plan| plan.command.compliance).collect();
+        assert!(told.iter().all(|c| (low..=high).contains(c)) && told.iter().any(|c| *c > 0.9 * high));
+        assert!((0.9..=1.0).contains(&(strongest(&open) / compliance.force_n)));
+        // One after the other, with pauses, to the end of the episode.
+        for pulls in open.iter().map(|plan| &plan.pulls) {
+            assert!(pulls.windows(2).all(|pair| pair[1].from_s - pair[0].until_s >= 0.2));
+            assert!(pulls.last().is_some_and(|last| last.until_s + 1.5 >= 6.0));
+        }
+        let first = open[0].pulls[0];
+        assert_eq!(open[0].force(0.5 * (first.from_s + first.until_s)), first.force);
+        assert_eq!(open[0].force(first.until_s + 0.1), [0.0; 2]);
+        // What there was before is drawn as before.
+        let without = Config { compliance: None, ..config.clone() };
+        let plan = EpisodePlan::draw(&without, Curriculum::complete(), &mut stream(1, Purpose::Episode, 0, 0));
+        let command = Command { compliance: 0.0, ..open[0].command };
+        assert_eq!(plan, EpisodePlan { command, pulls: Vec::new(), ..open[0].clone() });
     }
 }

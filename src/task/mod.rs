@@ -3,9 +3,11 @@
 Everything takes values and returns values; only the swing tracker looks on while physics steps.
 */
 
+pub mod compliance;
 pub mod episode;
 pub mod reward;
 
+pub use compliance::{OuterLoop, VirtualMass};
 pub use episode::{Curriculum, EpisodePlan, Stage, Stages};
 pub use reward::{SwingTracker, Terms};
 

@@ -280,15 +280,11 @@ mod tests {
 
     fn state() -> RobotState {
         RobotState {
-            position: Vector3::zeros(),
             world_from_base: UnitQuaternion::from_euler_angles(0.1, -0.2, 2.0),
             height: 0.36,
             velocity_in_base: Vector3::new(0.7, -0.1, 5.0),
             angular_velocity_in_base: Vector3::new(9.0, 9.0, 0.3),
-            gravity_in_base: Vector3::zeros(),
-            joint_angles: [0.0; 12],
-            joint_rates: [0.0; 12],
-            feet: [FootState::default(); 4],
+            ..RobotState::default()
         }
     }
 

@@ -91,13 +91,13 @@ fn evaluate(network: &PackedMlp, inputs: &[f32], threads: usize) -> Vec<f32> {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::Vector3;
 
     use super::*;
     use crate::config::Config;
     use crate::network::ActorCritic;
     use crate::observation::{Command, Moment, Observer};
-    use crate::robot::{FootState, RobotState};
+    use crate::robot::RobotState;
     use crate::util::random::{Purpose, stream};
 
     const LENGTH: usize = 83;
@@ -124,15 +124,13 @@ mod tests {
         };
         let angles = joint([0.1, 0.7, -1.4, 0.2, 0.8, -1.5, -0.1, 0.6, -1.3, 0.3, 0.9, -1.6]);
         let state = |age: f64| RobotState {
-            position: Vector3::zeros(),
-            world_from_base: UnitQuaternion::identity(),
             height: 0.3 + age,
             velocity_in_base: Vector3::new(0.5, side * 0.2, -0.1),
             angular_velocity_in_base: Vector3::new(side * 0.3, 0.4, side * (0.5 + age)),
             gravity_in_base: Vector3::new(-0.5, side * 0.7, -9.7),
             joint_angles: angles,
             joint_rates: joint([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0]),
-            feet: [FootState::default(); 4],
+            ..RobotState::default()
         };
         let command = Command::velocity(0.9, side * 0.4, side * -0.3);
         let (mut observer, layout, zero) = (Observer::new(), layout(), [0.0; 12]);

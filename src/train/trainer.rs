@@ -18,11 +18,10 @@ use crate::mujoco;
 use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
-use crate::ppo::{
-    Batch, Hyperparameters, Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved,
-};
-use crate::robot::{JOINTS, Robot, RobotError};
+use crate::ppo::{Batch, Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
+use crate::robot::{JOINTS, Robot};
 use crate::task::Curriculum;
+use crate::util::files::FileError;
 use crate::util::provenance;
 use crate::util::random::{Purpose, stream};
 
@@ -34,7 +33,7 @@ pub enum TrainError {
     Config(#[from] ValueError),
     /// The robot's file.
     #[error(transparent)]
-    Robot(#[from] RobotError),
+    Robot(#[from] FileError),
     /// The arithmetic.
     #[error(transparent)]
     Precision(#[from] PrecisionError),
@@ -90,7 +89,7 @@ impl Trainer {
         let ppo = &config.ppo;
         let log_std = ppo.initial_log_std as f32;
         let network = ActorCritic::orthogonal(layout.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
-        let learner = learner(ppo, LearnerState::new(network, &Hyperparameters::from(ppo)), threads)?;
+        let learner = learner(ppo, LearnerState::new(network, ppo), threads)?;
         let curriculum = Curriculum::new(&config.command);
         let environments = environments(&config, &robot, &layout, seed, curriculum)?;
         let run = RunState {
@@ -185,10 +184,7 @@ impl Trainer {
         })?;
 
         let means = EpisodeMeans::new(&rollout.episodes);
-        // The few that walk among many that fall are no measure.
-        if let Some(mean) = means.walking_linear.filter(|_| 2 * means.walks >= means.episodes) {
-            self.run.curriculum.update(mean, &self.run.config);
-        }
+        means.advance(&mut self.run.curriculum, &self.run.config);
         self.run.iteration += 1;
         self.run.samples += rollout.len() as u64;
         let whole = started.elapsed();
@@ -200,6 +196,7 @@ impl Trainer {
             step_reward: rollout.rewards.iter().map(|reward| f64::from(*reward)).sum::<f64>() / rollout.len() as f64,
             means,
             command_fraction: self.run.curriculum.command_fraction,
+            force_fraction: self.run.config.compliance.as_ref().map(|_| self.run.curriculum.force_fraction),
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
             explained_variance: explained_variance(&rollout, &returns),
             learner: statistics,

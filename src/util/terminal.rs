@@ -5,6 +5,8 @@ use std::fmt::Display;
 use std::io::{self, Write};
 use std::process::ExitCode;
 
+use indicatif::{ProgressBar, ProgressStyle};
+
 /// Writes to standard output. That nobody reads it any more is no error: whoever reads decides how much.
 ///
 /// # Errors
@@ -46,6 +48,15 @@ pub fn complaint(error: &dyn Error) -> String {
 /// Writes a line to standard error, if there is still one: nobody is left to tell if not.
 pub fn note(text: impl Display) {
     let _ = writeln!(io::stderr(), "{text}");
+}
+
+/// A progress bar of this length on standard error; the template is indicatif's.
+pub fn progress_bar(length: u64, template: &str) -> ProgressBar {
+    let bar = ProgressBar::new(length);
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
 }
 
 #[cfg(test)]

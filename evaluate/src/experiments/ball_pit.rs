@@ -13,6 +13,20 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power among the balls", "W", 1),
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E7",
+    number: 7,
+    name: "ball-pit",
+    title: "Ball pit",
+    paper: "Fig. 7a",
+    method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart. The robot is across \
+             when its trunk passes the last row, and stuck if it neither gets there nor falls in the time it \
+             has. Time, peak foot force and power are from the first row to past the last; a trial that does not get \
+             across has none, nor has one that leaves the balls at their side. \
+             Each trial starts at another distance, so that the gait meets the balls at another phase.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,22 +36,6 @@ pub struct BallPit {
 }
 
 impl Experiment for BallPit {
-    fn info(&self) -> Info {
-        Info {
-            id: "E7",
-            number: 7,
-            name: "ball-pit",
-            title: "Ball pit",
-            paper: "Fig. 7a",
-            method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart. The robot is across \
-                     when its trunk passes the last row, and stuck if it neither gets there nor falls in the time it \
-                     has. Time, peak foot force and power are from the first row to past the last; a trial that does not get \
-                     across has none, nor has one that leaves the balls at their side. \
-                     Each trial starts at another distance, so that the gait meets the balls at another phase.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let pit: Pit = defaults("ball-pit")?;
         Ok(vec![Condition { label: String::new(), scenario: Scenario::BallPit(pit) }])

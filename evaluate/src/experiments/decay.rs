@@ -15,6 +15,20 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E2",
+    number: 2,
+    name: "decay",
+    title: "Decay of a sideways push",
+    paper: "Fig. 3",
+    method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
+             push minus its mean over the last second before, smoothed by a centred moving average of \
+             0.4 s, about a stride. Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
+             the push; a fall has none, and what lasts to the end counts as lasting until there. Beside it, without threshold and average: how far the push carries \
+             the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -38,22 +52,6 @@ fn marked(results: &Results, curve: Curve, set: usize) -> Curve {
 }
 
 impl Experiment for Decay {
-    fn info(&self) -> Info {
-        Info {
-            id: "E2",
-            number: 2,
-            name: "decay",
-            title: "Decay of a sideways push",
-            paper: "Fig. 3",
-            method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
-                     push minus its mean over the last second before, smoothed by a centred moving average of \
-                     0.4 s, about a stride. Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
-                     the push; a fall has none, and what lasts to the end counts as lasting until there. Beside it, without threshold and average: how far the push carries \
-                     the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         push::sideways()
     }

@@ -13,6 +13,16 @@ const BRIEFLY_AVERAGED: Quantity =
 
 const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, push::UNDECAYED, FELL, BRIEFLY_AVERAGED];
 
+pub(super) const INFO: Info = Info {
+    id: "E4",
+    number: 4,
+    name: "directions",
+    title: "Decay of pushes from all sides",
+    paper: "Fig. 4",
+    method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -26,18 +36,6 @@ pub struct Directions {
 }
 
 impl Experiment for Directions {
-    fn info(&self) -> Info {
-        Info {
-            id: "E4",
-            number: 4,
-            name: "directions",
-            title: "Decay of pushes from all sides",
-            paper: "Fig. 4",
-            method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushAway = defaults("push")?;
         let condition = |command: f64, direction_deg: f64| Condition {

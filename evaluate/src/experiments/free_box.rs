@@ -24,6 +24,20 @@ const QUANTITIES: &[Quantity] = &[
 /// Steps between points of a path that is kept.
 const PATH_STEPS: usize = 6;
 
+pub(super) const INFO: Info = Info {
+    id: "E6",
+    number: 6,
+    name: "box",
+    title: "Collision with a box",
+    paper: "Fig. 6",
+    method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, which the \
+             paper does not state. The cube is offset sideways by an amount drawn for each trial. Contact forces are \
+             the sum over all contacts between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
+             it ends beyond the box's far side, and has resumed its course when it then walks at its command in the \
+             direction in which it started. Displacement and forces are of trials in which it met the box.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -98,22 +112,6 @@ fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
 }
 
 impl Experiment for FreeBox {
-    fn info(&self) -> Info {
-        Info {
-            id: "E6",
-            number: 6,
-            name: "box",
-            title: "Collision with a box",
-            paper: "Fig. 6",
-            method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, which the \
-                     paper does not state. The cube is offset sideways by an amount drawn for each trial. Contact forces are \
-                     the sum over all contacts between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
-                     it ends beyond the box's far side, and has resumed its course when it then walks at its command in the \
-                     direction in which it started. Displacement and forces are of trials in which it met the box.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Cube = defaults("box")?;
         let condition = |friction: &f64| Condition {

@@ -10,6 +10,18 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E5",
+    number: 5,
+    name: "leash",
+    title: "On a leash",
+    paper: "Fig. 5",
+    method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in directions \
+             all around; the force keeps its direction in the world. The offset is the mean velocity minus the \
+             command, along the force, over the last seconds of the pull. E0 has the undisturbed error.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -29,20 +41,6 @@ pub struct Leash {
 }
 
 impl Experiment for Leash {
-    fn info(&self) -> Info {
-        Info {
-            id: "E5",
-            number: 5,
-            name: "leash",
-            title: "On a leash",
-            paper: "Fig. 5",
-            method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in directions \
-                     all around; the force keeps its direction in the world. The offset is the mean velocity minus the \
-                     command, along the force, over the last seconds of the pull. E0 has the undisturbed error.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Pulled = defaults("leash")?;
         let condition = |force_n: f64, direction_deg: f64| Condition {
@@ -84,8 +82,7 @@ impl Experiment for Leash {
             );
             show.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
         }
-        let rows = groups.iter().flat_map(|group| QUANTITIES.iter().map(|quantity| show.row(group, *quantity)));
-        show.table_of("Velocity offset along a constant pull, mean over all directions.", rows.collect());
+        show.table_of("Velocity offset along a constant pull, mean over all directions.", show.rows(&groups));
         show.table_in_file("all", "Velocity offset along the pull by direction.");
         show.polar(
             "",

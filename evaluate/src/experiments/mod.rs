@@ -5,7 +5,7 @@ mod velocity;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Experiment, Parameters};
+use super::{Experiment, Info, Parameters};
 
 /// What every experiment needs.
 mod prelude {
@@ -43,6 +43,10 @@ macro_rules! experiments {
         }
 
         $(impl Parameters for $experiment {
+            fn info(&self) -> Info {
+                $module::INFO
+            }
+
             fn trials(&self) -> u32 {
                 self.trials
             }
@@ -69,6 +73,7 @@ experiments! {
     pendulum: pendulum::Pendulum,
     rubble: rubble::Rubble,
     outdoor: outdoor::Outdoor,
+    calibration: calibration::Calibration,
 }
 
 /// What a robot does at a forward command \[m/s\].

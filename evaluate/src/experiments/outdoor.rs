@@ -10,6 +10,19 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("steepest_met", "steepest slope on the way", "%", 0),
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E11b",
+    number: 13,
+    name: "outdoor",
+    title: "Hills of varied friction",
+    paper: "Fig. 8d",
+    method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each square \
+             metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for each foot on it. \
+             The velocity error is the length of mean velocity minus command in the horizontal plane; numbers but \
+             success are of trials without a fall.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -21,21 +34,6 @@ pub struct Outdoor {
 }
 
 impl Experiment for Outdoor {
-    fn info(&self) -> Info {
-        Info {
-            id: "E11b",
-            number: 13,
-            name: "outdoor",
-            title: "Hills of varied friction",
-            paper: "Fig. 8d",
-            method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each square \
-                     metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for each foot on it. \
-                     The velocity error is the length of mean velocity minus command in the horizontal plane; numbers but \
-                     success are of trials without a fall.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Hills = defaults("outdoor")?;
         let condition = |steepest: &f64| Condition {

@@ -17,6 +17,19 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E10",
+    number: 10,
+    name: "pendulum",
+    title: "A swinging ball",
+    paper: "Fig. 8b",
+    method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
+             right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
+             0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
+             which hardly rebounds and may touch again; the impulse is that of the first second.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -30,21 +43,6 @@ pub struct Pendulum {
 }
 
 impl Experiment for Pendulum {
-    fn info(&self) -> Info {
-        Info {
-            id: "E10",
-            number: 10,
-            name: "pendulum",
-            title: "A swinging ball",
-            paper: "Fig. 8b",
-            method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
-                     right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
-                     0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
-                     which hardly rebounds and may touch again; the impulse is that of the first second.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Ball = defaults("pendulum")?;
         let condition = |command: f64, release_height_m: f64| Condition {

@@ -12,6 +12,20 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E9",
+    number: 9,
+    name: "pulley",
+    title: "A weight over a pulley",
+    paper: "Fig. 8a",
+    method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the rope just \
+             taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its end beyond \
+             what the command asks for, the offset the mean velocity along it minus the command from 1 s after \
+             the start to the end. The rope's force is the weight's m (g + a), from 1 s after the start. A fall \
+             leaves all but the falls undefined.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -25,22 +39,6 @@ pub struct Pulley {
 }
 
 impl Experiment for Pulley {
-    fn info(&self) -> Info {
-        Info {
-            id: "E9",
-            number: 9,
-            name: "pulley",
-            title: "A weight over a pulley",
-            paper: "Fig. 8a",
-            method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the rope just \
-                     taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its end beyond \
-                     what the command asks for, the offset the mean velocity along it minus the command from 1 s after \
-                     the start to the end. The rope's force is the weight's m (g + a), from 1 s after the start. A fall \
-                     leaves all but the falls undefined.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Weight = defaults("pulley")?;
         let condition = |command: f64, direction_deg: f64| Condition {

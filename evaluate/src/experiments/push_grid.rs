@@ -16,6 +16,19 @@ const FRACTION_BY_SEED: Quantity = Quantity::new("share_of_grid_by_seed", "the s
 const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success rate over the whole grid", "%", 1);
 const QUANTITIES: &[Quantity] = &[SUCCESS];
 
+pub(super) const INFO: Info = Info {
+    id: "E1",
+    number: 1,
+    name: "push-grid",
+    title: "Push recovery",
+    paper: "Fig. 2",
+    method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
+             left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. \
+             The success rate is that over the trials of all seeds; the fraction counts grid points at or \
+             above the contour's level.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -98,21 +111,6 @@ impl PushGrid {
 }
 
 impl Experiment for PushGrid {
-    fn info(&self) -> Info {
-        Info {
-            id: "E1",
-            number: 1,
-            name: "push-grid",
-            title: "Push recovery",
-            paper: "Fig. 2",
-            method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
-                     left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. \
-                     The success rate is that over the trials of all seeds; the fraction counts grid points at or \
-                     above the contour's level.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushAway = defaults("push")?;
         let coordinates = grid::coordinates(self.limit_m_s, self.points_per_side);
@@ -126,11 +124,8 @@ impl Experiment for PushGrid {
                 ..base
             }),
         };
-        Ok(coordinates
-            .iter()
-            .flat_map(|forward| coordinates.iter().map(move |left| (*forward, *left)))
-            .map(|(forward, left)| condition(forward, left))
-            .collect())
+        let pushes = coordinates.iter();
+        Ok(pushes.flat_map(|forward| coordinates.iter().map(|left| condition(*forward, *left))).collect())
     }
 
     fn check(&self) -> Result<(), ParameterError> {
@@ -165,10 +160,8 @@ impl Experiment for PushGrid {
             row(MEAN_SUCCESS, "", self.compare_by_seed(results, overall)),
         ];
         let level = 100.0 * self.level;
-        show.table_of(
-            format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %."),
-            rows,
-        );
+        let title = format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %.");
+        show.table_of(&title, rows);
         show.table_in_file("points", "Success rate at every grid point (forward, left).");
 
         let maps = show.by_set(|set| self.map(results, set));

@@ -11,6 +11,20 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E11a",
+    number: 11,
+    name: "rubble",
+    title: "Wooden blocks and soft mats",
+    paper: "Fig. 8c",
+    method: "At 0.5 m/s for 15 s over 4 m of loose wooden blocks and soft mats, other ones in every trial, by the \
+             largest height of the blocks. Height counts from the floor, and only the floor is ground: a leg that \
+             brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side. The velocity \
+             error is the length of mean velocity minus command in the horizontal plane; it, the peak foot force and the power are those \
+             of the crossing, from the first edge to the last.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -22,22 +36,6 @@ pub struct Rubble {
 }
 
 impl Experiment for Rubble {
-    fn info(&self) -> Info {
-        Info {
-            id: "E11a",
-            number: 11,
-            name: "rubble",
-            title: "Wooden blocks and soft mats",
-            paper: "Fig. 8c",
-            method: "At 0.5 m/s for 15 s over 4 m of loose wooden blocks and soft mats, other ones in every trial, by the \
-                     largest height of the blocks. Height counts from the floor, and only the floor is ground: a leg that \
-                     brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side. The velocity \
-                     error is the length of mean velocity minus command in the horizontal plane; it, the peak foot force and the power are those \
-                     of the crossing, from the first edge to the last.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Blocks = defaults("rubble")?;
         let condition = |block_height_m: &f64| Condition {

@@ -26,6 +26,19 @@ const PAPER: [&str; 6] = [
     "0.3 / 0.5",
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E3",
+    number: 3,
+    name: "table4",
+    title: "Power and torque of a sideways push",
+    paper: "Table IV",
+    method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
+             torque actually applied, averaged over as long before and after the push. The increase is the \
+             second minus the first: what the push adds to the walk. A time that a fall cuts short has no \
+             average.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -37,21 +50,6 @@ pub struct Table4 {
 }
 
 impl Experiment for Table4 {
-    fn info(&self) -> Info {
-        Info {
-            id: "E3",
-            number: 3,
-            name: "table4",
-            title: "Power and torque of a sideways push",
-            paper: "Table IV",
-            method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
-                     torque actually applied, averaged over as long before and after the push. The increase is the \
-                     second minus the first: what the push adds to the walk. A time that a fall cuts short has no \
-                     average.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         push::sideways()
     }

@@ -10,6 +10,18 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
+pub(super) const INFO: Info = Info {
+    id: "E8",
+    number: 8,
+    name: "terrain",
+    title: "Uneven terrain",
+    paper: "Fig. 7b",
+    method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
+             peak to peak and its frequency (cells per metre). A success is a trial without a fall. The velocity \
+             error is the length of mean velocity minus command in the horizontal plane.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -23,20 +35,6 @@ pub struct Terrain {
 }
 
 impl Experiment for Terrain {
-    fn info(&self) -> Info {
-        Info {
-            id: "E8",
-            number: 8,
-            name: "terrain",
-            title: "Uneven terrain",
-            paper: "Fig. 7b",
-            method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
-                     peak to peak and its frequency (cells per metre). A success is a trial without a fall. The velocity \
-                     error is the length of mean velocity minus command in the horizontal plane.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Ground = defaults("terrain")?;
         let condition = |height_m: f64, frequency_per_m: f64| Condition {

@@ -1,6 +1,7 @@
 //! Sideways velocity around a push, run by run: what the figures of E2 and E10 draw.
 
 use crate::findings::{Line, Lines};
+use crate::plot::axes::range;
 use crate::plot::curves::{self, Curve};
 use crate::results::Results;
 use crate::show::Show;
@@ -48,42 +49,25 @@ fn curve(results: &Results, set: usize, condition: usize) -> Curve {
     let runs = seed.and_then(|seed| results.sets[set].get(&seed)?.get(condition));
     let runs: Vec<_> = runs.into_iter().flatten().filter(|run| run.series.len() == 2).collect();
     let seed = seed.map_or("–".into(), |seed| seed.to_string());
-    let mut curve = Curve {
-        title: format!("{}, seed {seed}, {} runs", results.names[set], runs.len()),
-        mean: Vec::new(),
-        least: Vec::new(),
-        largest: Vec::new(),
-        mark: None,
-        tolerance: None,
-    };
+    let mut curve =
+        Curve { title: format!("{}, seed {seed}, {} runs", results.names[set], runs.len()), set, ..Curve::default() };
     let longest = runs.iter().max_by_key(|run| run.series[0].len());
     for (step, time) in longest.map_or(&[][..], |run| &run.series[0]).iter().enumerate() {
         let values: Vec<f64> = runs.iter().filter_map(|run| run.series[1].get(step)).copied().map(f64::from).collect();
-        let time = f64::from(*time);
-        curve.mean.push([time, values.iter().sum::<f64>() / values.len() as f64]);
-        curve.least.push([time, values.iter().copied().fold(f64::INFINITY, f64::min)]);
-        curve.largest.push([time, values.iter().copied().fold(f64::NEG_INFINITY, f64::max)]);
+        let [least, largest] = range(values.iter().copied());
+        curve.points.push([f64::from(*time), values.iter().sum::<f64>() / values.len() as f64, least, largest]);
     }
     curve
 }
 
 /// The points of all conditions' curves.
 fn lines(name: &str, results: &Results) -> Lines {
-    let line = |condition: usize, set: usize| {
+    let line = |(condition, set): (usize, usize)| {
         let curve = curve(results, set, condition);
         let label = format!("{}: {}", results.conditions[condition].label, curve.title);
-        let bounds = curve.least.iter().zip(&curve.largest);
-        let rows =
-            curve.mean.iter().zip(bounds).map(|(mean, (least, largest))| vec![mean[0], mean[1], least[1], largest[1]]);
-        Line { label, rows: rows.collect() }
+        Line { label, rows: curve.points.iter().map(|point| point.to_vec()).collect() }
     };
-    let conditions = 0..results.conditions.len();
-    Lines {
-        name: name.to_owned(),
-        columns: COLUMNS.to_vec(),
-        lines: conditions
-            .flat_map(|condition| (0..results.sets.len()).map(move |set| (condition, set)))
-            .map(|(condition, set)| line(condition, set))
-            .collect(),
-    }
+    let sets = |condition| (0..results.sets.len()).map(move |set| (condition, set));
+    let lines = (0..results.conditions.len()).flat_map(sets).map(line);
+    Lines { name: name.to_owned(), columns: COLUMNS.to_vec(), lines: lines.collect() }
 }

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::prelude::*;
 use crate::findings::{Claim, difference, spread};
 use crate::results::Results;
+use crate::statistics::Verdict;
 use supple::scenario::catalog::Walk as Undisturbed;
 
 const QUANTITIES: &[Quantity] = &[
@@ -25,6 +26,18 @@ const QUANTITIES: &[Quantity] = &[
 /// Time in flight from which on a gait is called hopping; a trot at this speed has next to none.
 const HOPPING_FRACTION: f64 = 0.3;
 
+pub(super) const INFO: Info = Info {
+    id: "E0",
+    number: 0,
+    name: "walk",
+    title: "Walking undisturbed",
+    paper: "Fig. 5, caption",
+    method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
+             2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
+             drawn at random but the sensors' noise, where there are sensors.",
+    quantities: QUANTITIES,
+};
+
 /// Its numbers in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -39,7 +52,7 @@ pub struct Walk {
 
 impl Walk {
     /// Policies that do not do what all the other experiments ask of them.
-    fn strangers(&self, results: &Results) -> Vec<String> {
+    fn warnings(&self, results: &Results) -> Vec<String> {
         let Some([forward, left, _]) = self.commands.first() else { return Vec::new() };
         let mut notes = Vec::new();
         for (set, name) in results.names.iter().enumerate() {
@@ -101,32 +114,12 @@ fn label([forward, left, turn]: [f64; 3]) -> String {
 }
 
 impl Experiment for Walk {
-    fn info(&self) -> Info {
-        Info {
-            id: "E0",
-            number: 0,
-            name: "walk",
-            title: "Walking undisturbed",
-            paper: "Fig. 5, caption",
-            method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
-                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
-                     drawn at random but the sensors' noise, where there are sensors.",
-            quantities: QUANTITIES,
-        }
-    }
-
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Undisturbed = defaults("walk")?;
-        let condition = |[forward_m_s, left_m_s, yaw_rad_s]: &[f64; 3]| Condition {
-            label: label([*forward_m_s, *left_m_s, *yaw_rad_s]),
-            scenario: Scenario::Walk(Undisturbed {
-                task: Task {
-                    forward_m_s: *forward_m_s,
-                    left_m_s: *left_m_s,
-                    yaw_rad_s: *yaw_rad_s,
-                    ..base.task.clone()
-                },
-            }),
+        let condition = |command: &[f64; 3]| {
+            let [forward_m_s, left_m_s, yaw_rad_s] = *command;
+            let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
+            Condition { label: label(*command), scenario: Scenario::Walk(Undisturbed { task }) }
         };
         Ok(self.commands.iter().map(condition).collect())
     }
@@ -151,13 +144,14 @@ impl Experiment for Walk {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
         let (results, first) = (show.results, show.first_label());
         let of_first = Group { name: first.to_owned(), conditions: vec![0] };
-        let rows = QUANTITIES.iter().map(|quantity| show.row(&of_first, *quantity)).collect();
-        show.table_of(format!("Walking undisturbed at the command of the other experiments ({first})."), rows);
+        let title = format!("Walking undisturbed at the command of the other experiments ({first}).");
+        show.table_of(&title, show.rows(&[of_first]));
         show.table_in_file("commands", caption);
         let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
         let text = format!("Walking undisturbed ({first}), both keep the velocity error below {bound} m/s in the mean");
-        let (errors, quantity) = (results.compare(0, quantity), results.quantity(quantity));
-        show.findings.claims.push(Claim::bound(&text, "< 0.05 / < 0.05 m/s", quantity, bound, errors));
+        let (comparison, quantity) = (results.compare(0, quantity), results.quantity(quantity));
+        let verdict = Verdict::below(bound, &comparison);
+        show.findings.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });
         show.dots(
             "",
             "Velocity error and power by command",
@@ -165,6 +159,6 @@ impl Experiment for Walk {
             "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
              the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
-        show.notes(std::iter::once(over_all(results)).chain(self.strangers(results)));
+        show.notes(std::iter::once(over_all(results)).chain(self.warnings(results)));
     }
 }

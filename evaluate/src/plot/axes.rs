@@ -128,6 +128,11 @@ pub fn tick_text(tick: f64, all: &[f64]) -> String {
     if tick.abs() < 1e-12 { "0".to_owned() } else { text.replace('-', "−") }
 }
 
+/// From the least to the largest value.
+pub fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
+    values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
+}
+
 /// A range that begins at zero, if all is positive, and ends a little above the largest value.
 pub fn range_from_zero(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let (low, high) = values.filter(|v| v.is_finite()).fold((0.0_f64, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use super::contestants::Contest;
 use super::findings::{Figure, Findings, Table};
-use super::plot::png::{PngError, Renderer};
+use super::plot::png::Renderer;
 use super::results::Ends;
 use super::runner::Measurement;
 use super::sensing::SensingFindings;
@@ -35,12 +35,12 @@ pub enum ReportError {
         source: io::Error,
     },
     /// A figure could not be rendered.
-    #[error("figure {name}: {source}")]
+    #[error("figure {name}: {problem}")]
     Figure {
         /// Its name.
         name: String,
         /// Why.
-        source: PngError,
+        problem: String,
     },
 }
 
@@ -64,8 +64,6 @@ pub struct PolicyLine {
 /// What makes a report, as one would type it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Command {
-    /// The program.
-    pub program: String,
     /// The experiments asked for; empty for all.
     pub experiments: Vec<String>,
     /// All other arguments, each quoted for a shell.
@@ -75,7 +73,7 @@ pub struct Command {
 impl Command {
     /// What runs one experiment, or makes the whole report.
     pub fn of(&self, experiment: Option<&str>) -> String {
-        let program = std::iter::once(self.program.as_str());
+        let program = std::iter::once("cargo run --release --bin evaluate --");
         let experiments = self.experiments.iter().map(String::as_str).filter(|_| experiment.is_none());
         let words = program.chain(experiments).chain(experiment).chain(self.options.iter().map(String::as_str));
         words.collect::<Vec<_>>().join(" ")
@@ -278,7 +276,8 @@ impl Report {
 }
 
 fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), ReportError> {
-    let png = renderer.png(&figure.svg).map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
+    let png =
+        renderer.png(&figure.svg).map_err(|problem| ReportError::Figure { name: figure.name.clone(), problem })?;
     write(&folder.join(format!("{}.png", figure.name)), &png)
 }
 

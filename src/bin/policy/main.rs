@@ -9,9 +9,11 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
+use supple::policy::compliance::Calibration;
 use supple::policy::{Buffers, Policy};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::joint_names;
+use supple::scenario::calibration::calibrate;
 use supple::util::{files, terminal};
 
 /// Look at a policy, check it, export it.
@@ -56,6 +58,17 @@ enum Command {
         #[arg(long)]
         name: Option<String>,
     },
+    /// Measure how far the policy yields when it is pulled, and print what `--compliance` needs to know
+    Calibrate {
+        /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
+        policy: String,
+        /// Threads [default: all cores]
+        #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+        threads: Option<u16>,
+        /// File to write [default: NAME.calibration.json beside the policy, where programs look for it]
+        #[arg(long)]
+        out: Option<PathBuf>,
+    },
     /// Write the policy in another format
     Export {
         /// Policy file, run folder, or name of a shipped policy
@@ -97,6 +110,16 @@ fn run(command: Command) -> anyhow::Result<()> {
             anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");
             terminal::print(format_args!("sound: its golden joint targets are reproduced; sha256 {sha256}\n"))?;
         }
+        Command::Calibrate { policy, threads, out } => {
+            let threads =
+                threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
+            let mut agent = shipped::find(&policy)?;
+            let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
+            let path = shipped::file_of(&policy).map(|file| Calibration::path(&file));
+            let out = out.or(path).context("a policy inside the program has no place beside it: say --out FILE")?;
+            write(&out, format!("{}\n", serde_json::to_string_pretty(&calibration)?).as_bytes())?;
+            terminal::print(calibration_table(&calibration))?;
+        }
         Command::Run { policy } => answer(&shipped::find_ours(&policy)?)?,
         Command::Card { run, name } => terminal::print(card::card(&run, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
@@ -109,6 +132,18 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// What settings come to, for people.
+fn calibration_table(calibration: &Calibration) -> String {
+    let [low, high] = calibration.range();
+    let own = calibration.own_m_s_per_n;
+    let mut table = format!("by itself it yields by {own:.4} m/s/N; --compliance can be {low:.4} to {high:.4}\n\n");
+    table += "setting  measured [m/s/N]\n";
+    for point in &calibration.points {
+        table += &format!("{:7.4}  {:8.4}\n", point.setting, point.measured);
+    }
+    table
 }
 
 /// Refuses to write over a description that somebody has made by hand, or over the network with its description.

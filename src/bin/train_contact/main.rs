@@ -7,7 +7,7 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Parser;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use supple::estimate::SensorNoise;
 use supple::estimate::contact::learn::{Learning, Samples, learn};
 use supple::estimate::contact::score::Confusion;
@@ -169,9 +169,5 @@ fn scores(network: &ContactNetwork, episodes: &[Samples]) -> anyhow::Result<Vec<
 }
 
 fn bar(what: &str, length: u64) -> ProgressBar {
-    let bar = ProgressBar::new(length);
-    if let Ok(style) = ProgressStyle::with_template("{prefix} {bar:30} {percent} %, {eta} left {msg}") {
-        bar.set_style(style);
-    }
-    bar.with_prefix(what.to_owned())
+    terminal::progress_bar(length, "{prefix} {bar:30} {percent} %, {eta} left {msg}").with_prefix(what.to_owned())
 }

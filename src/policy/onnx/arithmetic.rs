@@ -123,14 +123,11 @@ pub(super) fn multiply(a: &Tensor, b_transposed: &Tensor) -> Result<Tensor> {
     if rows.saturating_mul(columns).saturating_mul(inner) > MAX_PRODUCT {
         return Err(format!("its product of {rows} x {inner} and {inner} x {columns} is too large for a policy"));
     }
+    // Of no values at all, any number of rows and columns is no work.
+    let count = elements(&[rows, columns])?;
     let (left, right) = (a.floats()?, b_transposed.floats()?);
-    let row = |values: &[f32], index: usize| values[index * inner..(index + 1) * inner].to_vec();
-    let mut values = Vec::with_capacity(rows * columns);
-    for i in 0..rows {
-        let x = row(left, i);
-        values.extend((0..columns).map(|j| dot(&x, &right[j * inner..(j + 1) * inner])));
-    }
-    Tensor::float(vec![rows, columns], values)
+    let value = |k: usize| dot(&left[k / columns * inner..][..inner], &right[k % columns * inner..][..inner]);
+    Tensor::float(vec![rows, columns], (0..count).map(value).collect())
 }
 
 fn two(tensor: &Tensor) -> Result<&[usize; 2]> {

@@ -89,14 +89,7 @@ impl Builder {
     }
 
     fn node(&mut self, op_type: &str, inputs: &[&str], output: &str, attribute: Vec<Attribute>) {
-        self.nodes.push(Node {
-            input: inputs.iter().map(ToString::to_string).collect(),
-            output: vec![output.into()],
-            name: output.into(),
-            op_type: op_type.into(),
-            attribute,
-            domain: String::new(),
-        });
+        self.nodes.push(Node { name: output.into(), attribute, ..node(op_type, inputs, output) });
     }
 
     /// `y = x · Wᵀ + b`; returns the name of `y`.
@@ -111,11 +104,18 @@ impl Builder {
     }
 }
 
+/// Without a name and attributes.
+pub(super) fn node(op_type: &str, inputs: &[&str], output: &str) -> Node {
+    let input = inputs.iter().map(ToString::to_string).collect();
+    Node { op_type: op_type.into(), input, output: vec![output.into()], ..Node::default() }
+}
+
 fn float(name: &str, value: f32) -> Attribute {
     Attribute { name: name.into(), f: value, kind: ATTRIBUTE_FLOAT, ..Attribute::default() }
 }
 
-fn value_info(name: &str, width: usize, doc: &str) -> ValueInfo {
+/// Of a number of rows that is open.
+pub(super) fn value_info(name: &str, width: usize, doc: &str) -> ValueInfo {
     let dim =
         vec![Dimension { size: Some(Size::Name("batch".into())) }, Dimension { size: Some(Size::Value(width as i64)) }];
     let tensor_type = Some(TensorType { elem_type: FLOAT, shape: Some(Shape { dim }) });

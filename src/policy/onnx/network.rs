@@ -240,6 +240,7 @@ fn names(values: &[ValueInfo]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::onnx::export::{node, value_info};
     use crate::policy::onnx::proto::{self, FLOAT, OperatorSet};
     use proptest::prelude::*;
 
@@ -273,17 +274,6 @@ mod tests {
         }
     }
 
-    fn node(op_type: &str, input: &[&str], output: &str) -> Node {
-        let input = input.iter().map(ToString::to_string).collect();
-        Node { op_type: op_type.into(), input, output: vec![output.into()], ..Node::default() }
-    }
-
-    fn value(name: &str, width: i64) -> ValueInfo {
-        let dim = [1, width].map(|size| proto::Dimension { size: Some(Size::Value(size)) }).to_vec();
-        let tensor_type = Some(proto::TensorType { elem_type: FLOAT, shape: Some(proto::Shape { dim }) });
-        ValueInfo { name: name.into(), kind: Some(proto::Type { tensor_type }), doc_string: String::new() }
-    }
-
     fn constant(name: &str, dims: &[i64], values: Vec<f32>) -> proto::Tensor {
         let dims = dims.to_vec();
         proto::Tensor { dims, data_type: FLOAT, float_data: values, name: name.into(), ..proto::Tensor::default() }
@@ -295,7 +285,13 @@ mod tests {
     }
 
     fn graph(node: Vec<Node>, initializer: Vec<proto::Tensor>) -> Graph {
-        Graph { node, initializer, input: vec![value("obs", 3)], output: vec![value("y", 2)], ..Graph::default() }
+        Graph {
+            node,
+            initializer,
+            input: vec![value_info("obs", 3, "")],
+            output: vec![value_info("y", 2, "")],
+            ..Graph::default()
+        }
     }
 
     fn refusal(graph: Graph) -> String {
@@ -314,7 +310,7 @@ mod tests {
         let short = refusal(graph(vec![], vec![constant("w", &[4, 2], vec![0.0; 7])]));
         assert!(short.contains("constant 'w': 7 values for the shape [4, 2]"), "{short}");
         let mut two = graph(vec![node("Relu", &["obs"], "y")], vec![]);
-        two.input.push(value("hidden", 8));
+        two.input.push(value_info("hidden", 8, ""));
         assert!(refusal(two).contains("2 inputs (obs, hidden), expected one"));
         let mut still = graph(vec![], vec![constant("y", &[1, 2], vec![1.0; 2])]);
         still.node.push(node("Relu", &["obs"], "unused"));
@@ -340,6 +336,10 @@ mod tests {
             ..proto::Tensor::default()
         };
         let refused = refusal(graph(vec![node("Reshape", &["obs", "shape"], "y")], vec![reshape]));
+        assert!(refused.contains("too large"), "{refused}");
+        // A product of matrices without a value in them.
+        let (tall, wide) = (constant("tall", &[1 << 20, 0], vec![]), constant("wide", &[0, 1 << 20], vec![]));
+        let refused = refusal(graph(vec![node("MatMul", &["tall", "wide"], "y")], vec![tall, wide]));
         assert!(refused.contains("too large"), "{refused}");
     }
 

@@ -6,12 +6,14 @@ use candle_core::backprop::GradStore;
 use candle_core::{Result, Tensor, Var};
 use candle_nn::Optimizer;
 
-use crate::ppo::Hyperparameters;
+use crate::config::Ppo;
+use crate::ppo::update::ADAM_BETAS;
 
 /// Kingma & Ba, "Adam: A method for stochastic optimization", 2015, algorithm 1.
 pub struct Adam {
     variables: Vec<Var>,
-    settings: Hyperparameters,
+    learning_rate: f64,
+    epsilon: f64,
     /// `m`, one for each variable.
     pub first_moment: Vec<Tensor>,
     /// `v`, one for each variable.
@@ -21,18 +23,19 @@ pub struct Adam {
 }
 
 impl Optimizer for Adam {
-    type Config = Hyperparameters;
+    type Config = Ppo;
 
-    fn new(variables: Vec<Var>, settings: Hyperparameters) -> Result<Self> {
+    fn new(variables: Vec<Var>, settings: Ppo) -> Result<Self> {
         let zeros = || variables.iter().map(|variable| variable.zeros_like()).collect::<Result<Vec<_>>>();
         let (first_moment, second_moment) = (zeros()?, zeros()?);
-        Ok(Self { variables, settings, first_moment, second_moment, steps: 0 })
+        let (learning_rate, epsilon) = (settings.initial_learning_rate, settings.adam_epsilon);
+        Ok(Self { variables, learning_rate, epsilon, first_moment, second_moment, steps: 0 })
     }
 
     fn step(&mut self, gradients: &GradStore) -> Result<()> {
         self.steps += 1;
         let t = self.steps as f64;
-        let Hyperparameters { learning_rate, adam_beta1: beta1, adam_beta2: beta2, adam_epsilon, .. } = self.settings;
+        let [beta1, beta2] = ADAM_BETAS;
         let moments = self.first_moment.iter_mut().zip(&mut self.second_moment);
         for (variable, (m, v)) in self.variables.iter().zip(moments) {
             let Some(g) = gradients.get(variable) else { continue };
@@ -40,17 +43,17 @@ impl Optimizer for Adam {
             *v = ((&*v * beta2)? + (g.sqr()? * (1.0 - beta2))?)?;
             let unbiased_m = (&*m / (1.0 - beta1.powf(t)))?;
             let unbiased_v = (&*v / (1.0 - beta2.powf(t)))?;
-            let way = ((unbiased_m * learning_rate)? / (unbiased_v.sqrt()? + adam_epsilon)?)?;
+            let way = ((unbiased_m * self.learning_rate)? / (unbiased_v.sqrt()? + self.epsilon)?)?;
             variable.set(&(variable.detach() - way)?)?;
         }
         Ok(())
     }
 
     fn learning_rate(&self) -> f64 {
-        self.settings.learning_rate
+        self.learning_rate
     }
 
     fn set_learning_rate(&mut self, learning_rate: f64) {
-        self.settings.learning_rate = learning_rate;
+        self.learning_rate = learning_rate;
     }
 }

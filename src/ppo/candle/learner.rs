@@ -8,13 +8,14 @@ use candle_nn::Optimizer;
 
 use super::networks::{numbers, tensors};
 use super::{Adam, Loss, Networks};
+use crate::config::Ppo;
 use crate::network::ActorCritic;
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{Progress, check};
-use crate::ppo::{Batch, Hyperparameters, Learner, LearnerState, UpdateFault, UpdateStatistics};
+use crate::ppo::{Batch, Learner, LearnerState, UpdateFault, UpdateStatistics};
 
 /// A smaller divergence is zero: candle's means differ from those of the rollout in their last bits, which must not
-/// look like a policy that moves too little (see [`Hyperparameters::adapted_learning_rate`]). One gradient step of the
+/// look like a policy that moves too little (see [`Ppo::adapted_learning_rate`]). One gradient step of the
 /// lowest learning rate makes a hundred times more.
 const KL_ROUNDING: f64 = 1e-8;
 
@@ -23,7 +24,7 @@ const KL_ROUNDING: f64 = 1e-8;
 /// What it keeps is plain numbers; candle's variables live for one update.
 #[derive(Debug)]
 pub struct CandleLearner {
-    settings: Hyperparameters,
+    settings: Ppo,
     state: LearnerState,
 }
 
@@ -32,7 +33,7 @@ impl CandleLearner {
     ///
     /// # Panics
     /// When the minibatch size is zero.
-    pub fn new(state: LearnerState, settings: Hyperparameters) -> Self {
+    pub fn new(state: LearnerState, settings: Ppo) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         Self { settings, state }
     }
@@ -108,7 +109,7 @@ fn scale(gradients: &mut GradStore, variables: &[Var], factor: f64) -> candle_co
     Ok(())
 }
 
-fn statistics(loss: &Loss, gradient_norm: f64, settings: &Hyperparameters) -> candle_core::Result<UpdateStatistics> {
+fn statistics(loss: &Loss, gradient_norm: f64, settings: &Ppo) -> candle_core::Result<UpdateStatistics> {
     let ratios = loss.ratio.to_vec1::<f64>()?;
     let clipped = ratios.iter().filter(|&ratio| (ratio - 1.0).abs() > settings.clip_range).count();
     let kl = scalar(&loss.kl)?;

@@ -89,7 +89,7 @@ mod tests {
     use super::*;
     use crate::network::{ActorCritic, Layer, Mlp};
     use crate::ppo::Batch;
-    use crate::ppo::loss::tests::SETTINGS;
+    use crate::ppo::loss::tests::settings;
 
     /* The expected numbers:
     import numpy as np
@@ -125,7 +125,7 @@ mod tests {
             returns: &[0.5, 2.0, -1.0],
         };
         let networks = Networks::new(&network, DType::F64).unwrap();
-        let loss = Loss::new(&networks, &Minibatch::new(&batch, &SETTINGS, 0, 0, &[0, 1, 2])).unwrap();
+        let loss = Loss::new(&networks, &Minibatch::new(&batch, &settings(), 0, 0, &[0, 1, 2])).unwrap();
         for (name, actual, expected) in [
             ("policy", loss.policy, -0.030324988),
             ("value", loss.value, 0.958333333),

@@ -22,14 +22,12 @@ use super::losses::{Pass, Sums};
 use super::optimizer::{Adam, AdamStep, Parameters};
 use super::team::{Member, Team, lock, read, write};
 use super::{Arithmetic, Chunk};
-use crate::config::LOG_STD_RANGE;
+use crate::config::{LOG_STD_RANGE, Ppo};
 use crate::network::ActorCritic;
 use crate::network::kernels::{Buffer, SumOfSquares};
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{Progress, check};
-use crate::ppo::{
-    Batch, DiagonalGaussian, Hyperparameters, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics,
-};
+use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
 
 /// Rows of a chunk for two threads.
 const CHUNK_ROWS: usize = 256;
@@ -37,7 +35,7 @@ const CHUNK_ROWS: usize = 256;
 /// Trains an [`ActorCritic`] by PPO, as fast as we know how.
 #[derive(Debug)]
 pub struct FusedLearner<A> {
-    settings: Hyperparameters,
+    settings: Ppo,
     threads: usize,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<Parameters>,
@@ -56,7 +54,7 @@ impl<A: Arithmetic> FusedLearner<A> {
     ///
     /// # Panics
     /// When the minibatch size is zero, or the moments do not have the shapes of the parameters.
-    pub fn new(state: &LearnerState, settings: Hyperparameters, threads: usize) -> Self {
+    pub fn new(state: &LearnerState, settings: Ppo, threads: usize) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
         let threads = threads.max(1);

@@ -4,9 +4,9 @@ Adam, one stretch of parameters at a time.
 
 use pulp::{Simd, WithSimd};
 
+use crate::config::Ppo;
 use crate::network::kernels::Buffer;
-use crate::ppo::Hyperparameters;
-use crate::ppo::update::Step;
+use crate::ppo::update::{ADAM_BETAS, Step};
 
 /// Parameters with their gradient and Adam's moments, all of one length.
 #[derive(Debug)]
@@ -67,15 +67,16 @@ pub struct AdamStep {
 
 impl AdamStep {
     /// Of all parameters alike.
-    pub fn new(settings: &Hyperparameters, step: &Step) -> Self {
+    pub fn new(settings: &Ppo, step: &Step) -> Self {
         let count = step.count as f64;
+        let [beta1, beta2] = ADAM_BETAS;
         Self {
             gradient_scale: step.gradient_scale as f32,
-            gain1: (1.0 - settings.adam_beta1) as f32,
-            beta2: settings.adam_beta2 as f32,
-            gain2: (1.0 - settings.adam_beta2) as f32,
-            step_size: (step.learning_rate / (1.0 - settings.adam_beta1.powf(count))) as f32,
-            second_moment_scale: (1.0 / (1.0 - settings.adam_beta2.powf(count)).sqrt()) as f32,
+            gain1: (1.0 - beta1) as f32,
+            beta2: beta2 as f32,
+            gain2: (1.0 - beta2) as f32,
+            step_size: (step.learning_rate / (1.0 - beta1.powf(count))) as f32,
+            second_moment_scale: (1.0 / (1.0 - beta2.powf(count)).sqrt()) as f32,
             epsilon: settings.adam_epsilon as f32,
         }
     }
@@ -86,7 +87,7 @@ mod tests {
     use pulp::Arch;
 
     use super::*;
-    use crate::ppo::loss::tests::SETTINGS;
+    use crate::ppo::loss::tests::settings;
 
     /* The expected numbers:
     import numpy as np
@@ -101,9 +102,10 @@ mod tests {
     fn two_steps_equal_those_of_numpy() {
         let buffer = |values: &[f32]| Buffer::from(values);
         let mut parameters = Parameters::new([buffer(&[1.0, -2.0]), buffer(&[0.0; 2]), buffer(&[0.0; 2])]);
+        let settings = &settings();
         for (count, gradient, norm) in [(1, [0.3, -0.4], 0.5), (2, [3.0, 4.0], 5.0)] {
             parameters.gradient.copy_from_slice(&gradient);
-            let step = &AdamStep::new(&SETTINGS, &Step::new(&SETTINGS, count, 1e-3, norm));
+            let step = &AdamStep::new(settings, &Step::new(settings, count, 1e-3, norm));
             Arch::new().dispatch(Adam { parameters: &mut parameters, step });
         }
         for (actual, expected) in [

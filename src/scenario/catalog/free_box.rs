@@ -68,17 +68,19 @@ impl Parameters for FreeBox {
             .and_then(place)
             .zip(trace.frames.last().and_then(place))
             .map(|(a, b)| f64::from(b[0] - a[0]).hypot(f64::from(b[1] - a[1])));
-        found.push(metric("box_displacement_m", "box moved by", moved, "m"));
-        found.push(metric("contact_time_s", "in contact", Some(contact_s), "s"));
-        found.push(metric("contact_impulse_n_s", "impulse on the box", Some(impulse), "N s"));
         let mean_force = (contact_s > 0.0).then(|| impulse / contact_s);
-        found.push(metric("mean_contact_force_n", "mean contact force", mean_force, "N"));
-        found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
         let passed = trace.frames.last().and_then(|last| {
             let box_x = f64::from(place(last)?[0]);
             Some(last.position[0] > box_x + 0.5 * self.size_m)
         });
-        found.push(truth("passed", "got past", passed));
+        found.extend([
+            metric("box_displacement_m", "box moved by", moved, "m"),
+            metric("contact_time_s", "in contact", Some(contact_s), "s"),
+            metric("contact_impulse_n_s", "impulse on the box", Some(impulse), "N s"),
+            metric("mean_contact_force_n", "mean contact force", mean_force, "N"),
+            metric("peak_contact_force_n", "peak contact force", peak, "N"),
+            truth("passed", "got past", passed),
+        ]);
     }
 
     /// The obstacle is farther away by what the robot walks in that time.

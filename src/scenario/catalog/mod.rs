@@ -15,14 +15,15 @@ use serde::{Deserialize, Serialize};
 use super::Script;
 use super::metrics::{self, Metric};
 use crate::config::{Config, ConfigError};
-use crate::robot::{Robot, RobotError};
+use crate::robot::Robot;
 use crate::scenario::trace::Trace;
 use crate::sim::Conditions;
 use crate::sim::Scene;
 use crate::task::Command;
 use crate::task::episode::GRAVITY;
+use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
-use crate::util::yaml::layered;
+use crate::util::yaml::{YamlError, flat_parameters, layered};
 
 /// Makes a struct of parameters: each field is a flag of the `scenario` program and a key of the YAML file, beside what every
 /// scenario asks of the policy.
@@ -69,6 +70,20 @@ macro_rules! scenarios {
                 match self { $(Scenario::$variant(scenario) => &scenario.task,)* }
             }
 
+            /// A scenario by name, with parameters that differ from its defaults as YAML.
+            ///
+            /// # Errors
+            /// [`YamlError`] that lists the scenarios or the parameters that there are, or says what is of another type.
+            pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
+                match name {
+                    $($name => Ok(Scenario::$variant(with_parameters($name, parameters)?)),)*
+                    _ => {
+                        let known: Vec<&str> = DEFAULTS.iter().map(|(name, _)| *name).collect();
+                        Err(YamlError::new(name, format!("no such scenario; there are: {}", known.join(", "))))
+                    }
+                }
+            }
+
             fn parameters(&self) -> &dyn Parameters {
                 match self { $(Scenario::$variant(scenario) => scenario,)* }
             }
@@ -98,8 +113,18 @@ scenarios! {
 /// # Errors
 /// [`ConfigError`] if there is no scenario of this name, or its parameters are of another type.
 pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
-    let text = DEFAULTS.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
-    Ok(layered(name, &[text])?)
+    Ok(with_parameters(name, "{}")?)
+}
+
+/// The default parameters of a scenario and what is given beside them, which has to be one of them.
+fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
+    let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
+    let (known, given) = (flat_parameters(scenario, defaults)?, flat_parameters(scenario, parameters)?);
+    if let Some((unknown, _)) = given.iter().find(|(name, _)| known.iter().all(|(known, _)| known != name)) {
+        let known: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
+        return Err(YamlError::new(scenario, format!("it has no parameter '{unknown}'; it has: {}", known.join(", "))));
+    }
+    layered(scenario, &[defaults, parameters])
 }
 
 /// Length still shown after a fall \[s\].
@@ -125,7 +150,7 @@ pub enum ScriptError {
     Parameter(#[from] ParameterError),
     /// The robot.
     #[error(transparent)]
-    Robot(#[from] RobotError),
+    Robot(#[from] FileError),
 }
 
 /// What every scenario asks of the policy.
@@ -147,6 +172,15 @@ pub struct Task {
     #[arg(long, alias = "joint-offset-sd-rad")]
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
+    /// Commanded compliance: how much velocity a newton of sustained pull is to buy (m/s/N); 0: whatever the policy has
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub compliance: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// What a scenario's parameters do; what they do not say is that of an undisturbed walk on a plane.
@@ -192,6 +226,7 @@ impl Scenario {
         in_range("yaw-rad-s", task.yaw_rad_s, -10.0, 10.0, "-10 to 10 rad/s")?;
         in_range("duration-s", task.duration_s, 0.1, 3600.0, "0.1 to 3600 s")?;
         in_range("encoder-bias-sd-rad", task.encoder_bias_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
+        in_range("compliance", task.compliance, 0.0, 1.0, "0 to 1 m/s/N")?;
         let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
             scene: Scene::flat(Robot::load(&config.robot.model)?, config.simulation.timestep_s()),
@@ -200,7 +235,10 @@ impl Scenario {
                 friction: config.randomisation.default_friction,
                 encoder_bias: std::array::from_fn(|_| task.encoder_bias_sd_rad * rng.sample::<f64, _>(StandardNormal)),
             },
-            command: Command::velocity(task.forward_m_s, task.left_m_s, task.yaw_rad_s),
+            command: Command {
+                compliance: task.compliance,
+                ..Command::velocity(task.forward_m_s, task.left_m_s, task.yaw_rad_s)
+            },
             duration_s: task.duration_s,
             after_fall_s: AFTER_FALL_S,
             pushes: Vec::new(),
@@ -216,39 +254,27 @@ impl Scenario {
     pub fn metrics(&self, script: &Script, trace: &Trace) -> Vec<Metric> {
         let end_s = trace.frames.last().map_or(0.0, |frame| frame.time_s);
         let settled_s = metrics::SETTLE_S.min(0.5 * end_s);
+        let errors = metrics::velocity_errors(trace, settled_s, end_s);
+        let error = |axis: usize| errors.map(|errors| errors[axis]);
+        let all = metrics::window(trace, settled_s, end_s);
+        let flight = metrics::flight_fraction(trace, settled_s, end_s);
         let mut found = vec![
             metric("duration_s", "simulated", Some(end_s), "s"),
             truth("fell", "fell", trace.fall().map(|_| true).or(trace.fault().is_none().then_some(false))),
             metric("fall_time_s", "fell after", trace.fall().map(|fall| fall.time_s), "s"),
+            metric("forward_error_m_s", "forward velocity error", error(0), "m/s"),
+            metric("left_error_m_s", "sideways velocity error", error(1), "m/s"),
+            metric("yaw_error_rad_s", "yaw rate error", error(2), "rad/s"),
+            metric("power_w", "mechanical power", metrics::mean(all.clone(), |f| f.power_w), "W"),
+            metric("torque_n_m", "torque norm", metrics::mean(all.clone(), |f| f.torque_n_m), "N m"),
+            metric("cost_of_transport", "cost of transport", metrics::cost_of_transport(trace, settled_s, end_s), ""),
+            metric("stride_frequency_hz", "stride frequency", metrics::stride_frequency(trace, settled_s, end_s), "Hz"),
+            metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"),
+            metric("swing_height_m", "swing height", metrics::swing_height(trace, settled_s, end_s), "m"),
+            // The first step from rest is harder than those of a walk.
+            metric("peak_foot_force_n", "peak foot force", metrics::largest(all, |f| f.peak_foot_force_n), "N"),
+            metric("distance_m", "distance ahead", trace.frames.last().map(|frame| frame.position[0]), "m"),
         ];
-        let errors = metrics::velocity_errors(trace, settled_s, end_s);
-        for (index, (name, label, unit)) in [
-            ("forward_error_m_s", "forward velocity error", "m/s"),
-            ("left_error_m_s", "sideways velocity error", "m/s"),
-            ("yaw_error_rad_s", "yaw rate error", "rad/s"),
-        ]
-        .into_iter()
-        .enumerate()
-        {
-            found.push(metric(name, label, errors.map(|errors| errors[index]), unit));
-        }
-        let all = metrics::window(trace, settled_s, end_s);
-        found.push(metric("power_w", "mechanical power", metrics::mean(all.clone(), |f| f.power_w), "W"));
-        found.push(metric("torque_n_m", "torque norm", metrics::mean(all.clone(), |f| f.torque_n_m), "N m"));
-        let transport = metrics::cost_of_transport(trace, settled_s, end_s);
-        found.push(metric("cost_of_transport", "cost of transport", transport, ""));
-        let strides = metrics::stride_frequency(trace, settled_s, end_s);
-        found.push(metric("stride_frequency_hz", "stride frequency", strides, "Hz"));
-        let flight = metrics::flight_fraction(trace, settled_s, end_s);
-        found.push(metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"));
-        let swing = metrics::swing_height(trace, settled_s, end_s);
-        found.push(metric("swing_height_m", "swing height", swing, "m"));
-        // The first step from rest is harder than those of a walk.
-        let peak = metrics::largest(all, |frame| frame.peak_foot_force_n);
-        found.push(metric("peak_foot_force_n", "peak foot force", peak, "N"));
-        let distance = trace.frames.last().map(|frame| frame.position[0]);
-        found.push(metric("distance_m", "distance ahead", distance, "m"));
-
         self.parameters().metrics(script, trace, &mut found);
         found
     }

@@ -11,7 +11,7 @@ use std::f64::consts::FRAC_PI_2;
 use super::{ParameterError, Parameters, in_range, metric, no_turn, towards};
 use crate::robot::Extent;
 use crate::scenario::Script;
-use crate::scenario::metrics::{self, Decay, Metric, STRIDE_S};
+use crate::scenario::metrics::{self, Metric, STRIDE_S};
 use crate::scenario::rig::{Holder, Load, Rig, Shape};
 use crate::scenario::trace::{Frame, Trace};
 use crate::task::episode::GRAVITY;
@@ -75,11 +75,6 @@ impl Pendulum {
         Some(Impact { time_s, push: [change * ahead, change * left] })
     }
 
-    /// How long the velocity change of an impact lasts, as that of a push.
-    pub fn decay(&self, trace: &Trace, impact: &Impact, threshold: f64) -> Option<Decay> {
-        metrics::decay(trace, impact.time_s, impact.push, threshold, STRIDE_S)
-    }
-
     fn rig(&self, trunk: &Extent) -> Rig {
         let [ahead, left] = self.direction();
         // The ball comes from behind its direction and touches that end of the trunk.
@@ -136,26 +131,25 @@ impl Parameters for Pendulum {
 
     fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         let impact = self.impact(trace);
-        let frames = || trace.frames.iter();
-        let after = || {
-            let time_s = impact.map(|impact| impact.time_s);
-            time_s.map(|time_s| metrics::window(trace, time_s, time_s + IMPULSE_S))
-        };
-        let decay = |threshold| self.decay(trace, impact.as_ref()?, threshold)?.ended_s();
+        let after = impact.map(|impact| metrics::window(trace, impact.time_s, impact.time_s + IMPULSE_S));
+        // As that of a push.
+        let decay = |threshold| metrics::decay(trace, impact?.time_s, impact?.push, threshold, STRIDE_S)?.ended_s();
         let [ahead, left] = self.direction();
         let push = impact.map(|impact| impact.push[0] * ahead + impact.push[1] * left);
         // A fall before the second is over ends the trace, and with it the sum.
         let is_whole = impact
             .zip(trace.frames.last())
             .is_some_and(|(impact, last)| last.time_s + 0.5 * trace.period_s > impact.time_s + IMPULSE_S);
-        let impulse = after().filter(|_| is_whole).map(|frames| frames.map(|frame| frame.obstacle_impulse_n_s).sum());
-        found.push(metric("impact_time_s", "hit at", impact.map(|impact| impact.time_s), "s"));
-        found.push(metric("push_m_s", "velocity change by the hit", push, "m/s"));
-        found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
-        found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
-        let peak = metrics::largest(frames(), |frame| frame.peak_obstacle_force_n).filter(|_| impact.is_some());
-        found.push(metric("peak_contact_force_n", "peak contact force", peak, "N"));
-        found.push(metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s"));
+        let impulse = after.filter(|_| is_whole).map(|frames| frames.map(|frame| frame.obstacle_impulse_n_s).sum());
+        let peak = metrics::largest(trace.frames.iter(), |frame| frame.peak_obstacle_force_n);
+        found.extend([
+            metric("impact_time_s", "hit at", impact.map(|impact| impact.time_s), "s"),
+            metric("push_m_s", "velocity change by the hit", push, "m/s"),
+            metric("decay_10_s", "decay to 10 %", decay(0.1), "s"),
+            metric("decay_20_s", "decay to 20 %", decay(0.2), "s"),
+            metric("peak_contact_force_n", "peak contact force", peak.filter(|_| impact.is_some()), "N"),
+            metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s"),
+        ]);
     }
 
     fn delay(&mut self, phase_s: f64) {

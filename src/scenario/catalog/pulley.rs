@@ -119,18 +119,19 @@ impl Parameters for Pulley {
         let settled = || metrics::window(trace, self.at_s + SETTLED_S, end_s);
         let direction = self.direction();
         let moved = metrics::displacement_off_course(trace, direction, self.at_s, end_s);
-        found.push(metric("displacement_m", "moved along the pull", moved, "m"));
         let offset = metrics::yaw_at(trace, self.at_s).and_then(|yaw| {
             let pull = metrics::in_world(direction, yaw);
             metrics::offset_along_force(trace, pull, self.at_s + SETTLED_S, end_s)
         });
-        found.push(metric("offset_m_s", "velocity along the pull", offset, "m/s"));
         let force = |frame: &Frame| frame.rope.as_ref().map_or(0.0, |rope| rope.force_n);
         let peak = |frame: &Frame| frame.rope.as_ref().map_or(0.0, |rope| rope.peak_force_n);
-        found.push(metric("mean_rope_force_n", "mean rope force", metrics::mean(settled(), force), "N"));
-        found.push(metric("peak_rope_force_n", "peak rope force", metrics::largest(settled(), peak), "N"));
-        let power = metrics::mean(settled(), |frame| frame.power_w);
-        found.push(metric("power_pulled_w", "power while pulled", power, "W"));
+        found.extend([
+            metric("displacement_m", "moved along the pull", moved, "m"),
+            metric("offset_m_s", "velocity along the pull", offset, "m/s"),
+            metric("mean_rope_force_n", "mean rope force", metrics::mean(settled(), force), "N"),
+            metric("peak_rope_force_n", "peak rope force", metrics::largest(settled(), peak), "N"),
+            metric("power_pulled_w", "power while pulled", metrics::mean(settled(), |frame| frame.power_w), "W"),
+        ]);
     }
 
     fn delay(&mut self, phase_s: f64) {

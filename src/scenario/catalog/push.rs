@@ -50,17 +50,18 @@ impl Parameters for PushAway {
         let alone = script.pushes.get(1).map(|second| trace.until(second.time_s));
         let trace = alone.as_ref().unwrap_or(trace);
         let at_s = first.time_s;
-        let before = metrics::window(trace, at_s - 1.0, at_s);
-        let after = metrics::window(trace, at_s, at_s + 1.0);
+        let window = |from_s: f64| metrics::window(trace, from_s, from_s + 1.0);
         let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S)?.ended_s();
-        found.push(metric("push_time_s", "pushed at", Some(at_s), "s"));
-        found.push(metric("decay_10_s", "decay to 10 %", decay(0.1), "s"));
-        found.push(metric("decay_20_s", "decay to 20 %", decay(0.2), "s"));
         let power = |frames| metrics::mean(frames, |frame| frame.power_w);
-        found.push(metric("power_before_w", "power, 1 s before", power(before.clone()), "W"));
-        let torque_before = metrics::mean(before, |frame| frame.torque_n_m);
-        found.push(metric("power_after_w", "power, 1 s after", metrics::mean(after.clone(), |f| f.power_w), "W"));
-        found.push(metric("torque_before_n_m", "torque, 1 s before", torque_before, "N m"));
-        found.push(metric("torque_after_n_m", "torque, 1 s after", metrics::mean(after, |f| f.torque_n_m), "N m"));
+        let torque = |frames| metrics::mean(frames, |frame| frame.torque_n_m);
+        found.extend([
+            metric("push_time_s", "pushed at", Some(at_s), "s"),
+            metric("decay_10_s", "decay to 10 %", decay(0.1), "s"),
+            metric("decay_20_s", "decay to 20 %", decay(0.2), "s"),
+            metric("power_before_w", "power, 1 s before", power(window(at_s - 1.0)), "W"),
+            metric("power_after_w", "power, 1 s after", power(window(at_s)), "W"),
+            metric("torque_before_n_m", "torque, 1 s before", torque(window(at_s - 1.0)), "N m"),
+            metric("torque_after_n_m", "torque, 1 s after", torque(window(at_s)), "N m"),
+        ]);
     }
 }

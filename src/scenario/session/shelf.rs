@@ -5,9 +5,8 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::Seat;
-use crate::policy::shipped::{self, FindError};
-use crate::policy::{Agent, AgentError, Policy};
-use crate::robot::{Robot, RobotError};
+use crate::policy::{Agent, AgentError, Policy, shipped};
+use crate::robot::Robot;
 use crate::util::files::{self, FileError};
 
 /// Larger files are not policies.
@@ -16,18 +15,12 @@ const MAX_BYTES: u64 = 64 << 20;
 /// Why a policy is not at hand.
 #[derive(Debug, thiserror::Error)]
 pub enum ShelfError {
-    /// There is none of this name.
-    #[error(transparent)]
-    Find(#[from] FindError),
-    /// It is no good.
+    /// There is none of this name, or it is no good.
     #[error(transparent)]
     Agent(#[from] AgentError),
-    /// It is no policy file.
+    /// It is no policy file, or the robot is no good.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The robot.
-    #[error(transparent)]
-    Robot(#[from] RobotError),
     /// It is there, but it is another one.
     #[error("{what} has changed since: it was {expected}, and is now {found}; put back the one that it was")]
     Changed {

@@ -24,17 +24,15 @@ fn main() -> ExitCode {
 fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
     let contest = contest(args)?;
-    let mut report = Report::new(&contest, name, command(args));
+    let command = Command { experiments: args.experiments.clone(), options: args.options() };
+    let mut report = Report::new(&contest, name, command);
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     contest.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
-    let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let settings = Settings {
-        threads: args.threads.map_or(cores, usize::from),
-        again: args.again,
-        sensing: Sensing::True,
-        store: Store::new(&args.out),
-    };
+    // Zero stands for all cores.
+    let threads = args.threads.map_or(0, usize::from);
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")?;
+    let settings = Settings { again: args.again, sensing: Sensing::True, store: Store::new(&args.out) };
     let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
     let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
     // E12 compares with the true state: estimated sensing is run besides.
@@ -103,10 +101,4 @@ fn contest(args: &Args) -> anyhow::Result<Contest> {
         }
         _ => Contest::in_folder(&args.policies, &names, &args.also)?,
     })
-}
-
-/// What makes this report.
-fn command(args: &Args) -> Command {
-    let program = "cargo run --release --bin evaluate --".to_owned();
-    Command { program, experiments: args.experiments.clone(), options: args.options() }
 }

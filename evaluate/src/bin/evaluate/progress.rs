@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget};
 use supple::scenario::Sensing;
 use supple::util::terminal;
 use supple_evaluate::Info;
@@ -18,10 +18,8 @@ pub struct Progress {
 
 impl Default for Progress {
     fn default() -> Self {
-        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr_with_hz(4));
-        if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent:>3} %, {eta} left, {msg}") {
-            bar.set_style(style);
-        }
+        let bar = terminal::progress_bar(0, "{bar:30} {percent:>3} %, {eta} left, {msg}");
+        bar.set_draw_target(ProgressDrawTarget::stderr_with_hz(4));
         Progress { bar, begun: Instant::now() }
     }
 }

@@ -11,7 +11,6 @@ use std::process::ExitCode;
 use anyhow::Context;
 use args::{Args, What};
 use clap::CommandFactory;
-use indicatif::{ProgressBar, ProgressStyle};
 use output::Outcome;
 use supple::estimate::contact::ContactNetwork;
 use supple::policy::Agent;
@@ -52,6 +51,10 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
         let robot = Robot::load(model)?;
         robot.report.iter().for_each(|line| terminal::note(format_args!("  {line}")));
         robots.iter_mut().for_each(|(_, agent)| agent.run_on(&robot));
+    }
+    for (name, agent) in &robots {
+        let compliance = scenario.task().compliance;
+        agent.check_compliance(compliance).with_context(|| format!("--compliance {compliance} with {name}"))?;
     }
     let scripts: Vec<Script> = robots
         .iter()
@@ -141,7 +144,8 @@ fn play(
         rollouts.push(rollout.with_sensing(args.sensing, args.seed)?);
     }
     let mut traces: Vec<Trace> = rollouts.iter().map(Rollout::empty_trace).collect();
-    let bar = progress_bar(rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64);
+    let steps = rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64;
+    let bar = terminal::progress_bar(steps, "{bar:30} {percent} %, {eta} left");
     let mut playing = true;
     while playing {
         playing = false;
@@ -156,12 +160,4 @@ fn play(
     }
     bar.finish_and_clear();
     Ok(traces)
-}
-
-fn progress_bar(steps: u64) -> ProgressBar {
-    let bar = ProgressBar::new(steps);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {percent} %, {eta} left") {
-        bar.set_style(style);
-    }
-    bar
 }

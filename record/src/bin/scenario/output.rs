@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::{self, Metric};
-use supple::scenario::trace::Trace;
+use supple::scenario::trace::{Frame, Trace};
 use supple::util::provenance::GIT_REVISION;
 
 /// A finished rollout.
@@ -83,54 +83,55 @@ pub fn units(outcomes: &[Outcome<'_>]) -> Value {
     metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect()
 }
 
+/// A column of the CSV: its name, and what stands in it.
+type Column = (&'static str, fn(&Frame) -> f64);
+
+/// Columns that every frame has.
+const COLUMNS: [Column; 26] = [
+    ("time_s", |frame| frame.time_s),
+    ("x_m", |frame| frame.position[0]),
+    ("y_m", |frame| frame.position[1]),
+    ("height_m", |frame| frame.height_m),
+    ("roll_rad", |frame| frame.roll_pitch_yaw[0]),
+    ("pitch_rad", |frame| frame.roll_pitch_yaw[1]),
+    ("yaw_rad", |frame| frame.roll_pitch_yaw[2]),
+    ("forward_m_s", |frame| frame.velocity_in_heading[0]),
+    ("left_m_s", |frame| frame.velocity_in_heading[1]),
+    ("yaw_rad_s", |frame| frame.yaw_rate),
+    ("command_forward_m_s", |frame| frame.command.forward),
+    ("command_left_m_s", |frame| frame.command.left),
+    ("command_yaw_rad_s", |frame| frame.command.yaw),
+    ("power_w", |frame| frame.power_w),
+    ("torque_n_m", |frame| frame.torque_n_m),
+    ("reward", |frame| frame.reward),
+    ("peak_foot_force_n", |frame| frame.peak_foot_force_n),
+    ("peak_obstacle_force_n", |frame| frame.peak_obstacle_force_n),
+    ("rope_force_n", |frame| frame.rope.as_ref().map_or(0.0, |rope| rope.force_n)),
+    ("foot_fr_up_n", |frame| frame.foot_forces[0][2]),
+    ("foot_fl_up_n", |frame| frame.foot_forces[1][2]),
+    ("foot_rr_up_n", |frame| frame.foot_forces[2][2]),
+    ("foot_rl_up_n", |frame| frame.foot_forces[3][2]),
+    ("base_x_m_s", |frame| frame.velocity[0]),
+    ("base_y_m_s", |frame| frame.velocity[1]),
+    ("base_z_m_s", |frame| frame.velocity[2]),
+];
+
+/// Columns of what the robot knows; empty where it acts on its true state.
+const ESTIMATED: &str = "estimated_x_m,estimated_y_m,estimated_height_m,estimated_base_x_m_s,estimated_base_y_m_s,\
+                         estimated_base_z_m_s";
+
 /// Writes the traces as CSV, one row for each policy step.
 pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
     let mut file = io::BufWriter::new(std::fs::File::create(path)?);
-    writeln!(
-        file,
-        "policy,time_s,x_m,y_m,height_m,roll_rad,pitch_rad,yaw_rad,forward_m_s,left_m_s,yaw_rad_s,\
-         command_forward_m_s,command_left_m_s,command_yaw_rad_s,power_w,torque_n_m,reward,peak_foot_force_n,\
-         peak_obstacle_force_n,rope_force_n,foot_fr_up_n,foot_fl_up_n,foot_rr_up_n,foot_rl_up_n,\
-         base_x_m_s,base_y_m_s,base_z_m_s,estimated_x_m,estimated_y_m,estimated_height_m,estimated_base_x_m_s,\
-         estimated_base_y_m_s,estimated_base_z_m_s"
-    )?;
+    writeln!(file, "policy,{},{ESTIMATED}", COLUMNS.map(|(name, _)| name).join(","))?;
     for outcome in outcomes {
         for frame in &outcome.trace.frames {
-            let [roll, pitch, yaw] = frame.roll_pitch_yaw;
-            let numbers = [
-                frame.time_s,
-                frame.position[0],
-                frame.position[1],
-                frame.height_m,
-                roll,
-                pitch,
-                yaw,
-                frame.velocity_in_heading[0],
-                frame.velocity_in_heading[1],
-                frame.yaw_rate,
-                frame.command.forward,
-                frame.command.left,
-                frame.command.yaw,
-                frame.power_w,
-                frame.torque_n_m,
-                frame.reward,
-                frame.peak_foot_force_n,
-                frame.peak_obstacle_force_n,
-                frame.rope.as_ref().map_or(0.0, |rope| rope.force_n),
-                frame.foot_forces[0][2],
-                frame.foot_forces[1][2],
-                frame.foot_forces[2][2],
-                frame.foot_forces[3][2],
-                frame.velocity[0],
-                frame.velocity[1],
-                frame.velocity[2],
-            ];
-            // Empty where the robot acts on its true state.
+            let numbers = COLUMNS.iter().map(|(_, of)| of(frame).to_string());
             let estimated: [String; 6] = frame.sensed.map_or_else(Default::default, |sensed| {
                 let ([x, y, _], [u, v, w]) = (sensed.position, sensed.velocity);
                 [x, y, sensed.height_m, u, v, w].map(|value| value.to_string())
             });
-            let row: Vec<String> = numbers.iter().map(f64::to_string).chain(estimated).collect();
+            let row: Vec<String> = numbers.chain(estimated).collect();
             writeln!(file, "{},{}", outcome.policy, row.join(","))?;
         }
     }

@@ -1,0 +1,226 @@
+/*! Compliance as a command of a policy that tracks a velocity: how far it yields is measured once, and then commanded.
+
+Around the policy goes the outer loop of [`crate::task::compliance`]. What a setting of it comes to has been measured, and the
+setting is chosen that gives what is commanded.
+*/
+
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::controller::Controller;
+use crate::config::Config;
+use crate::observation::Command;
+use crate::robot::{Joints, RobotState};
+use crate::task::OuterLoop;
+use crate::util::files::{self, FileError};
+
+/// What a policy does when it is pulled.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Identity of the policy: SHA-256 of its files.
+    pub sha256: String,
+    /// Compliance by itself, `C₀` [m/s/N].
+    pub own_m_s_per_n: f64,
+    /// What the velocity is off by undisturbed, forward and left [m/s], as a constant and the factors of the commanded
+    /// forward [m/s], left [m/s] and yaw rate [rad/s].
+    pub bias: [[f64; 4]; 2],
+    /// What settings come to, both rising.
+    pub points: Vec<Point>,
+}
+
+/// A setting and what it comes to.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Point {
+    /// `c` of the outer loop [m/s/N].
+    pub setting: f64,
+    /// Measured: mean over directions [m/s/N].
+    pub measured: f64,
+}
+
+/// A compliance that a policy cannot give.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ComplianceError {
+    /// Softer or stiffer than it can be.
+    #[error("a compliance of {found} m/s/N is beyond it: it can be told {low:.4} to {high:.4} m/s/N")]
+    OutOfReach {
+        /// What was commanded.
+        found: f64,
+        /// The least that it can give.
+        low: f64,
+        /// The largest.
+        high: f64,
+    },
+    /// Nobody knows how far it yields.
+    #[error("how far it yields has not been measured: run `policy calibrate` with it first")]
+    NotCalibrated,
+}
+
+/// What errors call the file.
+const WHAT: &str = "calibration";
+
+/// Larger files are no calibrations.
+const MAX_BYTES: u64 = 64 << 10;
+
+impl Calibration {
+    /// Where a policy's calibration is: `NAME.calibration.json`.
+    pub fn path(policy: &Path) -> PathBuf {
+        policy.with_extension("calibration.json")
+    }
+
+    /// What lies beside a policy's file, if there is something.
+    ///
+    /// # Errors
+    /// A file that cannot be read, is no calibration, or is another policy's.
+    pub fn beside(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
+        let path = Self::path(policy);
+        match files::read_bounded(&path, MAX_BYTES) {
+            Ok(bytes) => Self::from_json(&path, &String::from_utf8_lossy(&bytes), sha256).map(Some),
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(FileError::of(WHAT, &path)(error)),
+        }
+    }
+
+    /// Reads and checks one.
+    ///
+    /// # Errors
+    /// As [`Calibration::beside`].
+    pub fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
+        let fail = FileError::of(WHAT, path);
+        let found: Calibration = serde_json::from_str(text).map_err(FileError::of(WHAT, path))?;
+        let points = &found.points;
+        let numbers = points.iter().flat_map(|point| [point.setting, point.measured]).chain([found.own_m_s_per_n]);
+        if found.sha256 != sha256 {
+            return Err(fail("it is of another policy: run `policy calibrate` again"));
+        }
+        let rising =
+            points.windows(2).all(|pair| pair[1].measured > pair[0].measured && pair[1].setting > pair[0].setting);
+        let finite = numbers.chain(found.bias.into_iter().flatten()).all(f64::is_finite);
+        if points.len() < 2 || !rising || !finite || found.own_m_s_per_n < 0.0 {
+            return Err(fail("expected two points or more, rising, and finite numbers: run `policy calibrate` again"));
+        }
+        Ok(found)
+    }
+
+    /// Before anything has been measured: a setting is taken for what it comes to.
+    pub fn unmeasured(sha256: &str) -> Self {
+        let points = [0.0, 1.0].map(|setting| Point { setting, measured: setting }).to_vec();
+        Calibration { sha256: sha256.to_owned(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points }
+    }
+
+    /// The least and the largest compliance that the policy can give [m/s/N].
+    pub fn range(&self) -> [f64; 2] {
+        let measured = |point: Option<&Point>| point.map_or(0.0, |point| point.measured);
+        [measured(self.points.first()), measured(self.points.last())]
+    }
+
+    /// Whether it can give a compliance [m/s/N]; zero leaves it as it is.
+    ///
+    /// # Errors
+    /// [`ComplianceError::OutOfReach`]
+    pub fn check(&self, compliance: f64) -> Result<(), ComplianceError> {
+        let [low, high] = self.range();
+        let within = compliance == 0.0 || (low..=high).contains(&compliance);
+        if within { Ok(()) } else { Err(ComplianceError::OutOfReach { found: compliance, low, high }) }
+    }
+
+    /// The setting that gives a compliance, or comes nearest to it [m/s/N].
+    fn nearest_setting(&self, compliance: f64) -> f64 {
+        let [low, high] = self.range();
+        let wanted = compliance.clamp(low, high);
+        let between = |pair: &[Point]| {
+            let part = (wanted - pair[0].measured) / (pair[1].measured - pair[0].measured);
+            (0.0..=1.0).contains(&part).then_some(pair[0].setting + part * (pair[1].setting - pair[0].setting))
+        };
+        self.points.windows(2).find_map(between).unwrap_or(compliance)
+    }
+
+    /// What the velocity is off by undisturbed, forward and left [m/s].
+    fn bias(&self, command: &Command) -> [f64; 2] {
+        let of = |[constant, forward, left, yaw]: [f64; 4]| {
+            constant + forward * command.forward + left * command.left + yaw * command.yaw
+        };
+        self.bias.map(of)
+    }
+}
+
+/// A calibrated policy, which yields as it is commanded to.
+pub struct Compliant<'a> {
+    policy: Box<dyn Controller + 'a>,
+    calibration: &'a Calibration,
+    outer_loop: OuterLoop,
+    /// State of the loop's low-pass.
+    led: [f64; 2],
+}
+
+impl<'a> Compliant<'a> {
+    /// With an outer loop around a policy, for the rates and the commands that it was trained with.
+    pub fn new(policy: Box<dyn Controller + 'a>, calibration: &'a Calibration, config: &Config) -> Self {
+        let outer_loop = OuterLoop {
+            own_m_s_per_n: calibration.own_m_s_per_n,
+            limits_m_s: config.led_limits_m_s(),
+            period_s: config.simulation.policy_period_s(),
+        };
+        Compliant { policy, calibration, outer_loop, led: [0.0; 2] }
+    }
+}
+
+impl Controller for Compliant<'_> {
+    fn rest(&self) -> Joints {
+        self.policy.rest()
+    }
+
+    fn begin(&mut self, state: &RobotState) {
+        self.led = [0.0; 2];
+        self.policy.begin(state);
+    }
+
+    fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
+        if command.compliance <= 0.0 {
+            return self.policy.joint_targets(state, command);
+        }
+        let (setting, bias) = (self.calibration.nearest_setting(command.compliance), self.calibration.bias(command));
+        let command = self.outer_loop.command(state, command, setting, bias, &mut self.led);
+        self.policy.joint_targets(state, &command)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0.1, 0.5, 0, 0], [0, 0, 0, 2]],
+        "points": [{"setting": 0.005, "measured": 0.006}, {"setting": 0.02, "measured": 0.018}]}"#;
+
+    fn parsed(text: &str) -> Result<Calibration, FileError> {
+        Calibration::from_json(Path::new("p.calibration.json"), text, "it")
+    }
+
+    #[test]
+    fn a_setting_is_found_between_those_that_were_measured() {
+        let calibration = parsed(TEXT).unwrap();
+        // A quarter of the way from 0.006 to 0.018.
+        assert!((calibration.nearest_setting(0.009) - 0.00875).abs() < 1e-12);
+        assert_eq!(calibration.nearest_setting(1.0), 0.02);
+        assert!(calibration.check(0.018).is_ok() && calibration.check(0.0).is_ok());
+        let beyond = ComplianceError::OutOfReach { found: 0.019, low: 0.006, high: 0.018 };
+        assert_eq!(calibration.check(0.019), Err(beyond));
+        let bias = calibration.bias(&Command::velocity(0.4, 0.0, 0.25));
+        assert!((bias[0] - 0.3).abs() < 1e-12 && (bias[1] - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_calibration_of_another_policy_or_without_sense_is_refused() {
+        let other = Calibration::from_json(Path::new("p.calibration.json"), TEXT, "other");
+        assert!(other.unwrap_err().to_string().contains("p.calibration.json"));
+        for (from, to) in
+            [("0.018", "0.006"), ("0.02,", "0.005,"), ("0.01,", "-0.01,"), ("0.01,", "1e999,"), ("0.1,", "{},")]
+        {
+            assert!(TEXT.contains(from), "{from}");
+            assert!(parsed(&TEXT.replacen(from, to, 1)).is_err(), "{from} to {to}");
+        }
+    }
+}
