@@ -4,6 +4,7 @@ import { fractions, listenToKeys, listenToStick } from "./command.js";
 import { connect } from "./link.js";
 import { show } from "./numbers.js";
 import { listenToPad } from "./pad.js";
+import { show as showYields } from "./yields.js";
 
 /** Signs of life go out this often, and a gamepad is looked at. */
 const LIFE_MS = 60;
@@ -169,6 +170,7 @@ function chooseRobots() {
 function draw() {
   if (!state) return;
   show($("numbers"), state.robots);
+  showYields($("yields"), state.robots, (robot, compliance) => send({ comply: { robot, compliance } }));
   const { rate, speed, paused, behind, driver } = state;
   const times = rate == null ? "" : ` ${rate.toFixed(2)} ×`;
   if (paused) status("paused");

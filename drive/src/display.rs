@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use supple::scenario::session::{Input, Meter, Played, Unit, World};
+use supple::scenario::session::{Input, Meter, Played, World};
 use supple::scenario::trace::{EventKind, Frame};
 use tokio::sync::watch;
 
@@ -119,13 +119,12 @@ impl Display {
         match input {
             Input::Push { size, unit } => {
                 for (meter, mass_kg) in self.meters.iter_mut().zip(world.masses_kg()) {
-                    let per_unit = if *unit == Unit::Velocity { 1.0 } else { 1.0 / mass_kg };
-                    meter.push(size.map(|size| size * per_unit));
+                    meter.push(unit.velocity(*size, mass_kg));
                 }
             }
             Input::Pull(force) => self.meters.iter_mut().for_each(|meter| meter.pull(*force)),
             Input::Setup(_) => self.begin(world),
-            Input::Reset | Input::Renew { .. } => self.refresh(),
+            Input::Reset | Input::Renew { .. } | Input::Comply { .. } => self.refresh(),
             Input::Command(_) => {}
         }
     }
@@ -168,7 +167,8 @@ impl Display {
     pub fn tell(&self, world: &World) {
         let setup = world.setup();
         let range = world.range();
-        let robots = setup.robots.iter().enumerate().zip(world.falls()).map(|((index, seat), falls)| {
+        let robots = setup.robots.iter().zip(world.reaches()).zip(world.falls()).enumerate();
+        let robots = robots.map(|(index, ((seat, reach), falls))| {
             let frame = self.shown.frames[index].as_deref();
             let [forward, left, _] = frame.map_or([0.0; 3], |frame| frame.velocity_in_heading);
             RobotState {
@@ -178,6 +178,8 @@ impl Display {
                 time_s: frame.map_or(0.0, |frame| frame.time_s),
                 position: frame.map_or([0.0; 3], |frame| frame.position),
                 velocity: [forward, left, frame.map_or(0.0, |frame| frame.yaw_rate)],
+                compliance: seat.compliance,
+                reach,
                 falls,
                 reading: self.meters[index].read(),
             }

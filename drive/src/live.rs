@@ -6,13 +6,13 @@ at them lets go.
 */
 
 use std::fs::File;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use supple::policy::Agent;
-use supple::scenario::session::{Input, RATE_HZ, Setup, Shelf, Unit, World, Writer};
+use supple::scenario::session::{Input, RATE_HZ, Seat, Setup, Shelf, Unit, World, Writer};
 use supple::task::Command;
 
 use crate::display::{Display, Due, News};
@@ -35,14 +35,14 @@ pub enum Message {
     Went(PageId),
     /// A page asks for something.
     Asked(PageId, Request),
-    /// A run has saved a better policy.
-    Renewed {
-        /// Of this robot.
-        robot: usize,
+    /// A policy was read that a run saved.
+    Read {
+        /// From here.
+        path: PathBuf,
         /// The policy.
         agent: Box<Agent>,
         /// Its file.
-        file: Vec<u8>,
+        file: Option<Vec<u8>>,
     },
     /// Something to tell everybody.
     Notice(String),
@@ -61,7 +61,7 @@ pub struct Live {
     minute: Minute,
     command: Command,
     pull: Option<[f64; 2]>,
-    watched: Arc<Mutex<Vec<policies::Watched>>>,
+    watched: Arc<Mutex<Vec<PathBuf>>>,
     to_self: SyncSender<Message>,
 }
 
@@ -157,13 +157,7 @@ impl Live {
                 display.heard = (Instant::now(), display.heard.1 + 1);
                 self.answer(request)?;
             }
-            Message::Renewed { robot, agent, file } => {
-                let sha256 = agent.sha256.clone();
-                self.shelf.put(*agent, Some(file));
-                self.set_up(Input::Renew { robot, sha256 })?;
-                let name = self.display.cast().names.get(robot).cloned().unwrap_or_default();
-                self.display.notice(format!("{name}: its run has saved a newer policy, which now walks"));
-            }
+            Message::Read { path, agent, file } => self.renew(&path, *agent, file)?,
             Message::Notice(text) => display.notice(text),
             // Who does not drive is not heard.
             _ => {}
@@ -193,6 +187,7 @@ impl Live {
                 self.input(Input::Push { size: limited(size, most), unit })?;
             }
             Request::Pull(force) => self.hold(force.map(|force| limited(force, MOST_PULL_N)))?,
+            Request::Comply { robot, compliance } => self.input(Input::Comply { robot, compliance })?,
             Request::Reset => self.input(Input::Reset)?,
             Request::Seed(seed) => {
                 let setup = self.world.setup();
@@ -252,6 +247,43 @@ impl Live {
         Ok(())
     }
 
+    /// Who walks with a policy that was read from here goes on with this one.
+    fn renew(&mut self, path: &Path, agent: Agent, file: Option<Vec<u8>>) -> anyhow::Result<()> {
+        let sha256 = agent.sha256.clone();
+        let is_older =
+            |seat: &Seat| seat.sha256 != sha256 && policies::file_of(&seat.policy).is_some_and(|file| file == path);
+        let robots: Vec<usize> = self
+            .world
+            .setup()
+            .robots
+            .iter()
+            .enumerate()
+            .filter(|(_, seat)| is_older(seat))
+            .map(|(robot, _)| robot)
+            .collect();
+        if robots.is_empty() {
+            return Ok(());
+        }
+        let simulation = agent.config.simulation.clone();
+        self.shelf.put(agent, file);
+        for robot in robots {
+            let sha256 = sha256.clone();
+            let input = if self.world.simulation(robot) == Some(&simulation) {
+                Input::Renew { robot, sha256 }
+            } else {
+                // Other rates, gains or latency: another body, in another world.
+                let mut setup = self.world.setup().clone();
+                let seat = &mut setup.robots[robot];
+                (seat.sha256, seat.compliance) = (sha256, 0.0);
+                Input::Setup(setup)
+            };
+            self.set_up(input)?;
+            let name = self.display.cast().names.get(robot).cloned().unwrap_or_default();
+            self.display.notice(format!("{name}: its run has saved a newer policy, which now walks"));
+        }
+        Ok(())
+    }
+
     fn change_robot(&mut self, index: usize, policy: Option<String>, robot: Option<String>) -> anyhow::Result<()> {
         let mut setup = self.world.setup().clone();
         match policy {
@@ -299,9 +331,7 @@ impl Live {
     }
 
     fn watch_policies(&self) {
-        let seats = self.world.setup().robots.iter().enumerate();
-        let files =
-            seats.filter_map(|(robot, seat)| Some((robot, policies::file_of(&seat.policy)?, seat.sha256.clone())));
+        let files = self.world.setup().robots.iter().filter_map(|seat| policies::file_of(&seat.policy));
         if let Ok(mut watched) = self.watched.lock() {
             *watched = files.collect();
         }

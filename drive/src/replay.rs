@@ -116,7 +116,7 @@ pub fn watch(
                 _ => {}
             },
             Message::Notice(text) => display.notice(text),
-            Message::Asked(..) | Message::Renewed { .. } => {}
+            Message::Asked(..) | Message::Read { .. } => {}
         }
         display.tell(&playback.world);
     }

@@ -30,6 +30,13 @@ pub enum Request {
     },
     /// The force of a hand, forward and left in the heading frame \[N\], or to let go.
     Pull(Option<[f64; 2]>),
+    /// How far a robot is to yield [m/s/N]; zero leaves it to its policy.
+    Comply {
+        /// Which: 0 or 1.
+        robot: usize,
+        /// See above.
+        compliance: f64,
+    },
     /// Everything back to the start.
     Reset,
     /// Another seed, or the next one.
@@ -76,6 +83,7 @@ impl Request {
             Request::Push { size: numbers, .. } | Request::Pull(Some(numbers)) => {
                 numbers.iter().all(|number| number.is_finite())
             }
+            Request::Comply { compliance, .. } => compliance.is_finite(),
             Request::Speed(speed) => (0.05..=1.0).contains(speed),
             _ => true,
         };
@@ -146,6 +154,11 @@ pub struct RobotState {
     pub position: [f64; 3],
     /// Velocity of now: forward [m/s], left [m/s], heading frame; yaw rate [rad/s].
     pub velocity: [f64; 3],
+    /// Compliance that it is told [m/s/N]; zero leaves it to the policy.
+    pub compliance: f64,
+    /// Least and largest compliance that it can be told, and what it has by itself [m/s/N]; none if its policy is not
+    /// calibrated.
+    pub reach: Option<([f64; 2], f64)>,
     /// How often it has fallen.
     pub falls: u32,
     /// Numbers.

@@ -1,12 +1,14 @@
 //! Looks after policies that are still being trained: reads them anew when their run has saved a better one.
 
-use std::path::{Path, PathBuf};
+use std::collections::HashMap;
+use std::path::PathBuf;
 use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, SystemTime};
 
-use supple::policy::Agent;
+use supple::policy::shipped;
+use supple::scenario::session::Shelf;
 use supple::util::files;
 
 use crate::live::Message;
@@ -14,37 +16,30 @@ use crate::live::Message;
 /// Time between two looks.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// A policy that is played: the robot, its path, its identity.
-pub type Watched = (usize, PathBuf, String);
-
-/// Larger files are not policies.
-const MAX_BYTES: u64 = 64 << 20;
-
-/// Looks at the files of policies for as long as somebody listens.
-pub fn start(watched: Arc<Mutex<Vec<Watched>>>, to: SyncSender<Message>) -> std::io::Result<()> {
-    let mut seen: Vec<(usize, PathBuf, SystemTime)> = Vec::new();
+/// Looks at the files of policies for as long as somebody listens, and reads those that have changed.
+///
+/// # Errors
+/// There is no room for a thread.
+pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std::io::Result<()> {
+    let mut seen: HashMap<PathBuf, SystemTime> = HashMap::new();
     let look = move || {
         loop {
             thread::sleep(PERIOD);
             // Whoever holds the lock only replaces the list.
-            let list = watched.lock().map(|list| list.clone()).unwrap_or_default();
-            seen.retain(|(robot, path, _)| list.iter().any(|(of, watched, _)| (of, watched) == (robot, path)));
-            for (robot, path, sha256) in list {
+            let paths = watched.lock().map(|paths| paths.clone()).unwrap_or_default();
+            seen.retain(|path, _| paths.contains(path));
+            for path in paths {
                 let Ok(time) = path.metadata().and_then(|metadata| metadata.modified()) else { continue };
-                if seen.contains(&(robot, path.clone(), time)) {
+                if seen.insert(path.clone(), time) == Some(time) {
                     continue;
                 }
-                // A file that is no policy now will be one when it has changed again.
-                let read = Agent::load(&path).ok().zip(files::read_bounded(&path, MAX_BYTES).ok());
-                let Some((agent, file)) = read.filter(|(agent, file)| files::sha256(&[file]) == agent.sha256) else {
-                    continue;
+                let message = match Shelf::read(&path.to_string_lossy()) {
+                    Ok((agent, file)) => Message::Read { path, agent: Box::new(agent), file },
+                    Err(error) => Message::Notice(error.to_string()),
                 };
-                if agent.sha256 != sha256 && to.send(Message::Renewed { robot, agent: Box::new(agent), file }).is_err()
-                {
+                if to.send(message).is_err() {
                     return;
                 }
-                seen.retain(|(of, known, _)| (*of, known) != (robot, &path));
-                seen.push((robot, path, time));
             }
         }
     };
@@ -53,7 +48,5 @@ pub fn start(watched: Arc<Mutex<Vec<Watched>>>, to: SyncSender<Message>) -> std:
 
 /// The file that a policy is read from, if it is one that may change.
 pub fn file_of(policy: &str) -> Option<PathBuf> {
-    let path = Path::new(policy);
-    let path = if path.is_dir() { path.join("policy.safetensors") } else { path.to_owned() };
-    (path.is_file() && !files::is_yaml(&path)).then_some(path)
+    shipped::file_of(policy).filter(|path| !files::is_yaml(path))
 }

@@ -65,6 +65,19 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     );
     browser.wait("state.robots[0].reading.push.size_m_s[1] === -0.7");
 
+    // A gamepad, its left stick forward to the end.
+    browser.value("navigator.getGamepads = () => [{ axes: [0, -1, 0, 0], buttons: [] }], 0");
+    browser.wait("state.robots.every(({ reading }) => reading.command[0] === state.range[0])");
+    browser.value("navigator.getGamepads = () => [], 0");
+
+    // The middle of the second slider: half of the largest compliance that the second robot can be told.
+    let (middle, _) = browser.place("#yields label:nth-child(2) input");
+    browser.mouse(&[("mousePressed", middle), ("mouseReleased", middle)]);
+    browser.wait("Math.abs(state.robots[1].compliance - 0.5 * state.robots[1].reach[0][1]) < 0.002");
+    assert_eq!(browser.value("state.robots[0].compliance"), 0);
+    let said = browser.value("document.querySelector('#yields').innerText");
+    assert!(said.as_str().unwrap().contains("its own, 0.0"), "{said}");
+
     assert_eq!(browser.complaints, [""; 0]);
     let ours = format!("http://{}", drive.host);
     let other = ours.replace("127.0.0.1", "localhost");

@@ -259,13 +259,21 @@ fn a_run_that_is_trained_meanwhile_is_read_anew_and_its_session_needs_it_no_long
     let run = folder.path().join("run");
     std::fs::create_dir(&run).unwrap();
     let save = |name: &str| shipped::find_ours(name).unwrap().save(&run.join("policy.safetensors")).unwrap();
+    let calibration = concat!(env!("CARGO_MANIFEST_DIR"), "/../policies/baseline-seed2.calibration.json");
     save("baseline-seed2");
+    std::fs::copy(calibration, run.join("policy.calibration.json")).unwrap();
     let drive = Drive::start(folder.path(), &["--policy", "run"]);
     let mut page = drive.page();
+    page.send(&json!({ "comply": { "robot": 0, "compliance": 0.04 } }));
+    page.send(&json!({ "pull": [15.0, 0.0] }));
     page.ask_for([0.4, 0.0, 0.0], Duration::from_millis(500));
+    assert_eq!(page.state["robots"][0]["compliance"], 0.04);
     save("compliant-seed1");
     page.notice("run: its run has saved a newer policy, which now walks");
     page.ask_for([0.4, 0.0, 0.0], Duration::from_millis(500));
+    // Nobody has measured the newer one.
+    assert_eq!(page.state["robots"][0]["compliance"], 0.0);
+    assert!(page.state["robots"][0]["reach"].is_null());
     page.send(&json!({ "keep": "all" }));
     page.notice("drive-1.jsonl");
     page.notice("the recording is written");

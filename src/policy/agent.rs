@@ -105,10 +105,19 @@ impl Agent {
 
     /// A controller of one robot.
     pub fn controller(&self) -> Box<dyn Controller + '_> {
-        let policy = Box::new(self.inference().controller());
+        self.compliant(Box::new(self.inference().controller()))
+    }
+
+    /// A controller of one robot, to keep.
+    pub fn shared_controller(self: &Arc<Self>) -> Box<dyn Controller> {
+        self.compliant(Box::new(PolicyController::new(Shared(Arc::clone(self)))))
+    }
+
+    /// Around a policy that is calibrated goes the loop that makes it yield as it is commanded to.
+    fn compliant<'a>(&self, policy: Box<dyn Controller + 'a>) -> Box<dyn Controller + 'a> {
         match &self.calibration {
             None => policy,
-            Some(calibration) => Box::new(Compliant::new(policy, calibration, &self.config)),
+            Some(calibration) => Box::new(Compliant::new(policy, calibration.clone(), &self.config)),
         }
     }
 
@@ -122,11 +131,6 @@ impl Agent {
             None if compliance == 0.0 => Ok(()),
             None => Err(ComplianceError::NotCalibrated),
         }
-    }
-
-    /// A controller of one robot, to keep.
-    pub fn shared_controller(self: &Arc<Self>) -> Box<dyn Controller> {
-        Box::new(PolicyController::new(Shared(Arc::clone(self))))
     }
 
     /// What turns states into joint targets.

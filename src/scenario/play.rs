@@ -358,6 +358,11 @@ impl<'a> Rollout<'a> {
 
 /// What somebody does to a robot that is being played. It takes effect with the next step.
 impl<'a> Rollout<'a> {
+    /// What is asked of the policy.
+    pub fn command(&self) -> &Command {
+        &self.command
+    }
+
     /// Asks something else of the policy.
     pub fn ask(&mut self, command: Command) {
         self.command = command;

@@ -23,6 +23,7 @@ const PAGE: &[(&str, &str, &str)] = &[
     ("/command.js", SCRIPT, include_str!("../../page/command.js")),
     ("/pad.js", SCRIPT, include_str!("../../page/pad.js")),
     ("/numbers.js", SCRIPT, include_str!("../../page/numbers.js")),
+    ("/yields.js", SCRIPT, include_str!("../../page/yields.js")),
     ("/viewer.html", HTML, include_str!("../../page/viewer.html")),
     ("/viewer.js", SCRIPT, include_str!("../../page/viewer.js")),
 ];

@@ -1,4 +1,5 @@
 //! Headless Chromium, driven over its own protocol: keys, mouse, scripts, pictures.
+#![allow(dead_code)] // No test uses all of it.
 
 use std::net::TcpStream;
 use std::path::Path;

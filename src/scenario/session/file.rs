@@ -1,7 +1,7 @@
 /*! A session as a file: JSON Lines.
 
 The first line says what it is. Then come the inputs in their order, each with its tick, the first of them a set-up; before
-the first that needs it, each policy that does not ship, whole. The last line has the tick at which the session was kept, and
+the first that needs it, what is needed of its policy: the file if it does not ship, and its calibration. The last line has the tick at which the session was kept, and
 the identity of the state of the world then, which whoever plays it again can compare.
 
 The file is written as things happen, so that a session of hours takes no memory, and kept by copying it.
@@ -15,6 +15,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::{Input, Played, Setup, Shelf, ShelfError, World, WorldError};
+use crate::policy::compliance::Calibration;
 use crate::util::files::FileError;
 
 /// Version of the format; what is only added does not change it.
@@ -52,8 +53,11 @@ enum Line {
     Policy {
         name: String,
         sha256: String,
-        /// Hexadecimal.
-        file: String,
+        /// Hexadecimal; none of a policy that ships or is external.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        file: Option<String>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        calibration: Option<Calibration>,
     },
     Input {
         tick: u64,
@@ -72,8 +76,8 @@ pub struct Writer {
     length: u64,
     /// Set-ups: tick, and where their line begins.
     setups: VecDeque<(u64, u64)>,
-    /// Where lines of policies begin, and where they end.
-    policies: HashMap<String, (u64, u64)>,
+    /// Where lines of policies begin, and where they end; one that is calibrated meanwhile has another.
+    policies: HashMap<(String, bool), (u64, u64)>,
 }
 
 impl Writer {
@@ -96,11 +100,15 @@ impl Writer {
             _ => Vec::new(),
         };
         for (name, sha256) in needed {
-            let (Some(file), false) = (shelf.file(sha256), self.policies.contains_key(sha256)) else { continue };
+            let (file, calibration) = (shelf.file(sha256), shelf.calibration(sha256).cloned());
+            let key = (sha256.to_owned(), calibration.is_some());
+            if file.is_none() && calibration.is_none() || self.policies.contains_key(&key) {
+                continue;
+            }
             let begin = self.length;
-            let file = file.iter().map(|byte| format!("{byte:02x}")).collect();
-            self.line(&Line::Policy { name: name.to_owned(), sha256: sha256.to_owned(), file })?;
-            self.policies.insert(sha256.to_owned(), (begin, self.length));
+            let file = file.map(|file| file.iter().map(|byte| format!("{byte:02x}")).collect());
+            self.line(&Line::Policy { name: name.to_owned(), sha256: sha256.to_owned(), file, calibration })?;
+            self.policies.insert(key, (begin, self.length));
         }
         self.line(&Line::Input { tick, input: input.clone() })
     }
@@ -204,7 +212,12 @@ impl Session {
             }
             _ if number == 1 => return Err("it does not say that it is a session".to_owned()),
             Line::Session { .. } => return Err("a second session begins".to_owned()),
-            Line::Policy { name, sha256, file } => {
+            Line::Policy { name, sha256, file, calibration } => {
+                if let Some(calibration) = calibration {
+                    let fail = |problem| format!("the calibration of the policy '{name}': {problem}");
+                    self.shelf.put_calibration(calibration.checked(&sha256).map_err(fail)?);
+                }
+                let Some(file) = file else { return Ok(()) };
                 let bytes = bytes(&file).ok_or("the policy's file is not in hexadecimal")?;
                 if crate::util::files::sha256(&[&bytes]) != sha256 {
                     return Err(format!("the policy '{name}' is damaged"));

@@ -1,10 +1,10 @@
 //! The numbers of a session: what was measured while it was driven, of all of it.
 
-use super::{Input, Meter, Outcome, Playback, PullReading, PushReading, SceneKind, Seat, SessionError, Unit, World};
+use super::{Input, Meter, Outcome, Playback, PullReading, PushReading, SceneKind, Seat, SessionError, World};
 use crate::scenario::metrics::{Metric, STRIDE_S};
 use crate::scenario::trace::{EventKind, Frame, Trace};
 
-/// A robot from one set-up to the next.
+/// A robot for as long as scene, policy and compliance stay what they are.
 #[derive(Debug)]
 pub struct Take {
     /// Where.
@@ -21,7 +21,7 @@ pub struct Take {
     pub pulls: Vec<PullReading>,
 }
 
-/// Plays a session and measures what is shown of it: each robot of each set-up.
+/// Plays a session and measures what is shown of it: each robot with each of its policies and compliances.
 ///
 /// # Errors
 /// [`SessionError`], as if a policy has changed.
@@ -37,13 +37,16 @@ pub fn takes(playback: &mut Playback) -> Result<Vec<Take>, SessionError> {
                 }
                 Input::Push { size, unit } => {
                     for (watched, mass_kg) in current.iter_mut().zip(playback.world.masses_kg()) {
-                        let per_unit = if *unit == Unit::Velocity { 1.0 } else { 1.0 / mass_kg };
-                        watched.meter.push(size.map(|size| size * per_unit));
+                        watched.meter.push(unit.velocity(*size, mass_kg));
                         watched.look();
                     }
                 }
                 Input::Pull(force) => current.iter_mut().for_each(|watched| watched.pull(*force)),
-                Input::Command(_) | Input::Reset | Input::Renew { .. } => {}
+                Input::Comply { robot, .. } | Input::Renew { robot, .. } => {
+                    let seat = playback.world.setup().robots[*robot].clone();
+                    takes.push(current[*robot].go_on_as(seat));
+                }
+                Input::Command(_) | Input::Reset => {}
             }
         }
         for played in &step.played {
@@ -103,6 +106,19 @@ impl Watched {
         self.pulls_since_s = force.map(|_| self.meter.time_s());
         self.meter.pull(force);
         self.look();
+    }
+
+    /// The take so far; another one begins, of the same robot in the same hand.
+    fn go_on_as(&mut self, seat: Seat) -> Take {
+        let hand = self.meter.pulled();
+        self.pull(None);
+        let Trace { period_s, weight_n, .. } = self.take.trace;
+        let trace = Trace { period_s, weight_n, ..Trace::default() };
+        let (pushes, pulls) = (Vec::new(), Vec::new());
+        let next = Take { scene: self.take.scene, seed: self.take.seed, seat, trace, pushes, pulls };
+        let take = std::mem::replace(&mut self.take, next);
+        self.pull(hand);
+        take
     }
 
     fn end(mut self) -> Take {

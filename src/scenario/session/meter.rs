@@ -116,6 +116,11 @@ impl Meter {
         self.pulled = force_n;
     }
 
+    /// The hand that pulls, as in [`Meter::pull`].
+    pub fn pulled(&self) -> Option<[f64; 2]> {
+        self.pulled
+    }
+
     /// A step of the robot.
     pub fn note(&mut self, step: &Played) {
         if step.is_beginning {

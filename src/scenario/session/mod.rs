@@ -38,7 +38,7 @@ pub struct Setup {
     pub robots: Vec<Seat>,
 }
 
-/// A robot and who moves it. What can be set for each robot apart belongs here, with a default that means "as it was before".
+/// A robot and who moves it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Seat {
@@ -50,6 +50,9 @@ pub struct Seat {
     pub robot: String,
     /// Identity of the robot.
     pub robot_sha256: String,
+    /// Compliance that it is told [m/s/N]; zero leaves it to the policy.
+    #[serde(default)]
+    pub compliance: f64,
 }
 
 /// Unit of a push.
@@ -63,11 +66,21 @@ pub enum Unit {
     Momentum,
 }
 
-/// Something that is done to all robots of a world.
+impl Unit {
+    /// The change of velocity [m/s] that a push of this size is to a robot of this mass \[kg\].
+    pub fn velocity(self, size: [f64; 2], mass_kg: f64) -> [f64; 2] {
+        match self {
+            Unit::Velocity => size,
+            Unit::Momentum => size.map(|part| part / mass_kg),
+        }
+    }
+}
+
+/// Something that is done to the robots of a world, to all of them unless it names one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Input {
-    /// They are asked to walk so from now on.
+    /// They are asked to walk so from now on; each keeps its own compliance.
     Command(Command),
     /// Their trunks are pushed: forward and left, heading frame.
     Push {
@@ -78,6 +91,13 @@ pub enum Input {
     },
     /// Their trunks are pulled from now on, forward and left in the heading frame \[N\], or let go.
     Pull(Option<[f64; 2]>),
+    /// A robot is told to yield so far from now on: see [`Seat::compliance`].
+    Comply {
+        /// The robot.
+        robot: usize,
+        /// [m/s/N]
+        compliance: f64,
+    },
     /// Robots and scene are put back to their start.
     Reset,
     /// The policy of a robot has become another one: its run has saved a better one.

@@ -5,6 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::Seat;
+use crate::policy::compliance::Calibration;
 use crate::policy::{Agent, AgentError, Policy, shipped};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
@@ -38,6 +39,8 @@ pub enum ShelfError {
 pub struct Shelf {
     agents: HashMap<String, Arc<Agent>>,
     files: HashMap<String, Vec<u8>>,
+    /// Out of a session: they go before those that lie beside the policies.
+    calibrations: HashMap<String, Calibration>,
 }
 
 impl Shelf {
@@ -46,7 +49,7 @@ impl Shelf {
     /// # Errors
     /// [`ShelfError`]
     pub fn find(&mut self, policy: &str, robot: Option<&str>) -> Result<Seat, ShelfError> {
-        let (mut agent, file) = read(policy)?;
+        let (mut agent, file) = Shelf::read(policy)?;
         let robot = Robot::load(robot.unwrap_or(&agent.config.robot.model))?;
         agent.run_on(&robot);
         let seat = Seat {
@@ -54,13 +57,17 @@ impl Shelf {
             sha256: agent.sha256.clone(),
             robot: robot.name.clone(),
             robot_sha256: robot.sha256(),
+            compliance: 0.0,
         };
         self.put(agent, file);
         Ok(seat)
     }
 
     /// Puts a policy on the shelf, with its file if it does not ship.
-    pub fn put(&mut self, agent: Agent, file: Option<Vec<u8>>) {
+    pub fn put(&mut self, mut agent: Agent, file: Option<Vec<u8>>) {
+        if let Some(calibration) = self.calibrations.get(&agent.sha256) {
+            agent.calibration = Some(calibration.clone());
+        }
         if let Some(file) = file {
             self.files.insert(agent.sha256.clone(), file);
         }
@@ -77,13 +84,18 @@ impl Shelf {
         Ok(())
     }
 
+    /// Puts a calibration on the shelf, for a policy that is put there later.
+    pub fn put_calibration(&mut self, calibration: Calibration) {
+        self.calibrations.insert(calibration.sha256.clone(), calibration);
+    }
+
     /// The policy of a seat, on its robot.
     ///
     /// # Errors
     /// [`ShelfError`] if policy or robot are gone or have changed.
     pub fn take(&mut self, seat: &Seat) -> Result<Arc<Agent>, ShelfError> {
         if !self.agents.contains_key(&seat.sha256) {
-            let (agent, file) = read(&seat.policy)?;
+            let (agent, file) = Shelf::read(&seat.policy)?;
             unchanged(&format!("the policy '{}'", seat.policy), &seat.sha256, &agent.sha256)?;
             self.put(agent, file);
         }
@@ -94,8 +106,9 @@ impl Shelf {
         // The policy comes out of the session, which knows where its robot is.
         let (mut agent, _) = match self.files.get(&seat.sha256) {
             Some(file) => (Agent::from(Policy::from_bytes(file, Path::new(&seat.policy))?), None),
-            None => read(&seat.policy)?,
+            None => Shelf::read(&seat.policy)?,
         };
+        agent.calibration.clone_from(&self.agents[&seat.sha256].calibration);
         let robot = Robot::load(&seat.robot)?;
         unchanged(&format!("the robot '{}'", seat.robot), &seat.robot_sha256, &robot.sha256())?;
         agent.run_on(&robot);
@@ -109,11 +122,31 @@ impl Shelf {
         self.files.get(sha256).map(Vec::as_slice)
     }
 
+    /// How far a policy yields, if that has been measured.
+    pub fn calibration(&self, sha256: &str) -> Option<&Calibration> {
+        self.agents.get(sha256)?.calibration.as_ref()
+    }
+
     /// Leaves only the policies of these seats: a run that is watched saves many.
     pub fn tidy(&mut self, seats: &[Seat]) {
         let used = |sha256: &String| seats.iter().any(|seat| seat.sha256 == *sha256);
         self.agents.retain(|sha256, _| used(sha256));
         self.files.retain(|sha256, _| used(sha256));
+    }
+
+    /// Reads a policy by name or path, and its file if it is one of ours that does not ship.
+    ///
+    /// # Errors
+    /// [`ShelfError`]
+    pub fn read(name: &str) -> Result<(Agent, Option<Vec<u8>>), ShelfError> {
+        let agent = shipped::find(name)?;
+        let Some(path) = shipped::file_of(name).filter(|_| agent.policy().is_some()) else { return Ok((agent, None)) };
+        let file = files::read_bounded(&path, MAX_BYTES).map_err(FileError::of("policy", &path))?;
+        if files::sha256(&[&file]) != agent.sha256 {
+            // Training has saved another one between the two looks.
+            return Shelf::read(name);
+        }
+        Ok((agent, Some(file)))
     }
 }
 
@@ -123,26 +156,4 @@ fn unchanged(what: &str, expected: &str, found: &str) -> Result<(), ShelfError> 
     }
     let [expected, found] = [expected, found].map(|sha256| sha256.chars().take(12).collect());
     Err(ShelfError::Changed { what: what.to_owned(), expected, found })
-}
-
-/// A policy by name or path, and its file if it is one of ours that does not ship.
-fn read(name: &str) -> Result<(Agent, Option<Vec<u8>>), ShelfError> {
-    let path = Path::new(name);
-    let path = if path.is_dir() { path.join("policy.safetensors") } else { path.to_owned() };
-    if !path.is_file() {
-        return Ok((shipped::find(name)?, None));
-    }
-    let agent = shipped::find(&path.to_string_lossy())?;
-    if agent.policy().is_none() {
-        return Ok((agent, None));
-    }
-    let file = files::read_bounded(&path, MAX_BYTES).map_err(FileError::of("policy", &path))?;
-    if files::sha256(&[&file]) == agent.sha256 {
-        return Ok((agent, Some(file)));
-    }
-    // Training has saved another one between the two looks.
-    let config = agent.config;
-    let mut agent = Agent::from(Policy::from_bytes(&file, &path)?);
-    agent.config.robot = config.robot;
-    Ok((agent, Some(file)))
 }

@@ -40,7 +40,7 @@ fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut Shelf) -> Setup {
         shelf.put_file("standing", file.clone()).unwrap();
         let sha256 = Agent::from(Policy::from_bytes(&file, Path::new("standing")).unwrap()).sha256;
         let robot_sha256 = Robot::load("go1").unwrap().sha256();
-        Seat { policy: "standing".into(), sha256, robot: "go1".into(), robot_sha256 }
+        Seat { policy: "standing".into(), sha256, robot: "go1".into(), robot_sha256, compliance: 0.0 }
     };
     Setup { scene, seed: 0, robots: poses.iter().map(seat).collect() }
 }
@@ -102,6 +102,58 @@ fn a_session_is_played_again_to_the_last_bit_from_its_beginning_and_from_its_las
         assert_eq!((shown[0], *shown.last().unwrap()), (from.unwrap_or(0), 356));
         assert_eq!(playback.is_as_it_was(), Some(true));
     }
+}
+
+#[test]
+fn a_robot_yields_as_far_as_it_is_told_and_the_other_stays_as_it_is() {
+    let comply = |compliance| Input::Comply { robot: 1, compliance };
+    let inputs = [
+        (8, walk(0.5)),
+        (240, Input::Pull(Some([10.0, 0.0]))),
+        (1200, Input::Pull(None)),
+        (1440, comply(0.04)),
+        (1680, Input::Pull(Some([10.0, 0.0]))),
+        (2640, Input::Pull(None)),
+    ];
+    let (world, mut writer) = drive(&inputs, 2700);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.jsonl");
+    writer.keep(&path, None, world.tick(), world.fingerprint()).unwrap();
+    let mut playback = Session::load(&path).unwrap().play().unwrap();
+    let takes = takes(&mut playback).unwrap();
+    assert_eq!(playback.is_as_it_was(), Some(true));
+    let told: Vec<_> = takes.iter().map(|take| (take.seat.policy.as_str(), take.seat.compliance)).collect();
+    assert_eq!(told, [("baseline", 0.0), ("compliant", 0.0), ("baseline", 0.04)]);
+    let yields = |take: &Take| take.pulls.iter().map(|pull| pull.gives_m_s / pull.force_n).collect::<Vec<_>>();
+    let (before, after) = (yields(&takes[0])[0], yields(&takes[2])[0]);
+    assert!((0.03..0.05).contains(&after) && before < 0.02, "{before} {after}");
+    let [first, second] = yields(&takes[1])[..] else { panic!("two pulls") };
+    assert!((first - second).abs() < 0.01, "{first} {second}");
+}
+
+#[test]
+fn a_compliance_that_a_policy_cannot_give_is_refused_and_forgotten_with_a_policy_that_has_none() {
+    let mut shelf = Shelf::default();
+    let Setup { robots: standing, .. } = setup(&[UPRIGHT], SceneKind::Flat, &mut shelf);
+    let robots = vec![shelf.find("baseline", None).unwrap(), standing[0].clone()];
+    let told = Setup { scene: SceneKind::Flat, seed: 0, robots };
+    let mut world = World::new(told, &mut shelf).unwrap();
+    let mut comply = |robot, compliance| world.apply(&Input::Comply { robot, compliance }, &mut shelf).is_ok();
+    for beyond in [-0.01, 1e-6, 1.0, f64::NAN] {
+        assert!(!comply(0, beyond), "{beyond}");
+    }
+    assert!(comply(0, 0.03) && comply(1, 0.0) && !comply(1, 0.03) && !comply(2, 0.03));
+    assert_eq!(world.setup().robots[0].compliance, 0.03);
+    // Another scene, and a command, leave it as it is; a policy that nobody has measured does not have it.
+    let hills = Setup { scene: SceneKind::Box, ..world.setup().clone() };
+    world.apply(&Input::Setup(hills), &mut shelf).unwrap();
+    world.apply(&walk(0.5), &mut shelf).unwrap();
+    let frame = |world: &mut World| world.step().unwrap()[0].frame.clone().unwrap();
+    assert_eq!(frame(&mut world).command, Command { compliance: 0.03, ..Command::velocity(0.5, 0.0, 0.0) });
+    let sha256 = standing[0].sha256.clone();
+    world.apply(&Input::Renew { robot: 0, sha256 }, &mut shelf).unwrap();
+    assert_eq!(frame(&mut world).command, Command::velocity(0.5, 0.0, 0.0));
+    assert_eq!(world.setup().robots[0].compliance, 0.0);
 }
 
 #[test]

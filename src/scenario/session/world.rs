@@ -8,9 +8,11 @@ use std::sync::Arc;
 use std::thread;
 
 use super::scene::SceneError;
-use super::{Input, SceneKind, Seat, Setup, Shelf, ShelfError, Unit};
+use super::{Input, Seat, Setup, Shelf, ShelfError};
+use crate::config::Simulation;
 use crate::mujoco;
 use crate::policy::Agent;
+use crate::policy::compliance::ComplianceError;
 use crate::scenario::trace::{Event, EventKind, Frame};
 use crate::scenario::{Rollout, Script};
 use crate::sim::{Push, Scene};
@@ -32,9 +34,15 @@ pub enum WorldError {
     /// The scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
+    /// It cannot yield so far.
+    #[error(transparent)]
+    Compliance(#[from] ComplianceError),
     /// It does not compile.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
+    /// A newer policy that runs at other rates, gains or latency.
+    #[error("the newer policy runs at other rates, gains or latency: it needs a world of its own")]
+    OtherBody,
     /// A set-up of no or too many robots, or an input for one that is not there.
     #[error("{found} of robots, expected {expected}")]
     Robots {
@@ -96,7 +104,7 @@ impl World {
         if !(1..=MOST_ROBOTS).contains(&setup.robots.len()) {
             return Err(WorldError::Robots { found: setup.robots.len().to_string(), expected: "one or two".into() });
         }
-        let player = |seat: &Seat| Player::new(setup.scene, setup.seed, shelf.take(seat)?);
+        let player = |seat: &Seat| Player::new(&setup, seat, shelf.take(seat)?);
         let players = setup.robots.iter().map(player).collect::<Result<_, WorldError>>()?;
         Ok(World { setup, players, since })
     }
@@ -117,6 +125,18 @@ impl World {
             let trace = player.rollout.empty_trace();
             (trace.weight_n, trace.period_s)
         })
+    }
+
+    /// Compliance that each robot can be told, least and largest, and what it has by itself [m/s/N]; none if its policy is not
+    /// calibrated.
+    pub fn reaches(&self) -> impl Iterator<Item = Option<([f64; 2], f64)>> + '_ {
+        let calibrations = self.players.iter().map(|player| player.agent.calibration.as_ref());
+        calibrations.map(|calibration| calibration.map(|found| (found.range(), found.own_m_s_per_n)))
+    }
+
+    /// Rates, gains and latency that a robot runs with.
+    pub fn simulation(&self, robot: usize) -> Option<&Simulation> {
+        Some(&self.players.get(robot)?.agent.config.simulation)
     }
 
     /// Mass of each robot \[kg\].
@@ -150,40 +170,45 @@ impl World {
     /// [`WorldError`]; the world is then as it was.
     pub fn apply(&mut self, input: &Input, shelf: &mut Shelf) -> Result<(), WorldError> {
         match input {
-            Input::Command(command) => self.rollouts().for_each(|rollout| rollout.ask(*command)),
+            Input::Command(command) => self.rollouts().for_each(|rollout| {
+                rollout.ask(Command { compliance: rollout.command().compliance, ..*command });
+            }),
             Input::Push { size, unit } => self.rollouts().for_each(|rollout| {
-                let per_unit = match unit {
-                    Unit::Velocity => 1.0,
-                    Unit::Momentum => 1.0 / rollout.sim().robot().mass_kg,
-                };
-                rollout.push(Push { linear: size.map(|size| size * per_unit), angular: [0.0; 3] });
+                let linear = unit.velocity(*size, rollout.sim().robot().mass_kg);
+                rollout.push(Push { linear, angular: [0.0; 3] });
             }),
             Input::Pull(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
+            Input::Comply { robot, compliance } => {
+                let (seat, player) = self.robot(*robot)?;
+                player.agent.check_compliance(*compliance)?;
+                seat.compliance = *compliance;
+                player.rollout.ask(Command { compliance: *compliance, ..*player.rollout.command() });
+            }
             Input::Reset => self.players.iter_mut().try_for_each(Player::restart)?,
             Input::Renew { robot, sha256 } => {
-                let count = self.players.len();
-                let (Some(seat), Some(player)) = (self.setup.robots.get_mut(*robot), self.players.get_mut(*robot))
-                else {
-                    return Err(WorldError::Robots {
-                        found: format!("number {robot}"),
-                        expected: format!("0 to {}", count - 1),
-                    });
-                };
-                let renewed = Seat { sha256: sha256.clone(), ..seat.clone() };
+                let (seat, player) = self.robot(*robot)?;
+                let mut renewed = Seat { sha256: sha256.clone(), ..seat.clone() };
                 let agent = shelf.take(&renewed)?;
-                if agent.config.simulation != player.agent.config.simulation {
-                    // Other rates, gains or latency: another body, in another world.
-                    let mut setup = self.setup.clone();
-                    setup.robots[*robot] = renewed;
-                    return self.apply(&Input::Setup(setup), shelf);
+                if agent.check_compliance(seat.compliance).is_err() {
+                    renewed.compliance = 0.0;
                 }
-                *seat = renewed;
+                if agent.config.simulation != player.agent.config.simulation {
+                    return Err(WorldError::OtherBody);
+                }
                 player.rollout.hand_over(agent.shared_controller());
+                player.rollout.ask(Command { compliance: renewed.compliance, ..*player.rollout.command() });
+                *seat = renewed;
                 player.agent = agent;
             }
             Input::Setup(setup) => *self = Self::since(self.tick(), setup.clone(), shelf)?,
         }
         Ok(())
+    }
+
+    fn robot(&mut self, robot: usize) -> Result<(&mut Seat, &mut Player), WorldError> {
+        let expected = format!("0 to {}", self.players.len() - 1);
+        let found = self.setup.robots.get_mut(robot).zip(self.players.get_mut(robot));
+        found.ok_or_else(|| WorldError::Robots { found: format!("number {robot}"), expected })
     }
 
     fn rollouts(&mut self) -> impl Iterator<Item = &mut Rollout<'static>> {
@@ -223,8 +248,10 @@ impl World {
 }
 
 impl Player {
-    fn new(scene: SceneKind, seed: u64, agent: Arc<Agent>) -> Result<Self, WorldError> {
-        let script = scene.script(seed, &agent.config)?;
+    fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, WorldError> {
+        agent.check_compliance(seat.compliance)?;
+        let mut script = setup.scene.script(setup.seed, &agent.config)?;
+        script.command.compliance = seat.compliance;
         let controller = agent.shared_controller();
         let rollout = Rollout::owned(script.clone(), agent.config.clone(), controller)?.with_bodies();
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })

@@ -23,7 +23,7 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
 
     let mut playback = Session::load(file)?.play()?;
     let takes = takes(&mut playback)?;
-    let names: Vec<String> = takes.iter().map(|take| format!("{}, {}", take.seat.policy, take.scene.name())).collect();
+    let names: Vec<String> = takes.iter().map(name).collect();
     let outcomes: Vec<Outcome<'_>> = takes.iter().zip(&names).map(|(take, name)| outcome(take, name)).collect();
     if let Some(path) = &args.csv {
         output::write_csv(path, &outcomes).with_context(|| format!("cannot write {}", path.display()))?;
@@ -34,6 +34,7 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
             run["policy"] = json!(take.seat.policy);
             run["scene"] = json!(take.scene);
             run["seed"] = json!(take.seed);
+            run["compliance"] = json!(take.seat.compliance);
             run["pushes"] = json!(take.pushes);
             run["pulls"] = json!(take.pulls);
             run
@@ -49,6 +50,12 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
         Some(false) => anyhow::bail!("it did not end as it had: this program, or this machine, computes otherwise"),
         Some(true) | None => Ok(()),
     }
+}
+
+fn name(take: &Take) -> String {
+    let Take { seat, scene, .. } = take;
+    let told = if seat.compliance > 0.0 { format!(", {} m/s/N", seat.compliance) } else { String::new() };
+    format!("{}, {}{told}", seat.policy, scene.name())
 }
 
 fn outcome<'a>(take: &'a Take, name: &'a str) -> Outcome<'a> {
