@@ -17,7 +17,7 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
     let Some(mut browser) = Chromium::open(&drive.url(), 1280, 900, false) else { return };
-    browser.wait("state?.robots[1].reading");
+    browser.wait("window.state?.robots[1].reading");
 
     // Forward as long as W is held, at the share of the range that a key asks for.
     browser.key("KeyW", true);
