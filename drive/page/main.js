@@ -13,6 +13,7 @@ const $ = (id) => document.getElementById(id);
 const most = { "m/s": 1, "N·s": 1, N: 1 };
 let me = null;
 let state = null;
+let waiting = null;
 let noticed = 0;
 let holds = null;
 
@@ -28,7 +29,8 @@ const send = connect({
     const first = !state;
     state = now;
     window.state = now;
-    requestAnimationFrame(draw);
+    // A page that nobody sees draws nothing: what waits is one picture, not one for each state.
+    waiting ??= requestAnimationFrame(draw);
     if (first) chooseRobots();
   },
   refused: (problem) => notice(problem),
@@ -168,6 +170,7 @@ function chooseRobots() {
 // ---- how they are
 
 function draw() {
+  waiting = null;
   if (!state) return;
   show($("numbers"), state.robots);
   showYields($("yields"), state.robots, (robot, compliance) => send({ comply: { robot, compliance } }));

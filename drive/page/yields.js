@@ -3,7 +3,7 @@
 /** What a place of the slider means: far to the left the policy's own, elsewhere the nearest that it can be told. */
 const meaning = (value, [low, high]) => (value < low / 2 ? 0 : Math.min(Math.max(value, low), high));
 
-const inWords = (compliance, own) => (compliance ? `${compliance.toFixed(3)} m/s/N` : `its own, ${own.toFixed(3)}`);
+const inWords = (compliance, own) => (compliance ? compliance.toFixed(3) : `its own, ${own.toFixed(3)}`);
 
 /** Shows a slider for each robot; `tell(robot, compliance)` is told when one is let go. */
 export function show(list, robots, tell) {
@@ -16,7 +16,7 @@ export function show(list, robots, tell) {
     const [slider, said] = list.children[robot].querySelectorAll("input, output");
     slider.disabled = !reach;
     if (!reach) {
-      said.textContent = "not measured: policy calibrate";
+      said.textContent = "not measured: see policy calibrate";
       return;
     }
     const [range, own] = reach;

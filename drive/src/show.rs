@@ -47,13 +47,9 @@ pub struct Shown {
 impl Cast {
     /// Those of a world.
     pub fn of(world: &World) -> Self {
-        let label = |policy: &str| {
-            let path = std::path::Path::new(policy);
-            path.file_stem().map_or(policy.to_owned(), |stem| stem.to_string_lossy().into_owned())
-        };
         let mut names: Vec<String> = Vec::new();
         for seat in &world.setup().robots {
-            let name = label(&seat.policy);
+            let name = seat.label();
             names.push(if names.contains(&name) { format!("{name} (2)") } else { name });
         }
         Cast { names, scenes: world.scenes().cloned().collect() }

@@ -55,6 +55,14 @@ pub struct Seat {
     pub compliance: f64,
 }
 
+impl Seat {
+    /// What the policy is called for short: a file or folder by its name alone.
+    pub fn label(&self) -> String {
+        let name = std::path::Path::new(&self.policy).file_stem();
+        name.map_or_else(|| self.policy.clone(), |name| name.to_string_lossy().into_owned())
+    }
+}
+
 /// Unit of a push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Unit {

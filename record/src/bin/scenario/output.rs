@@ -27,7 +27,7 @@ pub struct Outcome<'a> {
 /// A table with a column for each policy, and the events.
 pub fn summary(title: &str, outcomes: &[Outcome<'_>]) -> String {
     let mut text = format!("{title}\n");
-    let header: String = outcomes.iter().map(|outcome| format!("{:>16}", outcome.policy)).collect();
+    let header: String = outcomes.iter().map(|outcome| format!(" {:>15}", outcome.policy)).collect();
     text.push_str(&format!("{:28}{header}\n", ""));
     for index in 0..outcomes.first().map_or(0, |outcome| outcome.metrics.len()) {
         let Metric { label, unit, .. } = outcomes[0].metrics[index];

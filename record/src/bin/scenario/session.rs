@@ -54,8 +54,8 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
 
 fn name(take: &Take) -> String {
     let Take { seat, scene, .. } = take;
-    let told = if seat.compliance > 0.0 { format!(", {} m/s/N", seat.compliance) } else { String::new() };
-    format!("{}, {}{told}", seat.policy, scene.name())
+    let told = if seat.compliance > 0.0 { format!(" {}", seat.compliance) } else { String::new() };
+    format!("{} {}{told}", seat.label(), scene.name())
 }
 
 fn outcome<'a>(take: &'a Take, name: &'a str) -> Outcome<'a> {
