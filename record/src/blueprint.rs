@@ -24,21 +24,37 @@ use super::stream::{APPLICATION, TIMELINE};
 use super::style::{BACKGROUND, EYE_DIRECTION, EYE_DISTANCE_M, opaque};
 
 /// Sends the layout for these robots to a recording and makes it the active one.
-pub(super) fn send(recording: &RecordingStream, robots: &[&str], shown: Shown) -> Result<(), RecordError> {
+pub(super) fn send(
+    recording: &RecordingStream,
+    robots: &[&str],
+    shown: Shown,
+    is_live: bool,
+) -> Result<(), RecordError> {
     let (store, messages) = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint().memory()?;
     store.set_time_sequence("blueprint", 0);
     let mut layout = Layout { store: &store, shown, count: 0 };
-    let root = if robots.len() == 1 { layout.single(robots[0])? } else { layout.comparison(robots)? };
+    let root = match robots {
+        robots if is_live => layout.live(robots)?,
+        [robot] => layout.single(robot)?,
+        robots => layout.comparison(robots)?,
+    };
     store.log("viewport", &ViewportBlueprint::new().with_root_container(root).with_auto_views(false))?;
-    for panel in ["blueprint_panel", "selection_panel"] {
-        store.log(panel, &PanelBlueprint::new().with_state(PanelState::Hidden))?;
+    let hidden: &[&str] = if is_live {
+        &["blueprint_panel", "selection_panel", "time_panel"]
+    } else {
+        &["blueprint_panel", "selection_panel"]
+    };
+    for panel in hidden {
+        store.log(*panel, &PanelBlueprint::new().with_state(PanelState::Hidden))?;
     }
     let time = TimePanelBlueprint::new()
         .with_state(PanelState::Collapsed)
         .with_timeline(TIMELINE)
         .with_loop_mode(LoopMode::All)
         .with_play_state(PlayState::Playing);
-    store.log("time_panel", &time)?;
+    if !is_live {
+        store.log("time_panel", &time)?;
+    }
 
     let messages = messages.take();
     let id = messages.iter().find_map(|message| match message {
@@ -79,6 +95,13 @@ impl Layout<'_> {
         let below = [(plots, 0.76), (self.events(robots)?, 0.24)];
         let below = self.container(ContainerKind::Horizontal, "Data", &below)?.0;
         Ok(self.container(ContainerKind::Vertical, "Recording", &[(above, 0.6), (below, 0.4)])?.1)
+    }
+
+    /// Robots side by side, and nothing else.
+    fn live(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
+        let worlds =
+            robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
+        Ok(self.container(ContainerKind::Horizontal, "Robots", &worlds)?.1)
     }
 
     /// A robot in 3D, with an eye that follows it.

@@ -6,7 +6,7 @@ split along the same diagonal as MuJoCo's, with heights as shades; squares that 
 is slippery and brown where it is not.
 */
 
-use rerun::{EntityPath, Mesh3D, Transform3D};
+use rerun::{EntityPath, Mesh3D};
 
 use super::RecordError;
 use super::geometry::{child, scene_path};
@@ -74,7 +74,7 @@ impl Patch {
         }
         self.cell = Some(cell);
         let [x, y] = cell.map(|cell| cell as f32 * period);
-        stream.log(&self.path, &Transform3D::update_fields().with_translation([x, y, 0.0]))
+        stream.place(&self.path, [x, y, 0.0], None)
     }
 }
 

@@ -1,6 +1,6 @@
 /*! Recordings for the rerun viewer: robots in their scenes, forces, plots and events on one time axis.
 
-This package is the only one that knows rerun. A recording holds its own layout, so that a file opens ready to look at:
+This package and `drive` are the only ones that know rerun. A recording holds its own layout, so that a file opens ready to look at:
 robots on the left, one view for each, plots on the right, events below. It takes finished [`Frame`]s and [`Event`]s;
 nothing here steps physics, and nothing that steps physics waits here for longer than a few seconds.
 */
@@ -16,7 +16,7 @@ mod style;
 #[cfg(test)]
 mod tests;
 
-pub use stream::{Sink, page_url};
+pub use stream::{LiveSink, Sink, page_url};
 pub use style::{BLUE, ORANGE, Rgb};
 
 use std::path::PathBuf;
@@ -123,13 +123,26 @@ impl Recorder {
     /// # Errors
     /// The file cannot be created, no viewer answers, or a model has no trunk.
     pub fn new(sink: Sink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
-        let stream = Stream::open(sink, title)?;
+        Self::on(Stream::open(sink, title)?, robots)
+    }
+
+    /// As [`Recorder::new`], of what is so now and nothing else: no plots, no events, no time. It takes no more memory after
+    /// hours than at the beginning, neither here nor in the viewer. Robots can be left out of frames, and frames left out
+    /// altogether: the last one counts.
+    ///
+    /// # Errors
+    /// As [`Recorder::new`].
+    pub fn live(sink: LiveSink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
+        Self::on(Stream::open_live(sink, title)?, robots)
+    }
+
+    fn on(stream: Stream, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
         let names: Vec<&str> = robots.iter().map(|robot| robot.name).collect();
         let obstacles =
             robots.iter().map(|robot| geometry::has_obstacles(robot.model)).collect::<Result<Vec<_>, _>>()?;
         let estimates = robots.iter().any(|robot| robot.estimates);
         let shown = Shown { obstacles: obstacles.contains(&true), estimates };
-        blueprint::send(stream.recording()?, &names, shown)?;
+        blueprint::send(stream.recording()?, &names, shown, stream.is_live())?;
         let robots = robots.iter().enumerate();
         let robots = robots.map(|(index, view)| Robot::new(&stream, view, index == 0, shown));
         let robots = robots.collect::<Result<_, _>>()?;
@@ -155,6 +168,24 @@ impl Recorder {
         let count = self.robots.len();
         let robot = self.robots.get_mut(robot).ok_or(RecordError::Robot { index: robot, count })?;
         robot.event(&self.stream, event)
+    }
+
+    /// A robot stands where it was put, as if nothing had been: labels and trails are taken away.
+    ///
+    /// # Errors
+    /// There is no such robot, or the recording has failed.
+    pub fn begin_again(&mut self, robot: usize) -> Result<(), RecordError> {
+        let count = self.robots.len();
+        let robot = self.robots.get_mut(robot).ok_or(RecordError::Robot { index: robot, count })?;
+        robot.begin_again(&self.stream)
+    }
+
+    /// What was logged of a live recording in memory since the last time, as the bytes of a whole `.rrd` file for a viewer.
+    ///
+    /// # Errors
+    /// rerun has failed.
+    pub fn take(&mut self) -> Result<Vec<u8>, RecordError> {
+        self.stream.take()
     }
 
     /// Adds a whole rollout of a robot.

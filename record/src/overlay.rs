@@ -6,10 +6,7 @@ feet where the feet were; both are short enough to be logged whole each time.
 
 use std::collections::VecDeque;
 
-use rerun::archetypes::Clear;
-use rerun::{
-    Arrows3D, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, Points3D, Quaternion, Radius, Transform3D,
-};
+use rerun::{Arrows3D, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, Points3D, Quaternion, Radius};
 
 use super::RecordError;
 use super::geometry::child;
@@ -105,6 +102,16 @@ impl Overlay {
         stream.log(&self.entity("label"), &label)
     }
 
+    /// Takes away labels and trails.
+    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
+        self.trunk_trail.clear();
+        self.foot_trails.iter_mut().for_each(VecDeque::clear);
+        match self.label_until_s.take() {
+            Some(_) => stream.clear(&self.entity("label"), &Points3D::clear_fields()),
+            None => Ok(()),
+        }
+    }
+
     fn entity(&self, name: &str) -> EntityPath {
         child(&self.root, name)
     }
@@ -119,7 +126,7 @@ impl Overlay {
         match self.label_until_s {
             Some(until) if time_s > until => {
                 self.label_until_s = None;
-                stream.log(&self.entity("label"), &Clear::flat())
+                stream.clear(&self.entity("label"), &Points3D::clear_fields())
             }
             Some(_) => {
                 let position = Points3D::update_fields().with_positions([self.label_position()]);
@@ -175,10 +182,8 @@ impl Overlay {
     fn log_shadows(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
         if self.ground == Ground::Flat {
             let half_yaw = (frame.roll_pitch_yaw[2] / 2.0) as f32;
-            let shadow = Transform3D::update_fields()
-                .with_translation(self.on_ground(trunk))
-                .with_quaternion(Quaternion::from_xyzw([0.0, 0.0, half_yaw.sin(), half_yaw.cos()]));
-            stream.log(&self.entity("trunk shadow"), &shadow)?;
+            let turned = Quaternion::from_xyzw([0.0, 0.0, half_yaw.sin(), half_yaw.cos()]);
+            stream.place(&self.entity("trunk shadow"), self.on_ground(trunk), Some(turned))?;
         }
         let feet = frame.foot_positions.map(|foot| self.on_ground(foot.map(|x| x as f32)));
         stream.log(&self.entity("foot shadows"), &Ellipsoids3D::update_fields().with_centers(feet))
@@ -203,7 +208,7 @@ impl Overlay {
         match self.push {
             Some((until, _)) if frame.time_s > until => {
                 self.push = None;
-                stream.log(&path, &Clear::flat())?;
+                stream.clear(&path, &Arrows3D::clear_fields())?;
             }
             Some((_, velocity)) => {
                 let speed = velocity.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
@@ -226,8 +231,8 @@ impl Overlay {
             stream.log(&pull, &arrow(end, force.map(|f| f * METRES_PER_NEWTON), VERMILLION))?;
             self.is_pulled = true;
         } else if self.is_pulled {
-            stream.log(&rope, &Clear::flat())?;
-            stream.log(&pull, &Clear::flat())?;
+            stream.clear(&rope, &LineStrips3D::clear_fields())?;
+            stream.clear(&pull, &Arrows3D::clear_fields())?;
             self.is_pulled = false;
         }
         Ok(())
@@ -239,7 +244,7 @@ impl Overlay {
         let Some(rope) = frame.rope.as_ref().filter(|rope| rope.points.len() > 1) else {
             if self.is_tied {
                 self.is_tied = false;
-                stream.log(&path, &Clear::flat())?;
+                stream.clear(&path, &LineStrips3D::clear_fields())?;
             }
             return Ok(());
         };

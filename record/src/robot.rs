@@ -4,7 +4,7 @@ Poses are logged when they changed, and balls that rest keep their exact positio
 The camera follows an invisible entity that glides after the trunk instead of shaking with it.
 */
 
-use rerun::{Color, EntityPath, LineStrips3D, Points3D, Quaternion, Radius, TextLog, TextLogLevel, Transform3D};
+use rerun::{Color, EntityPath, LineStrips3D, Points3D, Quaternion, Radius, TextLog, TextLogLevel};
 
 use super::geometry::{Parts, balls_path, child, log_model};
 use super::ground::{Patch, log_grounds};
@@ -74,7 +74,9 @@ impl Robot {
             root,
         };
         robot.log_camera_size(stream)?;
-        plots::log_styles(stream, view.name, colour, is_first)?;
+        if !stream.is_live() {
+            plots::log_styles(stream, view.name, colour, is_first)?;
+        }
         Ok(robot)
     }
 
@@ -93,6 +95,9 @@ impl Robot {
             patch.follow(stream, trunk)?;
         }
         self.overlay.frame(stream, frame, trunk)?;
+        if stream.is_live() {
+            return Ok(());
+        }
         plots::log_values(stream, &self.name, self.is_first, self.shown, frame)?;
         if frame.stage != self.stage {
             self.stage = frame.stage;
@@ -115,8 +120,16 @@ impl Robot {
             EventKind::Fall => TextLogLevel::ERROR,
             EventKind::Fault => TextLogLevel::CRITICAL,
         };
-        self.log_text(stream, event.time_s, &event.text, level)?;
+        if !stream.is_live() {
+            self.log_text(stream, event.time_s, &event.text, level)?;
+        }
         self.overlay.event(stream, event)
+    }
+
+    /// What was said of the robot no longer holds: it stands somewhere, as if nothing had been.
+    pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
+        self.camera = None;
+        self.overlay.begin_again(stream)
     }
 
     fn log_text(&self, stream: &Stream, time_s: f64, text: &str, level: &str) -> Result<(), RecordError> {
@@ -134,10 +147,7 @@ impl Robot {
             }
             *last = Some(pose);
             let [w, x, y, z] = pose.quaternion;
-            let transform = Transform3D::update_fields()
-                .with_translation(pose.position)
-                .with_quaternion(Quaternion::from_xyzw([x, y, z, w]));
-            stream.log(path, &transform)?;
+            stream.place(path, pose.position, Some(Quaternion::from_xyzw([x, y, z, w])))?;
         }
         Ok(())
     }
@@ -183,7 +193,7 @@ impl Robot {
             None => target,
         };
         self.camera = Some((time_s, position));
-        stream.log(&camera_path(&self.name), &Transform3D::update_fields().with_translation(position))
+        stream.place(&camera_path(&self.name), position, None)
     }
 }
 

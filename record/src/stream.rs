@@ -4,6 +4,10 @@ rerun writes from threads of its own, keeps their errors to itself, and waits wi
 reading. So the stream is flushed now and then with a time limit, which turns a full disk and a dead viewer into errors
 while the program runs; a stream that has failed is let go in the background; and a finished file is checked for the
 footer that is written last.
+
+A live stream has no time: all of it is static, so that what is new takes the place of what was before, in our memory and in
+the viewer's, and hours of it take no more than a moment. A viewer keeps static transforms and forgets other static data,
+so poses are there what places an entity's own shapes.
 */
 
 use std::fs::{self, File};
@@ -13,11 +17,14 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 use std::time::Duration;
 
+use rerun::archetypes::{Clear, InstancePoses3D};
 use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
 use rerun::log::ChunkBatcherConfig;
+use rerun::sink::{BinaryStreamSink, BinaryStreamStorage};
 use rerun::web_viewer::WebViewerConfig;
 use rerun::{
-    AsComponents, EntityPath, MemoryLimit, RecordingStream, RecordingStreamBuilder, RecordingStreamError, ServerOptions,
+    AsComponents, EntityPath, MemoryLimit, Quaternion, RecordingStream, RecordingStreamBuilder, RecordingStreamError,
+    ServerOptions, Transform3D,
 };
 use supple::util::files::Target;
 
@@ -44,6 +51,15 @@ pub enum Sink {
     Serve(u16),
 }
 
+/// Where what happens now is shown.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum LiveSink {
+    /// Wherever [`Recorder::take`](super::Recorder::take) is carried to.
+    Memory,
+    /// A running viewer, as in [`Sink::Connect`].
+    Connect(Option<String>),
+}
+
 /// Where a browser finds the viewer that [`Sink::Serve`] serves on a port, with the recording open in it.
 pub fn page_url(port: u16) -> String {
     format!("http://{LOCAL}:{port}?url=rerun%2Bhttp://{LOCAL}:{}/proxy", port.saturating_add(1))
@@ -52,14 +68,22 @@ pub fn page_url(port: u16) -> String {
 /// Pages are for this machine alone.
 const LOCAL: &str = "127.0.0.1";
 
+/// RERUN=off must not silently lose a recording that was asked for.
+fn builder(title: &str) -> RecordingStreamBuilder {
+    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title)
+}
+
 /// The server of the viewer's page, whose type rerun does not name.
 type Page = Box<dyn std::any::Any + Send>;
 
 /// An open recording.
-#[derive(Debug)]
 pub(super) struct Stream {
     /// Nothing after a failure.
     recording: Option<RecordingStream>,
+    /// Whether all that there is is what is so now.
+    is_live: bool,
+    /// What was logged and not yet taken, of a live stream.
+    memory: Option<BinaryStreamStorage>,
     file: Option<PathBuf>,
     /// Serves the viewer's page as long as it lives.
     _page: Option<Page>,
@@ -73,8 +97,7 @@ pub(super) struct Stream {
 impl Stream {
     /// Creates the file or reaches the viewer.
     pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
-        // RERUN=off must not silently lose a recording that was asked for.
-        let builder = RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title);
+        let builder = builder(title);
         let (recording, file, page, target) = match sink {
             Sink::File(path) => {
                 let target = path.display().to_string();
@@ -107,18 +130,54 @@ impl Stream {
                 (recording, None, Some(page), page_url(port))
             }
         };
-        recording.set_log_time_enabled(false);
-        recording.set_log_tick_enabled(false);
         let frames_per_flush = if file.is_some() { 1200 } else { 120 };
         let recording = Some(recording);
-        let mut stream = Stream { recording, file, _page: page, target, frames_per_flush, frames: 0 };
-        stream.flush().map_err(|error| match (error, &stream.file) {
+        let (is_live, memory) = (false, None);
+        Stream { recording, is_live, memory, file, _page: page, target, frames_per_flush, frames: 0 }.begin()
+    }
+
+    /// Reaches the viewer, or begins to keep what is logged.
+    pub(super) fn open_live(sink: LiveSink, title: &str) -> Result<Self, RecordError> {
+        let mut stream = match sink {
+            LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
+            LiveSink::Memory => {
+                // Whoever takes what was logged flushes.
+                let (recording, _) = builder(title).batcher_config(ChunkBatcherConfig::NEVER).memory()?;
+                let (sink, memory) = BinaryStreamSink::new(recording.clone());
+                recording.set_sink(Box::new(sink));
+                let (recording, memory, target) = (Some(recording), Some(memory), "in memory".to_owned());
+                let (is_live, file, _page, frames_per_flush) = (true, None, None, 120);
+                Stream { recording, is_live, memory, file, _page, target, frames_per_flush, frames: 0 }.begin()?
+            }
+        };
+        stream.is_live = true;
+        Ok(stream)
+    }
+
+    fn begin(mut self) -> Result<Self, RecordError> {
+        if let Some(recording) = &self.recording {
+            recording.set_log_time_enabled(false);
+            recording.set_log_tick_enabled(false);
+        }
+        let flushed = self.flush();
+        flushed.map_err(|error| match (error, &self.file) {
             (RecordError::Write { target, .. }, None) => {
                 RecordError::Viewer { url: target, reason: format!("nothing within {PATIENCE:?}") }
             }
             (error, _) => error,
         })?;
-        Ok(stream)
+        Ok(self)
+    }
+
+    /// Whether all that there is is what is so now.
+    pub(super) fn is_live(&self) -> bool {
+        self.is_live
+    }
+
+    /// What was logged since the last time, as a whole `.rrd` file.
+    pub(super) fn take(&mut self) -> Result<Vec<u8>, RecordError> {
+        self.flush()?;
+        Ok(self.memory.as_ref().and_then(BinaryStreamStorage::read).unwrap_or_default())
     }
 
     /// The rerun stream.
@@ -128,13 +187,44 @@ impl Stream {
 
     /// What is logged from now on belongs to this time \[s\].
     pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
-        self.recording()?.set_duration_secs(TIMELINE, time_s);
+        if !self.is_live {
+            self.recording()?.set_duration_secs(TIMELINE, time_s);
+        }
         Ok(())
     }
 
     /// Logs at the time that was set.
     pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+        if self.is_live {
+            return self.log_static(path, data);
+        }
         Ok(self.recording()?.log(path.clone(), data)?)
+    }
+
+    /// Logs where an entity is, and how it is turned.
+    pub(super) fn place(
+        &self,
+        path: &EntityPath,
+        translation: [f32; 3],
+        quaternion: Option<Quaternion>,
+    ) -> Result<(), RecordError> {
+        if self.is_live {
+            let pose = InstancePoses3D::update_fields().with_translations([translation]);
+            return match quaternion {
+                Some(quaternion) => self.log_static(path, &pose.with_quaternions([quaternion])),
+                None => self.log_static(path, &pose),
+            };
+        }
+        let pose = Transform3D::update_fields().with_translation(translation);
+        match quaternion {
+            Some(quaternion) => self.log(path, &pose.with_quaternion(quaternion)),
+            None => self.log(path, &pose),
+        }
+    }
+
+    /// Logs that an entity is there no longer; `nothing` is what it was, without anything in it.
+    pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<(), RecordError> {
+        if self.is_live { self.log_static(path, nothing) } else { self.log(path, &Clear::flat()) }
     }
 
     /// Logs something that holds at all times.
@@ -196,6 +286,12 @@ fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream,
     };
     let server = page.host_web_viewer().map_err(|error| failed(port, error.to_string()))?;
     Ok((recording, Box::new(server)))
+}
+
+impl std::fmt::Debug for Stream {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Stream").field("target", &self.target).field("is_live", &self.is_live).finish_non_exhaustive()
+    }
 }
 
 /// A recorder that is given up on must not hang either.

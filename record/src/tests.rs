@@ -208,3 +208,41 @@ fn a_viewer_that_stopped_reading_is_an_error_and_not_a_wait_without_end() {
     assert!(matches!(error, RecordError::Write { .. } | RecordError::Viewer { .. }), "{error}");
     assert!(start.elapsed() < Duration::from_secs(30), "{:?}", start.elapsed());
 }
+
+#[test]
+fn a_live_recording_takes_no_more_room_in_a_viewer_after_many_frames_than_after_a_few() {
+    let scene = scene(Ground::Flat);
+    let model = scene.compile_visual().unwrap();
+    let view =
+        RobotView { name: "compliant", model: &model, ground: &scene.ground, tint: Some(BLUE), estimates: false };
+    let mut recorder = Recorder::live(LiveSink::Memory, "test", &[view]).unwrap();
+    let (mut sent, mut chunks) = (Vec::new(), Vec::new());
+    for step in 0_u16..240 {
+        let mut frame = frame(&model, f64::from(step) / 60.0);
+        // Everything moves, and is pushed and pulled now and then.
+        frame.bodies.iter_mut().for_each(|pose| pose.position[0] += 0.1 * f32::from(step));
+        frame.disturbance = match step % 60 {
+            3 => Some(Disturbance::Push { velocity: [0.0, 1.0, 0.0] }),
+            20..30 => Some(Disturbance::Pull { force: [0.0, 50.0, 0.0] }),
+            _ => None,
+        };
+        recorder.frame(0, &frame).unwrap();
+        if step % 60 == 40 {
+            let fall = Event { time_s: frame.time_s, kind: EventKind::Fall, text: "fell".into() };
+            recorder.event(0, &fall).unwrap();
+        }
+        if step % 60 == 50 {
+            recorder.begin_again(0).unwrap();
+        }
+        // The files one after another are a file.
+        sent.extend(recorder.take().unwrap());
+        if step % 60 == 59 {
+            let stores = ChunkStore::from_rrd_reader(&ChunkStoreConfig::DEFAULT, &mut sent.as_slice()).unwrap();
+            let viewer = stores.into_iter().find(|(id, _)| id.kind() == StoreKind::Recording).unwrap().1;
+            chunks.push(viewer.iter_physical_chunks().count());
+        }
+    }
+    assert!(chunks[0] > 10, "{chunks:?}");
+    assert_eq!(chunks, [chunks[0]; 4]);
+    recorder.finish().unwrap();
+}

@@ -5,7 +5,8 @@ mod support;
 
 use std::process::{Command, Stdio};
 
-use serde_json::Value;
+use serde_json::{Value, json};
+use supple::scenario::session::{Input, SceneKind, Setup, Shelf, Unit, World, Writer};
 use support::{complaint, example, program, robot, run, standing_policy};
 
 #[test]
@@ -54,6 +55,54 @@ fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
     assert_eq!(plain, play("b.csv", &["--no-record"]));
     assert_eq!(plain, play("c.csv", &["--record", "c.rrd"]));
     assert!(folder.path().join("c.rrd").exists());
+}
+
+/// Plays a session, and keeps it in a file.
+fn keep(inputs: &[(u64, Input)], until: u64, path: &std::path::Path) {
+    let mut shelf = Shelf::default();
+    let robots = vec![shelf.find("baseline", None).unwrap()];
+    let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
+    let mut world = World::new(setup.clone(), &mut shelf).unwrap();
+    let mut writer = Writer::new(tempfile::tempfile().unwrap());
+    writer.input(0, &Input::Setup(setup), &shelf).unwrap();
+    let mut inputs = inputs.iter().peekable();
+    while world.tick() < until {
+        while let Some((tick, input)) = inputs.next_if(|(tick, _)| *tick <= world.tick()) {
+            writer.input(*tick, input, &shelf).unwrap();
+            world.apply(input, &mut shelf).unwrap();
+        }
+        world.step().unwrap();
+    }
+    writer.keep(path, None, until, world.fingerprint()).unwrap();
+}
+
+#[test]
+fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.jsonl");
+    let inputs = [
+        (240, Input::Push { size: [0.0, 0.5], unit: Unit::Velocity }),
+        (1440, Input::Comply { robot: 0, compliance: 0.03 }),
+        (1680, Input::Pull(Some([0.0, 10.0]))),
+        (1920, Input::Pull(None)),
+    ];
+    keep(&inputs, 2160, &path);
+    let output = run("scenario", folder.path(), &["session", "kept.jsonl", "--json"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let measured: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let of = |name: &str| [0, 1].map(|run| measured["runs"][run]["metrics"][name].clone());
+    assert_eq!(measured["runs"].as_array().unwrap().len(), 2);
+    assert_eq!([0, 1].map(|run| measured["runs"][run]["compliance"].clone()), [json!(0.0), json!(0.03)]);
+    assert_eq!((of("duration_s"), of("pushes")), ([json!(6.0), json!(3.0)], [json!(1.0), json!(0.0)]));
+    assert_eq!((of("push_m_s"), of("pull_n")), ([json!(0.5), Value::Null], [Value::Null, json!(10.0)]));
+
+    // Changed by hand, it ends elsewhere.
+    let text = std::fs::read_to_string(&path).unwrap();
+    std::fs::write(&path, text.replace("[0.0,0.5]", "[0.0,0.6]")).unwrap();
+    let output = run("scenario", folder.path(), &["session", "kept.jsonl"]);
+    assert!(complaint(&output).contains("it did not end as it had"), "{}", complaint(&output));
+    let output = run("scenario", folder.path(), &["--policy", "baseline", "session", "kept.jsonl"]);
+    assert!(complaint(&output).contains("its own policies"), "{}", complaint(&output));
 }
 
 #[test]

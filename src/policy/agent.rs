@@ -1,12 +1,14 @@
 //! What is put to the test in a scenario: a policy of ours, or an external one.
 
+use std::borrow::Borrow;
 use std::path::Path;
+use std::sync::Arc;
 
 use super::compliance::{Calibration, ComplianceError, Compliant};
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
-use super::inference::Inference;
+use super::inference::{Inference, PolicyController};
 use crate::config::{Config, ConfigError};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
@@ -104,10 +106,19 @@ impl Agent {
 
     /// A controller of one robot.
     pub fn controller(&self) -> Box<dyn Controller + '_> {
-        let policy = Box::new(self.inference().controller());
+        self.compliant(Box::new(self.inference().controller()))
+    }
+
+    /// A controller of one robot, to keep.
+    pub fn shared_controller(self: &Arc<Self>) -> Box<dyn Controller> {
+        self.compliant(Box::new(PolicyController::new(Shared(Arc::clone(self)))))
+    }
+
+    /// Around a policy that is calibrated goes the loop that makes it yield as it is commanded to.
+    fn compliant<'a>(&self, policy: Box<dyn Controller + 'a>) -> Box<dyn Controller + 'a> {
         match &self.calibration {
             None => policy,
-            Some(calibration) => Box::new(Compliant::new(policy, calibration, &self.config)),
+            Some(calibration) => Box::new(Compliant::new(policy, calibration.clone(), &self.config)),
         }
     }
 
@@ -150,6 +161,15 @@ impl Agent {
             Mind::Ours(policy) => Some(*policy),
             Mind::External(_) => None,
         }
+    }
+}
+
+/// An agent as the inference that it is.
+struct Shared(Arc<Agent>);
+
+impl Borrow<Inference> for Shared {
+    fn borrow(&self) -> &Inference {
+        self.0.inference()
     }
 }
 

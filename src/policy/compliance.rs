@@ -71,14 +71,21 @@ impl Calibration {
         policy.with_extension("calibration.json")
     }
 
-    /// What lies beside a policy's file, if there is something.
+    /// What lies beside a policy's file, if there is something. One of another policy does not count: a run that has gone on
+    /// since it was calibrated has to be measured anew.
     ///
     /// # Errors
-    /// A file that cannot be read, is no calibration, or is another policy's.
+    /// A file that cannot be read, or is no calibration.
     pub fn beside(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
         let path = Self::path(policy);
         match files::read_bounded(&path, MAX_BYTES) {
-            Ok(bytes) => Self::from_json(&path, &String::from_utf8_lossy(&bytes), sha256).map(Some),
+            Ok(bytes) => {
+                let found: Calibration = serde_json::from_slice(&bytes).map_err(FileError::of(WHAT, &path))?;
+                if found.sha256 != sha256 {
+                    return Ok(None);
+                }
+                found.checked(sha256).map(Some).map_err(FileError::of(WHAT, &path))
+            }
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
             Err(error) => Err(FileError::of(WHAT, &path)(error)),
         }
@@ -87,22 +94,29 @@ impl Calibration {
     /// Reads and checks one.
     ///
     /// # Errors
-    /// As [`Calibration::beside`].
+    /// It is no calibration, or another policy's.
     pub fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
-        let fail = FileError::of(WHAT, path);
         let found: Calibration = serde_json::from_str(text).map_err(FileError::of(WHAT, path))?;
-        let points = &found.points;
-        let numbers = points.iter().flat_map(|point| [point.setting, point.measured]).chain([found.own_m_s_per_n]);
-        if found.sha256 != sha256 {
-            return Err(fail("it is of another policy: run `policy calibrate` again"));
+        found.checked(sha256).map_err(FileError::of(WHAT, path))
+    }
+
+    /// Itself, if it is of this policy and makes sense.
+    ///
+    /// # Errors
+    /// In words: what is wrong with it, and what to do.
+    pub fn checked(self, sha256: &str) -> Result<Self, &'static str> {
+        let points = &self.points;
+        let numbers = points.iter().flat_map(|point| [point.setting, point.measured]).chain([self.own_m_s_per_n]);
+        if self.sha256 != sha256 {
+            return Err("it is of another policy: run `policy calibrate` again");
         }
         let rising =
             points.windows(2).all(|pair| pair[1].measured > pair[0].measured && pair[1].setting > pair[0].setting);
-        let finite = numbers.chain(found.bias.into_iter().flatten()).all(f64::is_finite);
-        if points.len() < 2 || !rising || !finite || found.own_m_s_per_n < 0.0 {
-            return Err(fail("expected two points or more, rising, and finite numbers: run `policy calibrate` again"));
+        let finite = numbers.chain(self.bias.into_iter().flatten()).all(f64::is_finite);
+        if points.len() < 2 || !rising || !finite || self.own_m_s_per_n < 0.0 {
+            return Err("expected two points or more, rising, and finite numbers: run `policy calibrate` again");
         }
-        Ok(found)
+        Ok(self)
     }
 
     /// Before anything has been measured: a setting is taken for what it comes to.
@@ -150,7 +164,7 @@ impl Calibration {
 /// A calibrated policy, which yields as it is commanded to.
 pub struct Compliant<'a> {
     policy: Box<dyn Controller + 'a>,
-    calibration: &'a Calibration,
+    calibration: Calibration,
     outer_loop: OuterLoop,
     /// State of the loop's low-pass.
     led: [f64; 2],
@@ -158,7 +172,7 @@ pub struct Compliant<'a> {
 
 impl<'a> Compliant<'a> {
     /// With an outer loop around a policy, for the rates and the commands that it was trained with.
-    pub fn new(policy: Box<dyn Controller + 'a>, calibration: &'a Calibration, config: &Config) -> Self {
+    pub fn new(policy: Box<dyn Controller + 'a>, calibration: Calibration, config: &Config) -> Self {
         let outer_loop = OuterLoop {
             own_m_s_per_n: calibration.own_m_s_per_n,
             limits_m_s: config.led_limits_m_s(),
@@ -210,6 +224,18 @@ mod tests {
         assert_eq!(calibration.check(0.019), Err(beyond));
         let bias = calibration.bias(&Command::velocity(0.4, 0.0, 0.25));
         assert!((bias[0] - 0.3).abs() < 1e-12 && (bias[1] - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_lies_beside_a_policy_that_was_trained_on_does_not_count() {
+        let folder = tempfile::tempdir().unwrap();
+        let policy = folder.path().join("p.safetensors");
+        let beside = |sha256| Calibration::beside(&policy, sha256).map(|found| found.is_some());
+        assert!(!beside("it").unwrap());
+        std::fs::write(Calibration::path(&policy), TEXT).unwrap();
+        assert!(beside("it").unwrap() && !beside("its successor").unwrap());
+        std::fs::write(Calibration::path(&policy), TEXT.replace("0.018", "0.006")).unwrap();
+        assert!(beside("it").is_err());
     }
 
     #[test]

@@ -5,8 +5,8 @@ use crate::robot::{Joints, RobotState};
 
 /// A controller under test: a trained policy, an external one, or a hand-written gait.
 ///
-/// It sees states as a robot's sensing would give them and keeps what it needs of the past itself.
-pub trait Controller {
+/// It can go to another thread. It sees states as a robot's sensing would give them and keeps what it needs of the past itself.
+pub trait Controller: Send {
     /// Joint targets that are held until the first step \[rad\].
     fn rest(&self) -> Joints;
 

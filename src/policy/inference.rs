@@ -1,5 +1,6 @@
 //! From the robot's state to joint targets: what a policy sees, its network, what its outputs mean.
 
+use std::borrow::Borrow;
 use std::fmt;
 
 use super::controller::Controller;
@@ -140,23 +141,15 @@ impl Inference {
     }
 
     /// As a controller of one robot.
-    pub fn controller(&self) -> PolicyController<'_> {
-        PolicyController {
-            inference: self,
-            observer: Observer::new(),
-            step: 0,
-            last_action: [0.0; JOINTS],
-            last_target: self.action.nominal_pose,
-            seen: vec![0.0; self.layout.length()],
-            buffers: Buffers::default(),
-        }
+    pub fn controller(&self) -> PolicyController<&Inference> {
+        PolicyController::new(self)
     }
 }
 
 /// A policy at work on one robot, with the history that its observation needs (section III-A).
 #[derive(Debug)]
-pub struct PolicyController<'a> {
-    inference: &'a Inference,
+pub struct PolicyController<I> {
+    inference: I,
     observer: Observer,
     step: u64,
     /// The policy's order.
@@ -167,16 +160,30 @@ pub struct PolicyController<'a> {
     buffers: Buffers,
 }
 
-impl PolicyController<'_> {
+impl<I: Borrow<Inference>> PolicyController<I> {
+    /// Of a policy that is borrowed or shared.
+    pub fn new(inference: I) -> Self {
+        let Inference { layout, action, .. } = inference.borrow();
+        PolicyController {
+            observer: Observer::new(),
+            step: 0,
+            last_action: [0.0; JOINTS],
+            last_target: action.nominal_pose,
+            seen: vec![0.0; layout.length()],
+            buffers: Buffers::default(),
+            inference,
+        }
+    }
+
     /// What the network saw in the last step.
     pub fn seen(&self) -> &[f32] {
         &self.seen
     }
 }
 
-impl Controller for PolicyController<'_> {
+impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
     fn rest(&self) -> Joints {
-        self.inference.action.nominal_pose
+        self.inference.borrow().action.nominal_pose
     }
 
     fn begin(&mut self, _: &RobotState) {
@@ -187,18 +194,19 @@ impl Controller for PolicyController<'_> {
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
-        let layout = &self.inference.layout;
+        let inference: &Inference = self.inference.borrow();
+        let layout = &inference.layout;
         let now = Moment {
             state,
             command,
             last_action: &self.last_action,
             last_target: &self.last_target,
-            nominal: &self.inference.action.nominal_pose,
-            time_s: self.step as f64 * self.inference.period_s,
+            nominal: &inference.action.nominal_pose,
+            time_s: self.step as f64 * inference.period_s,
         };
         self.observer.measure(layout, &now);
         self.observer.normalised(layout, &mut self.seen);
-        (self.last_action, self.last_target) = self.inference.act(&self.seen, &mut self.buffers);
+        (self.last_action, self.last_target) = inference.act(&self.seen, &mut self.buffers);
         self.step += 1;
         self.last_target
     }

@@ -13,6 +13,7 @@ pub mod metrics;
 mod play;
 pub mod rig;
 pub mod senses;
+pub mod session;
 pub mod terrain;
 pub mod trace;
 

@@ -1,10 +1,12 @@
 //! Plays a script with a controller, one policy step at a time.
 
-use nalgebra::Vector3;
+use std::borrow::Cow;
+
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::rig::{RigState, RopeForces};
 use super::senses::Senses;
-use super::{Goal, Script, Sensing, SensingError};
+use super::{Goal, Script, Sensing, SensingError, TimedPush};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
@@ -12,9 +14,9 @@ use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
 use crate::robot::{Foothold, Joints, RobotState};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
-use crate::sim::{Parts, Sim, StepObserver};
+use crate::sim::{Parts, Push, Sim, StepObserver};
 use crate::task::episode::GRAVITY;
-use crate::task::{Stages, SwingTracker, Terms, reward};
+use crate::task::{Command, Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
 const PUSH_SHOWN_S: f64 = 0.3;
@@ -30,11 +32,19 @@ pub struct Played {
 
 /// A script being played.
 pub struct Rollout<'a> {
-    script: &'a Script,
-    config: &'a Config,
+    script: Cow<'a, Script>,
+    config: Cow<'a, Config>,
     controller: Box<dyn Controller + 'a>,
     sim: Sim,
     state: RobotState,
+    /// Of the script, until somebody asks for something else.
+    command: Command,
+    /// Pushes that are not the script's, due before the next step: heading frame.
+    shoves: Vec<Push>,
+    /// Force of a hand at the trunk: forward and left, heading frame \[N\].
+    hand: Option<[f64; 2]>,
+    /// Whether the controller has to forget the past before the next step.
+    afresh: bool,
     /// None if the controller sees the true state.
     pub(super) senses: Option<Senses>,
     with_bodies: bool,
@@ -45,7 +55,10 @@ pub struct Rollout<'a> {
     /// When the last disturbance came \[s\], and what it was.
     disturbed: Option<(f64, String)>,
     pulling: bool,
+    /// The force of the hand in the last step, world frame \[N\].
+    held: Option<Vector3<f64>>,
     fallen_since: Option<usize>,
+    failed: bool,
     rig: Option<RigState>,
     /// The body from which the way to the goal is measured.
     goal_from: Option<usize>,
@@ -60,14 +73,32 @@ impl<'a> Rollout<'a> {
     /// # Errors
     /// A fault of MuJoCo, such as a scene that does not compile.
     pub fn new(script: &'a Script, config: &'a Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
+        Self::of(Cow::Borrowed(script), Cow::Borrowed(config), controller)
+    }
+
+    /// As [`Rollout::new`], to keep.
+    ///
+    /// # Errors
+    /// As [`Rollout::new`].
+    pub fn owned(script: Script, config: Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
+        Self::of(Cow::Owned(script), Cow::Owned(config), controller)
+    }
+
+    fn of(
+        script: Cow<'a, Script>,
+        config: Cow<'a, Config>,
+        controller: Box<dyn Controller + 'a>,
+    ) -> mujoco::Result<Self> {
         let mut sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m)?;
         sim.reset(script.conditions, &controller.rest())?;
         let state = sim.state();
         Ok(Rollout {
             steps: config.simulation.policy_steps(script.duration_s),
-            script,
-            config,
             controller,
+            command: script.command,
+            shoves: Vec::new(),
+            hand: None,
+            afresh: true,
             senses: None,
             with_bodies: false,
             step: 0,
@@ -75,13 +106,17 @@ impl<'a> Rollout<'a> {
             shown_push: None,
             disturbed: None,
             pulling: false,
+            held: None,
             fallen_since: None,
+            failed: false,
             rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
-            goal_from: goal_body(script, &sim)?,
+            goal_from: goal_body(&script, &sim)?,
             passed_goal: false,
             swings: SwingTracker::new(&state.feet, config.reward.foot_height_m),
             state,
             sim,
+            script,
+            config,
         })
     }
 
@@ -136,10 +171,10 @@ impl<'a> Rollout<'a> {
 
         let known = self.senses.as_ref().map(Senses::state);
         let known = known.as_ref().unwrap_or(&self.state);
-        if self.step == 0 {
+        if std::mem::take(&mut self.afresh) {
             self.controller.begin(known);
         }
-        let target = self.controller.joint_targets(known, &self.script.command);
+        let target = self.controller.joint_targets(known, &self.command);
         if let Some(senses) = &mut self.senses {
             senses.act(&target);
         }
@@ -158,7 +193,6 @@ impl<'a> Rollout<'a> {
         }
 
         let state = self.sim.state();
-        let config = self.config;
         let mut swings = meter.swings;
         let landings = swings.take();
         self.swings = swings;
@@ -167,10 +201,10 @@ impl<'a> Rollout<'a> {
         }
         let step = reward::Step {
             state: &state,
-            command: &self.script.command,
+            command: &self.command,
             summary: &summary,
             landings: &landings,
-            config: &config.reward,
+            config: &self.config.reward,
         };
         let terms = Terms::new(&step);
         if let (Some(fall), None) = (summary.fall, self.fallen_since) {
@@ -192,13 +226,14 @@ impl<'a> Rollout<'a> {
         let substeps = f64::from(meter.substeps.max(1));
         let (roll, pitch, yaw) = state.roll_pitch_yaw();
         let data = self.sim.data();
+        let config = &*self.config;
         let stages = Stages::new(&config.episode, &config.simulation);
         let is_training_episode = self.script.pushes.len() == 1;
         let frame = Frame {
             time_s,
             bodies: if self.with_bodies { poses(data) } else { Vec::new() },
             goal: self.goal_from.map(|body| pose(data, body)),
-            command: self.script.command,
+            command: self.command,
             velocity: state.velocity_in_base.into(),
             velocity_in_heading: state.velocity_in_heading().into(),
             position: state.position.into(),
@@ -235,17 +270,13 @@ impl<'a> Rollout<'a> {
     /// Applies what is due before the step that starts at `time_s`.
     fn disturb(&mut self, time_s: f64, events: &mut Vec<Event>) -> mujoco::Result<()> {
         let half_a_step_s = 0.5 * self.sim.policy_period_s();
-        while let Some(due) = self.script.pushes.get(self.pushes_done).filter(|p| p.time_s < time_s + half_a_step_s) {
-            let before = self.sim.state();
-            self.sim.push(&due.push)?;
-            let after = self.sim.state();
-            let change =
-                after.world_from_base * after.velocity_in_base - before.world_from_base * before.velocity_in_base;
-            self.shown_push = Some((time_s + PUSH_SHOWN_S, change));
+        let due = |push: &&TimedPush| push.time_s < time_s + half_a_step_s;
+        while let Some(push) = self.script.pushes.get(self.pushes_done).filter(due).map(|due| due.push) {
             self.pushes_done += 1;
-            let [forward, left] = due.push.linear;
-            let text = format!("push: {forward:+.2} m/s forward, {left:+.2} m/s left");
-            events.push(Event { time_s, kind: EventKind::Disturbance, text });
+            self.shove(&push, time_s, events)?;
+        }
+        for push in std::mem::take(&mut self.shoves) {
+            self.shove(&push, time_s, events)?;
         }
         if let Some(pull) = self.script.pull {
             let active = (pull.from_s..pull.until_s).contains(&(time_s + 1e-9));
@@ -261,9 +292,40 @@ impl<'a> Rollout<'a> {
             }
         }
         if let (Some(state), Some(rig)) = (&mut self.rig, &self.script.rig) {
-            state.before_step(rig, self.script, &mut self.sim, time_s, events)?;
+            state.before_step(rig, &self.script, &mut self.sim, time_s, events)?;
         }
+        self.feel_the_hand(time_s, events);
         Ok(())
+    }
+
+    fn shove(&mut self, push: &Push, time_s: f64, events: &mut Vec<Event>) -> mujoco::Result<()> {
+        let before = self.sim.state();
+        self.sim.push(push)?;
+        let after = self.sim.state();
+        let change = after.world_from_base * after.velocity_in_base - before.world_from_base * before.velocity_in_base;
+        self.shown_push = Some((time_s + PUSH_SHOWN_S, change));
+        let [forward, left] = push.linear;
+        let text = format!("push: {forward:+.2} m/s forward, {left:+.2} m/s left");
+        events.push(Event { time_s, kind: EventKind::Disturbance, text });
+        Ok(())
+    }
+
+    /// The force of a hand turns with the robot.
+    fn feel_the_hand(&mut self, time_s: f64, events: &mut Vec<Event>) {
+        let before = self.held;
+        self.held = self.hand.map(|[forward, left]| {
+            let (_, _, yaw) = self.sim.state().roll_pitch_yaw();
+            UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(forward, left, 0.0)
+        });
+        if let Some(force) = self.held.or(before.map(|_| Vector3::zeros())) {
+            self.sim.set_trunk_force(force);
+        }
+        let text = match (before, self.hand) {
+            (None, Some([forward, left])) => format!("pull: {forward:+.1} N forward, {left:+.1} N left"),
+            (Some(_), None) => "pull ends".to_owned(),
+            _ => return,
+        };
+        events.push(Event { time_s, kind: EventKind::Disturbance, text });
     }
 
     /// Tells once that the robot is where it was to get, on its feet.
@@ -281,6 +343,9 @@ impl<'a> Rollout<'a> {
         if let (true, Some(pull)) = (self.pulling, self.script.pull) {
             return Some(Disturbance::Pull { force: [pull.force[0], pull.force[1], 0.0] });
         }
+        if let Some(force) = self.held {
+            return Some(Disturbance::Pull { force: force.into() });
+        }
         let (until_s, velocity) = self.shown_push?;
         (time_s <= until_s).then(|| Disturbance::Push { velocity: velocity.into() })
     }
@@ -291,6 +356,72 @@ impl<'a> Rollout<'a> {
     }
 }
 
+/// What somebody does to a robot that is being played. It takes effect with the next step.
+impl<'a> Rollout<'a> {
+    /// What is asked of the policy.
+    pub fn command(&self) -> &Command {
+        &self.command
+    }
+
+    /// Asks something else of the policy.
+    pub fn ask(&mut self, command: Command) {
+        self.command = command;
+    }
+
+    /// Pushes the trunk.
+    pub fn push(&mut self, push: Push) {
+        self.shoves.push(push);
+    }
+
+    /// Takes the trunk in hand and pulls with this force, forward and left in the heading frame \[N\], or lets it go.
+    pub fn pull(&mut self, force: Option<[f64; 2]>) {
+        self.hand = force;
+    }
+
+    /// Gives the robot to another controller as it stands.
+    pub fn hand_over(&mut self, controller: Box<dyn Controller + 'a>) {
+        self.controller = controller;
+        self.afresh = true;
+    }
+
+    /// Sets the robot on its feet where it is, facing as it does: see [`Sim::set_on_feet`].
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn set_on_feet(&mut self) -> mujoco::Result<()> {
+        self.sim.set_on_feet(&self.controller.rest())?;
+        self.begin_afresh();
+        Ok(())
+    }
+
+    /// Puts robot and scene back to their start. Time goes on; the script's own disturbances are not repeated.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn restart(&mut self) -> mujoco::Result<()> {
+        self.sim.reset(self.script.conditions, &self.controller.rest())?;
+        // The force of a hand is gone with all else: it is set anew where it is still held.
+        self.held = None;
+        self.begin_afresh();
+        Ok(())
+    }
+
+    /// Whether physics or sensors have failed: only [`Rollout::restart`] helps.
+    pub fn has_failed(&self) -> bool {
+        self.failed
+    }
+
+    fn begin_afresh(&mut self) {
+        self.state = self.sim.state();
+        self.swings = SwingTracker::new(&self.state.feet, self.config.reward.foot_height_m);
+        self.fallen_since = None;
+        self.failed = false;
+        self.disturbed = None;
+        self.shown_push = None;
+        self.afresh = true;
+    }
+}
+
 impl Iterator for Rollout<'_> {
     type Item = Played;
 
@@ -298,7 +429,7 @@ impl Iterator for Rollout<'_> {
     fn next(&mut self) -> Option<Played> {
         let after_fall = self.config.simulation.policy_steps(self.script.after_fall_s);
         let over = self.fallen_since.is_some_and(|since| self.step >= since + after_fall);
-        if over || self.step >= self.steps {
+        if over || self.failed || self.step >= self.steps {
             return None;
         }
         let mut events = Vec::new();
@@ -307,7 +438,7 @@ impl Iterator for Rollout<'_> {
             Err(fault) => {
                 let time_s = self.step as f64 * self.sim.policy_period_s();
                 events.push(Event { time_s, kind: EventKind::Fault, text: fault.to_string() });
-                self.steps = 0;
+                self.failed = true;
                 Some(Played { frame: None, events })
             }
         }

@@ -107,6 +107,15 @@ impl Ground {
         }
     }
 
+    /// The place nearest to this one that has ground for `margin_m` around it.
+    pub fn nearest(&self, place: [f64; 2], margin_m: f64) -> [f64; 2] {
+        let Ground::Field(field) = self else { return place };
+        std::array::from_fn(|axis| {
+            let reach = (field.half_size[axis] - margin_m).max(0.0);
+            place[axis].clamp(-reach, reach)
+        })
+    }
+
     /// Squares that differ in friction, if there are any.
     pub fn patches(&self) -> Option<&Patches> {
         match self {

@@ -37,6 +37,9 @@ pub enum Fall {
 /// Priority of feet that carry the friction of their place: above that of grounds and obstacles.
 const FOOT_PRIORITY: i32 = 3;
 
+/// Half the length of the square in which a robot stands, about \[m\].
+const FOOTPRINT_M: f64 = 0.25;
+
 /// What happened in one policy step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepSummary {
@@ -164,6 +167,30 @@ impl Sim {
         self.data.positions_mut()[..self.start.len()].copy_from_slice(&self.start);
         self.latency.reset(*target);
         self.apply(conditions);
+        self.refresh()
+    }
+
+    /// Sets the robot on its feet where it is, facing as it does, at rest, holding `target`: what is around it stays as it is.
+    /// One that has left the ground is set at its edge.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn set_on_feet(&mut self, target: &Joints) -> Result<()> {
+        let state = self.parts.state(&self.data, &self.ground);
+        let (_, _, yaw) = state.roll_pitch_yaw();
+        let [x, y] = self.ground.nearest([state.position.x, state.position.y], FOOTPRINT_M);
+        let about = [-FOOTPRINT_M, 0.0, FOOTPRINT_M];
+        let heights = about.iter().flat_map(|dx| about.map(|dy| self.ground.height(x + dx, y + dy)));
+        let ground = heights.fold(f64::NEG_INFINITY, f64::max);
+        let flat = self.start[2] - self.ground.height(self.start[0], self.start[1]);
+        let (sin, cos) = (0.5 * yaw).sin_cos();
+        let positions = &mut self.data.positions_mut()[..self.start.len()];
+        positions.copy_from_slice(&self.start);
+        positions[..7].copy_from_slice(&[x, y, ground + flat, cos, 0.0, 0.0, sin]);
+        // One velocity fewer than positions: the quaternion's fourth number.
+        let moving = self.start.len() - 1;
+        self.data.velocities_mut()[..moving].fill(0.0);
+        self.latency.reset(*target);
         self.refresh()
     }
 

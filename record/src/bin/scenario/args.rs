@@ -81,6 +81,11 @@ pub struct Args {
 pub enum What {
     /// List the scenarios
     List,
+    /// Measure a session that `drive` has kept: it is played again, and its pushes and pulls are read
+    Session {
+        /// The session
+        file: PathBuf,
+    },
     #[command(flatten)]
     Play(Scenario),
 }

@@ -4,9 +4,9 @@ mod args;
 mod output;
 mod recording;
 mod seeds;
+mod session;
 
 use std::ops::RangeInclusive;
-use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -24,7 +24,6 @@ use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::Trace;
 use supple::scenario::{Rollout, Script, Sensing};
-use supple::util::files::{self, Target};
 use supple::util::paths;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
@@ -35,19 +34,24 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
-    let What::Play(scenario) = &args.what else {
-        for scenario in Args::command().get_subcommands().filter(|command| command.get_name() != "list") {
-            let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
-            terminal::print(format_args!("{:10} {about}\n", scenario.get_name()))?;
-        }
-        return Ok(());
-    };
-    let to_output = |path: &PathBuf| Target::of(path).is_ok_and(|target| target == Target::Output);
-    let table_to_output = args.csv.as_ref().is_some_and(to_output);
-    anyhow::ensure!(
-        !(args.json && table_to_output),
-        "--json and --csv would both go to standard output: name a file for one"
-    );
+    match &args.what {
+        What::List => list(),
+        What::Session { file } => session::measure(args, file),
+        What::Play(scenario) => play_scenario(args, scenario),
+    }
+}
+
+fn list() -> anyhow::Result<()> {
+    let is_scenario = |command: &&clap::Command| !matches!(command.get_name(), "list" | "session");
+    for scenario in Args::command().get_subcommands().filter(is_scenario) {
+        let about = scenario.get_about().map(ToString::to_string).unwrap_or_default();
+        terminal::print(format_args!("{:10} {about}\n", scenario.get_name()))?;
+    }
+    Ok(())
+}
+
+fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
+    output::check(args)?;
     let mut robots = robots(args)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
@@ -86,7 +90,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
         })
         .collect();
 
-    let told = tell(args, scenario, &outcomes, table_to_output);
+    let object = || output::to_json(scenario, args.seed, args.sensing, &outcomes);
+    let told = output::tell(args, scenario.name(), &outcomes, object);
     // A recording is whole also if nothing else could be written.
     let recorded = recording.finish(args, scenario, &robots, &scripts, &traces);
     if let (Err(_), Err(error)) = (&told, &recorded) {
@@ -96,23 +101,6 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let failed = outcomes.iter().find_map(|outcome| Some((outcome.policy, outcome.trace.fault()?)));
     if let Some((policy, fault)) = failed {
         anyhow::bail!("{policy}: stopped after {:.2} s: {}", fault.time_s, fault.text);
-    }
-    Ok(())
-}
-
-/// Writes the table and says what happened.
-fn tell(args: &Args, scenario: &Scenario, outcomes: &[Outcome<'_>], table_to_output: bool) -> anyhow::Result<()> {
-    if let Some(path) = &args.csv {
-        files::write_with(path, |file| output::write_csv(file, outcomes))
-            .with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    if table_to_output {
-        // Standard output is a table now: what is for people stays out of it.
-        terminal::note(output::summary(scenario, outcomes).trim_end());
-    } else if args.json {
-        terminal::print(format_args!("{}\n", output::to_json(scenario, args.seed, args.sensing, outcomes)))?;
-    } else {
-        terminal::print(output::summary(scenario, outcomes))?;
     }
     Ok(())
 }

@@ -2,12 +2,17 @@
 
 use std::io::{self, Write};
 
+use anyhow::Context;
 use serde_json::{Value, json};
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::{self, Metric};
 use supple::scenario::trace::{Frame, Trace};
+use supple::util::files::{self, Target};
 use supple::util::provenance::GIT_REVISION;
+use supple::util::terminal;
+
+use crate::args::Args;
 
 /// A finished rollout.
 pub struct Outcome<'a> {
@@ -24,9 +29,9 @@ pub struct Outcome<'a> {
 }
 
 /// A table with a column for each policy, and the events.
-pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
-    let mut text = format!("{}\n", scenario.name());
-    let header: String = outcomes.iter().map(|outcome| format!("{:>16}", outcome.policy)).collect();
+pub fn summary(title: &str, outcomes: &[Outcome<'_>]) -> String {
+    let mut text = format!("{title}\n");
+    let header: String = outcomes.iter().map(|outcome| format!(" {:>15}", outcome.policy)).collect();
     text.push_str(&format!("{:28}{header}\n", ""));
     for index in 0..outcomes.first().map_or(0, |outcome| outcome.metrics.len()) {
         let Metric { label, unit, .. } = outcomes[0].metrics[index];
@@ -51,6 +56,34 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
     text
 }
 
+/// Refuses two things at once for standard output.
+pub fn check(args: &Args) -> anyhow::Result<()> {
+    let both = args.json && table_to_output(args);
+    anyhow::ensure!(!both, "--json and --csv would both go to standard output: name a file for one");
+    Ok(())
+}
+
+fn table_to_output(args: &Args) -> bool {
+    args.csv.as_ref().is_some_and(|path| Target::of(path).is_ok_and(|target| target == Target::Output))
+}
+
+/// Writes the table and says what happened.
+pub fn tell(args: &Args, title: &str, outcomes: &[Outcome<'_>], object: impl FnOnce() -> Value) -> anyhow::Result<()> {
+    if let Some(path) = &args.csv {
+        files::write_with(path, |file| write_csv(file, outcomes))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if table_to_output(args) {
+        // Standard output is a table now: what is for people stays out of it.
+        terminal::note(summary(title, outcomes).trim_end());
+    } else if args.json {
+        terminal::print(format_args!("{}\n", object()))?;
+    } else {
+        terminal::print(summary(title, outcomes))?;
+    }
+    Ok(())
+}
+
 /// What is undefined of a policy, and why: a line for each reason. That most do not fall goes without saying.
 pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>) -> String {
     let mut labels: Vec<(&str, Vec<&str>)> = Vec::new();
@@ -69,32 +102,37 @@ pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>
 
 /// Everything as one JSON object.
 pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
-    let run = |outcome: &Outcome<'_>| {
-        let metrics: serde_json::Map<String, Value> =
-            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
-        let undefined: serde_json::Map<String, Value> =
-            outcome.metrics.iter().filter_map(|metric| Some((metric.name.to_owned(), json!(metric.reason?)))).collect();
-        json!({
-            "policy": outcome.policy,
-            "sha256": outcome.sha256,
-            "robot": outcome.robot,
-            "metrics": metrics,
-            "undefined": undefined,
-            "events": outcome.trace.events,
-        })
-    };
-    let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
-    let units: serde_json::Map<String, Value> =
-        metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
     json!({
         "scenario": scenario.name(),
         "revision": GIT_REVISION,
         "seed": seed,
         "sensing": sensing,
         "parameters": scenario,
-        "units": units,
+        "units": units(outcomes),
         "runs": outcomes.iter().map(run).collect::<Vec<_>>(),
     })
+}
+
+/// A rollout as JSON.
+pub fn run(outcome: &Outcome<'_>) -> Value {
+    let metrics: serde_json::Map<String, Value> =
+        outcome.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
+    let undefined: serde_json::Map<String, Value> =
+        outcome.metrics.iter().filter_map(|metric| Some((metric.name.to_owned(), json!(metric.reason?)))).collect();
+    json!({
+        "policy": outcome.policy,
+        "sha256": outcome.sha256,
+        "robot": outcome.robot,
+        "metrics": metrics,
+        "undefined": undefined,
+        "events": outcome.trace.events,
+    })
+}
+
+/// Units of the metrics by name.
+pub fn units(outcomes: &[Outcome<'_>]) -> Value {
+    let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
+    metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect()
 }
 
 /// A column of the CSV: its name, and what stands in it.

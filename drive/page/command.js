@@ -1,0 +1,99 @@
+// What is asked of the robots: keys, sticks and a gamepad, added up, as fractions of what the policies were trained for.
+
+const KEYS = {
+  KeyW: [1, 0, 0], ArrowUp: [1, 0, 0],
+  KeyS: [-1, 0, 0], ArrowDown: [-1, 0, 0],
+  KeyA: [0, 1, 0], KeyD: [0, -1, 0],
+  KeyQ: [0, 0, 1], ArrowLeft: [0, 0, 1],
+  KeyE: [0, 0, -1], ArrowRight: [0, 0, -1],
+};
+
+/** Share of the range that a key asks for, without Shift. */
+const SHARE = 0.6;
+
+/** A gamepad's stick at rest is not quite at rest. */
+const REST = 0.12;
+
+const held = new Set();
+const sticks = { walk: [0, 0], turn: 0 };
+let fast = false;
+
+/** Forward, left and yaw, each from -1 to 1. */
+export function fractions() {
+  const sum = [sticks.walk[0], sticks.walk[1], sticks.turn];
+  for (const key of held) KEYS[key].forEach((part, axis) => (sum[axis] += part * (fast ? 1 : SHARE)));
+  for (const pad of navigator.getGamepads?.() ?? []) {
+    if (!pad) continue;
+    const axis = (index) => (Math.abs(pad.axes[index] ?? 0) > REST ? pad.axes[index] : 0);
+    sum[0] -= axis(1);
+    sum[1] -= axis(0);
+    sum[2] -= axis(2);
+  }
+  return sum.map((part) => Math.max(-1, Math.min(1, part)));
+}
+
+/** Listens to keys; `changed` is told at once. */
+export function listenToKeys(changed) {
+  const note = (event, down) => {
+    fast = event.shiftKey;
+    if (!(event.code in KEYS)) return;
+    const busy = event.target.closest?.("input, select, textarea") || event.ctrlKey || event.altKey || event.metaKey;
+    if (down && busy) return;
+    if (down) held.add(event.code);
+    else held.delete(event.code);
+    if (!busy) event.preventDefault();
+    if (!event.repeat) changed();
+  };
+  addEventListener("keydown", (event) => note(event, true));
+  addEventListener("keyup", (event) => note(event, false));
+  // Keys that are let go elsewhere are not told of.
+  addEventListener("blur", () => letGo(changed));
+  document.addEventListener("visibilitychange", () => letGo(changed));
+}
+
+function letGo(changed) {
+  held.clear();
+  changed();
+}
+
+/** Makes a knob follow the pointer within its face, and spring back; `changed` is told at once. */
+export function listenToStick(svg, which, changed) {
+  const knob = svg.querySelector(".knob");
+  const move = (x, y) => {
+    const length = Math.max(1, Math.hypot(x, y) / 100);
+    [x, y] = which === "turn" ? [Math.max(-1, Math.min(1, x / 80)), 0] : [x / length / 100, y / length / 100];
+    knob.setAttribute("transform", `translate(${x * 80} ${y * 80})`);
+    if (which === "turn") sticks.turn = -x;
+    else sticks.walk = [-y, -x];
+    changed();
+  };
+  drag(svg, { start: move, move, end: () => move(0, 0) });
+}
+
+/** Follows one pointer from where it goes down, in the drawing's own units. */
+export function drag(svg, { start, move, end }) {
+  let pointer = null;
+  const place = (event) => {
+    const { x, y } = new DOMPoint(event.clientX, event.clientY).matrixTransform(svg.getScreenCTM().inverse());
+    return [x, y];
+  };
+  svg.addEventListener("pointerdown", (event) => {
+    if (pointer !== null || event.button !== 0) return;
+    pointer = event.pointerId;
+    svg.setPointerCapture(pointer);
+    svg.classList.add("active");
+    start(...place(event));
+    event.preventDefault();
+  });
+  svg.addEventListener("pointermove", (event) => {
+    if (event.pointerId === pointer) move(...place(event));
+  });
+  const finish = (event) => {
+    if (event.pointerId !== pointer) return;
+    pointer = null;
+    svg.classList.remove("active");
+    end(event.type === "pointerup");
+  };
+  svg.addEventListener("pointerup", finish);
+  svg.addEventListener("pointercancel", finish);
+}

@@ -1,0 +1,207 @@
+// The page: what is asked goes to the robots, how they are comes back.
+
+import { fractions, listenToKeys, listenToStick } from "./command.js";
+import { connect } from "./link.js";
+import { show } from "./numbers.js";
+import { listenToPad } from "./pad.js";
+import { show as showYields } from "./yields.js";
+
+/** Signs of life go out this often, and a gamepad is looked at. */
+const LIFE_MS = 60;
+
+const $ = (id) => document.getElementById(id);
+const most = { "m/s": 1, "N·s": 1, N: 1 };
+let me = null;
+let state = null;
+let waiting = null;
+let noticed = 0;
+let holds = null;
+
+const send = connect({
+  hello({ page, about }) {
+    me = page;
+    [most["m/s"], most["N·s"], most.N] = about.most;
+    fill($("policies"), about.policies);
+    fill($("scene"), about.scenes);
+    if (about.viewer && !$("robots").firstChild) openViewer();
+  },
+  state(now) {
+    const first = !state;
+    state = now;
+    window.state = now;
+    // A page that nobody sees draws nothing: what waits is one picture, not one for each state.
+    waiting ??= requestAnimationFrame(draw);
+    if (first) chooseRobots();
+  },
+  refused: (problem) => notice(problem),
+  lost() {
+    state = null;
+    status("no connection to the robots: is drive still running?", true);
+  },
+});
+
+const drives = () => state && state.driver === me;
+
+// ---- what is asked
+
+let last = [0, 0, 0];
+let sent = 0;
+
+function command() {
+  if (!drives()) return;
+  last = fractions().map((part, axis) => part * state.range[axis]);
+  sent = performance.now();
+  send({ command: last });
+}
+
+function changed() {
+  if (drives() && String(fractions().map((part, axis) => part * state.range[axis])) !== String(last)) command();
+}
+
+listenToKeys(changed);
+listenToStick($("stick"), "walk", changed);
+listenToStick($("wheel"), "turn", changed);
+setInterval(() => {
+  buttonsOfGamepad();
+  if (performance.now() - sent > LIFE_MS - 5) command();
+  if (holds) send({ pull: holds });
+}, LIFE_MS);
+
+function push(size, unit) {
+  if (!drives()) return;
+  send({ push: { size, unit } });
+  [$("ahead").value, $("left").value] = size.map((part) => part.toFixed(2));
+  $("unit").value = unit;
+}
+
+function pull(force) {
+  holds = drives() ? force : null;
+  send({ pull: holds });
+}
+
+listenToPad($("pad"), $("said"), () => $("unit").value, (unit) => most[unit], { push, pull });
+
+// The numbers beside the pad: pushes happen, a pull lasts as long as the button is held.
+const numbers = () => [Number($("ahead").value), Number($("left").value)];
+const pulls = () => $("unit").value === "N";
+$("unit").onchange = () => ($("shove").textContent = pulls() ? "Hold" : "Push");
+$("push").onsubmit = (event) => {
+  event.preventDefault();
+  if (!pulls()) push(numbers(), $("unit").value);
+};
+function hold(on) {
+  if (!pulls() || on === $("shove").classList.contains("held")) return;
+  $("shove").classList.toggle("held", on);
+  pull(on ? numbers() : null);
+}
+$("shove").onpointerdown = () => hold(true);
+$("shove").onkeydown = (event) => ["Space", "Enter"].includes(event.code) && hold(true);
+for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) $("shove").addEventListener(end, () => hold(false));
+
+const pause = () => send({ pause: !state?.paused });
+$("take").onclick = () => send("drive");
+$("reset").onclick = () => send("reset");
+$("pause").onclick = pause;
+$("next").onclick = () => send({ seed: null });
+$("speed").onchange = () => send({ speed: Number($("speed").value) });
+$("scene").onchange = () => {
+  send({ scene: $("scene").value });
+  $("scene").blur();
+};
+$("minute").onclick = () => send({ keep: "minute" });
+$("all").onclick = () => send({ keep: "all" });
+
+addEventListener("keydown", (event) => {
+  if (event.target.closest?.("input, select, button") || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
+  const action = { KeyR: () => send("reset"), KeyN: () => send({ seed: null }), Space: pause }[event.code];
+  if (!action) return;
+  event.preventDefault();
+  action();
+});
+
+let pressed = [];
+function buttonsOfGamepad() {
+  const pad = navigator.getGamepads?.().find(Boolean);
+  const now = pad ? pad.buttons.map((button) => button.pressed) : [];
+  const actions = { 0: () => push(numbers(), pulls() ? "m/s" : $("unit").value), 8: () => send("reset"), 9: pause };
+  for (const [button, action] of Object.entries(actions)) if (now[button] && !pressed[button]) action();
+  pressed = now;
+}
+
+// ---- the viewer
+
+/** The same server by another name: the browser then gives the viewer a process of its own, and keys do not wait for pictures. */
+const OTHER_NAME = { "127.0.0.1": "localhost", localhost: "127.0.0.1" };
+
+function openViewer() {
+  const viewer = document.createElement("iframe");
+  viewer.title = "Robots, in rerun's viewer";
+  viewer.src = `http://${OTHER_NAME[location.hostname] ?? location.hostname}:${location.port}/viewer.html${location.search}`;
+  $("robots").append(viewer);
+  addEventListener("message", ({ source, data }) => {
+    if (source !== viewer.contentWindow) return;
+    if (data.kind === "ready") viewer.dataset.ready = true;
+    else if (data.kind === "blur") dispatchEvent(new Event("blur"));
+    else document.body.dispatchEvent(new KeyboardEvent(data.kind, { ...data.detail, bubbles: true, cancelable: true }));
+  });
+}
+
+// ---- who walks
+
+for (const form of document.querySelectorAll(".who")) {
+  const index = Number(form.dataset.robot);
+  form.append($("choice").content.cloneNode(true));
+  form.onsubmit = (event) => {
+    event.preventDefault();
+    const { policy, robot } = form.elements;
+    send({ robot: { index, policy: policy.value.trim() || null, robot: robot.value.trim() || null } });
+    event.submitter?.blur();
+  };
+}
+
+function chooseRobots() {
+  for (const form of document.querySelectorAll(".who")) {
+    const { policy } = form.elements;
+    policy.value = state.robots[form.dataset.robot]?.policy ?? "";
+    policy.placeholder = "none";
+  }
+}
+
+// ---- how they are
+
+function draw() {
+  waiting = null;
+  if (!state) return;
+  show($("numbers"), state.robots);
+  showYields($("yields"), state.robots, (robot, compliance) => send({ comply: { robot, compliance } }));
+  const { rate, speed, paused, behind, driver } = state;
+  const times = rate == null ? "" : ` ${rate.toFixed(2)} ×`;
+  if (paused) status("paused");
+  else if (behind) status(`slow motion${times}: this machine cannot keep up`, true);
+  else status(speed < 1 ? `slow motion${times}` : `real time${times}`);
+  $("pause").setAttribute("aria-pressed", paused);
+  $("take").hidden = driver === me;
+  document.body.classList.toggle("watching", driver !== me);
+  for (const [id, value] of [["scene", state.scene], ["speed", String(speed)]]) {
+    if (document.activeElement !== $(id)) $(id).value = value;
+  }
+  const [count, texts] = state.notices;
+  for (const text of count > noticed ? texts.slice(-(count - noticed)) : []) notice(text);
+  noticed = count;
+}
+
+function status(text, alarm = false) {
+  if ($("status").textContent !== text) $("status").textContent = text;
+  $("status").classList.toggle("alarm", alarm);
+}
+
+function notice(text) {
+  const item = document.createElement("li");
+  item.textContent = text;
+  $("notices").prepend(item);
+  while ($("notices").childElementCount > 6) $("notices").lastChild.remove();
+}
+
+function fill(list, names) {
+  list.replaceChildren(...names.map((name) => new Option(name, name)));
+}

@@ -1,0 +1,143 @@
+//! Who may ask at all.
+
+use std::fmt;
+use std::net::IpAddr;
+
+use axum::extract::{Request, State};
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, HOST, ORIGIN, REFERRER_POLICY, X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{HeaderMap, HeaderValue, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::Shared;
+
+/// What pages may load and talk to: what this server serves, and nothing else. rerun's viewer compiles its program, egui
+/// sets styles, and the viewer is a page of this server by its other name.
+fn policy(port: u16) -> String {
+    let ours = format!("'self' http://localhost:{port} http://127.0.0.1:{port}");
+    format!(
+        "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; \
+         img-src 'self' data: blob:; connect-src 'self'; frame-src {ours}; frame-ancestors {ours}; base-uri 'none'; \
+         form-action 'none'"
+    )
+}
+
+/// What an address must hold for its sockets to open.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Token(String);
+
+impl Token {
+    /// 128 bits that nobody guesses.
+    pub fn random() -> Self {
+        Token(format!("{:032x}", rand::random::<u128>()))
+    }
+
+    /// Whether this is it, in a time that does not tell how much of it is.
+    fn is(&self, other: &str) -> bool {
+        let differences = self.0.bytes().zip(other.bytes()).fold(0, |found, (a, b)| found | (a ^ b));
+        self.0.len() == other.len() && differences == 0
+    }
+}
+
+impl fmt::Display for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token")
+    }
+}
+
+/// Refuses what was not sent to us, and says what pages may do.
+pub(super) async fn check(State(shared): State<Shared>, request: Request, next: Next) -> Response {
+    let is_socket = matches!(request.uri().path(), "/control" | "/view");
+    let mut response = match refusal(&shared, &request, is_socket) {
+        Some(reason) => (StatusCode::FORBIDDEN, reason).into_response(),
+        None => next.run(request).await,
+    };
+    let headers = response.headers_mut();
+    if let Ok(policy) = HeaderValue::from_str(&policy(shared.port)) {
+        headers.insert(CONTENT_SECURITY_POLICY, policy);
+    }
+    headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-cache"));
+    response
+}
+
+fn refusal(shared: &Shared, request: &Request, is_socket: bool) -> Option<&'static str> {
+    let Some(host) = host(request.headers(), shared.port) else {
+        return Some("open this page by the number of its address, as the program printed it\n");
+    };
+    if !is_socket {
+        return None;
+    }
+    if single(request.headers(), ORIGIN.as_str()) != Some(&format!("http://{host}")) {
+        return Some("this socket is for its own page\n");
+    }
+    let token = request.uri().query().and_then(|query| query.split('&').find_map(|pair| pair.strip_prefix("token=")));
+    if !token.is_some_and(|token| shared.token.is(token)) {
+        return Some("the address lacks its token: open it as the program printed it\n");
+    }
+    None
+}
+
+/// The host that was asked for, if it is this machine by its number and our port: a name could be bent towards us.
+fn host(headers: &HeaderMap, port: u16) -> Option<&str> {
+    let host = single(headers, HOST.as_str())?;
+    let name = host.strip_suffix(&format!(":{port}"))?;
+    let name = name.strip_prefix('[').and_then(|name| name.strip_suffix(']')).unwrap_or(name);
+    (name == "localhost" || name.parse::<IpAddr>().is_ok()).then_some(host)
+}
+
+fn single<'a>(headers: &'a HeaderMap, name: &str) -> Option<&'a str> {
+    let mut values = headers.get_all(name).iter();
+    let value = values.next()?.to_str().ok()?;
+    values.next().is_none().then_some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_numbers_of_addresses_and_our_port_are_hosts() {
+        let of = |values: &[&str]| {
+            let mut headers = HeaderMap::new();
+            for value in values {
+                headers.append(HOST, value.parse().unwrap());
+            }
+            host(&headers, 9100).is_some()
+        };
+        for good in ["127.0.0.1:9100", "localhost:9100", "[::1]:9100", "192.168.1.7:9100"] {
+            assert!(of(&[good]), "{good}");
+        }
+        for bad in [
+            "evil.example:9100",
+            "127.0.0.1",
+            "127.0.0.1:80",
+            "localhost.evil.example:9100",
+            "",
+            "127.0.0.1.nip.io:9100",
+        ] {
+            assert!(!of(&[bad]), "{bad}");
+        }
+        assert!(!of(&[]));
+        assert!(!of(&["127.0.0.1:9100", "evil.example:9100"]));
+    }
+
+    #[test]
+    fn a_token_is_itself_and_no_part_of_it() {
+        let token = Token::random();
+        let text = token.to_string();
+        assert_eq!(text.len(), 32);
+        assert!(token.is(&text));
+        assert!(!token.is(&text[..31]) && !token.is("") && !token.is(&Token::random().to_string()));
+        assert!(!format!("{token:?}").contains(&text));
+    }
+}

@@ -1,0 +1,169 @@
+//! The two WebSockets.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use axum::extract::State;
+use axum::extract::ws::{Message as Frame, Utf8Bytes, WebSocket, WebSocketUpgrade};
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use tokio::runtime::Handle;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::time::{interval, timeout};
+
+use super::Shared;
+use crate::live::Message;
+use crate::request::{PageId, Request};
+use crate::show;
+
+/// Largest message of a page \[bytes\].
+const LARGEST: usize = 4 << 10;
+/// Messages of a page per second, for long, and how many more at once.
+const RATE: f64 = 150.0;
+const BURST: f64 = 300.0;
+/// How long a page may take to read a message.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Files that a viewer may have that it has not shown.
+const AHEAD: u32 = 2;
+/// Time between two looks whether a page is still there, and after how long without a word it is not.
+const LOOK: Duration = Duration::from_secs(5);
+const SILENT: Duration = Duration::from_secs(15);
+
+/// Opens the socket of a page of controls.
+pub(super) async fn control(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
+    let Some(permit) = room(&shared.page_permits) else { return full() };
+    bounded(upgrade).on_upgrade(move |socket| async move {
+        let page = shared.pages.fetch_add(1, Ordering::Relaxed) + 1;
+        if tell(&shared, Message::Came(page)).await {
+            talk(socket, page, &shared).await;
+            tell(&shared, Message::Went(page)).await;
+        }
+        drop(permit);
+    })
+}
+
+/// Opens the socket of a viewer.
+pub(super) async fn view(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
+    let Some(permit) = room(&shared.viewer_permits) else { return full() };
+    bounded(upgrade).on_upgrade(move |socket| async move {
+        feed(socket, &shared).await;
+        drop(permit);
+    })
+}
+
+fn room(permits: &Arc<Semaphore>) -> Option<OwnedSemaphorePermit> {
+    Arc::clone(permits).try_acquire_owned().ok()
+}
+
+fn full() -> Response {
+    (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open\n").into_response()
+}
+
+fn bounded(upgrade: WebSocketUpgrade) -> WebSocketUpgrade {
+    upgrade.max_message_size(LARGEST).max_frame_size(LARGEST).read_buffer_size(LARGEST)
+}
+
+/// Tells the robots something that must not be lost, without keeping the server waiting; whether they are still there.
+async fn tell(shared: &Shared, message: Message) -> bool {
+    let robots = shared.robots.clone();
+    tokio::task::spawn_blocking(move || robots.send(message).is_ok()).await.unwrap_or(false)
+}
+
+/// Carries requests and states until the page goes, breaks a rule, or cannot be heard.
+async fn talk(mut socket: WebSocket, page: PageId, shared: &Shared) {
+    let mut states = shared.news.state.subscribe();
+    let hello = serde_json::json!({ "hello": { "page": page, "about": &*shared.hello } });
+    let mut heard = Instant::now();
+    let (mut allowance, mut counted) = (BURST, Instant::now());
+    let mut look = interval(LOOK);
+    if !send(&mut socket, Frame::text(hello.to_string())).await {
+        return;
+    }
+    loop {
+        let going_on = tokio::select! {
+            message = socket.recv() => {
+                heard = Instant::now();
+                let since_s = counted.elapsed().as_secs_f64();
+                counted = Instant::now();
+                allowance = (allowance + RATE * since_s).min(BURST) - 1.0;
+                match message {
+                    Some(Ok(_)) if allowance < 0.0 => refuse(&mut socket, "more messages than anybody needs").await,
+                    Some(Ok(Frame::Text(text))) => ask(&mut socket, page, shared, &text).await,
+                    Some(Ok(Frame::Binary(_))) => refuse(&mut socket, "messages are JSON").await,
+                    Some(Ok(Frame::Ping(_) | Frame::Pong(_))) => true,
+                    Some(Ok(Frame::Close(_)) | Err(_)) | None => false,
+                }
+            }
+            changed = states.changed() => {
+                let text = states.borrow_and_update().clone();
+                changed.is_ok() && send(&mut socket, Frame::Text(Utf8Bytes::from(&*text))).await
+            }
+            _ = look.tick() => heard.elapsed() < SILENT && send(&mut socket, Frame::Ping(Vec::new().into())).await,
+        };
+        if !going_on {
+            return;
+        }
+    }
+}
+
+async fn ask(socket: &mut WebSocket, page: PageId, shared: &Shared, text: &str) -> bool {
+    match Request::parse(text) {
+        // While a scene is being built requests wait; when too many do, the page asks again.
+        Ok(request) => match shared.robots.try_send(Message::Asked(page, request)) {
+            Ok(()) | Err(std::sync::mpsc::TrySendError::Full(_)) => true,
+            Err(std::sync::mpsc::TrySendError::Disconnected(_)) => false,
+        },
+        Err(problem) => refuse(socket, &problem).await,
+    }
+}
+
+/// Says what was wrong and hangs up.
+async fn refuse(socket: &mut WebSocket, problem: &str) -> bool {
+    send(socket, Frame::text(serde_json::json!({ "refused": problem }).to_string())).await;
+    send(socket, Frame::Close(None)).await;
+    false
+}
+
+/// Whether a message could be sent in time.
+async fn send(socket: &mut WebSocket, message: Frame) -> bool {
+    matches!(timeout(PATIENCE, socket.send(message)).await, Ok(Ok(())))
+}
+
+/// Carries `.rrd` files to a viewer until it goes.
+async fn feed(mut socket: WebSocket, shared: &Shared) {
+    let (files, mut arriving) = mpsc::channel(1);
+    let (news, runtime) = (shared.news.shown.subscribe(), Handle::current());
+    let notices = shared.robots.clone();
+    let work = move || {
+        if let Err(error) = show::to_channel(news, &runtime, &files) {
+            // The robots go on without this viewer.
+            let _ = notices.try_send(Message::Notice(format!("a viewer stops: {error}")));
+        }
+    };
+    if std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work).is_err() {
+        return;
+    }
+    let (mut ahead, mut heard, mut look) = (0, Instant::now(), interval(LOOK));
+    loop {
+        let going_on = tokio::select! {
+            file = arriving.recv(), if ahead < AHEAD => match file {
+                Some(file) => {
+                    ahead += 1;
+                    send(&mut socket, Frame::Binary(file.into())).await
+                }
+                None => false,
+            },
+            message = socket.recv() => {
+                heard = Instant::now();
+                // A viewer has nothing to say but that it has shown something.
+                ahead = ahead.saturating_sub(u32::from(matches!(message, Some(Ok(Frame::Text(_))))));
+                matches!(message, Some(Ok(Frame::Text(_) | Frame::Ping(_) | Frame::Pong(_))))
+            }
+            _ = look.tick() => heard.elapsed() < SILENT && send(&mut socket, Frame::Ping(Vec::new().into())).await,
+        };
+        if !going_on {
+            return;
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! `drive` in a real browser: headless Chromium presses keys and drags on the pad.
+
+#[path = "common/chromium.rs"]
+mod chromium;
+mod common;
+
+use std::time::Duration;
+
+use chromium::Chromium;
+use common::Drive;
+
+/// In the page: the state that it has.
+const FORWARD: &str = "state?.robots[0].reading?.velocity[0]";
+
+#[test]
+fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &[]);
+    let Some(mut browser) = Chromium::open(&drive.url(), 1280, 900, false) else { return };
+    browser.wait("window.state?.robots[1].reading");
+    // The viewer takes the focus when it starts, and keys that are held are let go.
+    browser.wait("document.querySelector('iframe').dataset.ready");
+
+    // Forward as long as W is held, at the share of the range that a key asks for.
+    browser.key("KeyW", true);
+    browser.wait(&format!("{FORWARD} > 0.6 * 0.6 * state.range[0] && state.robots[1].position[0] > 0.15"));
+    browser.key("KeyW", false);
+    browser.wait("state.robots[0].reading.command.every((part) => part === 0)");
+    browser.key("ArrowLeft", true);
+    browser.wait("state.robots[0].reading.velocity[2] > 0.2 && state.robots[1].reading.velocity[2] > 0.2");
+    browser.key("ArrowLeft", false);
+
+    // Half the way to the left rim of the pad is half of the largest push: 1.5 m/s to the left.
+    let (middle, width) = browser.place("#pad");
+    let half = 50.0 / 220.0 * width;
+    let [x, y] = middle;
+    let left = [x - half, y];
+    browser.mouse(&[
+        ("mousePressed", middle),
+        ("mouseMoved", [x - 10.0, y]),
+        ("mouseMoved", left),
+        ("mouseReleased", left),
+    ]);
+    browser.wait("state.robots[1].reading.push?.carried_m > 0.1");
+    let sizes = browser.value("state.robots.map((robot) => robot.reading.push.size_m_s)");
+    for size in sizes.as_array().unwrap() {
+        let [forward, left] = [0, 1].map(|part| size[part].as_f64().unwrap());
+        assert!(forward.abs() < 0.02 && (left - 1.5).abs() < 0.03, "{sizes}");
+    }
+    browser.wait("state.robots[0].reading.push.carried_m !== state.robots[1].reading.push.carried_m");
+    browser.wait("document.querySelector('#numbers').innerText.includes('1.50')");
+
+    // Held still, a drag forward pulls, for as long as it is held: half of the largest force.
+    browser.mouse(&[("mousePressed", middle), ("mouseMoved", [x, y - half])]);
+    browser.wait("state.robots.every(({ reading }) => Math.abs(reading.pull?.force_n - 50) < 1)");
+    browser.mouse(&[("mouseReleased", [x, y - half])]);
+    browser.wait("state.robots.every(({ reading }) => reading.pull === null)");
+    assert_eq!(browser.value("state.robots[0].reading.push.size_m_s[1] > 1.4"), true, "letting go is no push");
+
+    // By keyboard alone: the numbers beside the pad.
+    browser.value("document.querySelector('#left').value = '-0.7'; document.querySelector('#shove').focus()");
+    browser.value("document.querySelector('#ahead').value = '0'");
+    browser.call(
+        "Input.dispatchKeyEvent",
+        serde_json::json!({ "type": "keyDown", "key": "Enter", "code": "Enter", "text": "\r" }),
+    );
+    browser.wait("state.robots[0].reading.push.size_m_s[1] === -0.7");
+
+    // A gamepad, its left stick forward to the end.
+    browser.value("navigator.getGamepads = () => [{ axes: [0, -1, 0, 0], buttons: [] }], 0");
+    browser.wait("state.robots.every(({ reading }) => reading.command[0] === state.range[0])");
+    browser.value("navigator.getGamepads = () => [], 0");
+
+    // The middle of the second slider: half of the largest compliance that the second robot can be told.
+    let (middle, _) = browser.place("#yields label:nth-child(2) input");
+    browser.mouse(&[("mousePressed", middle), ("mouseReleased", middle)]);
+    browser.wait("Math.abs(state.robots[1].compliance - 0.5 * state.robots[1].reach[0][1]) < 0.002");
+    assert_eq!(browser.value("state.robots[0].compliance"), 0);
+    browser.wait("document.querySelector('#yields').innerText.includes('its own, 0.0')");
+
+    assert_eq!(browser.complaints, [""; 0]);
+    let ours = format!("http://{}", drive.host);
+    let other = ours.replace("127.0.0.1", "localhost");
+    let is_ours = |url: &str| url.starts_with(&ours) || url.starts_with(&other);
+    let strange: Vec<&String> = browser.requests.iter().filter(|url| !is_ours(url)).collect();
+    assert!(strange.iter().all(|url| url.starts_with("data:") || url.starts_with("blob:")), "{strange:?}");
+}
+
+#[test]
+fn the_viewer_shows_the_robots_and_the_page_fits_a_telephone() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &[]);
+    let Some(mut browser) = Chromium::open(&drive.url(), 390, 780, true) else { return };
+    // The viewer has started, and has drawn something of many colours where there was one.
+    browser.wait("document.querySelector('iframe')?.dataset.ready");
+    let mut picture = String::new();
+    for _ in 0..100 {
+        picture = browser.picture();
+        if picture.len() > 60_000 {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    assert!(picture.len() > 60_000, "the viewer draws nothing: {} bytes", picture.len());
+    // Nothing is wider than the screen.
+    assert_eq!(browser.value("document.documentElement.scrollWidth"), 390);
+    assert_eq!(browser.complaints, [""; 0]);
+}

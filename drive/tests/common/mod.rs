@@ -1,0 +1,161 @@
+//! A running `drive`, and pages that talk to it.
+#![allow(dead_code)] // No test uses all of it.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use tungstenite::client::IntoClientRequest;
+use tungstenite::{Message, WebSocket};
+
+/// How long anything may take on a machine that does other things too.
+pub const PATIENCE: Duration = Duration::from_secs(30);
+
+/// The program, until it goes out of scope.
+pub struct Drive {
+    child: Child,
+    /// Host and port.
+    pub host: String,
+    pub token: String,
+}
+
+impl Drive {
+    /// Starts it in a folder.
+    pub fn start(folder: &Path, arguments: &[&str]) -> Drive {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_drive"))
+            .args(["--no-open", "--port", "0"])
+            .args(arguments)
+            .current_dir(folder)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut url = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut url).unwrap();
+        let (host, token) = url.trim().strip_prefix("http://").unwrap().split_once("/?token=").unwrap();
+        Drive { child, host: host.to_owned(), token: token.to_owned() }
+    }
+
+    pub fn url(&self) -> String {
+        format!("http://{}/?token={}", self.host, self.token)
+    }
+
+    /// Opens the socket of a page.
+    pub fn page(&self) -> Page {
+        let socket = self.socket("/control", Some(&format!("http://{}", self.host)), &self.token).unwrap();
+        let mut page = Page { socket, state: Value::Null, me: 0 };
+        page.me = page.wait("a greeting", |_, message| message["hello"]["page"].as_u64());
+        page
+    }
+
+    /// Opens a socket, or is told why not: the status.
+    pub fn socket(&self, path: &str, origin: Option<&str>, token: &str) -> Result<WebSocket<TcpStream>, u16> {
+        let mut request = format!("ws://{}{path}?token={token}", self.host).into_client_request().unwrap();
+        if let Some(origin) = origin {
+            request.headers_mut().insert("Origin", origin.parse().unwrap());
+        }
+        let stream = TcpStream::connect(&self.host).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        stream.set_nodelay(true).unwrap();
+        match tungstenite::client(request, stream) {
+            Ok((socket, _)) => Ok(socket),
+            Err(tungstenite::HandshakeError::Failure(tungstenite::Error::Http(response))) => {
+                Err(response.status().as_u16())
+            }
+            Err(error) => panic!("{error}"),
+        }
+    }
+
+    /// What a plain request gets.
+    pub fn get(&self, path: &str, host: &str) -> String {
+        let mut stream = TcpStream::connect(&self.host).unwrap();
+        stream.set_read_timeout(Some(PATIENCE)).unwrap();
+        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").unwrap();
+        let mut answer = Vec::new();
+        stream.read_to_end(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
+    }
+
+    /// Memory that it holds [MB].
+    pub fn memory_mb(&self) -> f64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
+        let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
+        line.split_whitespace().nth(1).unwrap().parse::<f64>().unwrap() / 1024.0
+    }
+}
+
+impl Drop for Drive {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A page without a browser.
+pub struct Page {
+    pub socket: WebSocket<TcpStream>,
+    /// The newest state.
+    pub state: Value,
+    pub me: u64,
+}
+
+impl Page {
+    pub fn send(&mut self, request: &Value) {
+        self.socket.send(Message::text(request.to_string())).unwrap();
+    }
+
+    /// Reads until something is found.
+    pub fn wait<T>(&mut self, what: &str, mut find: impl FnMut(&Value, &Value) -> Option<T>) -> T {
+        let start = Instant::now();
+        loop {
+            assert!(start.elapsed() < PATIENCE, "waited for {what}; the last state was {}", self.state);
+            let Message::Text(text) = self.socket.read().unwrap() else { continue };
+            let message: Value = serde_json::from_str(&text).unwrap();
+            if message["state"].is_object() {
+                self.state = message["state"].clone();
+            }
+            if let Some(found) = find(&self.state, &message) {
+                return found;
+            }
+        }
+    }
+
+    /// Asks the same again and again, as pages do, for so long.
+    pub fn ask_for(&mut self, command: [f64; 3], time: Duration) {
+        let start = Instant::now();
+        while start.elapsed() < time {
+            self.send(&serde_json::json!({ "command": command }));
+            let next = Instant::now() + Duration::from_millis(50);
+            self.wait("states", |_, _| (Instant::now() >= next).then_some(()));
+        }
+    }
+
+    /// A number of the newest state.
+    pub fn number(&self, pointer: &str) -> f64 {
+        self.state.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("{pointer} of {}", self.state))
+    }
+
+    /// Waits for a notice, and gives it.
+    pub fn notice(&mut self, part: &str) -> String {
+        self.wait(part, |state, _| {
+            let texts = state["notices"][1].as_array()?;
+            texts.iter().filter_map(Value::as_str).find(|text| text.contains(part)).map(ToOwned::to_owned)
+        })
+    }
+}
+
+/// Plays a session again.
+pub fn replay(folder: &Path, session: &str, arguments: &[&str]) -> Output {
+    let program = Command::new(env!("CARGO_BIN_EXE_drive"))
+        .args(["--replay", session, "--headless"])
+        .args(arguments)
+        .current_dir(folder)
+        .output();
+    program.unwrap()
+}
+
+pub fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes).trim().to_owned()
+}

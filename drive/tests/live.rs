@@ -1,0 +1,284 @@
+//! `drive` as pages use it, without a browser.
+
+mod common;
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use common::{Drive, PATIENCE, replay, text};
+use serde_json::{Value, json};
+use tungstenite::Message;
+
+#[test]
+fn a_command_moves_both_robots_and_goes_to_zero_when_the_driver_falls_silent_or_goes() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &[]);
+    let mut page = drive.page();
+    page.ask_for([0.5, 0.0, 0.0], Duration::from_secs(2));
+    for robot in [0, 1] {
+        let forward = page.number(&format!("/robots/{robot}/reading/velocity/0"));
+        assert!((0.25..0.75).contains(&forward), "{}", page.state);
+        assert!(page.number(&format!("/robots/{robot}/position/0")) > 0.2, "{}", page.state);
+    }
+    // Connected, but silent.
+    let silent = Instant::now();
+    page.wait("a command of zero", |state, _| {
+        (state["robots"][0]["reading"]["command"] == json!([0.0, 0.0, 0.0])).then_some(())
+    });
+    assert!(silent.elapsed() < Duration::from_millis(500), "{:?}", silent.elapsed());
+
+    // Gone, while it pulls and drives.
+    let mut watcher = drive.page();
+    page.send(&json!({ "command": [0.5, 0.0, 0.0] }));
+    page.send(&json!({ "pull": [0.0, 20.0] }));
+    let pull = |state: &Value| state["robots"][0]["reading"]["pull"]["force_n"].as_f64();
+    watcher.wait("a pull of 20 N", |state, _| (pull(state) == Some(20.0)).then_some(()));
+    drop(page);
+    let gone = Instant::now();
+    watcher.wait("nobody to pull", |state, _| (pull(state).is_none() && state["driver"].is_null()).then_some(()));
+    assert!(gone.elapsed() < Duration::from_millis(500), "{:?}", gone.elapsed());
+    assert_eq!(watcher.state["robots"][0]["reading"]["command"], json!([0.0, 0.0, 0.0]));
+}
+
+#[test]
+fn a_push_arrives_with_its_size_and_the_robots_take_it_differently() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &[]);
+    let mut page = drive.page();
+    page.wait("the robots to stand", |state, _| (state["tick"].as_u64()? > 240).then_some(()));
+    page.send(&json!({ "push": { "size": [0.0, 0.8], "unit": "m/s" } }));
+    page.wait("the push", |state, _| state["robots"][0]["reading"]["push"]["carried_m"].as_f64().filter(|m| *m > 0.05));
+    for robot in [0, 1] {
+        assert_eq!(page.state["robots"][robot]["reading"]["push"]["size_m_s"], json!([0.0, 0.8]));
+    }
+    page.wait("the end of it", |state, _| (state["robots"][1]["reading"]["push"]["outcome"] == "over").then_some(()));
+    let carried = [0, 1].map(|robot| page.number(&format!("/robots/{robot}/reading/push/carried_m")));
+    assert!(carried.iter().all(|carried| *carried > 0.02) && carried[0] != carried[1], "{carried:?}");
+
+    // 12 kg: 6 N·s are about half a metre per second; and no push is larger than the largest.
+    page.send(&json!({ "push": { "size": [6.0, 0.0], "unit": "N·s" } }));
+    let speed =
+        |state: &Value| state["robots"][0]["reading"]["push"]["size_m_s"][0].as_f64().filter(|size| *size > 0.0);
+    let mass_kg = supple::robot::Robot::load("go1").unwrap().mass_kg;
+    assert!((page.wait("another push", |state, _| speed(state)) - 6.0 / mass_kg).abs() < 1e-12);
+    page.send(&json!({ "push": { "size": [1e300, 0.0], "unit": "m/s" } }));
+    page.wait("the largest push", |state, _| speed(state).filter(|size| *size == 3.0));
+}
+
+#[test]
+fn time_stops_slows_down_and_scenes_and_robots_change_while_it_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &["--policy", "compliant", "--seed", "3"]);
+    let mut page = drive.page();
+    let ticks = |page: &mut common::Page, time: Duration| {
+        let start = (Instant::now(), page.number("/tick"));
+        page.wait("time to pass", |_, _| (start.0.elapsed() > time).then_some(()));
+        (page.number("/tick") - start.1) / start.0.elapsed().as_secs_f64() / 240.0
+    };
+    page.wait("a state", |state, _| state.is_object().then_some(()));
+    page.send(&json!({ "speed": 0.25 }));
+    page.wait("slow motion", |state, _| (state["speed"] == 0.25).then_some(()));
+    let slow = ticks(&mut page, Duration::from_millis(1500));
+    assert!((0.2..0.3).contains(&slow), "{slow}");
+    page.send(&json!({ "pause": true }));
+    page.wait("a pause", |state, _| (state["paused"] == true).then_some(()));
+    let tick = page.number("/tick");
+    page.send(&json!("reset"));
+    page.send(&json!({ "pause": false }));
+    page.wait("time to go on", |state, _| (state["paused"] == false).then_some(()));
+    assert!(page.number("/tick") - tick <= 8.0, "one step shows the reset");
+    page.send(&json!({ "speed": 1.0 }));
+
+    page.send(&json!({ "seed": null }));
+    page.send(&json!({ "robot": { "index": 1, "policy": "baseline-seed1" } }));
+    page.wait("two robots", |state, _| (state["seed"] == 4 && state["robots"].as_array()?.len() == 2).then_some(()));
+    for scene in ["box", "hills", "blocks", "terrain", "ball-pit", "flat"] {
+        page.send(&json!({ "scene": scene }));
+        page.wait(scene, |state, _| {
+            (state["scene"] == scene && state["robots"][1]["time_s"].as_f64()? > 0.05).then_some(())
+        });
+        assert_eq!(page.state["robots"][1]["name"], "baseline-seed1");
+    }
+    page.send(&json!({ "robot": { "index": 0, "policy": "nobody" } }));
+    assert!(page.notice("there is no policy 'nobody'").len() > 40);
+    page.send(&json!({ "robot": { "index": 1, "policy": null } }));
+    page.wait("one robot", |state, _| (state["robots"].as_array()?.len() == 1).then_some(()));
+}
+
+#[test]
+fn one_page_drives_until_another_takes_over_and_others_watch() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
+    let (mut first, mut second) = (drive.page(), drive.page());
+    let me = first.me;
+    first.wait("the first to drive", |state, _| (state["driver"] == me).then_some(()));
+    second.send(&json!({ "scene": "box" }));
+    second.send(&json!({ "command": [0.5, 0.0, 0.0] }));
+    first.ask_for([0.0, 0.0, 0.3], Duration::from_millis(500));
+    assert_eq!(
+        (&first.state["scene"], &first.state["robots"][0]["reading"]["command"]),
+        (&json!("flat"), &json!([0.0, 0.0, 0.3]))
+    );
+    second.send(&json!("drive"));
+    second.ask_for([0.2, 0.0, 0.0], Duration::from_millis(500));
+    assert_eq!(second.state["driver"], second.me);
+    assert_eq!(second.state["robots"][0]["reading"]["command"], json!([0.2, 0.0, 0.0]));
+}
+
+#[test]
+fn strangers_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
+    let own = format!("http://{}", drive.host);
+    let port = drive.host.rsplit_once(':').unwrap().1;
+    for path in ["/control", "/view"] {
+        let refused = |origin: Option<&str>, token: &str| drive.socket(path, origin, token).err();
+        assert_eq!(refused(Some(&own), &"0".repeat(32)), Some(403));
+        assert_eq!(refused(Some(&own), ""), Some(403));
+        assert_eq!(refused(Some("http://evil.example"), &drive.token), Some(403));
+        assert_eq!(refused(Some("null"), &drive.token), Some(403));
+        assert_eq!(refused(Some(&format!("http://localhost:{port}")), &drive.token), Some(403));
+        assert_eq!(refused(None, &drive.token), Some(403));
+        assert_eq!(refused(Some(&own), &drive.token), None);
+    }
+    // A name that was bent towards this machine.
+    let bent = drive.get("/", &format!("evil.example:{port}"));
+    assert!(bent.starts_with("HTTP/1.1 403") && !bent.contains("<html"), "{bent}");
+    let page = drive.get("/", &drive.host);
+    assert!(page.starts_with("HTTP/1.1 200"), "{page}");
+    assert!(page.to_lowercase().contains("content-security-policy: default-src 'none'"), "{page}");
+    assert!(!page.contains(&drive.token));
+    assert!(drive.get("/../Cargo.toml", &drive.host).starts_with("HTTP/1.1 404"));
+}
+
+#[test]
+fn hostile_and_half_open_connections_do_not_disturb_the_robots() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
+    let mut page = drive.page();
+    page.wait("a state", |state, _| state.is_object().then_some(()));
+    let (start, tick) = (Instant::now(), page.number("/tick"));
+
+    // Half-open ones, one that says half of what it wants, and one that never ends its head.
+    let mut open: Vec<TcpStream> = (0..30).map(|_| TcpStream::connect(&drive.host).unwrap()).collect();
+    open[0].write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
+    let endless = [b"GET / HTTP/1.1\r\n".to_vec(), b"A: b\r\n".repeat(20_000)].concat();
+    let _ = open[1].write_all(&endless);
+    let _ = open[2].write_all(&[0xff; 5000]);
+
+    let own = format!("http://{}", drive.host);
+    let hangs_up = |message: Message| {
+        let mut socket = drive.socket("/control", Some(&own), &drive.token).unwrap();
+        // It may hang up while we are still sending.
+        let _ = socket.send(message);
+        let start = Instant::now();
+        while socket.read().is_ok() {
+            assert!(start.elapsed() < PATIENCE);
+        }
+    };
+    for bad in ["", "{", "{\"command\":[1]}", "{\"sudo\":1}", "{\"command\":[1e999,0,0]}"] {
+        hangs_up(Message::text(bad));
+    }
+    hangs_up(Message::binary(vec![0; 100]));
+    hangs_up(Message::text("[".repeat(1 << 20)));
+    // More messages than anybody needs.
+    let mut flood = drive.socket("/control", Some(&own), &drive.token).unwrap();
+    let start_of_flood = Instant::now();
+    while flood.send(Message::text(r#"{"command":[0,0,0]}"#)).is_ok() {
+        assert!(start_of_flood.elapsed() < PATIENCE);
+    }
+    // A viewer that reads nothing.
+    let deaf = drive.socket("/view", Some(&own), &drive.token).unwrap();
+
+    page.ask_for([0.3, 0.0, 0.0], Duration::from_secs(3));
+    let rate = (page.number("/tick") - tick) / 240.0 / start.elapsed().as_secs_f64();
+    assert!((0.9..1.05).contains(&rate), "{rate}");
+    assert_eq!(page.state["robots"][0]["reading"]["command"], json!([0.3, 0.0, 0.0]));
+    // Who says nothing is hung up on.
+    open[3].set_read_timeout(Some(PATIENCE)).unwrap();
+    let mut answer = Vec::new();
+    let _ = open[3].read_to_end(&mut answer);
+    assert!(start.elapsed() < PATIENCE);
+    drop(deaf);
+}
+
+#[test]
+fn what_is_kept_is_played_again_bit_for_bit_and_what_was_changed_is_not() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &[]);
+    let mut page = drive.page();
+    page.ask_for([0.4, 0.0, 0.2], Duration::from_millis(600));
+    page.send(&json!("reset"));
+    page.send(&json!({ "push": { "size": [-0.3, 0.5], "unit": "m/s" } }));
+    page.send(&json!({ "pull": [10.0, -5.0] }));
+    page.ask_for([0.0, 0.3, 0.0], Duration::from_millis(400));
+    page.send(&json!({ "keep": "all" }));
+    page.notice("drive-1.jsonl");
+    page.send(&json!({ "scene": "box" }));
+    page.wait("the box", |state, _| (state["scene"] == "box").then_some(()));
+    page.ask_for([0.5, 0.0, 0.0], Duration::from_millis(600));
+    page.send(&json!({ "keep": "minute" }));
+    page.notice("drive-2.jsonl");
+    page.send(&json!({ "keep": "all" }));
+    page.notice("drive-3.jsonl");
+    let recordings = ["drive-1.rrd", "drive-2.rrd", "drive-3.rrd", "drive-3-2.rrd"];
+    let written = |name: &str| std::fs::read(folder.path().join(name)).is_ok_and(|bytes| bytes.len() > 10_000);
+    let start = Instant::now();
+    while !recordings.iter().all(|name| written(name)) {
+        assert!(start.elapsed() < PATIENCE);
+        page.ask_for([0.0; 3], Duration::from_millis(100));
+    }
+    drop(drive);
+
+    for session in ["drive-1.jsonl", "drive-2.jsonl", "drive-3.jsonl"] {
+        let output = replay(folder.path(), session, &["--record", "again.rrd"]);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        assert!(text(&output.stdout).ends_with("it ended as it had, to the last bit"), "{}", text(&output.stdout));
+    }
+    assert!(folder.path().join("again.rrd").exists());
+    let session = std::fs::read_to_string(folder.path().join("drive-1.jsonl")).unwrap();
+    let changed = session.replace("[-0.3,0.5]", "[-0.3,0.5000000000000001]");
+    assert_ne!(session, changed);
+    std::fs::write(folder.path().join("changed.jsonl"), changed).unwrap();
+    let output = replay(folder.path(), "changed.jsonl", &[]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("it did not end as it had"), "{}", text(&output.stderr));
+    let end = session.rfind(r#"{"end""#).unwrap();
+    std::fs::write(folder.path().join("cut.jsonl"), &session[..end + 20]).unwrap();
+    assert!(text(&replay(folder.path(), "cut.jsonl", &[]).stderr).contains("the session was cut off"));
+    std::fs::write(folder.path().join("other.jsonl"), "{\"a\":1}\n").unwrap();
+    let output = replay(folder.path(), "other.jsonl", &[]);
+    assert!(text(&output.stderr).contains("other.jsonl: line 1: it is no session"), "{}", text(&output.stderr));
+}
+
+#[test]
+fn a_run_that_is_trained_meanwhile_is_read_anew_and_its_session_needs_it_no_longer() {
+    let folder = tempfile::tempdir().unwrap();
+    let run = folder.path().join("run");
+    std::fs::create_dir(&run).unwrap();
+    let ships = |name: &str| Path::new(env!("CARGO_MANIFEST_DIR")).join("../policies").join(name);
+    let save = |name: &str| std::fs::copy(ships(name), run.join("policy.safetensors")).map(drop).unwrap();
+    save("baseline-seed2.safetensors");
+    std::fs::copy(ships("baseline-seed2.calibration.json"), run.join("policy.calibration.json")).unwrap();
+    let drive = Drive::start(folder.path(), &["--policy", "run"]);
+    let mut page = drive.page();
+    page.send(&json!({ "comply": { "robot": 0, "compliance": 0.04 } }));
+    page.send(&json!({ "pull": [15.0, 0.0] }));
+    page.ask_for([0.4, 0.0, 0.0], Duration::from_millis(500));
+    assert_eq!(page.state["robots"][0]["compliance"], 0.04);
+    save("compliant-seed1.safetensors");
+    page.notice("run: its run has saved a newer policy, which now walks");
+    page.ask_for([0.4, 0.0, 0.0], Duration::from_millis(500));
+    // Nobody has measured the newer one.
+    assert_eq!(page.state["robots"][0]["compliance"], 0.0);
+    assert!(page.state["robots"][0]["reach"].is_null());
+    page.send(&json!({ "keep": "all" }));
+    page.notice("drive-1.jsonl");
+    page.notice("the recording is written");
+    drop(drive);
+    std::fs::remove_dir_all(&run).unwrap();
+    let output = replay(folder.path(), "drive-1.jsonl", &[]);
+    assert!(text(&output.stdout).ends_with("it ended as it had, to the last bit"), "{}", text(&output.stderr));
+}

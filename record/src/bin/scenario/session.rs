@@ -1,0 +1,61 @@
+//! A session of `drive`, measured.
+
+use std::path::Path;
+
+use serde_json::json;
+use supple::scenario::session::{Session, Take, takes};
+use supple::util::provenance::GIT_REVISION;
+
+use crate::args::Args;
+use crate::output::{self, Outcome};
+
+/// Plays a session again and tells its numbers.
+pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
+    output::check(args)?;
+    let asked = [args.policy.is_some(), args.compare.is_some(), args.model.is_some(), args.params.is_some()];
+    anyhow::ensure!(
+        !asked.contains(&true),
+        "a session has its own policies and robots: measure it without naming others"
+    );
+    let drawn = [args.record.is_some(), args.connect.is_some(), args.serve.is_some(), args.on_fall.is_some()];
+    anyhow::ensure!(!drawn.contains(&true), "record a session with `drive --replay {} --record FILE`", file.display());
+
+    let mut playback = Session::load(file)?.play()?;
+    let takes = takes(&mut playback)?;
+    let names: Vec<String> = takes.iter().map(name).collect();
+    let outcomes: Vec<Outcome<'_>> = takes.iter().zip(&names).map(|(take, name)| outcome(take, name)).collect();
+    output::tell(args, "session", &outcomes, || {
+        let run = |(take, outcome): (&Take, &Outcome<'_>)| {
+            let mut run = output::run(outcome);
+            run["policy"] = json!(take.seat.policy);
+            run["scene"] = json!(take.scene);
+            run["seed"] = json!(take.seed);
+            run["compliance"] = json!(take.seat.compliance);
+            run["pushes"] = json!(take.pushes);
+            run["pulls"] = json!(take.pulls);
+            run
+        };
+        let runs: Vec<_> = takes.iter().zip(&outcomes).map(run).collect();
+        json!({ "scenario": "session", "revision": GIT_REVISION, "units": output::units(&outcomes), "runs": runs })
+    })?;
+    match playback.is_as_it_was() {
+        Some(false) => anyhow::bail!("it did not end as it had: this program, or this machine, computes otherwise"),
+        Some(true) | None => Ok(()),
+    }
+}
+
+fn name(take: &Take) -> String {
+    let Take { seat, scene, .. } = take;
+    let told = if seat.compliance > 0.0 { format!(" {}", seat.compliance) } else { String::new() };
+    format!("{} {}{told}", seat.label(), scene.name())
+}
+
+fn outcome<'a>(take: &'a Take, name: &'a str) -> Outcome<'a> {
+    Outcome {
+        policy: name,
+        sha256: take.seat.sha256.clone(),
+        robot: &take.seat.robot,
+        trace: &take.trace,
+        metrics: take.metrics(),
+    }
+}

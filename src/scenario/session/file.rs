@@ -1,0 +1,323 @@
+/*! A session as a file: JSON Lines.
+
+The first line says what it is. Then come the inputs in their order, each with its tick, the first of them a set-up; before
+the first that needs it, what is needed of its policy: the file if it does not ship, and its calibration. The last line has the tick at which the session was kept, and
+the identity of the state of the world then, which whoever plays it again can compare.
+
+The file is written as things happen, so that a session of hours takes no memory, and kept by copying it.
+*/
+
+use std::collections::{HashMap, VecDeque};
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Input, Played, Setup, Shelf, ShelfError, World, WorldError};
+use crate::policy::compliance::Calibration;
+use crate::util::files::FileError;
+
+/// Version of the format; what is only added does not change it.
+const FORMAT: u32 = 1;
+
+/// What errors call it.
+const SESSION: &str = "session";
+
+/// A line of a session that is longer is none: a policy of 64 MiB in hexadecimal.
+const LONGEST_LINE: u64 = 130 << 20;
+
+/// Why a session cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// Not a session.
+    #[error(transparent)]
+    File(#[from] FileError),
+    /// A policy of it.
+    #[error(transparent)]
+    Shelf(#[from] ShelfError),
+    /// What happens in it.
+    #[error(transparent)]
+    World(#[from] WorldError),
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Line {
+    Session {
+        format: u32,
+        program: String,
+        /// Whoever plays it again shows it from here on.
+        from_tick: u64,
+    },
+    Policy {
+        name: String,
+        sha256: String,
+        /// Hexadecimal; none of a policy that ships or is external.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        file: Option<String>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        calibration: Option<Calibration>,
+    },
+    Input {
+        tick: u64,
+        input: Input,
+    },
+    End {
+        tick: u64,
+        state: String,
+    },
+}
+
+/// Writes a session as it happens.
+#[derive(Debug)]
+pub struct Writer {
+    file: BufWriter<File>,
+    length: u64,
+    /// Set-ups: tick, and where their line begins.
+    setups: VecDeque<(u64, u64)>,
+    /// Where lines of policies begin, and where they end; one that is calibrated meanwhile has another.
+    policies: HashMap<(String, bool), (u64, u64)>,
+}
+
+impl Writer {
+    /// Into an empty file that can be read too.
+    pub fn new(file: File) -> Self {
+        Writer { file: BufWriter::new(file), length: 0, setups: VecDeque::new(), policies: HashMap::new() }
+    }
+
+    /// Writes an input that takes effect at a tick.
+    ///
+    /// # Errors
+    /// The system's, such as a full disk.
+    pub fn input(&mut self, tick: u64, input: &Input, shelf: &Shelf) -> io::Result<()> {
+        let needed: Vec<(&str, &str)> = match input {
+            Input::Setup(setup) => {
+                self.setups.push_back((tick, self.length));
+                setup.robots.iter().map(|seat| (seat.policy.as_str(), seat.sha256.as_str())).collect()
+            }
+            Input::Renew { sha256, .. } => vec![("renewed", sha256)],
+            _ => Vec::new(),
+        };
+        for (name, sha256) in needed {
+            let (file, calibration) = (shelf.file(sha256), shelf.calibration(sha256).cloned());
+            let key = (sha256.to_owned(), calibration.is_some());
+            if file.is_none() && calibration.is_none() || self.policies.contains_key(&key) {
+                continue;
+            }
+            let begin = self.length;
+            let file = file.map(|file| file.iter().map(|byte| format!("{byte:02x}")).collect());
+            self.line(&Line::Policy { name: name.to_owned(), sha256: sha256.to_owned(), file, calibration })?;
+            self.policies.insert(key, (begin, self.length));
+        }
+        self.line(&Line::Input { tick, input: input.clone() })
+    }
+
+    fn line(&mut self, line: &Line) -> io::Result<()> {
+        let text = serde_json::to_string(line)? + "\n";
+        self.length += text.len() as u64;
+        self.file.write_all(text.as_bytes())
+    }
+
+    /// Copies the session up to the tick `end`, at which the state of the world is `state`: all of it, or what is needed
+    /// to show it from `from` on.
+    ///
+    /// # Errors
+    /// The system's, such as a full disk.
+    pub fn keep(&mut self, to: &Path, from: Option<u64>, end: u64, state: String) -> io::Result<()> {
+        self.file.flush()?;
+        let from_tick = from.unwrap_or(0);
+        // What is kept begins with the last set-up before it: nothing from before that matters.
+        let at_or_before =
+            |setups: &VecDeque<(u64, u64)>| setups.iter().rev().find(|(tick, _)| *tick <= from_tick).copied();
+        let (_, begin) = at_or_before(&self.setups).unwrap_or((0, 0));
+        let begin = if from.is_some() { begin } else { 0 };
+        let mut out = BufWriter::new(File::create(to)?);
+        let program = crate::util::provenance::GIT_REVISION.to_owned();
+        let mut write = |line: &Line| writeln!(out, "{}", serde_json::to_string(line)?);
+        write(&Line::Session { format: FORMAT, program, from_tick })?;
+        let source = self.file.get_mut();
+        let mut copy = |from: u64, until: u64| -> io::Result<()> {
+            source.seek(SeekFrom::Start(from))?;
+            io::copy(&mut Read::by_ref(source).take(until - from), &mut out).map(drop)
+        };
+        let mut earlier: Vec<(u64, u64)> = self.policies.values().copied().filter(|(at, _)| *at < begin).collect();
+        earlier.sort_unstable();
+        let copied = earlier.into_iter().try_for_each(|(at, until)| copy(at, until));
+        let copied = copied.and_then(|()| copy(begin, self.length));
+        source.seek(SeekFrom::End(0))?;
+        copied?;
+        writeln!(out, "{}", serde_json::to_string(&Line::End { tick: end, state })?)?;
+        out.into_inner()?.sync_all()
+    }
+
+    /// Forgets where set-ups begin that are no longer needed to show the session from a tick on.
+    pub fn tidy(&mut self, from: u64) {
+        while self.setups.get(1).is_some_and(|(tick, _)| *tick <= from) {
+            self.setups.pop_front();
+        }
+    }
+}
+
+/// A session that was kept.
+#[derive(Debug)]
+pub struct Session {
+    /// It is shown from here on.
+    pub from_tick: u64,
+    /// The tick at which it was kept, and the identity of the world's state then; without, it was cut off.
+    pub end: Option<(u64, String)>,
+    inputs: Vec<(u64, Input)>,
+    shelf: Shelf,
+}
+
+impl Session {
+    /// Reads a session.
+    ///
+    /// # Errors
+    /// [`SessionError`] that names the line, what was found and what was expected.
+    pub fn load(path: &Path) -> Result<Self, SessionError> {
+        let fail = FileError::of(SESSION, path);
+        let mut reader = BufReader::new(File::open(path).map_err(fail)?);
+        let mut session = Session { from_tick: 0, end: None, inputs: Vec::new(), shelf: Shelf::default() };
+        let mut text = String::new();
+        for number in 1_u64.. {
+            text.clear();
+            let in_line = |problem: String| FileError::of(SESSION, path)(format!("line {number}: {problem}"));
+            let length =
+                (&mut reader).take(LONGEST_LINE).read_line(&mut text).map_err(|error| in_line(error.to_string()))?;
+            if length == 0 {
+                break;
+            }
+            // A last line without its end was being written.
+            if !text.ends_with('\n') && number > 1 {
+                break;
+            }
+            let line: Line =
+                serde_json::from_str(&text).map_err(|error| in_line(format!("it is no session: {error}")))?;
+            session.add(number, line).map_err(in_line)?;
+        }
+        match session.inputs.first() {
+            Some((_, Input::Setup(_))) => Ok(session),
+            _ => Err(FileError::of(SESSION, path)("it does not begin with a set-up: was it cut off?").into()),
+        }
+    }
+
+    fn add(&mut self, number: u64, line: Line) -> Result<(), String> {
+        match line {
+            Line::Session { format, from_tick, .. } if number == 1 => {
+                if format != FORMAT {
+                    return Err(format!("it has format {format}, this program knows {FORMAT}"));
+                }
+                self.from_tick = from_tick;
+            }
+            _ if number == 1 => return Err("it does not say that it is a session".to_owned()),
+            Line::Session { .. } => return Err("a second session begins".to_owned()),
+            Line::Policy { name, sha256, file, calibration } => {
+                if let Some(calibration) = calibration {
+                    let fail = |problem| format!("the calibration of the policy '{name}': {problem}");
+                    self.shelf.put_calibration(calibration.checked(&sha256).map_err(fail)?);
+                }
+                let Some(file) = file else { return Ok(()) };
+                let bytes = bytes(&file).ok_or("the policy's file is not in hexadecimal")?;
+                if crate::util::files::sha256(&[&bytes]) != sha256 {
+                    return Err(format!("the policy '{name}' is damaged"));
+                }
+                self.shelf.put_file(&name, bytes).map_err(|error| error.to_string())?;
+            }
+            Line::Input { tick, input } => {
+                if self.inputs.last().is_some_and(|(last, _)| *last > tick) {
+                    return Err(format!("tick {tick} comes after a later one"));
+                }
+                self.inputs.push((tick, input));
+            }
+            Line::End { tick, state } => self.end = Some((tick, state)),
+        }
+        Ok(())
+    }
+
+    /// The set-up that it begins with.
+    pub fn setup(&self) -> Option<&Setup> {
+        match self.inputs.first() {
+            Some((_, Input::Setup(setup))) => Some(setup),
+            _ => None,
+        }
+    }
+
+    /// Inputs with their ticks.
+    pub fn inputs(&self) -> &[(u64, Input)] {
+        &self.inputs
+    }
+
+    /// Plays it from its beginning.
+    ///
+    /// # Errors
+    /// [`SessionError`] if a policy or robot is gone or has changed.
+    pub fn play(mut self) -> Result<Playback, SessionError> {
+        let (since, setup) = match self.inputs.first() {
+            Some((since, Input::Setup(setup))) => (*since, setup.clone()),
+            _ => unreachable!("`load` refuses a session that does not begin with a set-up"),
+        };
+        let world = World::since(since, setup, &mut self.shelf)?;
+        let last = self.inputs.last().map_or(since, |(tick, _)| *tick);
+        let end = self.end.as_ref().map_or(last, |(tick, _)| *tick);
+        Ok(Playback { world, end, next: 1, session: self })
+    }
+}
+
+fn bytes(hex: &str) -> Option<Vec<u8>> {
+    let digits = hex.as_bytes();
+    let digit = |digit: u8| char::from(digit).to_digit(16);
+    let pair = |pair: &[u8]| Some((digit(pair[0])? << 4 | digit(pair[1])?) as u8);
+    digits.len().is_multiple_of(2).then(|| digits.chunks_exact(2).map(pair).collect())?
+}
+
+/// A session being played again.
+#[derive(Debug)]
+pub struct Playback {
+    session: Session,
+    /// The world, to look at.
+    pub world: World,
+    end: u64,
+    next: usize,
+}
+
+/// What happened between two looks at a [`Playback`].
+#[derive(Debug)]
+pub struct Step {
+    /// The tick at which the step began.
+    pub tick: u64,
+    /// Inputs that took effect with it.
+    pub inputs: Vec<Input>,
+    /// What was played.
+    pub played: Vec<Played>,
+}
+
+impl Playback {
+    /// Whether the step that begins at this tick is shown.
+    pub fn is_shown(&self, tick: u64) -> bool {
+        tick >= self.session.from_tick
+    }
+
+    /// Applies what is due, and plays one step; none at the end.
+    ///
+    /// # Errors
+    /// [`SessionError`]
+    pub fn step(&mut self) -> Result<Option<Step>, SessionError> {
+        let mut inputs = Vec::new();
+        while let Some((_, input)) = self.session.inputs.get(self.next).filter(|(tick, _)| *tick <= self.world.tick()) {
+            self.world.apply(input, &mut self.session.shelf)?;
+            inputs.push(input.clone());
+            self.next += 1;
+        }
+        let tick = self.world.tick();
+        if tick >= self.end {
+            return Ok(None);
+        }
+        Ok(Some(Step { tick, inputs, played: self.world.step()? }))
+    }
+
+    /// At the end: whether the world is as it was when the session was kept; none if that is not known.
+    pub fn is_as_it_was(&self) -> Option<bool> {
+        self.session.end.as_ref().map(|(_, state)| *state == self.world.fingerprint())
+    }
+}

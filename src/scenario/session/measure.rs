@@ -1,0 +1,170 @@
+//! The numbers of a session: what was measured while it was driven, of all of it.
+
+use super::{Input, Meter, Outcome, Playback, PullReading, PushReading, SceneKind, Seat, SessionError, World};
+use crate::scenario::metrics::{Metric, STRIDE_S};
+use crate::scenario::trace::{EventKind, Frame, Trace};
+
+/// A robot for as long as scene, policy and compliance stay what they are.
+#[derive(Debug)]
+pub struct Take {
+    /// Where.
+    pub scene: SceneKind,
+    /// Of the scene.
+    pub seed: u64,
+    /// Who.
+    pub seat: Seat,
+    /// What happened, without the poses of bodies.
+    pub trace: Trace,
+    /// Every push, and what it did.
+    pub pushes: Vec<PushReading>,
+    /// Every pull that lasted a stride, and what it did at its end.
+    pub pulls: Vec<PullReading>,
+}
+
+/// Plays a session and measures what is shown of it: each robot with each of its policies and compliances.
+///
+/// # Errors
+/// [`SessionError`], as if a policy has changed.
+pub fn takes(playback: &mut Playback) -> Result<Vec<Take>, SessionError> {
+    let mut takes = Vec::new();
+    let mut current = Watched::all(&playback.world);
+    while let Some(step) = playback.step()? {
+        for input in &step.inputs {
+            match input {
+                Input::Setup(_) => {
+                    takes.extend(current.drain(..).map(Watched::end));
+                    current = Watched::all(&playback.world);
+                }
+                Input::Push { size, unit } => {
+                    for (watched, mass_kg) in current.iter_mut().zip(playback.world.masses_kg()) {
+                        watched.meter.push(unit.velocity(*size, mass_kg));
+                        watched.look();
+                    }
+                }
+                Input::Pull(force) => current.iter_mut().for_each(|watched| watched.pull(*force)),
+                Input::Comply { robot, .. } | Input::Renew { robot, .. } => {
+                    let seat = playback.world.setup().robots[*robot].clone();
+                    takes.push(current[*robot].go_on_as(seat));
+                }
+                Input::Command(_) | Input::Reset => {}
+            }
+        }
+        for played in &step.played {
+            let watched = &mut current[played.robot];
+            watched.meter.note(played);
+            watched.look();
+            if playback.is_shown(step.tick) {
+                let light = |frame: &Frame| Frame { bodies: Vec::new(), ..frame.clone() };
+                watched.take.trace.frames.extend(played.frame.as_deref().map(light));
+                watched.take.trace.events.extend(played.events.iter().cloned());
+            }
+        }
+    }
+    takes.extend(current.into_iter().map(Watched::end));
+    takes.retain(|take| !take.trace.frames.is_empty());
+    for take in &mut takes {
+        let first_s = take.trace.frames.first().map_or(0.0, |frame| frame.time_s);
+        take.pushes.retain(|push| push.at_s >= first_s - take.trace.period_s);
+    }
+    Ok(takes)
+}
+
+struct Watched {
+    take: Take,
+    meter: Meter,
+    /// When the hand that pulls took hold \[s\].
+    pulls_since_s: Option<f64>,
+}
+
+impl Watched {
+    fn all(world: &World) -> Vec<Self> {
+        let setup = world.setup();
+        let watched = |(seat, (weight_n, period_s)): (&Seat, (f64, f64))| Watched {
+            take: Take {
+                scene: setup.scene,
+                seed: setup.seed,
+                seat: seat.clone(),
+                trace: Trace { period_s, weight_n, ..Trace::default() },
+                pushes: Vec::new(),
+                pulls: Vec::new(),
+            },
+            meter: Meter::new((weight_n, period_s)),
+            pulls_since_s: None,
+        };
+        setup.robots.iter().zip(world.weights_and_periods()).map(watched).collect()
+    }
+
+    /// Writes down what became of a push.
+    fn look(&mut self) {
+        self.take.pushes.extend(self.meter.concluded());
+    }
+
+    fn pull(&mut self, force: Option<[f64; 2]>) {
+        let reading = self.meter.read().and_then(|reading| reading.pull);
+        let lasted = self.pulls_since_s.is_some_and(|since_s| self.meter.time_s() - since_s >= STRIDE_S);
+        self.take.pulls.extend(reading.filter(|_| lasted));
+        self.pulls_since_s = force.map(|_| self.meter.time_s());
+        self.meter.pull(force);
+        self.look();
+    }
+
+    /// The take so far; another one begins, of the same robot in the same hand.
+    fn go_on_as(&mut self, seat: Seat) -> Take {
+        let hand = self.meter.pulled();
+        self.pull(None);
+        let Trace { period_s, weight_n, .. } = self.take.trace;
+        let trace = Trace { period_s, weight_n, ..Trace::default() };
+        let (pushes, pulls) = (Vec::new(), Vec::new());
+        let next = Take { scene: self.take.scene, seed: self.take.seed, seat, trace, pushes, pulls };
+        let take = std::mem::replace(&mut self.take, next);
+        self.pull(hand);
+        take
+    }
+
+    fn end(mut self) -> Take {
+        self.pull(None);
+        // One that was still looked at when the session ended counts as cut short.
+        self.look();
+        self.take
+    }
+}
+
+impl Take {
+    /// Its numbers: means over the pushes that ended undisturbed, and over the pulls.
+    pub fn metrics(&self) -> Vec<Metric> {
+        let count = |kind: EventKind| self.trace.events.iter().filter(|event| event.kind == kind).count() as f64;
+        let over: Vec<&PushReading> = self.pushes.iter().filter(|push| push.outcome == Outcome::Over).collect();
+        let mean = |values: &mut dyn Iterator<Item = f64>| {
+            let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
+            (count > 0).then(|| sum / f64::from(count))
+        };
+        let pushed = mean(&mut over.iter().map(|push| push.size_m_s[0].hypot(push.size_m_s[1])));
+        let carried = mean(&mut over.iter().filter_map(|push| push.carried_m));
+        let decay = mean(&mut over.iter().filter_map(|push| push.decay_s));
+        let pulled = mean(&mut self.pulls.iter().map(|pull| pull.force_n));
+        let gives = mean(&mut self.pulls.iter().map(|pull| pull.gives_m_s));
+        let power = mean(&mut self.trace.frames.iter().map(|frame| frame.power_w));
+        let error = mean(&mut self.trace.frames.iter().map(|frame| {
+            let [forward, left, _] = frame.velocity_in_heading;
+            (forward - frame.command.forward).hypot(left - frame.command.left)
+        }));
+        let duration_s = self.trace.frames.len() as f64 * self.trace.period_s;
+        let metric = Metric::new;
+        let (no_frame, no_push, no_pull) =
+            ("nothing was driven", "no push ended undisturbed", "nothing pulled for long");
+        vec![
+            metric("duration_s", "driven", Some(duration_s), "s"),
+            metric("falls", "falls", Some(count(EventKind::Fall)), ""),
+            metric("faults", "faults of the physics", Some(count(EventKind::Fault)), ""),
+            metric("velocity_error_m_s", "velocity error, each step", error, "m/s").because(no_frame),
+            metric("power_w", "mechanical power", power, "W").because(no_frame),
+            metric("pushes", "pushes, undisturbed", Some(over.len() as f64), ""),
+            metric("push_m_s", "their size", pushed, "m/s").because(no_push),
+            metric("carried_m", "carried by them", carried, "m").because(no_push),
+            metric("decay_10_s", "decay to 10 %", decay, "s").because(no_push),
+            metric("pulls", "pulls", Some(self.pulls.len() as f64), ""),
+            metric("pull_n", "their force", pulled, "N").because(no_pull),
+            metric("gives_m_s", "gives way along them", gives, "m/s").because(no_pull),
+        ]
+    }
+}

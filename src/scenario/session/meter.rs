@@ -1,0 +1,236 @@
+/*! Numbers of a robot that is being watched: is it softer?
+
+The same definitions as in [`metrics`], on what is there so far: a push is looked at for [`WATCHED_S`] or until something
+else happens that it would be confounded with, a fall or another command or push.
+*/
+
+use serde::Serialize;
+
+use super::Played;
+use crate::scenario::metrics::{self, STRIDE_S};
+use crate::scenario::trace::{Event, EventKind, Frame, Trace};
+use crate::task::Command;
+
+/// How long a push is looked at \[s\].
+pub const WATCHED_S: f64 = 4.0;
+
+/// Within which a push carries the robot \[s\].
+pub const CARRIED_S: f64 = 2.0;
+
+/// What of the push is left when it has decayed.
+const DECAYED: f64 = 0.1;
+
+/// Frames that are kept: what metrics need of the time before a push \[s\].
+const BEFORE_S: f64 = 1.0;
+
+/// What became of a push.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// It is still looked at.
+    Watching,
+    /// It is over.
+    Over,
+    /// The robot fell.
+    Fell,
+    /// Something else happened before it was over: another command or push, a hand.
+    Disturbed,
+}
+
+/// What a push did.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PushReading {
+    /// When it came, on the robot's clock \[s\].
+    pub at_s: f64,
+    /// Forward and left, heading frame [m/s].
+    pub size_m_s: [f64; 2],
+    /// How far it has carried the robot along its direction, beside where it would have walked; within [`CARRIED_S`] \[m\].
+    pub carried_m: Option<f64>,
+    /// How long it took until a tenth of it was left, if it has \[s\].
+    pub decay_s: Option<f64>,
+    /// What became of it.
+    pub outcome: Outcome,
+}
+
+/// What a hand at the trunk does.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PullReading {
+    /// Its force \[N\].
+    pub force_n: f64,
+    /// How fast the robot gives way along it, beside what is asked of it: mean over a stride [m/s].
+    pub gives_m_s: f64,
+}
+
+/// Numbers of now.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Reading {
+    /// Velocity: forward [m/s], left [m/s], yaw rate [rad/s]; mean over a stride.
+    pub velocity: [f64; 3],
+    /// What is asked for, in the same.
+    pub command: [f64; 3],
+    /// Mechanical power, mean over a second \[W\].
+    pub power_w: f64,
+    /// The last push.
+    pub push: Option<PushReading>,
+    /// A hand at the trunk.
+    pub pull: Option<PullReading>,
+}
+
+/// Reads the numbers of one robot, step by step.
+#[derive(Debug)]
+pub struct Meter {
+    /// The last second, and everything since a push that is looked at.
+    trace: Trace,
+    pushed: Option<Pushed>,
+    pulled: Option<[f64; 2]>,
+}
+
+#[derive(Debug)]
+struct Pushed {
+    reading: PushReading,
+    command: Command,
+    /// Whether [`Meter::concluded`] has told of it.
+    is_told: bool,
+}
+
+impl Meter {
+    /// Of a robot of this weight \[N\] and policy period \[s\].
+    pub fn new((weight_n, period_s): (f64, f64)) -> Self {
+        let trace = Trace { period_s, weight_n, ..Trace::default() };
+        Meter { trace, pushed: None, pulled: None }
+    }
+
+    /// The robot is about to be pushed: forward and left, heading frame [m/s].
+    pub fn push(&mut self, size_m_s: [f64; 2]) {
+        self.conclude(Outcome::Disturbed);
+        let at_s = self.time_s();
+        self.forget_before(at_s);
+        let command = self.trace.frames.last().map_or_else(Command::default, |frame| frame.command);
+        let reading = PushReading { at_s, size_m_s, carried_m: None, decay_s: None, outcome: Outcome::Watching };
+        self.pushed = Some(Pushed { reading, command, is_told: false });
+    }
+
+    /// A hand pulls from now on, forward and left in the heading frame \[N\], or lets go.
+    pub fn pull(&mut self, force_n: Option<[f64; 2]>) {
+        self.conclude(Outcome::Disturbed);
+        self.pulled = force_n;
+    }
+
+    /// The hand that pulls, as in [`Meter::pull`].
+    pub fn pulled(&self) -> Option<[f64; 2]> {
+        self.pulled
+    }
+
+    /// A step of the robot.
+    pub fn note(&mut self, step: &Played) {
+        if step.is_beginning {
+            // It was put somewhere else.
+            self.conclude(Outcome::Disturbed);
+            self.trace.frames.clear();
+        }
+        match &step.frame {
+            Some(frame) => self.add(frame, &step.events),
+            None => self.conclude(Outcome::Fell),
+        }
+    }
+
+    fn add(&mut self, frame: &Frame, events: &[Event]) {
+        // Poses of bodies are most of a frame, and no metric reads them.
+        self.trace.frames.push(light(frame));
+        let pushed = self.pushed.as_ref().filter(|pushed| pushed.reading.outcome == Outcome::Watching);
+        let (at_s, command) = match pushed {
+            Some(Pushed { reading, command, .. }) => (reading.at_s, *command),
+            None => return self.forget_before(frame.time_s),
+        };
+        if events.iter().any(|event| matches!(event.kind, EventKind::Fall | EventKind::Fault)) {
+            self.conclude(Outcome::Fell);
+        } else if frame.command != command {
+            self.trace.frames.pop();
+            self.conclude(Outcome::Disturbed);
+        } else if frame.time_s > at_s + WATCHED_S {
+            self.conclude(Outcome::Over);
+        }
+    }
+
+    /// A push that is no longer looked at, once.
+    pub fn concluded(&mut self) -> Option<PushReading> {
+        let pushed = self.pushed.as_mut().filter(|pushed| pushed.reading.outcome != Outcome::Watching)?;
+        (!std::mem::replace(&mut pushed.is_told, true)).then_some(pushed.reading)
+    }
+
+    /// The robot's clock \[s\].
+    pub fn time_s(&self) -> f64 {
+        self.trace.frames.last().map_or(0.0, |frame| frame.time_s)
+    }
+
+    /// Ends the look at a push, with the numbers that there are.
+    fn conclude(&mut self, outcome: Outcome) {
+        let reading = self.push_reading();
+        if let (Some(pushed), Some(reading)) = (&mut self.pushed, reading)
+            && pushed.reading.outcome == Outcome::Watching
+        {
+            pushed.reading = PushReading { outcome, ..reading };
+        }
+    }
+
+    fn push_reading(&self) -> Option<PushReading> {
+        let reading = self.pushed.as_ref()?.reading;
+        if reading.outcome != Outcome::Watching {
+            return Some(reading);
+        }
+        let PushReading { at_s, size_m_s, .. } = reading;
+        let since_s = self.trace.frames.last()?.time_s - at_s;
+        let carried_m = metrics::carried(&self.trace, at_s, size_m_s, since_s.min(CARRIED_S));
+        let decay = metrics::decay(&self.trace, at_s, size_m_s, DECAYED, STRIDE_S);
+        Some(PushReading { carried_m, decay_s: decay.and_then(metrics::Decay::ended_s), ..reading })
+    }
+
+    fn forget_before(&mut self, time_s: f64) {
+        let kept = |frame: &Frame| frame.time_s > time_s - BEFORE_S - self.trace.period_s;
+        let first = self.trace.frames.iter().position(kept).unwrap_or(self.trace.frames.len());
+        self.trace.frames.drain(..first);
+    }
+
+    /// The numbers of now; none before the first step.
+    pub fn read(&self) -> Option<Reading> {
+        let trace = &self.trace;
+        let last = trace.frames.last()?;
+        let stride = || metrics::window(trace, last.time_s - STRIDE_S, last.time_s);
+        let mean = |of: fn(&Frame) -> f64| metrics::mean(stride(), of).unwrap_or_default();
+        let command = last.command;
+        let pull = self.pulled.map(|force| {
+            let force_n = force[0].hypot(force[1]);
+            let along = |frame: &Frame| {
+                let [forward, left] = [
+                    frame.velocity_in_heading[0] - frame.command.forward,
+                    frame.velocity_in_heading[1] - frame.command.left,
+                ];
+                (forward * force[0] + left * force[1]) / force_n.max(f64::MIN_POSITIVE)
+            };
+            PullReading { force_n, gives_m_s: metrics::mean(stride(), along).unwrap_or_default() }
+        });
+        Some(Reading {
+            velocity: [
+                mean(|frame| frame.velocity_in_heading[0]),
+                mean(|frame| frame.velocity_in_heading[1]),
+                mean(|frame| frame.yaw_rate),
+            ],
+            command: [command.forward, command.left, command.yaw],
+            power_w: metrics::mean(metrics::window(trace, last.time_s - 1.0, last.time_s), |frame| frame.power_w)?,
+            push: self.push_reading(),
+            pull,
+        })
+    }
+}
+
+/// A frame without the poses of bodies.
+fn light(frame: &Frame) -> Frame {
+    Frame {
+        time_s: frame.time_s,
+        command: frame.command,
+        velocity_in_heading: frame.velocity_in_heading,
+        yaw_rate: frame.yaw_rate,
+        power_w: frame.power_w,
+        ..Frame::default()
+    }
+}

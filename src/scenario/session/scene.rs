@@ -1,0 +1,98 @@
+//! Scenes to walk about in: those of the catalog, with ground in every direction.
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::{Config, ConfigError};
+use crate::scenario::Script;
+use crate::scenario::catalog::{
+    BallPit, FreeBox, Outdoor, Rubble, Scenario, ScriptError, Task, Terrain, Walk, defaults,
+};
+use crate::task::Command;
+
+/// How long a robot lies before it is set on its feet \[s\].
+const LIES_S: f64 = 2.0;
+
+/// A command, and how long it is followed: for scenes whose ground is as large as the way.
+const WAY: ([f64; 3], f64) = ([0.5, 0.0, 0.5], 18.0);
+
+/// Where robots are driven.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SceneKind {
+    /// A plane.
+    Flat,
+    /// A field of loose balls.
+    BallPit,
+    /// Perlin terrain.
+    Terrain,
+    /// Wooden blocks and soft mats.
+    Blocks,
+    /// A free box.
+    Box,
+    /// Hills of varied friction.
+    Hills,
+}
+
+impl SceneKind {
+    /// All of them.
+    pub const ALL: [SceneKind; 6] =
+        [SceneKind::Flat, SceneKind::BallPit, SceneKind::Terrain, SceneKind::Blocks, SceneKind::Box, SceneKind::Hills];
+
+    /// Its name in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            SceneKind::Flat => "flat",
+            SceneKind::BallPit => "ball-pit",
+            SceneKind::Terrain => "terrain",
+            SceneKind::Blocks => "blocks",
+            SceneKind::Box => "box",
+            SceneKind::Hills => "hills",
+        }
+    }
+
+    /// The scene of that name.
+    pub fn of_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|scene| scene.name() == name)
+    }
+
+    fn scenario(self) -> Result<Scenario, ConfigError> {
+        let roaming = |task: Task| {
+            let ([forward_m_s, left_m_s, yaw_rad_s], duration_s) = WAY;
+            Task { forward_m_s, left_m_s, yaw_rad_s, duration_s, ..task }
+        };
+        Ok(match self {
+            SceneKind::Flat => Scenario::Walk(defaults::<Walk>("walk")?),
+            SceneKind::BallPit => Scenario::BallPit(defaults::<BallPit>("ball-pit")?),
+            SceneKind::Terrain => {
+                let terrain: Terrain = defaults("terrain")?;
+                Scenario::Terrain(Terrain { task: roaming(terrain.task), ..terrain })
+            }
+            SceneKind::Blocks => Scenario::Rubble(defaults::<Rubble>("rubble")?),
+            SceneKind::Box => Scenario::Box(defaults::<FreeBox>("box")?),
+            SceneKind::Hills => {
+                let hills: Outdoor = defaults("outdoor")?;
+                Scenario::Outdoor(Outdoor { task: roaming(hills.task), ..hills })
+            }
+        })
+    }
+
+    /// The script of a robot that stands in this scene and waits.
+    ///
+    /// # Errors
+    /// [`ScriptError`], as for a robot whose file does not fit.
+    pub fn script(self, seed: u64, config: &Config) -> Result<Script, SceneError> {
+        let script = self.scenario()?.script(seed, config)?;
+        Ok(Script { command: Command::default(), duration_s: f64::INFINITY, after_fall_s: LIES_S, ..script })
+    }
+}
+
+/// Why there is no scene.
+#[derive(Debug, thiserror::Error)]
+pub enum SceneError {
+    /// Its parameters.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// What it makes of them, or its robot.
+    #[error(transparent)]
+    Script(#[from] ScriptError),
+}

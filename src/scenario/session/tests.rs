@@ -1,0 +1,321 @@
+//! Worlds, sessions and the numbers read while they are played.
+
+use std::path::Path;
+
+use super::*;
+use crate::config::Config;
+use crate::network::ActorCritic;
+use crate::policy::{Agent, Policy, Provenance};
+use crate::robot::{JOINTS, Robot};
+use crate::scenario::metrics::{self, STRIDE_S};
+use crate::scenario::trace::{EventKind, Frame, Trace};
+use crate::util::random::{Purpose, stream};
+
+/// A policy that holds a pose, as a file.
+fn standing(pose: [f64; 3]) -> Vec<u8> {
+    let mut config = Config::load("compliant").unwrap();
+    config.action.nominal_pose_rad = pose;
+    let layout = config.layout().unwrap();
+    let mut rng = stream(0, Purpose::Weights, 0, 0);
+    let network = ActorCritic::orthogonal(layout.length(), &[8], JOINTS, -1.0, &mut rng).zeros_like();
+    let robot = Robot::load("go1").unwrap();
+    let provenance = Provenance {
+        config_name: "compliant".into(),
+        config,
+        seed: 0,
+        samples: 0,
+        git_revision: "test".into(),
+        mujoco_version: "2.2.2".into(),
+    };
+    Policy::new(&network, &robot, layout, provenance).to_bytes().unwrap()
+}
+
+const UPRIGHT: [f64; 3] = [0.0, 0.72, -1.44];
+const LYING: [f64; 3] = [0.0, 1.5, -2.7];
+
+/// Robots that hold a pose, in a scene.
+fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut Shelf) -> Setup {
+    let seat = |pose: &[f64; 3]| {
+        let file = standing(*pose);
+        shelf.put_file("standing", file.clone()).unwrap();
+        let sha256 = Agent::from(Policy::from_bytes(&file, Path::new("standing")).unwrap()).sha256;
+        let robot_sha256 = Robot::load("go1").unwrap().sha256();
+        Seat { policy: "standing".into(), sha256, robot: "go1".into(), robot_sha256, compliance: 0.0 }
+    };
+    Setup { scene, seed: 0, robots: poses.iter().map(seat).collect() }
+}
+
+/// Plays shipped policies with inputs at ticks, writing the session down; returns the world, the session and its writer.
+fn drive(inputs: &[(u64, Input)], until: u64) -> (World, Writer) {
+    let mut shelf = Shelf::default();
+    let robots = ["compliant", "baseline"].map(|name| shelf.find(name, None).unwrap()).to_vec();
+    let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
+    let mut world = World::new(setup.clone(), &mut shelf).unwrap();
+    let mut writer = Writer::new(tempfile::tempfile().unwrap());
+    writer.input(0, &Input::Setup(setup), &shelf).unwrap();
+    let mut inputs = inputs.iter().peekable();
+    while world.tick() < until {
+        while let Some((_, input)) = inputs.next_if(|(tick, _)| *tick <= world.tick()) {
+            writer.input(world.tick(), input, &shelf).unwrap();
+            world.apply(input, &mut shelf).unwrap();
+        }
+        world.step().unwrap();
+    }
+    (world, writer)
+}
+
+fn walk(forward: f64) -> Input {
+    Input::Command(Command::velocity(forward, 0.0, 0.0))
+}
+
+#[test]
+fn a_session_is_played_again_to_the_last_bit_from_its_beginning_and_from_its_last_set_up() {
+    let mut shelf = Shelf::default();
+    let robots = ["baseline", "compliant"].map(|name| shelf.find(name, None).unwrap()).to_vec();
+    let boxed = Setup { scene: SceneKind::Box, seed: 7, robots };
+    let inputs = [
+        (8, walk(0.4)),
+        (60, Input::Push { size: [0.1, 0.3], unit: Unit::Velocity }),
+        (100, Input::Pull(Some([5.0, -10.0]))),
+        (160, Input::Reset),
+        (200, Input::Pull(None)),
+        (240, Input::Setup(boxed)),
+        (244, walk(0.3)),
+        (300, Input::Push { size: [4.0, 0.0], unit: Unit::Momentum }),
+    ];
+    let (world, mut writer) = drive(&inputs, 360);
+    let folder = tempfile::tempdir().unwrap();
+    for from in [None, Some(280), Some(120)] {
+        let path = folder.path().join("kept.jsonl");
+        writer.keep(&path, from, world.tick(), world.fingerprint()).unwrap();
+        let session = Session::load(&path).unwrap();
+        // From 280 on, nothing from before the box matters.
+        let count = if from == Some(280) { 3 } else { inputs.len() + 1 };
+        assert_eq!(session.inputs().len(), count);
+        let mut playback = session.play().unwrap();
+        let mut shown = Vec::new();
+        while let Some(step) = playback.step().unwrap() {
+            if playback.is_shown(step.tick) {
+                shown.push(step.tick);
+            }
+        }
+        assert_eq!((shown[0], *shown.last().unwrap()), (from.unwrap_or(0), 356));
+        assert_eq!(playback.is_as_it_was(), Some(true));
+    }
+}
+
+#[test]
+fn a_robot_yields_as_far_as_it_is_told_and_the_other_stays_as_it_is() {
+    let comply = |compliance| Input::Comply { robot: 1, compliance };
+    let inputs = [
+        (8, walk(0.5)),
+        (240, Input::Pull(Some([10.0, 0.0]))),
+        (1200, Input::Pull(None)),
+        (1440, comply(0.04)),
+        (1680, Input::Pull(Some([10.0, 0.0]))),
+        (2640, Input::Pull(None)),
+    ];
+    let (world, mut writer) = drive(&inputs, 2700);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.jsonl");
+    writer.keep(&path, None, world.tick(), world.fingerprint()).unwrap();
+    let mut playback = Session::load(&path).unwrap().play().unwrap();
+    let takes = takes(&mut playback).unwrap();
+    assert_eq!(playback.is_as_it_was(), Some(true));
+    let told: Vec<_> = takes.iter().map(|take| (take.seat.policy.as_str(), take.seat.compliance)).collect();
+    assert_eq!(told, [("baseline", 0.0), ("compliant", 0.0), ("baseline", 0.04)]);
+    let yields = |take: &Take| take.pulls.iter().map(|pull| pull.gives_m_s / pull.force_n).collect::<Vec<_>>();
+    let (before, after) = (yields(&takes[0])[0], yields(&takes[2])[0]);
+    assert!((0.03..0.05).contains(&after) && before < 0.02, "{before} {after}");
+    let [first, second] = yields(&takes[1])[..] else { panic!("two pulls") };
+    assert!((first - second).abs() < 0.01, "{first} {second}");
+}
+
+#[test]
+fn a_compliance_that_a_policy_cannot_give_is_refused_and_forgotten_with_a_policy_that_has_none() {
+    let mut shelf = Shelf::default();
+    let Setup { robots: standing, .. } = setup(&[UPRIGHT], SceneKind::Flat, &mut shelf);
+    let robots = vec![shelf.find("baseline", None).unwrap(), standing[0].clone()];
+    let told = Setup { scene: SceneKind::Flat, seed: 0, robots };
+    let mut world = World::new(told, &mut shelf).unwrap();
+    let mut comply = |robot, compliance| world.apply(&Input::Comply { robot, compliance }, &mut shelf).is_ok();
+    for beyond in [-0.01, 1e-6, 1.0, f64::NAN] {
+        assert!(!comply(0, beyond), "{beyond}");
+    }
+    assert!(comply(0, 0.03) && comply(1, 0.0) && !comply(1, 0.03) && !comply(2, 0.03));
+    assert_eq!(world.setup().robots[0].compliance, 0.03);
+    // Another scene, and a command, leave it as it is; a policy that nobody has measured does not have it.
+    let hills = Setup { scene: SceneKind::Box, ..world.setup().clone() };
+    world.apply(&Input::Setup(hills), &mut shelf).unwrap();
+    world.apply(&walk(0.5), &mut shelf).unwrap();
+    let frame = |world: &mut World| world.step().unwrap()[0].frame.clone().unwrap();
+    assert_eq!(frame(&mut world).command, Command { compliance: 0.03, ..Command::velocity(0.5, 0.0, 0.0) });
+    let sha256 = standing[0].sha256.clone();
+    world.apply(&Input::Renew { robot: 0, sha256 }, &mut shelf).unwrap();
+    assert_eq!(frame(&mut world).command, Command::velocity(0.5, 0.0, 0.0));
+    assert_eq!(world.setup().robots[0].compliance, 0.0);
+}
+
+#[test]
+fn the_smallest_change_of_an_input_is_another_end() {
+    let push = |left: f64| [(8, walk(0.4)), (40, Input::Push { size: [0.1, left], unit: Unit::Velocity })];
+    let end = |left: f64| drive(&push(left), 120).0.fingerprint();
+    assert_eq!(end(0.3), end(0.3));
+    assert_ne!(end(0.3), end(0.3 + f64::EPSILON));
+}
+
+#[test]
+fn a_command_moves_a_robot_in_the_second_frame_after_it() {
+    // The joint target comes out of the step's policy, and acts 30 ms later: 7.2 of 240 Hz, in the second step.
+    let positions = |forward: f64, steps: u64| drive(&[(40, walk(forward))], 40 + 4 * steps).0.fingerprint();
+    assert_eq!(positions(0.0, 1), positions(0.5, 1));
+    assert_ne!(positions(0.0, 2), positions(0.5, 2));
+}
+
+#[test]
+fn a_robot_that_falls_is_set_on_its_feet_after_two_seconds_where_it_lies_and_the_count_goes_up() {
+    let mut shelf = Shelf::default();
+    let mut world = World::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
+    let mut frames: Vec<(bool, std::sync::Arc<Frame>)> = Vec::new();
+    let mut fell_s = None;
+    while world.tick() < 240 * 6 {
+        if world.tick() == 240 {
+            world.apply(&Input::Push { size: [0.5, 3.0], unit: Unit::Velocity }, &mut shelf).unwrap();
+        }
+        for played in world.step().unwrap() {
+            let fall = played.events.iter().find(|event| event.kind == EventKind::Fall);
+            fell_s = fell_s.or(fall.map(|fall| fall.time_s));
+            frames.push((played.is_beginning, played.frame.unwrap()));
+        }
+    }
+    let fell_s = fell_s.unwrap();
+    assert_eq!(world.falls().collect::<Vec<_>>(), [1]);
+    let again = frames.iter().rposition(|(is_beginning, _)| *is_beginning).unwrap();
+    let (before, after) = (&frames[again - 1].1, &frames[again].1);
+    assert!((after.time_s - fell_s - 2.0).abs() < 0.04, "fell at {fell_s}, stood at {}", after.time_s);
+    for axis in [0, 1] {
+        assert!(
+            (before.position[axis] - after.position[axis]).abs() < 0.01,
+            "{:?} {:?}",
+            before.position,
+            after.position
+        );
+    }
+    let turned = (before.roll_pitch_yaw[2] - after.roll_pitch_yaw[2]).abs();
+    assert!(turned < 0.01 && after.roll_pitch_yaw[0].abs() < 0.02 && after.height_m > 0.25, "{after:?}");
+    assert!(before.position[1] > 0.1, "it was thrown to the left");
+}
+
+#[test]
+fn robots_of_one_world_do_not_touch_each_other() {
+    // The same robot alone, and beside one that lies on the floor and is set up again and again.
+    let mut shelf = Shelf::default();
+    let play = |poses: &[[f64; 3]], shelf: &mut Shelf| {
+        let mut world = World::new(setup(poses, SceneKind::Box, shelf), shelf).unwrap();
+        let mut last = None;
+        while world.tick() < 720 {
+            last = world.step().unwrap().into_iter().find(|played| played.robot == 0).or(last);
+        }
+        (last.unwrap().frame.unwrap(), world.falls().collect::<Vec<_>>())
+    };
+    let (alone, _) = play(&[UPRIGHT], &mut shelf);
+    let (beside, falls) = play(&[UPRIGHT, LYING], &mut shelf);
+    assert_eq!(alone, beside);
+    assert!(falls[0] == 0 && falls[1] >= 1, "{falls:?}");
+}
+
+#[test]
+fn a_world_needs_one_robot_or_two_and_an_input_that_fits() {
+    let mut shelf = Shelf::default();
+    let three = setup(&[UPRIGHT, UPRIGHT, UPRIGHT], SceneKind::Flat, &mut shelf);
+    assert!(World::new(three, &mut shelf).unwrap_err().to_string().contains("3 of robots"));
+    let mut world = World::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
+    let before = world.fingerprint();
+    let renewed = Input::Renew { robot: 1, sha256: "0".into() };
+    assert!(world.apply(&renewed, &mut shelf).is_err());
+    let mut gone = world.setup().clone();
+    gone.robots[0] = Seat { policy: "nobody".into(), sha256: "0".into(), ..gone.robots[0].clone() };
+    assert!(world.apply(&Input::Setup(gone), &mut shelf).is_err());
+    assert_eq!(world.fingerprint(), before);
+}
+
+#[test]
+fn a_meter_reads_of_a_push_what_the_metrics_read_of_its_whole_trace() {
+    let period_s = 1.0 / 60.0;
+    let velocity = |time_s: f64| 0.4 + if time_s > 2.0 { 0.5 * (-(time_s - 2.0) / 0.3).exp() } else { 0.0 };
+    let frame = |step: u32| {
+        let time_s = f64::from(step) * period_s;
+        Frame { time_s, velocity_in_heading: [velocity(time_s), 0.0, 0.0], power_w: 20.0, ..Frame::default() }
+    };
+    let mut meter = Meter::new((120.0, period_s));
+    let mut trace = Trace { period_s, weight_n: 120.0, ..Trace::default() };
+    for step in 1..=480 {
+        if step == 121 {
+            meter.push([0.5, 0.0]);
+        }
+        trace.frames.push(frame(step));
+        let frame = Some(std::sync::Arc::new(frame(step)));
+        meter.note(&Played { robot: 0, is_beginning: step == 1, frame, events: Vec::new() });
+    }
+    let reading = meter.read().unwrap();
+    let push = reading.push.unwrap();
+    assert_eq!(push.outcome, Outcome::Over);
+    // The integral of 0.5 exp(−t / 0.3) over 2 s is 0.15 (1 − exp(−6.7)) = 0.1498 m; a step's width off at most.
+    let carried = push.carried_m.unwrap();
+    assert!((carried - 0.1498).abs() < 0.5 * period_s, "{carried}");
+    assert!((carried - metrics::carried(&trace, 2.0, [0.5, 0.0], CARRIED_S).unwrap()).abs() < 1e-12);
+    let decay = metrics::decay(&trace.until(6.0), 2.0, [0.5, 0.0], 0.1, STRIDE_S).unwrap();
+    assert_eq!(push.decay_s, decay.ended_s());
+    assert!((reading.power_w - 20.0).abs() < 1e-12 && (reading.velocity[0] - 0.4).abs() < 1e-3, "{reading:?}");
+}
+
+#[test]
+fn a_push_that_is_disturbed_is_said_to_be() {
+    let period_s = 1.0 / 60.0;
+    let outcome = |disturb: fn(&mut Meter, &mut Frame)| {
+        let mut meter = Meter::new((120.0, period_s));
+        for step in 1..=240_u32 {
+            if step == 121 {
+                meter.push([0.5, 0.0]);
+            }
+            let mut frame = Frame { time_s: f64::from(step) * period_s, ..Frame::default() };
+            if step > 150 {
+                disturb(&mut meter, &mut frame);
+            }
+            let frame = Some(std::sync::Arc::new(frame));
+            meter.note(&Played { robot: 0, is_beginning: false, frame, events: Vec::new() });
+        }
+        meter.read().unwrap().push.unwrap().outcome
+    };
+    assert_eq!(outcome(|_, _| ()), Outcome::Watching);
+    assert_eq!(outcome(|_, frame| frame.command.forward = 0.5), Outcome::Disturbed);
+    assert_eq!(outcome(|meter, _| meter.pull(Some([1.0, 0.0]))), Outcome::Disturbed);
+}
+
+#[test]
+fn what_is_no_session_is_refused_line_by_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.jsonl");
+    let head = r#"{"session":{"format":1,"program":"","from_tick":0}}"#;
+    let walk = r#"{"input":{"tick":4,"input":{"command":{"forward":1.0,"left":0.0,"yaw":0.0}}}}"#;
+    for (text, expected) in [
+        (String::new(), "does not begin with a set-up"),
+        (format!("{walk}\n"), "line 1: it does not say that it is a session"),
+        (format!("{head}\n{walk}\n"), "does not begin with a set-up"),
+        (format!("{head}\n{head}\n"), "line 2: a second session begins"),
+        (format!("{head}\n{{\"input\":{{\"tick\":-1,\"input\":\"reset\"}}}}\n"), "line 2: it is no session"),
+        (head.replace("\"format\":1", "\"format\":2") + "\n", "line 1: it has format 2, this program knows 1"),
+        (
+            format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"00\"}}}}\n"),
+            "line 2: the policy 'p' is damaged",
+        ),
+        (
+            format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"0\"}}}}\n"),
+            "line 2: the policy's file is not",
+        ),
+    ] {
+        std::fs::write(&path, &text).unwrap();
+        let error = Session::load(&path).unwrap_err().to_string();
+        assert!(error.contains(expected), "{text}: {error}");
+    }
+}

@@ -1,0 +1,292 @@
+//! Robots on one clock.
+//!
+//! The clock ticks at [`RATE_HZ`]. A robot's policy step begins at the first tick at or after the time that its own rate
+//! gives it, so that robots of different rates share a world; inputs take effect with the first step that begins at their
+//! tick or later.
+
+use std::sync::Arc;
+use std::thread;
+
+use super::scene::SceneError;
+use super::{Input, Seat, Setup, Shelf, ShelfError};
+use crate::config::Simulation;
+use crate::mujoco;
+use crate::policy::Agent;
+use crate::policy::compliance::ComplianceError;
+use crate::scenario::trace::{Event, EventKind, Frame};
+use crate::scenario::{Rollout, Script};
+use crate::sim::{Push, Scene};
+use crate::task::Command;
+use crate::util::files;
+
+/// Ticks per second: the physics rate of the paper.
+pub const RATE_HZ: u64 = 240;
+
+/// Robots that there is room for.
+const MOST_ROBOTS: usize = 2;
+
+/// Why a world cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum WorldError {
+    /// A policy or robot.
+    #[error(transparent)]
+    Shelf(#[from] ShelfError),
+    /// The scene.
+    #[error(transparent)]
+    Scene(#[from] SceneError),
+    /// It cannot yield so far.
+    #[error(transparent)]
+    Compliance(#[from] ComplianceError),
+    /// It does not compile.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+    /// A newer policy that runs at other rates, gains or latency.
+    #[error("the newer policy runs at other rates, gains or latency: it needs a world of its own")]
+    OtherBody,
+    /// A set-up of no or too many robots, or an input for one that is not there.
+    #[error("{found} of robots, expected {expected}")]
+    Robots {
+        /// What was found.
+        found: String,
+        /// What would fit.
+        expected: String,
+    },
+}
+
+/// A step of one of the robots.
+#[derive(Debug, Clone)]
+pub struct Played {
+    /// Which.
+    pub robot: usize,
+    /// Whether it stands there because it was put there before this step: at the start, on its feet after a fall.
+    pub is_beginning: bool,
+    /// The state after the step; none if the physics failed in it.
+    pub frame: Option<Arc<Frame>>,
+    /// What happened in it.
+    pub events: Vec<Event>,
+}
+
+/// Robots that meet the same.
+#[derive(Debug)]
+pub struct World {
+    setup: Setup,
+    players: Vec<Player>,
+    /// When this set-up began \[ticks\].
+    since: u64,
+}
+
+struct Player {
+    agent: Arc<Agent>,
+    script: Script,
+    rollout: Rollout<'static>,
+    is_beginning: bool,
+    steps: u64,
+    falls: u32,
+}
+
+impl std::fmt::Debug for Player {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Player").field("steps", &self.steps).field("falls", &self.falls).finish_non_exhaustive()
+    }
+}
+
+impl World {
+    /// A world at its start.
+    ///
+    /// # Errors
+    /// [`WorldError`]
+    pub fn new(setup: Setup, shelf: &mut Shelf) -> Result<Self, WorldError> {
+        Self::since(0, setup, shelf)
+    }
+
+    /// As [`World::new`], on a clock that has already run.
+    pub(super) fn since(since: u64, setup: Setup, shelf: &mut Shelf) -> Result<Self, WorldError> {
+        if !(1..=MOST_ROBOTS).contains(&setup.robots.len()) {
+            return Err(WorldError::Robots { found: setup.robots.len().to_string(), expected: "one or two".into() });
+        }
+        let player = |seat: &Seat| Player::new(&setup, seat, shelf.take(seat)?);
+        let players = setup.robots.iter().map(player).collect::<Result<_, WorldError>>()?;
+        Ok(World { setup, players, since })
+    }
+
+    /// What is played.
+    pub fn setup(&self) -> &Setup {
+        &self.setup
+    }
+
+    /// Scenes of the robots, to be looked at.
+    pub fn scenes(&self) -> impl Iterator<Item = &Scene> {
+        self.players.iter().map(|player| &player.script.scene)
+    }
+
+    /// Weight \[N\] and policy period \[s\] of a robot, for [`Meter`](super::Meter)s.
+    pub fn weights_and_periods(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
+        self.players.iter().map(|player| {
+            let trace = player.rollout.empty_trace();
+            (trace.weight_n, trace.period_s)
+        })
+    }
+
+    /// Compliance that each robot can be told, least and largest, and what it has by itself [m/s/N]; none if its policy is not
+    /// calibrated.
+    pub fn reaches(&self) -> impl Iterator<Item = Option<([f64; 2], f64)>> + '_ {
+        let calibrations = self.players.iter().map(|player| player.agent.calibration.as_ref());
+        calibrations.map(|calibration| calibration.map(|found| (found.range(), found.own_m_s_per_n)))
+    }
+
+    /// Rates, gains and latency that a robot runs with.
+    pub fn simulation(&self, robot: usize) -> Option<&Simulation> {
+        Some(&self.players.get(robot)?.agent.config.simulation)
+    }
+
+    /// Mass of each robot \[kg\].
+    pub fn masses_kg(&self) -> impl Iterator<Item = f64> + '_ {
+        self.players.iter().map(|player| player.script.scene.robot.mass_kg)
+    }
+
+    /// How often each robot has fallen.
+    pub fn falls(&self) -> impl Iterator<Item = u32> + '_ {
+        self.players.iter().map(|player| player.falls)
+    }
+
+    /// The largest commands that all policies were trained for.
+    pub fn range(&self) -> Command {
+        let ranges = self.players.iter().map(|player| &player.agent.config.command);
+        let least = [f64::INFINITY; 3];
+        let [forward, left, yaw] = ranges.fold(least, |[forward, left, yaw], range| {
+            [forward.min(range.forward_m_s), left.min(range.left_m_s), yaw.min(range.yaw_rad_s)]
+        });
+        Command::velocity(forward, left, yaw)
+    }
+
+    /// The tick at which the next step begins.
+    pub fn tick(&self) -> u64 {
+        self.since + self.players.iter().map(Player::due).min().unwrap_or(0)
+    }
+
+    /// Takes an input: it takes effect with the next step of each robot.
+    ///
+    /// # Errors
+    /// [`WorldError`]; the world is then as it was.
+    pub fn apply(&mut self, input: &Input, shelf: &mut Shelf) -> Result<(), WorldError> {
+        match input {
+            Input::Command(command) => self.rollouts().for_each(|rollout| {
+                rollout.ask(Command { compliance: rollout.command().compliance, ..*command });
+            }),
+            Input::Push { size, unit } => self.rollouts().for_each(|rollout| {
+                let linear = unit.velocity(*size, rollout.sim().robot().mass_kg);
+                rollout.push(Push { linear, angular: [0.0; 3] });
+            }),
+            Input::Pull(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
+            Input::Comply { robot, compliance } => {
+                let (seat, player) = self.robot(*robot)?;
+                player.agent.check_compliance(*compliance)?;
+                seat.compliance = *compliance;
+                player.rollout.ask(Command { compliance: *compliance, ..*player.rollout.command() });
+            }
+            Input::Reset => self.players.iter_mut().try_for_each(Player::restart)?,
+            Input::Renew { robot, sha256 } => {
+                let (seat, player) = self.robot(*robot)?;
+                let mut renewed = Seat { sha256: sha256.clone(), ..seat.clone() };
+                let agent = shelf.take(&renewed)?;
+                if agent.check_compliance(seat.compliance).is_err() {
+                    renewed.compliance = 0.0;
+                }
+                if agent.config.simulation != player.agent.config.simulation {
+                    return Err(WorldError::OtherBody);
+                }
+                player.rollout.hand_over(agent.shared_controller());
+                player.rollout.ask(Command { compliance: renewed.compliance, ..*player.rollout.command() });
+                *seat = renewed;
+                player.agent = agent;
+            }
+            Input::Setup(setup) => *self = Self::since(self.tick(), setup.clone(), shelf)?,
+        }
+        Ok(())
+    }
+
+    fn robot(&mut self, robot: usize) -> Result<(&mut Seat, &mut Player), WorldError> {
+        let expected = format!("0 to {}", self.players.len() - 1);
+        let found = self.setup.robots.get_mut(robot).zip(self.players.get_mut(robot));
+        found.ok_or_else(|| WorldError::Robots { found: format!("number {robot}"), expected })
+    }
+
+    fn rollouts(&mut self) -> impl Iterator<Item = &mut Rollout<'static>> {
+        self.players.iter_mut().map(|player| &mut player.rollout)
+    }
+
+    /// Plays the step of every robot whose step begins at [`World::tick`], side by side.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo that setting the robot back does not mend.
+    pub fn step(&mut self) -> Result<Vec<Played>, WorldError> {
+        let tick = self.tick() - self.since;
+        let mut due: Vec<(usize, &mut Player)> =
+            self.players.iter_mut().enumerate().filter(|(_, player)| player.due() == tick).collect();
+        let played = match &mut due[..] {
+            [(first, one), (second, two)] => thread::scope(|scope| {
+                let second = scope.spawn(|| two.step(*second));
+                let first = one.step(*first);
+                // A panic there is one here.
+                let second = second.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+                vec![first, second]
+            }),
+            alone => alone.iter_mut().map(|(robot, player)| player.step(*robot)).collect(),
+        };
+        Ok(played.into_iter().collect::<mujoco::Result<_>>()?)
+    }
+
+    /// Identity of the state of everything that moves, to the last bit.
+    pub fn fingerprint(&self) -> String {
+        let numbers = self.players.iter().flat_map(|player| {
+            let data = player.rollout.sim().data();
+            data.positions().iter().chain(data.velocities())
+        });
+        let bytes: Vec<u8> = numbers.flat_map(|number| number.to_bits().to_le_bytes()).collect();
+        files::sha256(&[&bytes])
+    }
+}
+
+impl Player {
+    fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, WorldError> {
+        agent.check_compliance(seat.compliance)?;
+        let mut script = setup.scene.script(setup.seed, &agent.config)?;
+        script.command.compliance = seat.compliance;
+        let controller = agent.shared_controller();
+        let rollout = Rollout::owned(script.clone(), agent.config.clone(), controller)?.with_bodies();
+        Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })
+    }
+
+    /// When the next step begins, since the set-up's start \[ticks\].
+    fn due(&self) -> u64 {
+        (self.steps * RATE_HZ).div_ceil(u64::from(self.agent.config.simulation.policy_rate_hz))
+    }
+
+    /// One policy step; before it, a robot that has lain for a while is set on its feet, and one whose physics failed is
+    /// put back to its start.
+    fn step(&mut self, robot: usize) -> mujoco::Result<Played> {
+        self.steps += 1;
+        let played = match self.rollout.next() {
+            Some(played) => Some(played),
+            None => {
+                if self.rollout.has_failed() {
+                    self.rollout.restart()?;
+                } else {
+                    self.rollout.set_on_feet()?;
+                }
+                self.is_beginning = true;
+                self.rollout.next()
+            }
+        };
+        let is_beginning = std::mem::take(&mut self.is_beginning);
+        let Some(played) = played else { return Ok(Played { robot, is_beginning, frame: None, events: Vec::new() }) };
+        let fell = played.events.iter().filter(|event| event.kind == EventKind::Fall).count();
+        self.falls += u32::try_from(fell).unwrap_or(0);
+        Ok(Played { robot, is_beginning, frame: played.frame.map(Arc::new), events: played.events })
+    }
+
+    fn restart(&mut self) -> mujoco::Result<()> {
+        self.is_beginning = true;
+        self.rollout.restart()
+    }
+}
