@@ -108,7 +108,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
     let mut parts = serde_json::json!({
         "program": MEASURES,
         // One that cannot be read fails in its first trial, with the reason.
-        "robot": Robot::load(&contestant.agent.config.robot.model).map(|robot| robot.sha256()).unwrap_or_default(),
+        "robot": contestant.agent.config.robot.load().map(|robot| robot.sha256()).unwrap_or_default(),
         "experiment": experiment.info().name,
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),

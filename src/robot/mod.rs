@@ -25,13 +25,23 @@ use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
 
 /// The robots inside the program: name and MJCF.
-const SHIPPED: &[(&str, &str)] = &[("go1", include_str!("../../models/go1.xml"))];
+const SHIPPED: &[(&str, &str)] =
+    &[("go1", include_str!("../../models/go1.xml")), ("go2", include_str!("../../models/go2.xml"))];
 
 /// Name of the site at the trunk's centre of mass, to which ropes are tied.
 pub const HARNESS: &str = "harness";
 
 /// What errors call it.
 const ROBOT: &str = "robot";
+
+/// What is lost in every joint, beside what the controller's `K_d` takes.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Losses {
+    /// Dry friction [N·m].
+    pub friction_n_m: f64,
+    /// Viscous damping [N·m·s/rad].
+    pub damping_n_m_s_per_rad: f64,
+}
 
 /// A quadruped.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,6 +55,8 @@ pub struct Robot {
     pub joint_limits: [[f64; 2]; JOINTS],
     /// Largest torques of the motors [N·m].
     pub torque_limits: Joints,
+    /// Losses in the joints: none, unless a configuration says so.
+    pub losses: Losses,
     /// What the robot starts from: the trunk's position and quaternion, then the joint angles in the model's order.
     pub stand: Vec<f64>,
     /// Geometry of the legs, in the order of [`LEGS`].
@@ -84,6 +96,11 @@ impl Robot {
         Self::new(name, mjcf, report, fall_height_m).map(Arc::new)
     }
 
+    /// The same robot with other losses in its joints.
+    pub fn with_losses(self: Arc<Self>, losses: Losses) -> Arc<Self> {
+        if self.losses == losses { self } else { Arc::new(Robot { losses, ..Robot::clone(&self) }) }
+    }
+
     /// Whether a robot of this name ships.
     pub fn ships(name: &str) -> bool {
         SHIPPED.iter().any(|(shipped, _)| *shipped == name)
@@ -111,6 +128,7 @@ impl Robot {
             report,
             joint_limits,
             torque_limits,
+            losses: Losses::default(),
             stand: model.numeric("stand_qpos").map_err(words)?.to_vec(),
             legs,
             imu_in_base: imu.map_or_else(Vector3::zeros, |site| model.site_position(site).into()),
