@@ -9,6 +9,7 @@ was so before it; a key with a better name keeps its old one as an alias.
 */
 
 mod check;
+mod fit;
 mod sections;
 
 use std::path::{Path, PathBuf};

@@ -139,6 +139,15 @@ impl LegPose {
     }
 }
 
+impl fmt::Display for LegPose {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            LegPose::Alike(leg) => write!(f, "{leg:?}"),
+            LegPose::Each(joints) => write!(f, "{joints:?}"),
+        }
+    }
+}
+
 impl From<Joints> for LegPose {
     fn from(joints: Joints) -> Self {
         let leg = [joints[0], joints[1], joints[2]];

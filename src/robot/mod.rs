@@ -59,6 +59,8 @@ pub struct Robot {
     pub losses: Losses,
     /// What the robot starts from: the trunk's position and quaternion, then the joint angles in the model's order.
     pub stand: Vec<f64>,
+    /// Joint angles that the robot stands on, the middle of what a policy does \[rad\].
+    pub nominal_pose: Joints,
     /// Geometry of the legs, in the order of [`LEGS`].
     pub legs: [Leg; 4],
     /// Where the IMU is, base frame \[m\]: the site `imu`, or the trunk's origin.
@@ -111,13 +113,21 @@ impl Robot {
         let (fail, words) = (FileError::of(ROBOT, Path::new(name)), FileError::of(ROBOT, Path::new(name)));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Kind::Body, "trunk").map_err(words)?;
-        let (mut joint_limits, mut torque_limits) = ([[0.0; 2]; JOINTS], [0.0; JOINTS]);
+        let (mut joint_limits, mut torque_limits, mut places) = ([[0.0; 2]; JOINTS], [0.0; JOINTS], [0; JOINTS]);
         for joint in 0..JOINTS {
             let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
-            joint_limits[joint] = model.joint_range(id);
+            (joint_limits[joint], places[joint]) = (model.joint_range(id), model.joint_position_index(id));
             let motor = model.id(Kind::Actuator, &joint_name(joint)).map_err(words)?;
             torque_limits[joint] = model.control_range(motor)[1];
         }
+        let stand = model.numeric("stand_qpos").map_err(words)?.to_vec();
+        if stand.len() != model.nq() {
+            return Err(fail(format!("its stand_qpos has {} numbers, expected {}", stand.len(), model.nq())));
+        }
+        let nominal_pose = match model.numeric("nominal_pose") {
+            Ok(pose) => Joints::try_from(pose).map_err(|_| fail("its nominal_pose has not twelve angles".to_owned()))?,
+            Err(_) => places.map(|place| stand[place]),
+        };
         let legs = (0..LEGS.len()).map(|leg| Leg::of(&model, leg)).collect::<Result<Vec<_>, _>>().map_err(fail)?;
         let legs = <[Leg; 4]>::try_from(legs).map_err(|_| fail("it has not four legs".to_owned()))?;
         let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
@@ -129,7 +139,8 @@ impl Robot {
             joint_limits,
             torque_limits,
             losses: Losses::default(),
-            stand: model.numeric("stand_qpos").map_err(words)?.to_vec(),
+            stand,
+            nominal_pose,
             legs,
             imu_in_base: imu.map_or_else(Vector3::zeros, |site| model.site_position(site).into()),
             mass_kg: model.body_mass().iter().sum(),
@@ -148,6 +159,12 @@ impl Robot {
     /// Identity of the robot: SHA-256 of its MJCF.
     pub fn sha256(&self) -> String {
         files::sha256(&[self.mjcf.as_bytes()])
+    }
+
+    /// How far the trunk's origin is above the ground on the lowest foot, the trunk level \[m\].
+    pub fn standing_height_m(&self, pose: &Joints) -> f64 {
+        let depth = |leg: usize| self.legs[leg].foot_radius_m - self.legs[leg].foot_position(of_leg(pose, leg)).z;
+        (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// What becomes of a joint's angle in a mirror between the left and the right legs: the joint that takes it over, and

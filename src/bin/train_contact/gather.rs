@@ -6,7 +6,7 @@ use supple::estimate::contact::learn::Samples;
 use supple::estimate::{EncoderReading, SensorNoise, Sensors};
 use supple::mujoco::Data;
 use supple::policy::Agent;
-use supple::robot::{Foothold, Joints, Robot};
+use supple::robot::{Foothold, Joints};
 use supple::sim::{Parts, Scene, Sim, StepObserver};
 use supple::task::{Command, Curriculum, EpisodePlan};
 use supple::util::random::{Purpose, stream};

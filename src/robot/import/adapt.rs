@@ -61,11 +61,12 @@ pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Impo
     let world = Element { name: "worldbody".into(), attributes: Vec::new(), children: vec![trunk] };
     world.write(&mut mjcf);
     survey.motors().write(&mut mjcf);
-    let numbers: Vec<String> = start.iter().map(f64::to_string).collect();
-    mjcf.push_str(&format!(
-        "<custom><numeric name=\"stand_qpos\" data=\"{}\"/></custom>\n</mujoco>\n",
-        numbers.join(" ")
-    ));
+    let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    mjcf.push_str(&format!("<custom><numeric name=\"stand_qpos\" data=\"{}\"/>", numbers(&start)));
+    if let (None, Ok(pose)) = (description.pose, survey.model.numeric("nominal_pose")) {
+        mjcf.push_str(&format!("<numeric name=\"nominal_pose\" data=\"{}\"/>", numbers(pose)));
+    }
+    mjcf.push_str("</custom>\n</mujoco>\n");
     Ok(Imported { mjcf, report, fall_height_m: description.fall_height_m })
 }
 
