@@ -10,6 +10,7 @@ use anyhow::Context;
 use clap::Parser;
 use indicatif::ProgressBar;
 use supple::config::Config;
+use supple::robot::Robot;
 use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
@@ -27,10 +28,13 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, or a YAML file; with
-    /// --resume, what the run has to be of [default: fast]
+    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, commanded, go2, go2-baseline,
+    /// or a YAML file; with --resume, what the run has to be of [default: fast]
     #[arg(long, value_name = "FILE")]
     config: Option<String>,
+    /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file about one
+    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    robot: Option<String>,
     /// Seed of everything random in the run [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "resume")]
     seed: Option<u64>,
@@ -184,10 +188,17 @@ fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
     let name = args.config.as_deref().unwrap_or("fast");
     let mut config = Config::load(name)?;
     config.run.samples = args.samples.unwrap_or(config.run.samples);
-    let stem = Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy());
+    let stem = |name: &str| Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy().into_owned());
+    let mut name = stem(name);
+    if let Some(model) = &args.robot {
+        let robot = Robot::load(model)?;
+        let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {model}: {reason}"))?;
+        terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
+        (config, name) = (fitted, format!("{name}-{}", stem(model)));
+    }
     let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| format!("runs/{stem}-seed{seed}").into());
-    let trainer = Trainer::new(&stem, config, seed, threads)?;
+    let out = args.out.clone().unwrap_or_else(|| format!("runs/{name}-seed{seed}").into());
+    let trainer = Trainer::new(&name, config, seed, threads)?;
     let folder = RunFolder::create(&out, &trainer)?;
     Ok((trainer, folder))
 }

@@ -59,6 +59,14 @@ impl Config {
     }
 }
 
+impl Config {
+    /// What another configuration has that this one has not, a key a line; empty if they are the same.
+    pub fn changes(&self, other: &Config) -> String {
+        let lines = self.differences(other).into_iter().map(|(key, [own, other])| format!("{key}: {other} (was {own})\n"));
+        lines.collect()
+    }
+}
+
 /// The robot's nominal pose, its sides made alike: the mean of each angle and its mirror image.
 fn symmetric(robot: &Robot) -> Joints {
     std::array::from_fn(|joint| {

@@ -5,6 +5,7 @@ MJCF file, or a YAML file that names one and says what its parts are called, mad
 [`Robot::mjcf`], which has our names for trunk, joints, feet and motors, whatever the file called them.
 */
 
+mod describe;
 mod extent;
 mod import;
 pub mod kinematics;
@@ -16,6 +17,7 @@ use std::sync::{Arc, LazyLock};
 
 use nalgebra::Vector3;
 
+pub use describe::joint_table;
 pub use extent::Extent;
 pub use kinematics::{Foot, Leg};
 pub use legs::{JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, of_leg, opposite, same_in_every_leg};
