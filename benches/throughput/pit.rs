@@ -16,7 +16,7 @@ use supple::scenario::Rollout;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::trace::EventKind;
 use supple::util::random::{Purpose, stream};
-use supple::util::yaml::flat_parameters;
+use supple::util::yaml::{Text, flat_parameters};
 
 use crate::stopwatch::{Effort, median};
 
@@ -87,7 +87,7 @@ pub fn measure(policy: Option<Policy>, config: &Config, effort: &Effort) -> anyh
 fn scenario(duration_s: f64) -> anyhow::Result<Scenario> {
     let (_, text) = DEFAULTS.iter().find(|(name, _)| *name == NAME).context("there is no ball pit")?;
     let mut line = vec!["scenario".to_owned(), NAME.to_owned()];
-    for (key, value) in flat_parameters(NAME, text)? {
+    for (key, value) in flat_parameters(&Text::new(NAME, text))? {
         let value = if key == "duration_s" { duration_s.to_string() } else { value };
         line.push(format!("--{}={value}", key.replace('_', "-")));
     }

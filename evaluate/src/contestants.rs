@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use supple::policy::{Agent, AgentError};
-use supple::util::files;
+use supple::policy::{Agent, AgentError, shipped};
+use supple::util::{files, paths};
 
 /// Keys of a configuration that trials are played with.
 const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
@@ -81,8 +81,27 @@ impl Contest {
     /// # Errors
     /// [`ContestantError`]
     pub fn in_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+        Self::of_files(folder, policy_files(folder)?, names, also)
+    }
+
+    /// As [`Contest::in_folder`] of the policies inside the program.
+    ///
+    /// # Errors
+    /// [`ContestantError`]
+    pub fn shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+        let of_sets = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/'));
+        let files = of_sets.map(|(name, _)| name.into()).collect();
+        Self::of_files(Path::new("the policies inside this program"), files, names, also)
+    }
+
+    fn of_files(
+        folder: &Path,
+        all: Vec<PathBuf>,
+        names: &[String],
+        also: &[(String, PathBuf)],
+    ) -> Result<Self, ContestantError> {
         let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
-        for file in policy_files(folder)? {
+        for file in all {
             let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             let seed_of = |name: &String| stem.strip_prefix(name.as_str())?.strip_prefix("-seed")?.parse::<u64>().ok();
             match names.iter().enumerate().find_map(|(side, name)| Some((side, seed_of(name)?))) {
@@ -162,7 +181,8 @@ impl Contest {
 impl Side {
     /// All policies of a folder; the path may also be one policy file, or a run's folder.
     fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
-        let files = if path.is_file() {
+        let files = if path.is_file() || !path.exists() {
+            // A file, or the name of a policy inside the program.
             vec![path.to_owned()]
         } else if path.join("run.json").exists() {
             // A run's folder: its checkpoint is not a policy.
@@ -185,7 +205,7 @@ impl Side {
         }
         let mut members: Vec<Contestant> = Vec::new();
         for (seed, file) in files {
-            let agent = Agent::load(&file)?;
+            let agent = shipped::find(&paths::as_text(&file))?;
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());

@@ -5,7 +5,7 @@ use std::path::Path;
 pub use super::experiments::Protocol;
 use supple::config::ConfigError;
 use supple::scenario::catalog::{ParameterError, in_range};
-use supple::util::yaml::layered;
+use supple::util::yaml::{Text, YamlError, layered};
 
 /// The protocol of the whole report.
 pub const FULL: &str = include_str!("../../configs/evaluation/full.yaml");
@@ -25,6 +25,9 @@ pub enum ProtocolError {
         source: std::io::Error,
     },
     /// Not YAML, an unknown or missing key, a wrong type.
+    #[error("protocol {0}")]
+    Parse(#[from] YamlError),
+    /// The parameters of a scenario inside the program.
     #[error(transparent)]
     Config(#[from] ConfigError),
     /// A number outside its range.
@@ -45,7 +48,7 @@ impl Protocol {
     /// # Errors
     /// None with the file inside the program.
     pub fn full() -> Result<Self, ProtocolError> {
-        Self::parse("full", &[FULL])
+        Self::parse(&[Text::new("full", FULL)])
     }
 
     /// A coarse version of everything.
@@ -53,7 +56,7 @@ impl Protocol {
     /// # Errors
     /// None with the file inside the program.
     pub fn quick() -> Result<Self, ProtocolError> {
-        Self::parse("quick", &[FULL, QUICK])
+        Self::parse(&[Text::new("full", FULL), Text::new("quick", QUICK)])
     }
 
     /// A file that states what differs from the full protocol.
@@ -61,14 +64,13 @@ impl Protocol {
     /// # Errors
     /// [`ProtocolError`] that names the key.
     pub fn load(path: &Path) -> Result<Self, ProtocolError> {
-        let name = path.display().to_string();
         let text =
-            std::fs::read_to_string(path).map_err(|source| ProtocolError::Read { path: name.clone(), source })?;
-        Self::parse(&name, &[FULL, &text])
+            Text::read(path).map_err(|source| ProtocolError::Read { path: path.display().to_string(), source })?;
+        Self::parse(&[Text::new("full", FULL), text])
     }
 
-    fn parse(name: &str, layers: &[&str]) -> Result<Self, ProtocolError> {
-        let protocol: Protocol = layered(name, layers).map_err(ConfigError::from)?;
+    fn parse(layers: &[Text]) -> Result<Self, ProtocolError> {
+        let protocol: Protocol = layered(layers)?;
         protocol.check()?;
         Ok(protocol)
     }
@@ -110,7 +112,7 @@ mod tests {
 
     #[test]
     fn a_protocol_states_what_differs_and_is_checked() {
-        let changed = |text| Protocol::parse("test", &[FULL, text]);
+        let changed = |text| Protocol::parse(&[Text::new("full", FULL), Text::new("test", text)]);
         assert_eq!(changed("box: {trials: 3}").unwrap().r#box.trials, 3);
         for (text, expected) in [
             ("box: {trials: 0}", "box.trials is 0, expected 1 to 10000"),

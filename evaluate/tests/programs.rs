@@ -367,6 +367,18 @@ fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of
 }
 
 #[test]
+fn the_policies_that_ship_are_compared_where_there_is_no_folder_of_policies() {
+    let folder = folder_with(&[]);
+    std::fs::remove_dir(folder.path().join("policies")).unwrap();
+    let output = evaluate(folder.path(), &["walk", "--out", "report"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    assert_eq!(summary(folder.path(), "report")["policies"].as_array().unwrap().len(), 10);
+    // The command that makes the report again.
+    let page = std::fs::read_to_string(folder.path().join("report/report.html")).unwrap();
+    assert!(page.contains(" --protocol tiny.yaml --out report") && !page.contains("--policies"));
+}
+
+#[test]
 fn a_further_set_has_its_column_and_its_colour_and_changes_nothing_of_the_two_that_are_compared() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
@@ -411,7 +423,7 @@ fn a_further_set_has_its_column_and_its_colour_and_changes_nothing_of_the_two_th
     for (also, expected) in [
         ("lying", "expected NAME=PATH"),
         ("baseline=fallen", "--also baseline: another set has this name"),
-        ("lying=nowhere", "cannot read the policies in nowhere"),
+        ("lying=nowhere", "there is no policy 'nowhere'"),
     ] {
         let output = evaluate(folder, &["walk", "--also", also]);
         assert!(output.status.code() == Some(2) && complaint(&output).contains(expected), "{}", complaint(&output));

@@ -204,7 +204,7 @@ def test_what_is_given_wrongly_is_refused_in_words():
         actions = np.zeros((2, 12))
         actions[1, 2] = np.nan
         env.step(actions)
-    with pytest.raises(ValueError, match="cannot read config nowhere.yaml.*compliant, baseline, fast"):
+    with pytest.raises(ValueError, match="there is no config nowhere.yaml.*compliant, baseline, fast"):
         supple.make_vec("nowhere.yaml")
     with pytest.raises(ValueError, match="num_envs is 0"):
         supple.make_vec(num_envs=0)

@@ -7,7 +7,7 @@ footer that is written last.
 */
 
 use std::fs::{self, File};
-use std::io::{Read as _, Seek as _, SeekFrom};
+use std::io::{self, Read as _, Seek as _, SeekFrom};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
@@ -16,7 +16,10 @@ use std::time::Duration;
 use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
 use rerun::log::ChunkBatcherConfig;
 use rerun::web_viewer::WebViewerConfig;
-use rerun::{AsComponents, EntityPath, MemoryLimit, RecordingStream, RecordingStreamBuilder, ServerOptions};
+use rerun::{
+    AsComponents, EntityPath, MemoryLimit, RecordingStream, RecordingStreamBuilder, RecordingStreamError, ServerOptions,
+};
+use supple::util::files::Target;
 
 use super::RecordError;
 use super::style::PATIENCE;
@@ -76,13 +79,20 @@ impl Stream {
             Sink::File(path) => {
                 let target = path.display().to_string();
                 let create = |source| RecordError::Create { path: path.clone(), source };
+                if Target::of(&path).map_err(create)? == Target::Output {
+                    return Err(create(io::Error::other("a recording cannot go to standard output: name a file")));
+                }
                 if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
                     fs::create_dir_all(folder).map_err(create)?;
                 }
                 File::create(&path).map_err(create)?;
                 // Few large chunks: each costs some kilobytes of description.
                 let batches = ChunkBatcherConfig { flush_num_bytes: 8 << 20, ..ChunkBatcherConfig::NEVER };
-                (builder.batcher_config(batches).save(&path)?, Some(path), None, target)
+                let failed = |error: RecordingStreamError| RecordError::Write {
+                    target: target.clone(),
+                    reason: error.to_string(),
+                };
+                (builder.batcher_config(batches).save(&path).map_err(failed)?, Some(path), None, target)
             }
             Sink::Connect(url) => {
                 let target = url.unwrap_or_else(|| rerun::DEFAULT_CONNECT_URL.to_owned());
@@ -213,7 +223,7 @@ fn drop_in_background(recording: RecordingStream) -> Receiver<()> {
 
 /// Whether a file ends as a complete recording does.
 fn has_footer(path: &Path) -> bool {
-    let tail = || -> std::io::Result<Vec<u8>> {
+    let tail = || -> io::Result<Vec<u8>> {
         let mut file = File::open(path)?;
         file.seek(SeekFrom::End(-(StreamFooter::ENCODED_SIZE_BYTES as i64)))?;
         let mut tail = Vec::new();

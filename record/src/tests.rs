@@ -168,7 +168,9 @@ fn places_where_nothing_can_be_written_are_errors() {
     let model = flat.compile_visual().unwrap();
     let view = RobotView { name: "compliant", model: &model, ground: &flat.ground, tint: None, estimates: false };
     let open = |sink| Recorder::new(sink, "test", &[view]);
-    assert!(matches!(open(Sink::File("/proc/none/a.rrd".into())), Err(RecordError::Create { .. })));
+    for path in ["/proc/none/a.rrd", "-", "/dev/stdout"] {
+        assert!(matches!(open(Sink::File(path.into())), Err(RecordError::Create { .. })), "{path}");
+    }
     assert!(matches!(open(Sink::Connect(Some("nonsense".into()))), Err(RecordError::Viewer { .. })));
 }
 

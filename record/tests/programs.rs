@@ -252,3 +252,80 @@ fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2(
         assert_eq!(lines, 1, "{complaint}");
     }
 }
+
+#[test]
+fn numbers_end_with_the_fall_and_what_is_undefined_has_a_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let play = |more: &[&str]| {
+        let arguments = [&["push", "--policy", "compliant", "--no-record", "--json"], more].concat();
+        let output = run("scenario", folder.path(), &arguments);
+        assert!(output.status.success(), "{}", complaint(&output));
+        serde_json::from_slice::<Value>(&output.stdout).unwrap()["runs"][0].clone()
+    };
+    let fallen = play(&["--push-m-s", "6"]);
+    let (metrics, undefined) = (&fallen["metrics"], &fallen["undefined"]);
+    assert_eq!(metrics["fell"], Value::Bool(true));
+    let [simulated, fell, window] =
+        ["duration_s", "fall_time_s", "window_s"].map(|name| metrics[name].as_f64().unwrap());
+    assert!((simulated - fell - 1.0).abs() < 1e-9 && (window - 0.5 * fell).abs() < 0.02, "{metrics}");
+    // On its back it would be in flight half of the time.
+    assert!(metrics["flight_percent"].as_f64().unwrap() < 15.0, "{metrics}");
+    assert_eq!((&metrics["power_after_w"], undefined["power_after_w"].as_str()), (&Value::Null, Some("it fell")));
+    assert_eq!(metrics["push_time_s"], fallen["events"][0]["time_s"]);
+
+    let late = play(&["--at-s", "30"]);
+    assert_eq!(late["metrics"]["push_time_s"], Value::Null);
+    assert_eq!(late["undefined"]["push_time_s"], "it was not pushed");
+    assert_eq!(late["metrics"]["fell"], Value::Bool(false));
+}
+
+#[test]
+fn seeds_give_means_and_spread_of_the_numbers_that_each_gives_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let play = |more: &[&str]| {
+        let base = ["push", "--policy", "compliant", "--duration-s", "4", "--json"];
+        let output = run("scenario", folder.path(), &[&base, more].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+        serde_json::from_slice::<Value>(&output.stdout).unwrap()["runs"][0]["metrics"].clone()
+    };
+    let all = play(&["--seeds", "3..4"]);
+    let alone = ["3", "4"].map(|seed| play(&["--no-record", "--seed", seed])["push_time_s"].as_f64().unwrap());
+    let [low, high] = alone;
+    let found = |name: &str| all["push_time_s"][name].as_f64().unwrap();
+    assert!((found("mean") - 0.5 * (low + high)).abs() < 1e-12);
+    assert!((found("standard_deviation") - (high - low).abs() / 2.0_f64.sqrt()).abs() < 1e-12);
+    assert_eq!(found("count"), 2.0);
+    assert_eq!(all["fell"]["of_seeds"], serde_json::json!([false, false]));
+    assert_eq!(all["fall_time_s"]["undefined"], serde_json::json!(["it did not fall", "it did not fall"]));
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "a recording of one of them was written");
+    let output = run("scenario", folder.path(), &["walk", "--seeds", "9..0"]);
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
+fn a_table_goes_to_standard_output_and_a_disk_that_is_full_leaves_no_half_of_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let base = ["walk", "--policy", "compliant", "--duration-s", "1", "--no-record"];
+    let output = run("scenario", folder.path(), &[&base[..], &["--csv", "-"]].concat());
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.starts_with("policy,time_s") && text.lines().count() == 61, "{text}");
+    std::os::unix::fs::symlink("/dev/full", folder.path().join("full.csv")).unwrap();
+    let output = run("scenario", folder.path(), &[&base[..], &["--csv", "full.csv"]].concat());
+    assert!(complaint(&output).contains("cannot write full.csv: No space left"), "{}", complaint(&output));
+    assert!(folder.path().join("full.csv").is_symlink());
+}
+
+#[test]
+fn a_robot_that_breaks_mujoco_is_refused_by_a_program_that_goes_on_to_the_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
+    // Each of them is within the limits; all of them take 6.7 GB.
+    let fields: String =
+        (0..100).map(|k| format!("<hfield name='h{k}' nrow='4096' ncol='4096' size='1 1 1 1'/>")).collect();
+    let text = text.replacen("<worldbody", &format!("<asset>{fields}</asset><worldbody"), 1);
+    std::fs::write(folder.path().join("r.xml"), text).unwrap();
+    std::os::unix::fs::symlink(robot("assets"), folder.path().join("assets")).unwrap();
+    let output = run("scenario", folder.path(), &["walk", "--model", "r.xml", "--no-record"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).contains("error: robot r.xml: "), "{}", complaint(&output));
+}

@@ -8,18 +8,22 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
-use indicatif::ProgressBar;
 use supple::config::Config;
 use supple::robot::Robot;
 use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
-use supple::train::{TrainError, Trainer};
+use supple::train::{Memory, TrainError, Trainer};
+use supple::util::paths;
+use supple::util::progress::{ProgressBar, progress};
 use supple::util::provenance::GIT_REVISION;
-use supple::util::terminal;
+use supple::util::terminal::{self, shell_word};
 
 /// Signals that follow one another faster are one.
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
+
+/// What takes less memory is not worth a word.
+const WORTH_TELLING_BYTES: u64 = 1 << 30;
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
 ///
@@ -30,11 +34,14 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 struct Args {
     /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, commanded, go2, go2-baseline,
     /// or a YAML file; with --resume, what the run has to be of [default: fast]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_parser = terminal::path_as_text())]
     config: Option<String>,
     /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file about one
-    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
+    #[arg(long, value_name = "FILE", conflicts_with = "resume", value_parser = terminal::path_as_text())]
     robot: Option<String>,
+    /// Another value for a key of the configuration, as in ppo.epochs=4; may be repeated
+    #[arg(long, value_name = "KEY=VALUE", conflicts_with = "resume")]
+    set: Vec<String>,
     /// Seed of everything random in the run [default: 0]
     #[arg(long, value_name = "N", conflicts_with = "resume")]
     seed: Option<u64>,
@@ -53,21 +60,23 @@ struct Args {
 }
 
 fn main() -> ExitCode {
+    supple::robot::isolate_imports();
     terminal::conclude(run(Args::parse()))
 }
 
 fn run(args: Args) -> anyhow::Result<()> {
-    let stop = Arc::new(AtomicBool::new(false));
-    stop_on_signals(Arc::clone(&stop))?;
+    let (stop, training) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    stop_on_signals(Arc::clone(&stop), Arc::clone(&training))?;
 
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or(cores, usize::from);
     let (mut trainer, mut folder) = match &args.resume {
         Some(path) => resume(path, &args, threads)?,
-        None => start(&args, threads)?,
+        None => start(&args, threads, &training)?,
     };
     let total = trainer.run().config.run.samples;
     let mut saved = trainer.run().iteration;
+    training.store(true, Ordering::Relaxed);
     let outcome = train(&mut trainer, &mut folder, total, &stop, &mut saved);
     let path = folder.path().display();
     if let Err(error) = outcome {
@@ -96,10 +105,8 @@ fn run(args: Args) -> anyhow::Result<()> {
 
 /// The command that goes on with a run, to be pasted.
 fn resuming(folder: &Path) -> String {
-    let program = std::env::args().next().unwrap_or_else(|| "train".into());
-    let folder = folder.to_string_lossy();
-    // Fails only for a zero byte, which no path holds.
-    shlex::try_join([program.as_str(), "--resume", &folder]).unwrap_or_default()
+    let program = std::env::args_os().next().unwrap_or_else(|| "train".into());
+    format!("{} --resume {}", shell_word(program), shell_word(folder))
 }
 
 /// Iterates until `total` samples are collected or `stop` is set; `saved` is the iteration of the newest checkpoint.
@@ -111,8 +118,7 @@ fn train(
     saved: &mut u64,
 ) -> anyhow::Result<()> {
     let every = trainer.run().config.run.checkpoint_every;
-    let style = "{bar:30} {human_pos}/{human_len} samples, {per_sec}, {eta} left  {msg}";
-    let bar = terminal::progress_bar(total, style).with_position(trainer.run().samples);
+    let bar = progress(total).with_position(trainer.run().samples);
     bar.reset_eta();
     while trainer.run().samples < total && !stop.load(Ordering::Relaxed) {
         let metrics = trainer.iterate().map_err(|error| explain(error, folder))?;
@@ -138,10 +144,14 @@ fn train(
 }
 
 /// The first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one does not wait: checkpoints are whole at every
-/// moment. Programs that pass signals on, such as timeout, send the same one twice: that counts once.
-fn stop_on_signals(stop: Arc<AtomicBool>) -> anyhow::Result<()> {
+/// moment. Nor does the first one before training has begun. Programs that pass signals on, such as timeout, send the same one twice: that counts once.
+fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>) -> anyhow::Result<()> {
     let mut first: Option<Instant> = None;
     let handler = move || match first {
+        None if !training.load(Ordering::Relaxed) => {
+            terminal::note("stopped before training began");
+            std::process::exit(130);
+        }
         None => {
             first = Some(Instant::now());
             stop.store(true, Ordering::Relaxed);
@@ -184,27 +194,35 @@ fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
     anyhow::Error::from(error).context(format!("training failed; {kept}"))
 }
 
-fn start(args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
+/// `training` becomes true as soon as there is something to stop and to go on with.
+fn start(args: &Args, threads: usize, training: &AtomicBool) -> anyhow::Result<(Trainer, RunFolder)> {
     let name = args.config.as_deref().unwrap_or("fast");
-    let mut config = Config::load(name)?;
-    config.run.samples = args.samples.unwrap_or(config.run.samples);
-    let stem = |name: &str| Path::new(name).file_stem().map_or(name.into(), |stem| stem.to_string_lossy().into_owned());
+    let mut config = Config::load_with(name, &args.set)?;
+    let stem = |name: &str| paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
     let mut name = stem(name);
     if let Some(model) = &args.robot {
         let robot = Robot::load(model)?;
         let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {model}: {reason}"))?;
         terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
-        (config, name) = (fitted, format!("{name}-{}", stem(model)));
+        (config, name) = (fitted.with(&args.set)?, format!("{name}-{}", stem(model)));
     }
+    config.run.samples = args.samples.unwrap_or(config.run.samples);
     let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| format!("runs/{name}-seed{seed}").into());
+    let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{name}-seed{seed}")));
+    let memory = Memory::of(&config)?;
+    memory.check()?;
+    if memory.total() > WORTH_TELLING_BYTES {
+        terminal::note(format_args!("note: this run takes {memory}"));
+    }
     let trainer = Trainer::new(&name, config, seed, threads)?;
+    training.store(true, Ordering::Relaxed);
     let folder = RunFolder::create(&out, &trainer)?;
     Ok((trainer, folder))
 }
 
 fn resume(path: &Path, args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
-    let (folder, mut checkpoint, passed_over) = RunFolder::resume(path)?;
+    let (folder, mut checkpoint, notes) = RunFolder::resume(path)?;
+    notes.iter().for_each(|note| terminal::note(format_args!("warning: {note}")));
     if let Some(name) = &args.config {
         let differs =
             |keys| anyhow::anyhow!("{} was not begun with {name}: {keys}; start anew with --out", path.display());
@@ -212,9 +230,6 @@ fn resume(path: &Path, args: &Args, threads: usize) -> anyhow::Result<(Trainer, 
     }
     let planned = &mut checkpoint.run.config.run.samples;
     *planned = args.samples.unwrap_or(*planned);
-    if let Some(reason) = passed_over {
-        terminal::note(format_args!("warning: {reason}; going on from the checkpoint before it"));
-    }
     let begun_by = checkpoint.run.git_revision.clone();
     if begun_by != GIT_REVISION {
         terminal::note(format_args!(

@@ -14,6 +14,9 @@ const MAX_STAGE_S: f64 = 3600.0;
 /// Samples of an iteration, of which memory has to hold some hundred numbers each.
 const MAX_BATCH_SIZE: usize = 1 << 22;
 
+/// Deeper networks take hours to begin.
+const MAX_LAYERS: usize = 16;
+
 /// Each has its own order of the samples in memory.
 const MAX_EPOCHS: usize = 1000;
 
@@ -150,8 +153,10 @@ impl Config {
         let has = p.learner == LearnerKind::Fused || matches!(p.precision, Precision::Auto | Precision::F32);
         require(has, "ppo.precision", yaml::to_text(&p.precision).trim_end(), "auto or f32 with ppo.learner: candle")?;
         within("ppo.epochs", p.epochs, 1..=MAX_EPOCHS, &format!("1 to {MAX_EPOCHS}"))?;
-        let widths = !p.hidden_layers.is_empty() && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
-        require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), "one or more widths from 1 to 4096")?;
+        let widths = (1..=MAX_LAYERS).contains(&p.hidden_layers.len());
+        let widths = widths && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
+        let expected = format!("1 to {MAX_LAYERS} widths from 1 to 4096");
+        require(widths, "ppo.hidden_layers", format!("{:?}", p.hidden_layers), &expected)?;
         positive("ppo.clip_range", p.clip_range)?;
         not_negative("ppo.entropy_coefficient", p.entropy_coefficient)?;
         fraction("ppo.discount", p.discount)?;

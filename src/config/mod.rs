@@ -16,12 +16,13 @@ use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Compliance, Config, Episode, LearnerKind, LegPose, Ppo, Precision, Randomisation, Reward, RobotModel,
-    Run, Simulation,
+    Action, CommandRange, Compliance, Config, Episode, LearnerKind, LegPose, Ppo, Precision, Randomisation, Reward,
+    RobotModel, Run, Simulation,
 };
 
 use crate::robot::Robot;
-use crate::util::yaml::{self, Value, YamlError};
+use crate::util::paths;
+use crate::util::yaml::{self, Text, Value, YamlError};
 
 /// The configurations inside the binary: name and text.
 pub const EMBEDDED: &[(&str, &str)] = &[
@@ -46,15 +47,21 @@ const MAX_BASES: usize = 8;
 /// Why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
+    /// Neither a file nor an embedded configuration.
+    #[error("there is no config {}: give a file, or one of: {known}", path.display())]
+    Unknown {
+        /// The file that was looked for.
+        path: PathBuf,
+        /// Names of the embedded configurations.
+        known: String,
+    },
     /// The file cannot be read.
-    #[error("cannot read config {}: {source}; the embedded ones are: {known}", path.display())]
+    #[error("cannot read config {}: {source}", path.display())]
     Read {
         /// The file.
         path: PathBuf,
         /// The system's reason.
         source: std::io::Error,
-        /// Names of the embedded configurations.
-        known: String,
     },
     /// Not YAML, an unknown key, a missing key or a wrong type.
     #[error("config {0}")]
@@ -62,7 +69,7 @@ pub enum ConfigError {
     /// A value outside its range.
     #[error("config {name}: {error}")]
     Value {
-        /// File or embedded name.
+        /// File or embedded name, with the line if there is one.
         name: String,
         /// Which one.
         error: ValueError,
@@ -85,7 +92,38 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] that names the file or key, what was found and what was expected.
     pub fn load(name_or_path: &str) -> Result<Self, ConfigError> {
-        Self::from_value(name_or_path, merged(name_or_path, Path::new(""), MAX_BASES)?)
+        Self::load_with(name_or_path, &[])
+    }
+
+    /// As [`Config::load`], with other values for some keys, each as `ppo.epochs=4`, checked as if they stood in the file.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn load_with(name_or_path: &str, changes: &[String]) -> Result<Self, ConfigError> {
+        let mut texts = Vec::new();
+        let value = merged(name_or_path, Path::new(""), MAX_BASES, &mut texts)?;
+        Self::changed(name_or_path, value, texts, changes)
+    }
+
+    /// This configuration with other values for some keys, as with [`Config::load_with`].
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn with(&self, changes: &[String]) -> Result<Self, ConfigError> {
+        let text = Text::new("fitted to the robot", &self.to_yaml());
+        Self::changed("fitted to the robot", text.parse()?, vec![text], changes)
+    }
+
+    fn changed(name: &str, mut value: Value, mut texts: Vec<Text>, changes: &[String]) -> Result<Self, ConfigError> {
+        for change in changes {
+            let text = changing(change)?;
+            let mut change = text.parse()?;
+            resolve_robot(&mut change, Path::new(""));
+            modernise(&mut change, &value);
+            yaml::overlay(&mut value, change);
+            texts.insert(0, text);
+        }
+        Self::from_value(name, value, &texts)
     }
 
     /// Parses YAML without a `base`, as stored with a run.
@@ -93,12 +131,19 @@ impl Config {
     /// # Errors
     /// See [`Config::load`].
     pub fn from_yaml(name: &str, text: &str) -> Result<Self, ConfigError> {
-        Self::from_value(name, yaml::parse(name, text)?)
+        let text = Text::new(name, text);
+        Self::from_value(name, text.parse()?, &[text])
     }
 
-    fn from_value(name: &str, value: Value) -> Result<Self, ConfigError> {
-        let config: Config = yaml::typed(name, value)?;
-        config.check().map_err(|error| ConfigError::Value { name: name.to_owned(), error })?;
+    fn from_value(name: &str, value: Value, texts: &[Text]) -> Result<Self, ConfigError> {
+        let config: Config = yaml::typed(value, texts)?;
+        config.check().map_err(|error| {
+            let name = match &error {
+                ValueError::Range { key, .. } => yaml::place(texts, key),
+                ValueError::Observation(_) => name.to_owned(),
+            };
+            ConfigError::Value { name, error }
+        })?;
         Ok(config)
     }
 
@@ -114,8 +159,8 @@ impl Config {
 
     /// As it is in policy files, which go to other machines: without the folder of a robot that does not ship.
     pub fn without_folder(mut self) -> Self {
-        if let (false, Some(name)) = (Robot::ships(&self.robot.model), Path::new(&self.robot.model).file_name()) {
-            self.robot.model = name.to_string_lossy().into_owned();
+        if let (false, Some(name)) = (Robot::ships(&self.robot.model), paths::as_path(&self.robot.model).file_name()) {
+            self.robot.model = paths::as_text(name);
         }
         self
     }
@@ -126,19 +171,23 @@ impl Config {
     }
 }
 
-/// Reads a configuration and lays it over its base. `folder` is where relative paths start.
-fn merged(name_or_path: &str, folder: &Path, bases_left: usize) -> Result<Value, ConfigError> {
+/// Reads a configuration and lays it over its base. `folder` is where relative paths start; `texts` are what was read.
+fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<Text>) -> Result<Value, ConfigError> {
     let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
-    let path = folder.join(name_or_path);
+    let path = folder.join(paths::as_path(name_or_path));
     let text = match embedded {
-        Some((_, text)) => (*text).to_owned(),
-        None => std::fs::read_to_string(&path).map_err(|source| ConfigError::Read {
-            path: path.clone(),
-            source,
-            known: EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>().join(", "),
+        Some((name, text)) => Text::new(name, text),
+        None => Text::read(&path).map_err(|source| {
+            let path = path.clone();
+            if source.kind() != std::io::ErrorKind::NotFound {
+                return ConfigError::Read { path, source };
+            }
+            let known: Vec<&str> = EMBEDDED.iter().map(|(name, _)| *name).collect();
+            ConfigError::Unknown { path, known: known.join(", ") }
         })?,
     };
-    let mut value = yaml::parse(name_or_path, &text)?;
+    let mut value = text.parse()?;
+    texts.push(text);
     if embedded.is_none() {
         resolve_robot(&mut value, &path);
     }
@@ -149,10 +198,21 @@ fn merged(name_or_path: &str, folder: &Path, bases_left: usize) -> Result<Value,
     if bases_left == 0 {
         return Err(problem("`base` is nested too deep: does a config name itself?").into());
     }
-    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1)?;
+    let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1, texts)?;
     modernise(&mut value, &whole);
     yaml::overlay(&mut whole, value);
     Ok(whole)
+}
+
+/// `ppo.epochs=4` as the file that says so.
+fn changing(change: &str) -> Result<Text, YamlError> {
+    let name = format!("--set {change}");
+    let Some((key, value)) = change.split_once('=').filter(|(key, _)| !key.is_empty()) else {
+        return Err(YamlError::new(&name, "expected KEY=VALUE, as in ppo.epochs=4"));
+    };
+    let depth = key.split('.').count();
+    let opened: String = key.split('.').map(|part| format!("{{{part}: ")).collect();
+    Ok(Text::of_flag(&name, &format!("{opened}{value}{}", "}".repeat(depth))))
 }
 
 /// Old names of keys, by section; serde knows them as aliases.
@@ -202,10 +262,18 @@ fn modernise(change: &mut Value, base: &Value) {
 /// The path of a robot's file starts where the file that names it lies.
 fn resolve_robot(value: &mut Value, file: &Path) {
     let model = value.get_mut("robot").and_then(|robot| robot.get_mut("model"));
-    if let Some(Value::String(model)) = model.filter(|model| !model.as_str().is_some_and(Robot::ships)) {
-        let path = file.parent().unwrap_or(Path::new("")).join(&*model);
-        *model = std::path::absolute(&path).unwrap_or(path).to_string_lossy().into_owned();
+    if let Some(Value::String(model)) = model {
+        *model = robot_in(file.parent().unwrap_or(Path::new("")), model);
     }
+}
+
+/// The name of a robot that ships, or the absolute path of another one's file, which is relative to a folder.
+fn robot_in(folder: &Path, model: &str) -> String {
+    if Robot::ships(model) {
+        return model.to_owned();
+    }
+    let path = folder.join(paths::as_path(model));
+    paths::as_text(std::path::absolute(&path).unwrap_or(path))
 }
 
 #[cfg(test)]
@@ -269,6 +337,10 @@ mod tests {
             ),
         ];
         for (from, to, message) in cases {
+            let key = message.split(['.', ' ']).nth(3).unwrap();
+            let is_key = |line: &str| line.trim_start().starts_with(&format!("{key}:"));
+            let line = EMBEDDED[0].1.lines().position(is_key).unwrap() + 1;
+            let message = message.replacen("config test:", &format!("config test, line {line}:"), 1);
             assert_eq!(changed(from, to).unwrap_err().to_string(), message);
         }
     }
@@ -323,6 +395,29 @@ mod tests {
         let (before, after) = (text.find("observation:").unwrap(), text.find("command:  ").unwrap());
         let old = format!("{}observation: {scales}\n{}", &text[..before], &text[after..]);
         assert_eq!(Config::from_yaml("test", &old).unwrap(), Config::load("compliant").unwrap());
+    }
+
+    #[test]
+    fn single_keys_are_set_and_checked_as_in_the_file() {
+        let with =
+            |changes: &[&str]| Config::load_with("fast", &changes.iter().map(|c| (*c).to_owned()).collect::<Vec<_>>());
+        let config =
+            with(&["ppo.epochs=4", "ppo.hidden_layers=[8, 8]", "robot.model=x/y.xml", "ppo.mirror=false"]).unwrap();
+        assert_eq!((config.ppo.epochs, &config.ppo.hidden_layers[..]), (4, &[8, 8][..]));
+        assert!(Path::new(&config.robot.model).is_absolute() && !config.ppo.symmetry);
+        assert_eq!(with(&[]).unwrap(), Config::load("fast").unwrap());
+        for (change, expected) in [
+            ("ppo.epochs=0", "config --set ppo.epochs=0: ppo.epochs is 0, expected 1 to 1000"),
+            ("ppo.epochs=2e7", "ppo.epochs: invalid type"),
+            ("ppo.epoch=4", "unknown field `epoch`"),
+            ("epochs=4", "unknown field `epochs`"),
+            ("ppo=4", "invalid type"),
+            ("ppo.epochs", "expected KEY=VALUE"),
+            ("ppo.epochs=}", "config --set ppo.epochs=}: "),
+        ] {
+            let error = with(&[change]).unwrap_err().to_string();
+            assert!(error.contains(expected), "{change}: {error}");
+        }
     }
 
     #[test]

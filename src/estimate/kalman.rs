@@ -29,6 +29,8 @@ taken one by one: a test compares with the filter in one piece.
 use nalgebra::{SMatrix, SVector, Vector3};
 use serde::Serialize;
 
+use crate::util::numbers::maximum;
+
 /// Index of the first foot in an axis' state; before it come position and velocity.
 const FEET: usize = 2;
 
@@ -132,8 +134,8 @@ impl KalmanFilter {
     pub fn new(noise: FilterNoise, arm: &Vector3<f64>, feet: &[FootMeasurement; 4], contacts: [bool; 4]) -> Self {
         let depths = feet.iter().zip(contacts).filter(|(_, contact)| *contact).map(|(foot, _)| -foot.offset.z);
         let (count, sum) = depths.fold((0.0, 0.0), |(count, sum), depth| (count + 1.0, sum + depth));
-        let depth = if count > 0.0 { sum / count } else { feet.iter().map(|foot| -foot.offset.z).fold(0.0, f64::max) };
-        let radius = feet.iter().map(|foot| foot.radius_m).fold(0.0, f64::max);
+        let depth = if count > 0.0 { sum / count } else { feet.iter().map(|foot| -foot.offset.z).fold(0.0, maximum) };
+        let radius = feet.iter().map(|foot| foot.radius_m).fold(0.0, maximum);
         let site = Vector3::new(arm.x, arm.y, depth + radius);
         let axes = std::array::from_fn(|axis| {
             let mut state = State::zeros();

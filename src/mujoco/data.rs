@@ -103,6 +103,12 @@ impl Data {
         Ok(Data { raw: allocate(&model)?, model, broken: false })
     }
 
+    /// Memory that it takes, with its model \[bytes\].
+    pub fn bytes(&self) -> usize {
+        let raw = self.raw();
+        self.model.bytes() + raw.nbuffer as usize + raw.nstack as usize * size_of::<f64>()
+    }
+
     /// The model.
     pub fn model(&self) -> &Model {
         &self.model

@@ -64,6 +64,14 @@ pub enum Error {
         /// MuJoCo's own words.
         message: String,
     },
+    /// What drives the simulation is NaN or infinite: no fault of MuJoCo, which does not get to see it.
+    #[error("{what} is {found}, expected a finite number: whatever controls the robot is at fault, not the physics")]
+    Input {
+        /// What it is, such as a joint's target.
+        what: String,
+        /// The number.
+        found: String,
+    },
     /// The simulation became unstable; MuJoCo has reset it.
     #[error("the simulation became unstable: invalid {kind:?} at index {index}")]
     Unstable {

@@ -9,6 +9,7 @@ use nalgebra::{Quaternion, UnitQuaternion};
 
 use super::error::{Error, Result};
 use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of};
+use crate::util::xml;
 
 /// Kinds of named elements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -279,8 +280,10 @@ impl Model {
         let mut vfs = unsafe { Box::<sys::mjVFS>::new_zeroed().assume_init() };
         // SAFETY: `vfs` is a valid mjVFS.
         unsafe { sys::mj_defaultVFS(&mut *vfs) };
+        let names: Vec<&str> = files.iter().map(|file| file.0).collect();
         let mut add = |name: &str, text: &str| {
-            sizes::check(text).map_err(failed)?;
+            let tree = xml::parse(text).map_err(failed)?;
+            sizes::check_sizes(&tree).and_then(|()| sizes::check_includes(&tree, &names)).map_err(failed)?;
             let size = i32::try_from(text.len()).map_err(|_| failed(format!("{name} is larger than 2 GiB")))?;
             let c_name = CString::new(name).map_err(|_| failed(format!("the name '{name}' holds a zero byte")))?;
             let (mut code, mut message) = (0, EMPTY_MESSAGE);
@@ -329,6 +332,11 @@ impl Model {
     fn raw_mut(&mut self) -> &mut sys::mjModel {
         // SAFETY: the pointer is valid as long as `self`, which is borrowed mutably.
         unsafe { self.0.as_mut() }
+    }
+
+    /// Memory that it takes \[bytes\].
+    pub(super) fn bytes(&self) -> usize {
+        self.raw().nbuffer as usize
     }
 
     /// Number of elements of a kind.

@@ -1,54 +1,70 @@
 /*! Sizes that MuJoCo takes at their word.
 
-An MJCF text says how large a height field, a texture or a buffer is, and MuJoCo 2.2.2 allocates and fills just that: a
-slip of the keyboard costs all memory and minutes, where no error handler helps. Such sizes are refused before MuJoCo
-sees the text. A guard against accidents: it reads attributes, not XML.
+An MJCF text says how large a height field, a texture or a buffer is, or how long a solver tries, and MuJoCo 2.2.2 allocates
+and does just that: a slip of the keyboard costs all memory and minutes, where no error handler helps. Such numbers are
+refused before MuJoCo sees the text, and so is what would have it read other files than it is given.
 */
 
-/// Attributes, and the largest product of the numbers in one.
-const LIMITS: [(&str, f64); 10] = [
-    ("nrow", 4_096.0),
-    ("ncol", 4_096.0),
-    ("width", 16_384.0),
-    ("height", 16_384.0),
-    ("count", 100_000.0),
-    ("njmax", 1e6),
-    ("nconmax", 1e6),
-    ("nkey", 1e6),
-    ("nuserdata", 1e6),
-    ("nstack", 1e9),
+use crate::util::xml::Element;
+
+/// Elements, attributes, and the largest product of the numbers in one.
+const LIMITS: [(&str, &str, f64); 17] = [
+    ("hfield", "nrow", 4_096.0),
+    ("hfield", "ncol", 4_096.0),
+    ("texture", "width", 8_192.0),
+    ("texture", "height", 8_192.0),
+    ("composite", "count", 1_000.0),
+    ("skin", "subgrid", 10.0),
+    ("numeric", "size", 100_000.0),
+    ("user", "dim", 1_000.0),
+    // Of rows, MuJoCo keeps a square matrix.
+    ("size", "njmax", 10_000.0),
+    ("size", "nconmax", 100_000.0),
+    ("size", "nkey", 1_000.0),
+    ("size", "nuserdata", 1e6),
+    ("size", "nstack", 1e8),
+    ("option", "iterations", 10_000.0),
+    ("option", "noslip_iterations", 10_000.0),
+    ("option", "mpr_iterations", 10_000.0),
+    ("lengthrange", "inttotal", 1_000.0),
 ];
 
-/// Refuses a text that asks for more than any scene needs.
+/// Numbers beside each body, joint and so on: `nuser_body` and its like.
+const PER_ELEMENT: (&str, f64) = ("nuser_", 100.0);
+
+/// Refuses what asks for more than any scene needs.
 ///
 /// # Errors
 /// In words: the attribute, what was found and expected.
-pub fn check(text: &str) -> Result<(), String> {
-    for (name, limit) in LIMITS {
-        for (start, _) in text.match_indices(name) {
-            let Some(value) = attribute(text, start, name.len()) else { continue };
-            let product: f64 = value.split_whitespace().map(leading_number).product();
-            if product > limit {
-                return Err(format!("{name} is '{value}', expected at most {limit}"));
-            }
+pub fn check_sizes(element: &Element) -> Result<(), String> {
+    for (name, value) in &element.attributes {
+        let own = LIMITS.iter().find(|(of, limited, _)| *of == element.name && limited == name);
+        let user = name.starts_with(PER_ELEMENT.0).then_some(PER_ELEMENT.1);
+        let Some(limit) = own.map(|(_, _, limit)| *limit).or(user) else { continue };
+        let product: f64 = value.split_whitespace().map(leading_number).product();
+        if product > limit {
+            return Err(format!("{name} is '{value}', expected at most {limit}"));
         }
     }
-    Ok(())
+    element.children.iter().try_for_each(check_sizes)
 }
 
-/// The value of the attribute whose name starts at `start`, if it is one.
-fn attribute(text: &str, start: usize, length: usize) -> Option<&str> {
-    let (before, after) = (&text[..start], &text[start + length..]);
-    if !before.ends_with(|character: char| character.is_whitespace() || "\"'".contains(character)) {
-        return None;
+/// Refuses files beside those that are given by name.
+///
+/// # Errors
+/// In words: which one.
+pub fn check_includes(element: &Element, given: &[&str]) -> Result<(), String> {
+    if let ("include", Some(file)) = (element.name.as_str(), element.get("file"))
+        && !given.contains(&file)
+    {
+        return Err(format!("it includes '{file}', which is not given with it"));
     }
-    let value = after.trim_start().strip_prefix('=')?.trim_start();
-    let quote = value.chars().next().filter(|character| "\"'".contains(*character))?;
-    value[1..].split(quote).next()
+    element.children.iter().try_for_each(|child| check_includes(child, given))
 }
 
 /// As the parser reads a whole number: digits up to whatever comes then.
 fn leading_number(word: &str) -> f64 {
+    let word = word.strip_prefix('+').unwrap_or(word);
     let end = word.find(|character: char| !character.is_ascii_digit()).unwrap_or(word.len());
     word[..end].parse().unwrap_or(1.0)
 }
@@ -56,20 +72,42 @@ fn leading_number(word: &str) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::util::xml::parse;
+
+    fn check(text: &str) -> Result<(), String> {
+        check_sizes(&parse(text).unwrap())
+    }
 
     #[test]
     fn sizes_beyond_reason_are_refused_by_name_and_others_pass() {
-        let refused = check(r#"<hfield name="g" nrow="2147483641e400" ncol="5"/>"#).unwrap_err();
+        let refused = check(r#"<asset><hfield name="g" nrow="2147483641e400" ncol="5"/></asset>"#).unwrap_err();
         assert_eq!(refused, "nrow is '2147483641e400', expected at most 4096");
-        assert!(check("<composite type='cloth' count = '1000 1000 1'/>").is_err());
+        for bad in [
+            "<composite type='cloth' count = '100 100 1'/>",
+            "<size nuser_body='2147483647'/>",
+            "<size nuser_cam='+2147483647'/>",
+            "<size nkey='1000000'/>",
+            "<option iterations='2147483647'/>",
+            "<option noslip_iterations='2147483647'/>",
+            "<numeric name='n' size='2147483647'/>",
+        ] {
+            assert!(check(bad).is_err(), "{bad}");
+        }
         for fine in [
             r#"<hfield nrow="300" ncol="600"/>"#,
             r#"<body name="nrow"/>"#,
-            "ncol",
-            r#"count=""#,
-            "<a\tcount='9 9 9'/>",
+            "<a><!-- nrow='2147483647' --></a>",
+            "<composite\tcount='9 9 9'/>",
+            "<geom size='2147483647'/>",
         ] {
             assert_eq!(check(fine), Ok(()), "{fine}");
         }
+    }
+
+    #[test]
+    fn files_beside_those_that_are_given_are_not_read() {
+        let text = parse("<mujoco><include file='robot.xml'/></mujoco>").unwrap();
+        assert_eq!(check_includes(&text, &["scene.xml", "robot.xml"]), Ok(()));
+        assert!(check_includes(&text, &["scene.xml"]).is_err());
     }
 }

@@ -5,6 +5,7 @@ use super::entry::{Block, MAX_LENGTH, Nominal, Observed, ages, block, limit, off
 use super::observer::Moment;
 use super::quantity::Kind;
 use crate::robot::{JOINTS, Robot, joint_name};
+use crate::util::numbers::finite_in_single;
 
 /// Where a number of the observation comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -93,6 +94,7 @@ impl Layout {
             }
         }
         layout.blocks = blocks;
+        layout.check_normaliser()?;
         Ok(layout)
     }
 
@@ -146,7 +148,24 @@ impl Layout {
             return Err(format!("its normaliser has {} and {} numbers, expected {expected}", found[0], found[1]));
         }
         (self.offset, self.scale) = (offset, scale);
+        self.check_normaliser()?;
         Ok(self)
+    }
+
+    /// One that sees NaN in its first number.
+    #[cfg(test)]
+    pub(crate) fn blinded(&self) -> Self {
+        let mut layout = self.clone();
+        layout.scale[0] = f64::NAN;
+        layout
+    }
+
+    /// Networks see single precision, in which larger numbers are infinite.
+    fn check_normaliser(&self) -> Result<(), String> {
+        let finite = |k: &usize| finite_in_single(&[self.offset[*k], self.scale[*k]]);
+        let Some(k) = (0..self.length()).find(|k| !finite(k)) else { return Ok(()) };
+        let (offset, scale, name) = (self.offset[k], self.scale[k], &self.names()[k]);
+        Err(format!("the offset {offset:e} or the scale {scale:e} of '{name}' is not finite in single precision"))
     }
 
     /// Number `k` of the observation as the network sees it.

@@ -10,6 +10,7 @@ use super::inference::Inference;
 use crate::config::{Config, ConfigError};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
+use crate::util::paths;
 
 /// Why there is no agent.
 #[derive(Debug, thiserror::Error)]
@@ -92,13 +93,13 @@ impl Agent {
     /// If it is nowhere, the policy can still be looked at, or run on another robot.
     fn find_robot(&mut self, folder: &Path) {
         let model = &mut self.config.robot.model;
-        if Robot::ships(model) || Path::new(model).is_absolute() {
+        if Robot::ships(model) || paths::as_path(model).is_absolute() {
             return;
         }
-        let beside = folder.join(&*model);
-        let of_run = || Some(Config::load(&folder.join("config.yaml").to_string_lossy()).ok()?.robot.model);
+        let beside = folder.join(paths::as_path(model));
+        let of_run = || Some(Config::load(&paths::as_text(folder.join("config.yaml"))).ok()?.robot.model);
         let of_run = if beside.exists() { None } else { of_run() };
-        *model = of_run.unwrap_or_else(|| beside.to_string_lossy().into_owned());
+        *model = of_run.unwrap_or_else(|| paths::as_text(beside));
     }
 
     /// A controller of one robot.

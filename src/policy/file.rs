@@ -17,6 +17,7 @@ use crate::network::{ActorCritic, Mlp, PackedMlp};
 use crate::observation::Layout;
 use crate::robot::{JOINTS, Joints, Robot, joint_names};
 use crate::util::files::{self, FileError};
+use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
 use crate::util::tensors::{self, Tensor};
 
@@ -246,8 +247,11 @@ impl Policy {
         let observations = read("golden.observation", &[GOLDEN, length])?;
         let expected = read("golden.joint_target", &[GOLDEN, JOINTS])?;
         let found = policy.targets_of(&observations);
-        let worst = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        if worst.is_nan() || worst > GOLDEN_TOLERANCE {
+        let worst = numbers::largest_magnitude(found.iter().zip(&expected).map(|(a, b)| a - b));
+        if !worst.is_finite() {
+            return Err("its network answers its golden observations with numbers that are not finite".into());
+        }
+        if worst > GOLDEN_TOLERANCE {
             return Err(format!(
                 "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: \
                  the file is damaged"
@@ -308,8 +312,7 @@ impl Metadata {
         if self.joints != joint_names() {
             return Err(format!("its joints are {:?}, expected {:?}", self.joints, joint_names()));
         }
-        let finite = self.nominal_pose_rad.iter().all(|angle| angle.is_finite()) && self.scale_rad.is_finite();
-        if !finite {
+        if !numbers::finite_in_single(&self.nominal_pose_rad) || !numbers::finite_in_single(&[self.scale_rad]) {
             return Err("its nominal pose or scale is not finite".into());
         }
         if self.simulation != config.simulation {
@@ -402,6 +405,25 @@ mod tests {
         other.actor.layers.pop();
         let error = Policy::from_bytes(&other.to_bytes().unwrap(), Path::new("other")).unwrap_err().to_string();
         assert!(error.contains("tensor `1.bias` should have shape [12], but has shape [16]"), "{error}");
+    }
+
+    #[test]
+    fn nothing_that_is_not_finite_counts_as_sound() {
+        let mut bytes = policy().to_bytes().unwrap();
+        let scale = {
+            let (tensors, _) = tensors::deserialize(&bytes).unwrap();
+            tensors.tensor("normaliser.scale").unwrap().data().as_ptr() as usize - bytes.as_ptr() as usize
+        };
+        bytes[scale..scale + 8].copy_from_slice(&1e308_f64.to_le_bytes());
+        let error = Policy::from_bytes(&bytes, Path::new("huge")).unwrap_err().to_string();
+        assert!(error.contains("or the scale 1e308 of 'previous base height [m]'"), "{error}");
+
+        let mut overflowing = policy();
+        for layer in &mut overflowing.actor.layers {
+            layer.weight.fill(1e38);
+        }
+        let error = Policy::from_bytes(&overflowing.to_bytes().unwrap(), Path::new("huge")).unwrap_err().to_string();
+        assert!(error.contains("numbers that are not finite"), "{error}");
     }
 
     proptest::proptest! {

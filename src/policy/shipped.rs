@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::policy::compliance::Calibration;
 use crate::policy::{Agent, AgentError, Policy};
+use crate::util::paths;
 
 /// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
@@ -17,15 +18,15 @@ const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibr
 /// # Errors
 /// [`AgentError`], with the names that there are.
 pub fn find(name: &str) -> Result<Agent, AgentError> {
-    let path = Path::new(name);
+    let path = paths::as_path(name);
     if path.is_dir() {
         return Agent::load(&path.join("policy.safetensors"));
     }
-    if path.is_file() {
+    if path.exists() {
         if path.extension().is_some_and(|extension| extension == "onnx") {
             return Err(AgentError::Undescribed { name: name.to_owned() });
         }
-        return Agent::load(path);
+        return Agent::load(&path);
     }
     let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
     let shipped =
@@ -40,8 +41,8 @@ pub fn find(name: &str) -> Result<Agent, AgentError> {
 
 /// The file that [`find`] reads; none for a policy inside the program.
 pub fn file_of(name: &str) -> Option<PathBuf> {
-    let path = Path::new(name);
-    if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.is_file().then(|| path.to_owned()) }
+    let path = paths::as_path(name);
+    if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.exists().then_some(path) }
 }
 
 /// Which of the names is meant: itself, or the least seed's.

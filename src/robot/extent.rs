@@ -3,6 +3,7 @@
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::mujoco::{Geom, Model, Shape};
+use crate::util::numbers::maximum;
 
 /// From the trunk's origin to where it ends \[m\].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -24,7 +25,7 @@ impl Extent {
         let reach = |shape: &Geom, direction: Vector3<f64>| {
             Vector3::from(shape.position).dot(&direction) + half_width(shape, direction)
         };
-        let farthest = |direction| shapes.iter().map(|shape| reach(shape, direction)).fold(0.0, f64::max);
+        let farthest = |direction| shapes.iter().map(|shape| reach(shape, direction)).fold(0.0, maximum);
         let [x, y, z] = [Vector3::x(), Vector3::y(), Vector3::z()];
         let volume = |shape: &&Geom| [x, y, z].map(|axis| half_width(shape, axis)).iter().product::<f64>();
         let largest = shapes.iter().max_by(|a, b| volume(a).total_cmp(&volume(b)));

@@ -12,19 +12,20 @@ pub mod kinematics;
 mod legs;
 mod state;
 
-use std::path::Path;
-use std::sync::{Arc, LazyLock};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
 use nalgebra::Vector3;
 
 pub use describe::joint_table;
 pub use extent::Extent;
+pub use import::isolate_imports;
 pub use kinematics::{Foot, Leg};
 pub use legs::{JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, of_leg, opposite, same_in_every_leg};
 pub use state::{FootState, Foothold, RobotState};
 
 use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
+use crate::util::paths;
 
 /// The robots inside the program: name and MJCF.
 const SHIPPED: &[(&str, &str)] =
@@ -82,6 +83,9 @@ static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::
     SHIPPED.iter().map(robot).collect()
 });
 
+/// Robots from elsewhere that this process has read: name, hash of the files.
+static IMPORTED_ROBOTS: Mutex<Vec<([String; 2], Arc<Robot>)>> = Mutex::new(Vec::new());
+
 impl Robot {
     /// A robot that ships, by name, or that of an MJCF file, or of a YAML file about one.
     ///
@@ -91,13 +95,22 @@ impl Robot {
         if let Some(index) = SHIPPED.iter().position(|(shipped, _)| *shipped == name) {
             return SHIPPED_ROBOTS[index].clone();
         }
-        let path = Path::new(name);
+        let path = &paths::as_path(name);
         let fail = FileError::of(ROBOT, path);
         if !path.exists() {
             return Err(fail("there is no such file: put it there, or name another robot".to_owned()));
         }
-        let import::Imported { mjcf, report, fall_height_m } = import::read(path).map_err(fail)?;
-        Self::new(name, mjcf, report, fall_height_m).map(Arc::new)
+        let source = import::Source::read(path).map_err(fail)?;
+        let key = [name.to_owned(), source.sha256()];
+        // Held while one is imported: who asks for the same one at the same time waits for it.
+        let mut known = IMPORTED_ROBOTS.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
+            return Ok(Arc::clone(robot));
+        }
+        let import::Imported { mjcf, report, fall_height_m } = import::import(&source, path).map_err(fail)?;
+        let robot = Arc::new(Self::new(name, mjcf, report, fall_height_m)?);
+        known.push((key, Arc::clone(&robot)));
+        Ok(robot)
     }
 
     /// The same robot with other losses in its joints.
@@ -112,7 +125,8 @@ impl Robot {
 
     /// Reads everything from an MJCF document that has our names.
     fn new(name: &str, mjcf: String, report: Vec<String>, fall_height_m: Option<f64>) -> Result<Self, FileError> {
-        let (fail, words) = (FileError::of(ROBOT, Path::new(name)), FileError::of(ROBOT, Path::new(name)));
+        let path = &paths::as_path(name);
+        let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Kind::Body, "trunk").map_err(words)?;
         let (mut joint_limits, mut torque_limits, mut places) = ([[0.0; 2]; JOINTS], [0.0; JOINTS], [0; JOINTS]);
@@ -127,7 +141,9 @@ impl Robot {
             return Err(fail(format!("its stand_qpos has {} numbers, expected {}", stand.len(), model.nq())));
         }
         let nominal_pose = match model.numeric("nominal_pose") {
-            Ok(pose) => Joints::try_from(pose).map_err(|_| fail("its nominal_pose has not twelve angles".to_owned()))?,
+            Ok(pose) => {
+                Joints::try_from(pose).map_err(|_| fail("its nominal_pose has not twelve angles".to_owned()))?
+            }
             Err(_) => places.map(|place| stand[place]),
         };
         let legs = (0..LEGS.len()).map(|leg| Leg::of(&model, leg)).collect::<Result<Vec<_>, _>>().map_err(fail)?;

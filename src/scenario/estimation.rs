@@ -47,8 +47,8 @@ impl Estimation {
 
     /// As numbers beside a scenario's own, of a robot that acted on its sensors.
     pub fn metrics(trace: &Trace) -> [Metric; 4] {
-        let found = Self::of(trace);
-        let metric = |name, label, value, unit| Metric { name, label, value, unit };
+        let found = Self::of(&trace.on_its_feet());
+        let metric = |name, label, value, unit| Metric::new(name, label, value, unit).because("there are no estimates");
         let of = |value: fn(&Self) -> f64| found.as_ref().map(value);
         [
             metric("estimate_velocity_rmse_m_s", "velocity estimate, RMSE", of(|e| e.velocity_rmse_m_s), "m/s"),

@@ -5,6 +5,8 @@ its time. Velocities are in the heading frame (forward, left).
 */
 
 use crate::scenario::trace::{Frame, Trace};
+use crate::task::Command;
+use crate::util::numbers::maximum;
 
 /// Length of the moving average in decay times, about a stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
@@ -25,7 +27,7 @@ const CONTACT_N: f64 = 1.0;
 /// Unit of what is so (1) or not (0).
 pub const TRUTH: &str = "yes/no";
 
-/// A named number with its unit; `None` if the trace does not define it.
+/// A named number with its unit, or why the trace does not define it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Metric {
     /// Snake case, with the unit where it has one.
@@ -36,12 +38,52 @@ pub struct Metric {
     pub value: Option<f64>,
     /// Its unit.
     pub unit: &'static str,
+    /// Why there is no number, if there is none.
+    pub reason: Option<&'static str>,
+}
+
+/// Why most rollouts have no time of a fall.
+pub const NO_FALL: &str = "it did not fall";
+
+impl Metric {
+    /// A number without a reason yet.
+    pub fn new(name: &'static str, label: &'static str, value: Option<f64>, unit: &'static str) -> Self {
+        Metric { name, label, value, unit, reason: None }
+    }
+
+    /// Says why there is no number, if there is none and that has not been said.
+    pub fn because(mut self, reason: &'static str) -> Self {
+        if self.value.is_none() {
+            self.reason.get_or_insert(reason);
+        }
+        self
+    }
+
+    /// Whether it is something that is so or not.
+    pub fn is_truth(&self) -> bool {
+        self.unit == TRUTH
+    }
+
+    /// As JSON: a number, `true` or `false`, or null.
+    pub fn to_json(&self) -> serde_json::Value {
+        match self.value {
+            Some(truth) if self.is_truth() => (truth > 0.5).into(),
+            value => value.into(),
+        }
+    }
 }
 
 /// Frames of a window.
 pub fn window(trace: &Trace, from_s: f64, until_s: f64) -> impl Iterator<Item = &Frame> + Clone {
     let half_s = 0.5 * trace.period_s;
     trace.frames.iter().filter(move |frame| frame.time_s > from_s + half_s && frame.time_s < until_s + half_s)
+}
+
+/// Frames of a window, if the trace has all of it.
+pub fn whole_window(trace: &Trace, from_s: f64, until_s: f64) -> Option<impl Iterator<Item = &Frame> + Clone> {
+    let half_s = 0.5 * trace.period_s;
+    let end_s = trace.frames.last()?.time_s;
+    (from_s > -half_s && end_s + half_s > until_s).then(|| window(trace, from_s, until_s))
 }
 
 /// Mean of a quantity over frames, if there are any.
@@ -65,9 +107,12 @@ pub fn velocity_error(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     velocity_errors(trace, from_s, until_s).map(|[forward, left, _]| forward.hypot(left))
 }
 
-/// Mechanical power over weight times horizontal speed.
+/// Mechanical power over weight times horizontal speed; none of a robot that stands, or is asked to.
 pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let frames = window(trace, from_s, until_s);
+    if frames.clone().all(|frame| Command { compliance: 0.0, ..frame.command } == Command::default()) {
+        return None;
+    }
     let power_w = mean(frames.clone(), |frame| frame.power_w)?;
     let forward = mean(frames.clone(), |frame| frame.velocity_in_heading[0])?;
     let left = mean(frames, |frame| frame.velocity_in_heading[1])?;
@@ -228,7 +273,7 @@ pub fn displacement_off_course(trace: &Trace, direction: [f64; 2], from_s: f64, 
 
 /// Largest value of a quantity.
 pub fn largest<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
-    frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| old.max(value))))
+    frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| maximum(old, value))))
 }
 
 /// When the trunk passes two lines across the way (world frame, x), if it passes both \[s\].

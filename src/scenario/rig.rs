@@ -255,6 +255,8 @@ impl RigState {
             let model = data.model();
             let part = model.name(Kind::Body, model.geom_body(part));
             let text = format!("the {} hits {part} at {:.2} m/s", rig.load.name, self.speed_m_s);
+            // As of everything that disturbs: the beginning of the step in which it comes.
+            let time_s = time_s - sim.policy_period_s();
             events.push(Event { time_s, kind: EventKind::Disturbance, text });
         }
         let on_ground = |contact: mujoco::Contact| {

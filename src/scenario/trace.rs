@@ -1,6 +1,8 @@
 /*! What happened in a rollout, step by step: the one thing that metrics, tables, recordings and CSV files read.
 */
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
 use crate::robot::Joints;
@@ -167,6 +169,17 @@ impl Trace {
     /// What failed, if physics or sensors did and ended the rollout.
     pub fn fault(&self) -> Option<&Event> {
         self.events.iter().find(|event| event.kind == EventKind::Fault)
+    }
+
+    /// What happened while the robot was on its feet: all, or up to its fall.
+    pub fn on_its_feet(&self) -> Cow<'_, Trace> {
+        self.fall().map_or(Cow::Borrowed(self), |fall| Cow::Owned(self.until(fall.time_s)))
+    }
+
+    /// When the first disturbance came whose text begins like this \[s\].
+    pub fn disturbed(&self, text: &str) -> Option<f64> {
+        let is_it = |event: &&Event| event.kind == EventKind::Disturbance && event.text.starts_with(text);
+        Some(self.events.iter().find(is_it)?.time_s)
     }
 
     /// What happened up to a time.

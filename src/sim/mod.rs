@@ -23,7 +23,7 @@ pub use scene::{Buffers, GROUND, Scene};
 
 use crate::config::Simulation;
 use crate::mujoco::{Data, Error, Kind, Result};
-use crate::robot::{Foothold, JOINTS, Joints, Losses, Robot, RobotState};
+use crate::robot::{Foothold, JOINTS, Joints, Losses, Robot, RobotState, joint_name};
 
 /// Why the robot counts as fallen (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -202,8 +202,12 @@ impl Sim {
     /// One policy step towards joint targets \[rad\].
     ///
     /// # Errors
-    /// A fault of MuJoCo; the simulation must be reset before it goes on.
+    /// A target that is not finite, or a fault of MuJoCo, after which the simulation must be reset before it goes on.
     pub fn step(&mut self, target: &Joints, observer: &mut impl StepObserver) -> Result<StepSummary> {
+        if let Some(joint) = target.iter().position(|angle| !angle.is_finite()) {
+            let what = format!("the joint target of {}", joint_name(joint));
+            return Err(Error::Input { what, found: target[joint].to_string() });
+        }
         let mut summary = StepSummary { power_w: 0.0, torque_n_m: 0.0, squared_torque: 0.0, fall: None };
         let limits = self.robot.torque_limits;
         for _ in 0..self.substeps {

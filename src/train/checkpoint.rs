@@ -91,17 +91,8 @@ impl Checkpoint {
     /// [`FileError`]; the older checkpoints are untouched then.
     pub fn save(&self, folder: &Path) -> Result<(), FileError> {
         let (newest, previous) = (folder.join(NEWEST), folder.join(PREVIOUS));
-        let staged = folder.join("checkpoint.staged.safetensors");
         let bytes = self.to_bytes().map_err(FileError::of(CHECKPOINT, &newest))?;
-        let move_along = || {
-            files::write_atomically(&staged, &bytes)?;
-            if newest.exists() {
-                std::fs::rename(&newest, &previous)?;
-            }
-            std::fs::rename(&staged, &newest)?;
-            files::sync_folder(&newest)
-        };
-        move_along().map_err(FileError::of(CHECKPOINT, &newest))
+        files::write_keeping(&newest, &previous, &bytes).map_err(FileError::of(CHECKPOINT, &newest))
     }
 
     /// Reads the newest checkpoint of a run's folder, or the previous one with the reason why the newest was no good.

@@ -262,6 +262,11 @@ impl LocomotionEnv {
         p.observer.measure(&self.layout, &now);
     }
 
+    /// Memory that its simulation takes \[bytes\].
+    pub fn simulation_bytes(&self) -> usize {
+        self.sim.data().bytes()
+    }
+
     /// What was drawn for this episode.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan

@@ -7,10 +7,12 @@ learns and widens the curriculum; [`run`] keeps all of it on disk.
 pub mod checkpoint;
 pub mod collection;
 pub mod environment;
+mod memory;
 pub mod metrics;
 pub mod run;
 pub mod symmetry;
 mod tensorboard;
 mod trainer;
 
+pub use memory::{Memory, MemoryError};
 pub use trainer::{TrainError, Trainer};

@@ -18,18 +18,24 @@ It appears with its first checkpoint in it, that of iteration 0, so that a run c
 there, however early it is killed.
 */
 
-use std::fs::{self, File, OpenOptions, TryLockError};
-use std::io::{self, BufRead, BufReader, Write};
+use std::ffi::{OsStr, OsString};
+use std::fmt::Display;
+use std::fs::{self, File, OpenOptions, Permissions, TryLockError};
+use std::io::{self, BufReader, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
+use serde::Deserialize;
+
+use crate::config::Config;
 use crate::train::Trainer;
-use crate::train::checkpoint::Checkpoint;
+use crate::train::checkpoint::{Checkpoint, DAMAGED, NEWEST, PREVIOUS};
 use crate::train::environment::Fault;
 use crate::train::metrics::IterationMetrics;
 use crate::train::tensorboard::EventWriter;
 use crate::util::files::{self, FileError};
-use crate::util::provenance;
+use crate::util::{provenance, yaml};
 
 /// Physics faults of which the last second is kept; a scene that is wrong has thousands.
 const MAX_FAULTS: usize = 20;
@@ -40,18 +46,52 @@ const POLICY: &str = "policy.safetensors";
 /// File of the configuration.
 const CONFIG: &str = "config.yaml";
 
+/// File that says what was asked for.
+const ABOUT: &str = "run.json";
+
+/// File with a line for each iteration.
+const METRICS: &str = "metrics.jsonl";
+
+/// Larger files and lines are not ours.
+const MAX_BYTES: u64 = 1 << 20;
+
 /// File that the process which trains in a folder holds locked.
 const LOCK: &str = "lock";
 
 /// Why a run's folder could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// There is something at that path already.
+    /// There is a run at that path already.
     #[error("{path} exists already: go on with --resume {path}, or choose another folder with --out", path = .0.display())]
     Exists(PathBuf),
+    /// There is something else at that path.
+    #[error("{} exists already and is no run: choose another folder with --out", .0.display())]
+    Taken(PathBuf),
     /// There is no run to go on with.
-    #[error("{} is not a run's folder: it has no checkpoint; start one with --out", .0.display())]
+    #[error("{} is not a run's folder: it has no checkpoint to go on from", .0.display())]
     NotARun(PathBuf),
+    /// Its files are not of one run.
+    #[error("{}: two runs are mixed: {problem}", path.display())]
+    Mixed {
+        /// The folder.
+        path: PathBuf,
+        /// Which files, and in what they differ.
+        problem: String,
+    },
+    /// Its configuration was changed after it began.
+    #[error(
+        "{path}/config.yaml was changed after the run began: {keys} in the checkpoint; undo that, or start another run with \
+         --config {path}/config.yaml", path = path.display()
+    )]
+    Changed {
+        /// The folder.
+        path: PathBuf,
+        /// What was changed, with both values.
+        keys: String,
+    },
+    /// Its configuration cannot be understood, and may be what somebody has just written.
+    #[error("{0}; mend it, or remove the file: it is written again from the checkpoint")]
+    Unreadable(String),
     /// Another process trains there.
     #[error("another process is training in {}: wait for it, or choose another folder", .0.display())]
     Busy(PathBuf),
@@ -74,24 +114,24 @@ impl RunFolder {
     /// Creates the folder of a new run.
     ///
     /// # Errors
-    /// [`RunError::Exists`] if there is something at that path, or the system's reason.
+    /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or the system's reason.
     pub fn create(path: &Path, trainer: &Trainer) -> Result<Self, RunError> {
-        if path.exists() {
+        if is_run(path) {
             return Err(RunError::Exists(path.to_owned()));
         }
-        let staged = staging_place(path);
-        fs::create_dir_all(&staged).map_err(at(&staged))?;
-        let lock = lock(&staged)?;
-        remove_all_but_the_lock(&staged).map_err(at(&staged))?;
+        if path.symlink_metadata().is_ok() {
+            return Err(RunError::Taken(path.to_owned()));
+        }
+        let (staged, lock) = stage(path)?;
         let about = serde_json::json!({
             "config_name": trainer.run().config_name,
             "seed": trainer.run().seed,
             "git_revision": provenance::GIT_REVISION,
             "mujoco_version": provenance::MUJOCO_VERSION,
-            "command": std::env::args().collect::<Vec<_>>().join(" "),
+            "command": std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" "),
         });
         let fill = || -> Result<(), RunError> {
-            let (run, config) = (staged.join("run.json"), staged.join(CONFIG));
+            let (run, config) = (staged.join(ABOUT), staged.join(CONFIG));
             files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
             files::write_atomically(&config, trainer.run().config.to_yaml().as_bytes()).map_err(at(&config))?;
             trainer.checkpoint().save(&staged)?;
@@ -107,30 +147,41 @@ impl RunFolder {
         Self::open(path, lock)
     }
 
-    /// Opens the folder of a run to go on with it: reads its checkpoint and drops the metrics of iterations that came
-    /// after it. The third value says why the newest checkpoint was passed over, if it was.
+    /// Opens the folder of a run to go on with it: reads its checkpoint, makes sure that the other files are of the same
+    /// run, and drops the metrics of iterations that came after it. How long the run is to be is what its `config.yaml`
+    /// says; everything else is in the checkpoint. The third value is what the user has to know: that the newest checkpoint
+    /// was passed over, or that metrics are lost.
     ///
     /// # Errors
-    /// [`RunError::NotARun`], or what is wrong with the checkpoint.
-    pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Option<FileError>), RunError> {
-        use crate::train::checkpoint::{DAMAGED, NEWEST, PREVIOUS};
-        if !path.join(NEWEST).exists() && !path.join(PREVIOUS).exists() {
+    /// [`RunError::NotARun`], files of different runs, or what is wrong with the checkpoint.
+    pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Vec<String>), RunError> {
+        if !is_run(path) {
             return Err(RunError::NotARun(path.to_owned()));
         }
         let lock = lock(path)?;
-        let (checkpoint, passed_over) = Checkpoint::load(path)?;
+        files::clear_temporaries(path).map_err(at(path))?;
+        let (mut checkpoint, passed_over) = Checkpoint::load(path)?;
+        let mut notes = Vec::new();
+        check_identity(path, &checkpoint, &mut notes)?;
+        check_config(path, &mut checkpoint, &mut notes)?;
+        let metrics = path.join(METRICS);
+        let (kept, lost) = metrics_up_to(path, &checkpoint)?;
+        notes.extend(lost);
+        if let Some(reason) = &passed_over {
+            notes.push(format!("{reason}; going on from the checkpoint before it"));
+        }
+        // Nothing is changed before everything is known to be in order.
         if passed_over.is_some() && path.join(NEWEST).exists() {
             // Else the next checkpoint would make the damaged one the one to fall back to.
             let damaged = path.join(DAMAGED);
             fs::rename(path.join(NEWEST), &damaged).map_err(at(&damaged))?;
         }
-        let metrics = path.join("metrics.jsonl");
-        cut_metrics(&metrics, checkpoint.run.iteration).map_err(at(&metrics))?;
-        Ok((Self::open(path, lock)?, checkpoint, passed_over))
+        files::write_atomically(&metrics, &kept).map_err(at(&metrics))?;
+        Ok((Self::open(path, lock)?, checkpoint, notes))
     }
 
     fn open(path: &Path, lock: File) -> Result<Self, RunError> {
-        let metrics_path = path.join("metrics.jsonl");
+        let metrics_path = path.join(METRICS);
         let metrics = OpenOptions::new().create(true).append(true).open(&metrics_path);
         Ok(RunFolder {
             _lock: lock,
@@ -150,7 +201,7 @@ impl RunFolder {
     /// # Errors
     /// The system's reason, such as a full disk.
     pub fn log(&mut self, metrics: &IterationMetrics) -> Result<(), RunError> {
-        let path = self.path.join("metrics.jsonl");
+        let path = self.path.join(METRICS);
         // Plain numbers: serialising them cannot fail.
         let mut line = serde_json::to_vec(metrics).unwrap_or_default();
         line.push(b'\n');
@@ -203,7 +254,7 @@ impl RunFolder {
     /// # Errors
     /// The system's reason, such as a full disk; older files are untouched then.
     pub fn save(&self, trainer: &Trainer) -> Result<(), RunError> {
-        self.metrics.sync_data().map_err(at(&self.path.join("metrics.jsonl")))?;
+        self.metrics.sync_data().map_err(at(&self.path.join(METRICS)))?;
         trainer.checkpoint().save(&self.path)?;
         self.save_policy(trainer)
     }
@@ -230,19 +281,34 @@ fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy {
     FileError::of("file", path)
 }
 
-/// Where the folder of a new run is put together: beside its place, under a name that a start which was cut off leaves
-/// for the next one to find.
-fn staging_place(path: &Path) -> PathBuf {
-    let name = path.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
-    path.with_file_name(format!(".{name}.starting"))
+/// A folder in which a new run is put together, locked: beside its place, under a name that nobody can guess. What starts
+/// that were cut off have left there is cleared away.
+fn stage(path: &Path) -> Result<(PathBuf, File), RunError> {
+    let name = path.file_name().ok_or_else(|| at(path)(io::Error::other("it names no folder")))?;
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    fs::create_dir_all(parent).map_err(at(parent))?;
+    let mut prefix = OsString::from(".");
+    prefix.push(name);
+    prefix.push(".starting-");
+    clear_cut_off_starts(parent, &prefix).map_err(at(parent))?;
+    // As any folder that is made, not for its owner alone.
+    let permissions = Permissions::from_mode(0o777);
+    let staged = tempfile::Builder::new().prefix(&prefix).rand_bytes(16).permissions(permissions).tempdir_in(parent);
+    let staged = staged.map_err(at(parent))?.keep();
+    let lock = lock(&staged)?;
+    Ok((staged, lock))
 }
 
-/// Clears what a start that was cut off has left.
-fn remove_all_but_the_lock(folder: &Path) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let path = entry?.path();
-        if path.file_name().is_none_or(|name| name != LOCK) {
-            fs::remove_file(path)?;
+/// Removes folders, and no links to any, whose names begin like this and in which nobody works any more.
+fn clear_cut_off_starts(parent: &Path, prefix: &OsStr) -> io::Result<()> {
+    for entry in fs::read_dir(parent)? {
+        let entry = entry?;
+        let is_ours = entry.file_name().as_encoded_bytes().starts_with(prefix.as_encoded_bytes());
+        if is_ours
+            && entry.file_type()?.is_dir()
+            && File::open(entry.path().join(LOCK)).is_ok_and(|lock| lock.try_lock().is_ok())
+        {
+            fs::remove_dir_all(entry.path())?;
         }
     }
     Ok(())
@@ -259,31 +325,164 @@ fn lock(folder: &Path) -> Result<File, RunError> {
     }
 }
 
-/// Keeps the first `iterations` lines, which a checkpoint stands behind, and drops what came after it, a half-written
-/// line included.
-fn cut_metrics(path: &Path, iterations: u64) -> io::Result<()> {
-    let mut kept = Vec::new();
-    if path.exists() {
-        let mut reader = BufReader::new(File::open(path)?);
-        for _ in 0..iterations {
-            if reader.read_until(b'\n', &mut kept)? == 0 {
-                break;
-            }
-        }
+/// Whether there is a checkpoint to go on from, whole or not.
+fn is_run(path: &Path) -> bool {
+    [NEWEST, PREVIOUS].iter().any(|name| path.join(name).exists())
+}
+
+/// Checks that a checkpoint is of the run that the folder was made for.
+fn check_identity(path: &Path, checkpoint: &Checkpoint, notes: &mut Vec<String>) -> Result<(), RunError> {
+    #[derive(Deserialize)]
+    struct About {
+        config_name: String,
+        seed: u64,
     }
-    files::write_atomically(path, &kept)
+    let read = files::read_text(&path.join(ABOUT), MAX_BYTES).map_err(|error| error.to_string());
+    let about = match read.and_then(|text| serde_json::from_str::<About>(&text).map_err(|error| error.to_string())) {
+        Ok(about) => about,
+        Err(error) => {
+            notes.push(format!("{}: {error}; the checkpoint alone says what the run is", path.join(ABOUT).display()));
+            return Ok(());
+        }
+    };
+    let run = &checkpoint.run;
+    let mixed = |what: &str, ours: &dyn Display, theirs: &dyn Display| {
+        let problem = format!("its checkpoint is of {what} {theirs}, {ABOUT} of {what} {ours}");
+        Err(RunError::Mixed { path: path.to_owned(), problem })
+    };
+    if about.seed != run.seed {
+        return mixed("seed", &about.seed, &run.seed);
+    }
+    if about.config_name != run.config_name {
+        return mixed("configuration", &about.config_name, &run.config_name);
+    }
+    Ok(())
+}
+
+/// Checks that the configuration in the folder is that of the checkpoint, and takes over how long the run is to be.
+fn check_config(path: &Path, checkpoint: &mut Checkpoint, notes: &mut Vec<String>) -> Result<(), RunError> {
+    let file = path.join(CONFIG);
+    let name = file.display().to_string();
+    let config = match files::read_text(&file, MAX_BYTES) {
+        Ok(text) => Config::from_yaml(&name, &text).map_err(|error| RunError::Unreadable(error.to_string()))?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {
+            notes.push(format!("there is no {name}: it is written again from the checkpoint"));
+            return Ok(());
+        }
+        Err(error) => return Err(at(&file)(error).into()),
+    };
+    let ours = &mut checkpoint.run.config;
+    config.check_same(ours).map_err(|keys| RunError::Changed { path: path.to_owned(), keys })?;
+    for (key, [theirs, ours]) in yaml::differences(&config.run, &ours.run) {
+        notes.push(format!("run.{key} is {theirs} in {name} and {ours} in the checkpoint: the former counts"));
+    }
+    ours.run = config.run;
+    Ok(())
+}
+
+/// The lines of the metrics up to a checkpoint's iteration, and which are missing. What came after it is left out, a
+/// half-written line included.
+fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Option<String>), RunError> {
+    #[derive(Deserialize)]
+    struct Time {
+        elapsed_s: f64,
+    }
+    #[derive(Deserialize)]
+    struct Line {
+        iteration: u64,
+        time: Option<Time>,
+    }
+    let file = path.join(METRICS);
+    let lines = match File::open(&file) {
+        Ok(open) => files::lines(BufReader::new(open), MAX_BYTES)
+            // A line of something else is a line that is missing.
+            .filter(|line| !matches!(line, Err(error) if error.kind() == io::ErrorKind::InvalidData))
+            .collect::<io::Result<Vec<_>>>()
+            .map_err(at(&file))?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Vec::new(),
+        Err(error) => return Err(at(&file)(error).into()),
+    };
+    let run = &checkpoint.run;
+    let (mut kept, mut next, mut missing) = (Vec::new(), 1, Vec::new());
+    for text in &lines {
+        let Ok(line) = serde_json::from_str::<Line>(text) else { continue };
+        if !(next..=run.iteration).contains(&line.iteration) {
+            continue;
+        }
+        // Training time is a number that no two runs share.
+        if let (true, Some(time)) = (line.iteration == run.iteration, line.time)
+            && time.elapsed_s != run.elapsed_s
+        {
+            let [ours, theirs] = [run.elapsed_s, time.elapsed_s];
+            let problem = format!(
+                "after iteration {} the checkpoint has trained for {ours} s, {METRICS} for {theirs} s",
+                run.iteration
+            );
+            return Err(RunError::Mixed { path: path.to_owned(), problem });
+        }
+        if line.iteration > next {
+            missing.push((next, line.iteration - 1));
+        }
+        next = line.iteration + 1;
+        kept.extend_from_slice(text.as_bytes());
+        kept.push(b'\n');
+    }
+    if next <= run.iteration {
+        missing.push((next, run.iteration));
+    }
+    let ranges: Vec<String> = missing
+        .iter()
+        .map(|(from, to)| if from == to { from.to_string() } else { format!("{from} to {to}") })
+        .collect();
+    let lost = format!("{} lacks iterations {} of {}: they are lost", file.display(), ranges.join(", "), run.iteration);
+    Ok((kept, (!missing.is_empty()).then_some(lost)))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn metrics_after_the_checkpoint_are_dropped_with_a_half_written_line() {
+    /// A checkpoint of iteration 3 after 1.5 s, beside metrics.
+    fn folder(metrics: &str) -> (tempfile::TempDir, Checkpoint) {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("metrics.jsonl");
-        fs::write(&path, "1\n2\n3\n4").unwrap();
-        cut_metrics(&path, 2).unwrap();
-        assert_eq!(fs::read_to_string(&path).unwrap(), "1\n2\n");
+        fs::write(folder.path().join(METRICS), metrics).unwrap();
+        let mut config = Config::load("fast").unwrap();
+        (config.ppo.batch_size, config.ppo.minibatch_size, config.ppo.environments) = (4, 4, 1);
+        config.ppo.hidden_layers = vec![2];
+        let mut checkpoint = Trainer::new("test", config, 0, 1).unwrap().checkpoint();
+        (checkpoint.run.iteration, checkpoint.run.elapsed_s) = (3, 1.5);
+        (folder, checkpoint)
+    }
+
+    fn lines(iterations: &[u64]) -> String {
+        let line = |k: &u64| format!("{{\"iteration\":{k},\"time\":{{\"elapsed_s\":{}}}}}\n", 0.5 * *k as f64);
+        iterations.iter().map(line).collect()
+    }
+
+    #[test]
+    fn metrics_end_where_the_checkpoint_is_and_what_is_missing_is_told() {
+        for (found, kept, lost) in [
+            (lines(&[1, 2, 3, 4]) + "{\"iter", &[1, 2, 3][..], None),
+            (lines(&[1, 3]), &[1, 3], Some("lacks iterations 2 of 3")),
+            (lines(&[1]) + "cut\n", &[1], Some("lacks iterations 2 to 3 of 3")),
+            (String::new(), &[], Some("lacks iterations 1 to 3 of 3")),
+            (lines(&[1, 2, 3, 1, 2, 3]), &[1, 2, 3], None),
+        ] {
+            let (folder, checkpoint) = folder(&found);
+            let (text, note) = metrics_up_to(folder.path(), &checkpoint).unwrap();
+            assert_eq!(String::from_utf8(text).unwrap(), lines(kept));
+            assert!(
+                note.as_deref().unwrap_or("").contains(lost.unwrap_or("")) && note.is_some() == lost.is_some(),
+                "{note:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn metrics_of_another_run_are_refused() {
+        let (folder, mut checkpoint) = folder(&lines(&[1, 2, 3]));
+        checkpoint.run.elapsed_s = 1.25;
+        let error = metrics_up_to(folder.path(), &checkpoint).unwrap_err().to_string();
+        assert!(error.contains("two runs are mixed"), "{error}");
     }
 }

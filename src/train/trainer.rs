@@ -11,6 +11,7 @@ use rand::seq::SliceRandom;
 use super::checkpoint::{Checkpoint, RunState};
 use super::collection::{Collection, Rollout};
 use super::environment::{End, Fault, LocomotionEnv};
+use super::memory::{Memory, MemoryError};
 use super::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
 use super::symmetry::{self, Mirror};
 use crate::config::{Config, ValueError};
@@ -43,6 +44,9 @@ pub enum TrainError {
     /// What is to be learnt from in the mirror has no mirror image.
     #[error("ppo.symmetry is true, but {0}: make it false")]
     Symmetry(String),
+    /// More memory than the machine has.
+    #[error(transparent)]
+    Memory(#[from] MemoryError),
     /// The update met numbers that are not finite.
     #[error("the learner stopped in iteration {iteration}: {fault}")]
     Learner {
@@ -83,6 +87,7 @@ impl Trainer {
     /// If a value of the configuration is out of its range, or the robot's model cannot be simulated.
     pub fn new(config_name: &str, mut config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
         config.check()?;
+        Memory::of(&config)?.check()?;
         config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
@@ -124,6 +129,7 @@ impl Trainer {
         if [&state.first_moment, &state.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
+        Memory::of(&run.config)?.check()?;
         let (robot, layout, mirror) = parts(&run.config)?;
         // What another revision makes of a file is its own affair: the caller has been told that revisions differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::GIT_REVISION {
@@ -240,7 +246,8 @@ type Parts = (Arc<Robot>, Arc<Layout>, Option<Mirror>);
 fn parts(config: &Config) -> Result<Parts, TrainError> {
     let robot = config.robot.load()?;
     let layout = config.layout().map_err(ValueError::Observation)?;
-    let mirror = || Mirror::new(&layout, &robot, &config.action.nominal_pose_rad.joints()).map_err(TrainError::Symmetry);
+    let mirror =
+        || Mirror::new(&layout, &robot, &config.action.nominal_pose_rad.joints()).map_err(TrainError::Symmetry);
     let mirror = config.ppo.symmetry.then(mirror).transpose()?;
     Ok((robot, Arc::new(layout), mirror))
 }
@@ -337,10 +344,7 @@ mod tests {
         let mut trainer = Trainer::new("test", config, 0, 1).unwrap();
         trainer.iterate().unwrap();
         let before = trainer.policy().to_bytes().unwrap();
-        let layout = Layout::clone(&trainer.layout);
-        let (offset, mut scale) = (layout.offset().to_vec(), layout.scale().to_vec());
-        scale[0] = f64::NAN;
-        let blind = Arc::new(layout.with_normaliser(offset, scale).unwrap());
+        let blind = Arc::new(trainer.layout.blinded());
         trainer.environments.iter_mut().for_each(|environment| environment.see(&blind));
         let error = trainer.iterate().unwrap_err();
         assert!(error.to_string().contains("iteration 1"), "{error}");

@@ -1,8 +1,8 @@
 //! Files that are whole or not there: atomic replacement, checksums, bounded reading.
 
-use std::ffi::OsString;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::fs::{self, File, Permissions};
+use std::io::{self, BufRead, BufWriter, Read, Write};
+use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
@@ -27,33 +27,150 @@ impl FileError {
 }
 
 /// Writes a file so that at every moment either the old or the new content is there, also after a power failure:
-/// a temporary file beside it, synced, renamed over it, and the folder synced.
+/// a temporary file beside it, synced, renamed over it, and the folder synced. See [`write_with`] for what is no file.
 ///
 /// # Errors
 /// The system's; the old content is untouched then.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let temporary = temporary(path)?;
-    let written = File::create(&temporary).and_then(|mut file| {
-        file.write_all(bytes)?;
-        file.sync_all()
-    });
-    if let Err(error) = written.and_then(|()| fs::rename(&temporary, path)) {
-        // Best effort: the first error is the one to report.
-        let _ = fs::remove_file(&temporary);
-        return Err(error);
+    write_with(path, |out| out.write_all(bytes))
+}
+
+/// As [`write_atomically`], bit by bit. A link is kept, and what it leads to is written; what is no regular file, such as
+/// a device or a pipe, is written to and never replaced; `-` and `/dev/stdout` are standard output, where it is no error
+/// that nobody reads on.
+///
+/// # Errors
+/// The system's, or that of `write`; the old content of a regular file is untouched then.
+pub fn write_with(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    match Target::of(path)? {
+        Target::File(path) => replace(&path, write, || Ok(())),
+        Target::Stream(path) => {
+            File::options().append(true).open(path).and_then(|file| buffered(file, write).map(drop))
+        }
+        Target::Output => match buffered(io::stdout().lock(), write) {
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+            written => written.map(drop),
+        },
     }
+}
+
+fn buffered<W: Write>(out: W, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<W> {
+    let mut out = BufWriter::new(out);
+    write(&mut out)?;
+    let mut out = out.into_inner().map_err(io::IntoInnerError::into_error)?;
+    out.flush()?;
+    Ok(out)
+}
+
+/// As [`write_atomically`] with a file that nobody makes a link of; what was there before is kept as `old`. At every moment
+/// one of the two is whole.
+///
+/// # Errors
+/// The system's; what was there is untouched then.
+pub fn write_keeping(path: &Path, old: &Path, bytes: &[u8]) -> io::Result<()> {
+    let keep = || match fs::rename(path, old) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        _ => Ok(()),
+    };
+    replace(path, |out| out.write_all(bytes), keep)
+}
+
+/// Writes a temporary file beside `path` and renames it, after what is to be done `before` that. Its name cannot be guessed,
+/// and it is made anew or not at all: nobody can have put a link in its place.
+fn replace(
+    path: &Path,
+    write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
+    before: impl FnOnce() -> io::Result<()>,
+) -> io::Result<()> {
+    let new = Permissions::from_mode(0o666);
+    let mut temporary = tempfile::Builder::new();
+    let temporary = temporary.prefix(TEMPORARY.0).suffix(TEMPORARY.1).rand_bytes(16).permissions(new);
+    let (file, temporary) = temporary.tempfile_in(folder_of(path))?.into_parts();
+    if let Ok(old) = fs::metadata(path) {
+        file.set_permissions(old.permissions())?;
+    }
+    buffered(file, write)?.sync_all()?;
+    before()?;
+    temporary.persist(path).map_err(|error| error.error)?;
     sync_folder(path)
 }
 
-/// The hidden file beside `path` in which its new content is gathered.
-fn temporary(path: &Path) -> io::Result<PathBuf> {
-    let Some(name) = path.file_name() else {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it names no file"));
-    };
-    let mut hidden = OsString::from(".");
-    hidden.push(name);
-    hidden.push(".tmp");
-    Ok(path.with_file_name(hidden))
+/// How the names of temporary files begin and end.
+const TEMPORARY: (&str, &str) = (".supple-", ".tmp");
+
+/// Removes the temporary files that killed processes have left in a folder which nobody else writes to now.
+///
+/// # Errors
+/// The system's.
+pub fn clear_temporaries(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        if name.starts_with(TEMPORARY.0) && name.ends_with(TEMPORARY.1) && entry.file_type()?.is_file() {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// Where what is written goes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Target {
+    /// A regular file, or one that is not there yet; no link.
+    File(PathBuf),
+    /// A device, a pipe, or what another name stands for that is already open.
+    Stream(PathBuf),
+    /// Standard output.
+    Output,
+}
+
+impl Target {
+    /// Of a path as a user gives it.
+    ///
+    /// # Errors
+    /// The system's, or that it is a folder.
+    pub fn of(path: &Path) -> io::Result<Self> {
+        if path == Path::new("-") {
+            return Ok(Target::Output);
+        }
+        if path.file_name().is_none() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it names no file"));
+        }
+        let mut path = path.to_owned();
+        for _ in 0..MAX_LINKS {
+            let kind = match fs::symlink_metadata(&path) {
+                Ok(found) => found.file_type(),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Target::File(path)),
+                Err(error) => return Err(error),
+            };
+            if kind.is_dir() {
+                return Err(io::Error::new(io::ErrorKind::IsADirectory, "it is a folder, expected a file"));
+            }
+            if !kind.is_symlink() {
+                return Ok(if kind.is_file() { Target::File(path) } else { Target::Stream(path) });
+            }
+            let folder = fs::canonicalize(folder_of(&path))?;
+            if folder.starts_with("/proc") {
+                let ours = Path::new("/proc").join(std::process::id().to_string()).join("fd/1");
+                return Ok(if folder.join(path.file_name().unwrap_or_default()) == ours {
+                    Target::Output
+                } else {
+                    Target::Stream(path)
+                });
+            }
+            path = folder.join(fs::read_link(&path)?);
+        }
+        Err(io::Error::other("it is a link that leads nowhere"))
+    }
+}
+
+/// As many links lead to one another as the system follows.
+const MAX_LINKS: usize = 40;
+
+/// The folder that a path is in.
+fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Makes renames in the folder of `path` durable.
@@ -61,21 +178,64 @@ fn temporary(path: &Path) -> io::Result<PathBuf> {
 /// # Errors
 /// The system's.
 pub fn sync_folder(path: &Path) -> io::Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    File::open(folder)?.sync_all()
+    File::open(folder_of(path))?.sync_all()
 }
 
-/// Reads a file of at most `limit` bytes.
+/// Reads a file, or a pipe to its end, of at most `limit` bytes.
 ///
 /// # Errors
-/// The system's, or `FileTooLarge`.
+/// The system's; `FileTooLarge`; or that it is a device, which may have no end.
 pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-    let size = fs::metadata(path)?.len();
-    if size > limit {
-        let message = format!("it has {size} bytes, more than the {limit} that such a file can have");
+    let file = File::open(path)?;
+    let found = file.metadata()?;
+    let kind = found.file_type();
+    if kind.is_char_device() || kind.is_block_device() {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a device, expected a file"));
+    }
+    let mut bytes = Vec::new();
+    // What is no regular file says that it has 0 bytes.
+    if found.len() <= limit {
+        file.take(limit.saturating_add(1)).read_to_end(&mut bytes)?;
+    }
+    if found.len().max(bytes.len() as u64) > limit {
+        let message = format!("it has more than the {limit} bytes that such a file can have");
         return Err(io::Error::new(io::ErrorKind::FileTooLarge, message));
     }
-    fs::read(path)
+    Ok(bytes)
+}
+
+/// As [`read_bounded`], of a text in UTF-8; without the byte-order mark that some editors put first.
+///
+/// # Errors
+/// As [`read_bounded`], or that it is no such text.
+pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
+    let mut text = utf8(read_bounded(path, limit)?)?;
+    if text.starts_with('\u{feff}') {
+        text.remove(0);
+    }
+    Ok(text)
+}
+
+/// Lines of at most `limit` bytes, without their ends.
+pub fn lines(mut reader: impl BufRead, limit: u64) -> impl Iterator<Item = io::Result<String>> {
+    std::iter::from_fn(move || {
+        let mut line = Vec::new();
+        match (&mut reader).take(limit).read_until(b'\n', &mut line) {
+            Err(error) => return Some(Err(error)),
+            Ok(0) => return None,
+            Ok(_) if line.ends_with(b"\n") => drop(line.pop()),
+            Ok(length) if length as u64 == limit => {
+                let message = format!("it has more than the {limit} bytes that a line can have");
+                return Some(Err(io::Error::new(io::ErrorKind::FileTooLarge, message)));
+            }
+            Ok(_) => {}
+        }
+        Some(utf8(line))
+    })
+}
+
+fn utf8(bytes: Vec<u8>) -> io::Result<String> {
+    String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text in UTF-8"))
 }
 
 /// Whether a file is a YAML file, by its name.
@@ -101,10 +261,90 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("kept");
         write_atomically(&path, b"old").unwrap();
-        // The temporary file cannot be created: a folder has its name.
-        fs::create_dir(temporary(&path).unwrap()).unwrap();
-        assert!(write_atomically(&path, b"new").is_err());
+        let failed = write_with(&path, |out| {
+            out.write_all(b"half")?;
+            Err(io::Error::other("disk full"))
+        });
+        assert!(failed.is_err());
         assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
+    }
+
+    #[test]
+    fn links_and_permissions_are_kept() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        fs::create_dir(at("far")).unwrap();
+        fs::write(at("far/file"), "old").unwrap();
+        fs::set_permissions(at("far/file"), Permissions::from_mode(0o640)).unwrap();
+        for (link, to) in [("one", "far/file"), ("two", "one"), ("new", "far/new")] {
+            std::os::unix::fs::symlink(to, at(link)).unwrap();
+        }
+        write_atomically(&at("two"), b"2").unwrap();
+        write_atomically(&at("new"), b"new").unwrap();
+        let text = |name: &str| fs::read_to_string(at(name)).unwrap();
+        assert_eq!((text("far/file"), text("far/new")), ("2".into(), "new".into()));
+        assert!(["one", "two", "new"].iter().all(|link| at(link).is_symlink()));
+        assert_eq!(fs::metadata(at("far/file")).unwrap().permissions().mode() & 0o777, 0o640);
+        fs::write(at("plain"), "").unwrap();
+        let [plain, ours] = ["plain", "far/new"].map(|name| fs::metadata(at(name)).unwrap().permissions().mode());
+        assert_eq!(plain, ours, "a new file has the permissions that any program gives it");
+    }
+
+    #[test]
+    fn devices_and_pipes_are_written_to_and_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let (pipe, link) = (folder.path().join("pipe"), folder.path().join("full"));
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let read = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::read(pipe).unwrap()
+        });
+        write_atomically(&pipe, b"through").unwrap();
+        assert_eq!(read.join().unwrap(), b"through");
+        std::os::unix::fs::symlink("/dev/full", &link).unwrap();
+        assert_eq!(write_atomically(&link, b"x").unwrap_err().kind(), io::ErrorKind::StorageFull);
+        assert!(link.is_symlink() && fs::metadata("/dev/full").unwrap().file_type().is_char_device());
+        for name in ["-", "/dev/stdout", "/proc/self/fd/1"] {
+            assert_eq!(Target::of(Path::new(name)).unwrap(), Target::Output, "{name}");
+        }
+    }
+
+    #[test]
+    fn temporary_files_of_killed_processes_are_cleared_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in [".supple-abc.tmp", "mine.tmp", "checkpoint"] {
+            fs::write(at(name), "").unwrap();
+        }
+        clear_temporaries(folder.path()).unwrap();
+        assert!(!at(".supple-abc.tmp").exists() && at("mine.tmp").exists() && at("checkpoint").exists());
+    }
+
+    #[test]
+    fn what_has_no_end_is_refused_after_the_limit() {
+        let folder = tempfile::tempdir().unwrap();
+        let (pipe, file) = (folder.path().join("pipe"), folder.path().join("file"));
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        // Fails to write all of it, since the reader goes away.
+        let write = std::thread::spawn({
+            let pipe = pipe.clone();
+            move || fs::write(pipe, vec![b'a'; 1 << 20])
+        });
+        assert_eq!(read_bounded(&pipe, 1000).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+        assert!(write.join().unwrap().is_err());
+        assert!(read_bounded(Path::new("/dev/zero"), 1000).unwrap_err().to_string().contains("a device"));
+        fs::write(&file, "\u{feff}abc").unwrap();
+        assert_eq!(read_text(&file, 6).unwrap(), "abc");
+        assert_eq!(read_bounded(&file, 5).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
+    }
+
+    #[test]
+    fn lines_are_bounded() {
+        let all: Vec<_> = lines(&b"one\n\nthree"[..], 6).map(Result::unwrap).collect();
+        assert_eq!(all, ["one", "", "three"]);
+        let endless = io::BufReader::new(io::repeat(b'a'));
+        assert_eq!(lines(endless, 6).next().unwrap().unwrap_err().kind(), io::ErrorKind::FileTooLarge);
     }
 
     #[test]

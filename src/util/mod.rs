@@ -1,8 +1,12 @@
-//! Small helpers: files, tensors in files, YAML, random streams, what programs print, where the program comes from.
+//! Small helpers: files, paths as text, numbers, tensors in files, XML, YAML, random streams, what programs print, where the program comes from.
 
 pub mod files;
+pub mod numbers;
+pub mod paths;
+pub mod progress;
 pub mod provenance;
 pub mod random;
 pub mod tensors;
 pub mod terminal;
+pub mod xml;
 pub mod yaml;

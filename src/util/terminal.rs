@@ -1,19 +1,24 @@
 //! What programs say: to a standard output and a standard error that may be closed at any moment, as by `| head -1`.
 
+use std::borrow::Cow;
 use std::error::Error;
+use std::ffi::OsStr;
 use std::fmt::Display;
 use std::io::{self, Write};
+use std::os::unix::ffi::OsStrExt;
 use std::process::ExitCode;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use clap::builder::{OsStringValueParser, TypedValueParser};
 
-/// Writes to standard output. That nobody reads it any more is no error: whoever reads decides how much.
+use super::paths;
+
+/// Writes to standard output, [`plain`]. That nobody reads it any more is no error: whoever reads decides how much.
 ///
 /// # Errors
 /// The system's, such as a full disk.
 pub fn print(text: impl Display) -> io::Result<()> {
     let mut out = io::stdout().lock();
-    match write!(out, "{text}").and_then(|()| out.flush()) {
+    match out.write_all(plain(&text.to_string()).as_bytes()).and_then(|()| out.flush()) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
         Err(error) => Err(io::Error::new(error.kind(), format!("cannot write to standard output: {error}"))),
         Ok(()) => Ok(()),
@@ -31,13 +36,13 @@ pub fn conclude(outcome: Result<(), impl AsRef<dyn Error + Send + Sync>>) -> Exi
     }
 }
 
-/// An error and its causes on one line, without repeating a cause that a message already ends with.
+/// An error and its causes on one line, without repeating a cause that a message already has.
 pub fn complaint(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
     while let Some(error) = cause {
         let words = error.to_string();
-        if !text.ends_with(&words) {
+        if !text.contains(&words) {
             text = format!("{text}: {words}");
         }
         cause = error.source();
@@ -45,18 +50,39 @@ pub fn complaint(error: &dyn Error) -> String {
     text
 }
 
-/// Writes a line to standard error, if there is still one: nobody is left to tell if not.
-pub fn note(text: impl Display) {
-    let _ = writeln!(io::stderr(), "{text}");
+/// A word for a shell to read: quoted if it has to be, whatever its bytes are.
+pub fn shell_word(word: impl AsRef<OsStr>) -> String {
+    let bytes = word.as_ref().as_bytes();
+    if let Some(quoted) = word.as_ref().to_str().and_then(|text| shlex::try_quote(text).ok()) {
+        return quoted.into_owned();
+    }
+    let escape = |byte: &u8| match byte {
+        b'\'' | b'\\' => format!("\\{}", char::from(*byte)),
+        b' '..=b'~' => char::from(*byte).to_string(),
+        byte => format!("\\x{byte:02x}"),
+    };
+    format!("$'{}'", bytes.iter().map(escape).collect::<String>())
 }
 
-/// A progress bar of this length on standard error; the template is indicatif's.
-pub fn progress_bar(length: u64, template: &str) -> ProgressBar {
-    let bar = ProgressBar::new(length);
-    if let Ok(style) = ProgressStyle::with_template(template) {
-        bar.set_style(style);
+/// Reads a word of the command line as text that stands for any path, see [`paths::as_path`].
+pub fn path_as_text() -> impl TypedValueParser<Value = String> {
+    OsStringValueParser::new().map(paths::as_text)
+}
+
+/// A text without what would command a terminal: control characters but for ends of lines and tabs, and what stands for the
+/// bytes of a path that is not UTF-8, are spelt out as JSON does, which means the same there.
+pub fn plain(text: &str) -> Cow<'_, str> {
+    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || paths::is_byte(c);
+    if !text.contains(commands) {
+        return text.into();
     }
-    bar
+    let spelt = |c: char| if commands(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() };
+    text.chars().map(spelt).collect::<String>().into()
+}
+
+/// Writes a line to standard error, [`plain`], if there is still one: nobody is left to tell if not.
+pub fn note(text: impl Display) {
+    let _ = writeln!(io::stderr(), "{}", plain(&text.to_string()));
 }
 
 #[cfg(test)]
@@ -70,9 +96,28 @@ mod tests {
     }
 
     #[test]
-    fn a_cause_that_the_message_ends_with_is_not_repeated() {
+    fn words_for_a_shell_are_read_as_what_they_were() {
+        for word in [&b"plain"[..], b"it's two", b"caf\xe9 'x' \\y", b"\xff"] {
+            let line = format!("printf %s {}", shell_word(OsStr::from_bytes(word)));
+            let output = std::process::Command::new("bash").args(["-c", &line]).output().unwrap();
+            assert_eq!(output.stdout, word, "{line}");
+        }
+    }
+
+    #[test]
+    fn control_characters_are_spelt_out() {
+        assert_eq!(plain("a\tb\u{1b}[31mred\u{7}\u{9b}\n"), "a\tb\\u001b[31mred\\u0007\\u009b\n");
+        let odd = paths::as_text(OsStr::from_bytes(b"caf\xe9"));
+        assert_eq!(plain(&odd), "caf\\uf7e9");
+        assert_eq!(serde_json::from_str::<String>(&plain(&format!("\"{odd}\""))).unwrap(), odd);
+    }
+
+    #[test]
+    fn a_cause_that_the_message_has_is_not_repeated() {
         let error = Named { source: io::Error::other("disk full") };
         assert_eq!(complaint(&error), "file x: disk full");
+        let told = anyhow::Error::from(io::Error::other("disk full")).context("x: disk full; make room");
+        assert_eq!(complaint(told.as_ref()), "x: disk full; make room");
         let error = anyhow::Error::from(error).context("stopped");
         assert_eq!(complaint(error.as_ref()), "stopped: file x: disk full");
     }

@@ -1,51 +1,174 @@
 //! YAML texts as checked types. Nothing else knows YAML.
 
+use std::io;
+use std::path::Path;
+
 use serde::de::DeserializeOwned;
 pub use serde_yaml::Value;
 
+use super::files;
+
 /// A text that is not what it should be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{name}: {message}")]
+#[error("{}: {message}", at(name, *line))]
 pub struct YamlError {
     /// The file, or the name of an embedded text.
     pub name: String,
-    /// Position and reason.
+    /// The line that is to blame, if one is.
+    pub line: Option<usize>,
+    /// The reason.
     pub message: String,
 }
 
 impl YamlError {
     /// Of a text with this name.
     pub fn new(name: &str, message: impl ToString) -> Self {
-        YamlError { name: name.to_owned(), message: message.to_string() }
+        YamlError { name: name.to_owned(), line: None, message: message.to_string() }
+    }
+
+    /// Line and reason, for who names the file.
+    pub fn without_name(&self) -> String {
+        self.line.map_or_else(|| self.message.clone(), |line| format!("line {line}: {}", self.message))
     }
 }
 
-/// Any text.
-///
-/// # Errors
-/// If it is not YAML.
-pub fn parse(name: &str, text: &str) -> Result<Value, YamlError> {
-    serde_yaml::from_str(text).map_err(|error| YamlError::new(name, error))
+/// A text and what it is called.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Text {
+    /// The file, or the name of an embedded text.
+    pub name: String,
+    /// Its content.
+    pub content: String,
+    /// Whether a line of it means something to whoever reads an error.
+    has_lines: bool,
 }
 
-/// A value as a checked type.
+impl Text {
+    /// Of a name and a content.
+    pub fn new(name: &str, content: &str) -> Self {
+        Text { name: name.to_owned(), content: content.to_owned(), has_lines: true }
+    }
+
+    /// What somebody wrote as `name` on the command line, which `content` spells out.
+    pub fn of_flag(name: &str, content: &str) -> Self {
+        Text { has_lines: false, ..Text::new(name, content) }
+    }
+
+    /// Reads a file, of at most a megabyte.
+    ///
+    /// # Errors
+    /// The system's, or that it is no text.
+    pub fn read(path: &Path) -> io::Result<Self> {
+        Ok(Text::new(&path.display().to_string(), &files::read_text(path, MAX_BYTES)?))
+    }
+
+    /// Its keys and values.
+    ///
+    /// # Errors
+    /// If it is not YAML, or anything but keys with values.
+    pub fn parse(&self) -> Result<Value, YamlError> {
+        let fail = |line, message: String| Err(YamlError { name: self.name.clone(), line, message });
+        if self.content.matches(['[', '{']).count() > MAX_BRACKETS {
+            return fail(None, format!("it has more than {MAX_BRACKETS} brackets"));
+        }
+        let value: Value = match serde_yaml::from_str(&self.content) {
+            Ok(value) => value,
+            Err(error) => {
+                let line = error.location().map_or(0, |at| at.line());
+                // A tab is where it is, or ends what is above.
+                let indented = (line.saturating_sub(1)..=line).find(|line| {
+                    let text = self.content.lines().nth(line.wrapping_sub(1)).unwrap_or_default();
+                    text.chars().take_while(|c| c.is_whitespace()).any(|c| c == '\t')
+                });
+                return match indented {
+                    Some(line) => fail(Some(line), "it begins with a tab: YAML is indented with spaces".into()),
+                    None => Err(YamlError::new(&self.name, error)),
+                };
+            }
+        };
+        match value {
+            Value::Mapping(_) => Ok(value),
+            Value::Null => fail(None, "it is empty, expected lines of the form `key: value`".into()),
+            _ => fail(None, "expected lines of the form `key: value`".into()),
+        }
+    }
+
+    /// The line in which a key stands, if it does.
+    fn line(&self, key: &[&str]) -> Option<usize> {
+        let value = self.parse().ok()?;
+        key.iter().try_fold(&value, |value, part| value.get(part))?;
+        let mut start = 0;
+        for part in key {
+            let is_key = |at: usize| {
+                let (before, after) = (&self.content[..at], &self.content[at + part.len()..]);
+                let line = before.rfind('\n').map_or(before, |end| &before[end + 1..]);
+                let begins = line.chars().next_back().is_none_or(|c| c.is_whitespace() || "{,'\"-".contains(c));
+                begins && !line.contains('#') && after.trim_start_matches(['\'', '"', ' ']).starts_with(':')
+            };
+            let at = self.content[start..].match_indices(part).map(|(at, _)| start + at).find(|at| is_key(*at))?;
+            start = at + part.len();
+        }
+        Some(1 + self.content[..start].matches('\n').count())
+    }
+}
+
+/// Larger files are not made of settings.
+const MAX_BYTES: u64 = 1 << 20;
+
+/// Brackets of a text: where they are within one another, the parser's time grows with their square.
+const MAX_BRACKETS: usize = 10_000;
+
+/// A value as a checked type; `texts` are those that it was made of, the one that counts most first.
 ///
 /// # Errors
-/// An unknown key, a missing key or a wrong type.
-pub fn typed<T: DeserializeOwned>(name: &str, value: Value) -> Result<T, YamlError> {
-    serde_yaml::from_value(value).map_err(|error| YamlError::new(name, error))
+/// An unknown key, a missing key or a wrong type, with the text and the line.
+pub fn typed<T: DeserializeOwned>(value: Value, texts: &[Text]) -> Result<T, YamlError> {
+    serde_path_to_error::deserialize(value).map_err(|error| {
+        let key = error.path().to_string();
+        let key = if key == "." { String::new() } else { key };
+        let mut reason = error.inner().to_string();
+        for whole in ["usize", "u64", "u32", "u16", "i64", "i32"] {
+            reason = reason.replace(&format!("expected {whole}"), "expected a whole number");
+        }
+        reason = reason.replace("expected f64", "expected a number").replace("type: unit value", "type: nothing");
+        if let Some((found, _)) = reason.split_once("expected struct ") {
+            reason = format!("{found}expected keys with values");
+        }
+        let message = if key.is_empty() { reason } else { format!("{key}: {reason}") };
+        let (name, line) = find(texts, &key);
+        YamlError { name, line, message }
+    })
+}
+
+/// Where a dotted key stands, in words: the name of the first of the texts that has it, and the line.
+pub fn place(texts: &[Text], key: &str) -> String {
+    let (name, line) = find(texts, key);
+    at(&name, line)
+}
+
+fn find(texts: &[Text], key: &str) -> (String, Option<usize>) {
+    // Elements of lists have no lines of their own.
+    let parts: Vec<&str> = key.split('.').map(|part| part.split('[').next().unwrap_or(part)).collect();
+    let place = |text: &Text| text.line(&parts).map(|line| (text.name.clone(), text.has_lines.then_some(line)));
+    let found = texts.iter().find_map(place);
+    found.unwrap_or_else(|| (texts.first().map_or_else(String::new, |text| text.name.clone()), None))
+}
+
+fn at(name: &str, line: Option<usize>) -> String {
+    line.map_or_else(|| name.to_owned(), |line| format!("{name}, line {line}"))
 }
 
 /// Texts laid over one another, later ones over earlier ones, as a checked type.
 ///
 /// # Errors
-/// As [`parse`] and [`typed`].
-pub fn layered<T: DeserializeOwned>(name: &str, layers: &[&str]) -> Result<T, YamlError> {
+/// As [`Text::parse`] and [`typed`].
+pub fn layered<T: DeserializeOwned>(texts: &[Text]) -> Result<T, YamlError> {
     let mut whole = Value::Mapping(serde_yaml::Mapping::new());
-    for text in layers {
-        overlay(&mut whole, parse(name, text)?);
+    for text in texts {
+        overlay(&mut whole, text.parse()?);
     }
-    typed(name, whole)
+    let newest_first: Vec<Text> = texts.iter().rev().cloned().collect();
+    typed(whole, &newest_first)
 }
 
 /// A type of numbers, texts and lists as YAML.
@@ -58,9 +181,9 @@ pub fn to_text(value: &impl serde::Serialize) -> String {
 ///
 /// # Errors
 /// If it is anything but a mapping of names to numbers, texts or truth values.
-pub fn flat_parameters(name: &str, text: &str) -> Result<Vec<(String, String)>, YamlError> {
-    let value = parse(name, text)?;
-    let mapping = value.as_mapping().ok_or_else(|| YamlError::new(name, "expected lines of the form `name: value`"))?;
+pub fn flat_parameters(text: &Text) -> Result<Vec<(String, String)>, YamlError> {
+    let (name, value) = (text.name.as_str(), text.parse()?);
+    let Some(mapping) = value.as_mapping() else { return Ok(Vec::new()) };
     let entry = |(key, value): (&Value, &Value)| {
         let key = key.as_str().ok_or_else(|| YamlError::new(name, format!("{key:?} is not a name")))?;
         match value {
@@ -108,5 +231,74 @@ fn compare(key: &str, first: &Value, second: &Value, found: &mut Vec<(String, [S
         let [a, b] = [ours, theirs].map(|keys| keys.get(part).unwrap_or(&Value::Null));
         let dot = if key.is_empty() { "" } else { "." };
         compare(&format!("{key}{dot}{}", part.as_str().unwrap_or_default()), a, b, found);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code)]
+    struct Outer {
+        name: String,
+        inner: Inner,
+    }
+
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    #[allow(dead_code)]
+    struct Inner {
+        count: u64,
+        sizes: Vec<f64>,
+    }
+
+    fn complaint(texts: &[&str]) -> String {
+        let texts: Vec<Text> = texts.iter().zip(["a", "b"]).map(|(text, name)| Text::new(name, text)).collect();
+        layered::<Outer>(&texts).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn errors_name_the_text_the_line_and_the_key() {
+        let whole = "name: x # count: 1\ninner:\n  count: 1\n  sizes: [1.0]\n";
+        let number = "inner.count: invalid type: floating point `2e7`, expected a whole number";
+        assert_eq!(
+            complaint(&[whole, "inner:\n\n  count: 2e7\n"]),
+            format!("b, line 3: {}", number.replace("2e7", "20000000.0"))
+        );
+        assert!(
+            complaint(&[whole, "inner: {sizes: [1.0, no]}"]).starts_with("b, line 1: inner.sizes[1]: invalid type")
+        );
+        assert!(
+            complaint(&[&whole.replace("count: 1\n  s", "count: -1\n  s"), "name: y"])
+                .starts_with("a, line 3: inner.count: ")
+        );
+        assert!(complaint(&[whole, "inner: {counts: 1}"]).contains("unknown field `counts`"));
+        assert!(complaint(&["inner: {count: 1, sizes: []}"]).contains("missing field `name`"));
+    }
+
+    #[test]
+    fn a_text_that_is_no_settings_gets_a_sentence() {
+        for (text, expected) in [
+            ("", "x: it is empty, expected lines of the form `key: value`"),
+            ("# nothing", "x: it is empty, expected lines of the form `key: value`"),
+            ("- 1", "x: expected lines of the form `key: value`"),
+            ("a:\n\tb: 1", "x, line 2: it begins with a tab: YAML is indented with spaces"),
+            ("a:\n  b: 1\n\tc: 1", "x, line 3: it begins with a tab: YAML is indented with spaces"),
+        ] {
+            assert_eq!(Text::new("x", text).parse().unwrap_err().to_string(), expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn brackets_are_limited_whatever_they_hide_behind() {
+        let quoted = format!("a: |\n  \"\nb: {}", "[".repeat(MAX_BRACKETS + 1));
+        let closed = format!("a: {}", "[ #]\n".repeat(MAX_BRACKETS + 1));
+        for text in [quoted, closed] {
+            assert!(Text::new("x", &text).parse().unwrap_err().to_string().contains("brackets"));
+        }
+        let list = format!("a: [{}]", "[], ".repeat(MAX_BRACKETS / 2));
+        assert!(Text::new("x", &list).parse().is_ok());
     }
 }

@@ -17,7 +17,7 @@ use supple::sim::Sim;
 use supple::train::Trainer;
 use supple::train::checkpoint::{Checkpoint, RunState};
 use supple::util::random::{Purpose, stream};
-use supple::util::yaml::flat_parameters;
+use supple::util::yaml::{Text, flat_parameters};
 
 use crate::mutate::mutate;
 
@@ -250,9 +250,10 @@ fn scenarios() -> Vec<Vec<u8>> {
 fn scenario(input: &[u8]) -> bool {
     static CONFIG: OnceLock<Config> = OnceLock::new();
     let text = String::from_utf8_lossy(input);
-    let Ok(given) = flat_parameters("fuzz", &text) else { return false };
+    let Ok(given) = flat_parameters(&Text::new("fuzz", &text)) else { return false };
     // The scenario that knows all of the parameters, as a user would choose it.
-    let known = DEFAULTS.iter().map(|(name, text)| (name, flat_parameters(name, text).expect("the defaults")));
+    let known =
+        DEFAULTS.iter().map(|(name, text)| (name, flat_parameters(&Text::new(name, text)).expect("the defaults")));
     let Some((name, defaults)) = known
         .into_iter()
         .find(|(_, defaults)| given.iter().all(|(key, _)| defaults.iter().any(|(known, _)| known == key)))

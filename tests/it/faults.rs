@@ -100,13 +100,18 @@ fn training_goes_on_when_nobody_reads_its_words() {
 fn a_start_that_was_cut_off_is_cleared_away_by_the_next() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());
-    let left = folder.path().join(".run.starting");
+    let left = folder.path().join(".run.starting-abc");
     std::fs::create_dir(&left).unwrap();
+    // Somebody else's folder, under such a name.
+    let theirs = folder.path().join("theirs");
+    std::fs::create_dir(&theirs).unwrap();
+    std::fs::write(theirs.join("lock"), "").unwrap();
+    std::os::unix::fs::symlink("theirs", folder.path().join(".run.starting-xyz")).unwrap();
     std::fs::write(left.join("checkpoint.safetensors"), "half").unwrap();
     std::fs::write(left.join("lock"), "").unwrap();
     let output = run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "run"]);
     assert!(output.status.success(), "{}", complaint(&output));
-    assert!(!left.exists());
+    assert!(!left.exists() && theirs.join("lock").exists());
     assert!(!folder.path().join("run/checkpoint.damaged.safetensors").exists());
 }
 

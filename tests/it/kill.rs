@@ -72,9 +72,7 @@ fn kill_after(delay: Duration, run: &Path, tally: &mut Tally) {
     // Fails if it has ended by itself, which the tally shows.
     let _ = child.kill();
     let status = child.wait().unwrap();
-    let is_half_written = |path: &Path| {
-        path.extension().is_some_and(|extension| extension == "tmp") || path.to_string_lossy().contains("staged")
-    };
+    let is_half_written = |path: &Path| path.extension().is_some_and(|extension| extension == "tmp");
     let within_a_write =
         std::fs::read_dir(run).is_ok_and(|mut files| files.any(|file| is_half_written(&file.unwrap().path())));
     tally.kills += 1;

@@ -1,5 +1,6 @@
 //! Tests of the whole: the compiled model, the programs as a user runs them, and properties of every scenario.
 
+mod bad_input;
 mod faults;
 mod formats;
 mod kill;

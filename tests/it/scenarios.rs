@@ -6,7 +6,7 @@ use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::trace::{EventKind, Trace};
 use supple::scenario::{Rollout, Sensing};
-use supple::util::yaml::flat_parameters;
+use supple::util::yaml::{Text, flat_parameters};
 
 use crate::support::standing_policy;
 
@@ -14,7 +14,7 @@ use crate::support::standing_policy;
 pub fn scenario(name: &str, changes: &[&str]) -> Scenario {
     let (_, text) = DEFAULTS.iter().find(|(known, _)| *known == name).unwrap();
     let mut line = vec!["scenario".to_owned(), name.to_owned()];
-    for (key, value) in flat_parameters(name, text).unwrap() {
+    for (key, value) in flat_parameters(&Text::new(name, text)).unwrap() {
         let flag = format!("--{}", key.replace('_', "-"));
         if !changes.iter().any(|change| change.starts_with(&format!("{flag}="))) {
             line.push(format!("{flag}={value}"));

@@ -1,17 +1,21 @@
 //! A policy's card: where it came from, how it learned, how it walks. Markdown.
 
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::BufReader;
 use std::path::Path;
 
 use anyhow::Context;
-use supple::policy::Agent;
+use supple::policy::{Agent, shipped};
 use supple::scenario::Rollout;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::train::metrics::IterationMetrics;
+use supple::util::{files, paths};
 
 /// Rows of the learning curve.
 const ROWS: usize = 10;
+
+/// Longer lines are not an iteration.
+const MAX_LINE_BYTES: u64 = 1 << 16;
 
 /// Forward \[m/s\], left \[m/s\], yaw rate \[rad/s\]: the evaluation's command and the ends of the range.
 const COMMANDS: [[f64; 3]; 8] = [
@@ -25,25 +29,31 @@ const COMMANDS: [[f64; 3]; 8] = [
     [-1.0, -0.5, -0.5],
 ];
 
-/// The card of the policy in a run's folder, under `name` or that of the folder.
-pub fn card(run: &Path, name: Option<&str>) -> anyhow::Result<String> {
-    let name = name.map_or_else(|| run.file_name().unwrap_or_default().to_string_lossy(), Into::into);
-    let agent = Agent::load(&run.join("policy.safetensors"))?;
-    let policy = agent.policy().context("a run's policy is one of ours")?;
-    let curve = read_metrics(&run.join("metrics.jsonl"), policy.provenance.samples)?;
+/// The card of a policy, under `name` or what it was asked for by; with its learning curve if it is in a run's folder.
+pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
+    let path = paths::as_path(policy);
+    let named = if path.is_file() { path.file_stem() } else { path.file_name().filter(|_| path.is_dir()) };
+    let named = named.map_or(policy.into(), |name| name.to_string_lossy());
+    let name = name.unwrap_or(&named);
+    let agent = shipped::find(policy)?;
+    let policy =
+        agent.policy().with_context(|| format!("{named} is an external policy: cards are of policies of Supple"))?;
     let provenance = &policy.provenance;
+    let curve = path.is_dir().then(|| read_metrics(&path.join("metrics.jsonl"), provenance.samples)).transpose()?;
     let config = &provenance.config;
-    let hours = curve.last().map_or(0.0, |last| last.time.elapsed_s) / 3600.0;
+    let hours = curve.as_ref().and_then(|curve| curve.last()).map(|last| last.time.elapsed_s / 3600.0);
+    let hours = hours.map_or_else(String::new, |hours| format!("| training time | {hours:.1} h |\n"));
+    let learning = curve.map_or_else(String::new, |curve| format!("## Learning curve\n\n{}\n", curve_table(&curve)));
     Ok(format!(
         "# {name}\n\n\
          | | |\n|---|---|\n\
          | configuration | `{}` ({} epochs, recovery stage {}) |\n\
          | seed | {} |\n\
          | samples | {} |\n\
-         | training time | {hours:.1} h |\n\
+         {hours}\
          | trained by | Supple {}, MuJoCo {} |\n\
          | SHA-256 | `{}` |\n\n\
-         ## Learning curve\n\n{}\n\
+         {learning}\
          ## Walking undisturbed\n\n\
          Deterministic, flat ground, 10 s from rest; mean velocity minus command after the first 2 s.\n\n{}",
         provenance.config_name,
@@ -54,7 +64,6 @@ pub fn card(run: &Path, name: Option<&str>) -> anyhow::Result<String> {
         provenance.git_revision,
         provenance.mujoco_version,
         policy.sha256(),
-        curve_table(&curve),
         walking_table(&agent)?,
     ))
 }
@@ -62,7 +71,7 @@ pub fn card(run: &Path, name: Option<&str>) -> anyhow::Result<String> {
 /// Iterations up to the policy's.
 fn read_metrics(path: &Path, samples: u64) -> anyhow::Result<Vec<IterationMetrics>> {
     let file = File::open(path).with_context(|| format!("cannot read {}", path.display()))?;
-    let lines = BufReader::new(file).lines().enumerate().map(|(index, line)| {
+    let lines = files::lines(BufReader::new(file), MAX_LINE_BYTES).enumerate().map(|(index, line)| {
         let at = || format!("{}, line {}", path.display(), index + 1);
         serde_json::from_str::<IterationMetrics>(&line.with_context(at)?).with_context(at)
     });

@@ -2,7 +2,6 @@
 
 mod card;
 
-use std::io::BufRead;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -10,11 +9,12 @@ use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
 use supple::policy::compliance::Calibration;
-use supple::policy::{Buffers, Policy};
+use supple::policy::{Buffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
-use supple::robot::{Robot, joint_table};
+use supple::robot::{Robot, joint_names, joint_table};
 use supple::scenario::calibration::calibrate;
-use supple::util::{files, terminal};
+use supple::util::files::{self, Target};
+use supple::util::terminal;
 
 /// Look at a policy, check it, export it.
 #[derive(Parser)]
@@ -26,9 +26,12 @@ struct Args {
 
 #[derive(Subcommand)]
 enum Command {
+    /// List the policies that ship with this program
+    List,
     /// Print what the policy sees, what its outputs mean and where it came from
     Show {
         /// Policy file, run folder, or name of a shipped policy
+        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Print the metadata as JSON
         #[arg(long)]
@@ -37,9 +40,10 @@ enum Command {
     /// Recompute the golden pairs of observation and joint targets stored in the file
     Verify {
         /// Policy file, run folder, or name of a shipped policy
+        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Configuration that it has to come from
-        #[arg(long, value_name = "FILE")]
+        #[arg(long, value_name = "FILE", value_parser = terminal::path_as_text())]
         config: Option<String>,
         /// Samples that it has to have learnt from at least
         #[arg(long, value_name = "N", default_value_t = 0)]
@@ -48,19 +52,22 @@ enum Command {
     /// Print joint targets (rad) for observations given on standard input, each a JSON array on a line
     Run {
         /// Policy file, run folder, or name of a shipped policy
+        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
     },
-    /// Print a run's card: where its policy came from, how it learned, how it walks (Markdown)
+    /// Print a policy's card: where it came from, how it learned if that is in its run's folder, how it walks (Markdown)
     Card {
-        /// Folder of the run
-        run: PathBuf,
-        /// Name that the policy ships under [default: the folder's]
+        /// Run folder, policy file, or name of a shipped policy
+        #[arg(value_parser = terminal::path_as_text())]
+        policy: String,
+        /// Name that the policy ships under [default: the folder's, the file's or its own]
         #[arg(long)]
         name: Option<String>,
     },
     /// Measure how far the policy yields when it is pulled, and print what `--compliance` needs to know
     Calibrate {
         /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
+        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Threads [default: all cores]
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -72,23 +79,31 @@ enum Command {
     /// Print what is understood of a robot, and what training it would take from that
     Robot {
         /// Robot that ships, MJCF file, or YAML file about one
+        #[arg(value_parser = terminal::path_as_text())]
         robot: String,
         /// Configuration to fit to it
-        #[arg(long, value_name = "FILE", default_value = "fast")]
+        #[arg(long, value_name = "FILE", default_value = "fast", value_parser = terminal::path_as_text())]
         config: String,
     },
     /// Write the policy in another format
     Export {
         /// Policy file, run folder, or name of a shipped policy
+        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Format to write
         #[arg(long, value_enum)]
         format: Format,
-        /// File to write
+        /// File to write, `-` for standard output
         #[arg(long)]
         out: PathBuf,
     },
 }
+
+/// Longer lines are not observations.
+const MAX_LINE_BYTES: u64 = 1 << 20;
+
+/// Larger files are not what `policy export` writes.
+const MAX_DESCRIPTION_BYTES: u64 = 1 << 20;
 
 #[derive(ValueEnum, Clone, Copy)]
 enum Format {
@@ -97,6 +112,7 @@ enum Format {
 }
 
 fn main() -> ExitCode {
+    supple::robot::isolate_imports();
     terminal::conclude(run(Args::parse().command))
 }
 
@@ -122,9 +138,10 @@ fn run(command: Command) -> anyhow::Result<()> {
             let threads =
                 threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
             let mut agent = shipped::find(&policy)?;
-            let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
+            // Not after minutes of work.
             let path = shipped::file_of(&policy).map(|file| Calibration::path(&file));
             let out = out.or(path).context("a policy inside the program has no place beside it: say --out FILE")?;
+            let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
             write(&out, format!("{}\n", serde_json::to_string_pretty(&calibration)?).as_bytes())?;
             terminal::print(calibration_table(&calibration))?;
         }
@@ -134,16 +151,35 @@ fn run(command: Command) -> anyhow::Result<()> {
             terminal::print(format_args!("{}\n{}", robot.description(), config.changes(&fitted)))?;
         }
         Command::Run { policy } => answer(&shipped::find_ours(&policy)?)?,
-        Command::Card { run, name } => terminal::print(card::card(&run, name.as_deref())?)?,
+        Command::List => list()?,
+        Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
             let (policy, name) = (shipped::find_ours(&policy)?, out.file_name().unwrap_or_default());
             // What `scenario` needs to run the network again, and what tells others how to use it.
             let description = out.with_extension("yaml");
-            spare(&out, &description)?;
+            let is_file = matches!(Target::of(&out), Ok(Target::File(_)));
+            if is_file {
+                spare(&out, &description)?;
+            }
             write(&out, &onnx::export(&policy))?;
-            write(&description, external::describe(&policy, &name.to_string_lossy()).as_bytes())?;
+            // There is nothing beside a pipe or a device.
+            if is_file {
+                write(&description, external::describe(&policy, &name.to_string_lossy()).as_bytes())?;
+            }
         }
     }
+    Ok(())
+}
+
+/// A line for each policy that ships.
+fn list() -> anyhow::Result<()> {
+    let mut text = format!("{:26} {:18} {:>12}  sha256\n", "name", "configuration", "samples");
+    for (name, _) in shipped::EMBEDDED {
+        let policy = shipped::find_ours(name)?;
+        let Provenance { config_name, samples, .. } = &policy.provenance;
+        text.push_str(&format!("{name:26} {config_name:18} {samples:>12}  {:.16}\n", policy.sha256()));
+    }
+    terminal::print(text)?;
     Ok(())
 }
 
@@ -163,7 +199,7 @@ fn calibration_table(calibration: &Calibration) -> String {
 fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
     let (out, yaml) = (network.display(), description.display());
     anyhow::ensure!(network != description, "--out {out} is where the description goes: name it {out}.onnx or so");
-    if let Ok(text) = std::fs::read_to_string(description) {
+    if let Ok(text) = files::read_text(description, MAX_DESCRIPTION_BYTES) {
         let ours = external::is_described_by_us(&text);
         anyhow::ensure!(ours, "{yaml} was not written by `policy export`: choose another --out, or move it away");
     }
@@ -173,13 +209,20 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
 /// One line of joint targets for each line of observations.
 fn answer(policy: &Policy) -> anyhow::Result<()> {
     let (mut buffers, length) = (Buffers::default(), policy.layout().length());
-    for (index, line) in std::io::stdin().lock().lines().enumerate() {
-        let line = line.context("cannot read standard input")?;
+    for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {
+        let line = line.with_context(|| format!("standard input, line {}", index + 1))?;
         let at = || format!("line {}: expected a JSON array of numbers", index + 1);
         let observation: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
         let found = observation.len();
         anyhow::ensure!(found == length, "line {}: {found} numbers, expected {length}; see `policy show`", index + 1);
         let targets = policy.joint_targets(&observation, &mut buffers);
+        if let Some(joint) = targets.iter().position(|target| !target.is_finite()) {
+            let (name, target) = (&joint_names()[joint], targets[joint]);
+            anyhow::bail!(
+                "line {}: the joint target of {name} is {target}: the policy cannot cope with these numbers",
+                index + 1
+            );
+        }
         terminal::print(format_args!("{}\n", serde_json::json!(targets)))?;
     }
     Ok(())

@@ -7,7 +7,6 @@ use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::Parser;
-use indicatif::ProgressBar;
 use supple::estimate::SensorNoise;
 use supple::estimate::contact::learn::{Learning, Samples, learn};
 use supple::estimate::contact::score::Confusion;
@@ -16,6 +15,7 @@ use supple::network::Scratch;
 use supple::policy::Agent;
 use supple::policy::shipped;
 use supple::robot::LEGS;
+use supple::util::progress::progress;
 use supple::util::provenance::{GIT_REVISION, MUJOCO_VERSION};
 use supple::util::terminal;
 
@@ -31,7 +31,7 @@ const HELD_OUT: u32 = 5;
 struct Args {
     /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times [default: all
     /// that ship]
-    #[arg(long = "policy", value_name = "FILE|NAME")]
+    #[arg(long = "policy", value_name = "FILE|NAME", value_parser = terminal::path_as_text())]
     policies: Vec<String>,
     /// Episodes of each policy, a fifth of them held out
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(5..=1000))]
@@ -45,6 +45,7 @@ struct Args {
 }
 
 fn main() -> ExitCode {
+    supple::robot::isolate_imports();
     terminal::conclude(run(&Args::parse()))
 }
 
@@ -74,9 +75,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     terminal::note(format_args!("{} ticks of {} episodes to learn from", all.labels.len() / 4, training.len()));
 
     let learning = Learning { seed: args.seed, ..Learning::default() };
-    let bar = bar("learning", learning.epochs as u64);
+    let bar = progress(learning.epochs as u64);
     let learnt = learn(&all, [INPUTS, 4], &learning, |_, loss| {
-        bar.set_message(format!("loss {loss:.4}"));
+        bar.set_message(format!("learning, loss {loss:.4}"));
         bar.inc(1);
     })?;
     bar.finish_and_clear();
@@ -119,7 +120,8 @@ fn gather(
     policies: &[Agent],
     noise: SensorNoise,
 ) -> anyhow::Result<(Vec<Samples>, Vec<Samples>)> {
-    let bar = bar("walking", policies.len() as u64 * u64::from(args.episodes));
+    let bar = progress(policies.len() as u64 * u64::from(args.episodes));
+    bar.set_message("walking");
     let (mut training, mut held_out) = (Vec::new(), Vec::new());
     for (index, (policy, name)) in policies.iter().zip(names).enumerate() {
         for episode in 0..args.episodes {
@@ -166,8 +168,4 @@ fn scores(network: &ContactNetwork, episodes: &[Samples]) -> anyhow::Result<Vec<
         Ok(HeldOut { precision, recall, f1 })
     };
     confusions.iter().zip(LEGS).map(score).collect()
-}
-
-fn bar(what: &str, length: u64) -> ProgressBar {
-    terminal::progress_bar(length, "{prefix} {bar:30} {percent} %, {eta} left {msg}").with_prefix(what.to_owned())
 }

@@ -12,7 +12,7 @@ use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
 use crate::robot::{JOINTS, joint_names};
 use crate::util::files::FileError;
-use crate::util::yaml;
+use crate::util::yaml::{self, Text};
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -49,7 +49,8 @@ impl Spec {
     /// Checks the text of the file at `path`.
     pub(super) fn parse(path: &Path, text: &str) -> Result<Self, AgentError> {
         let name = path.display().to_string();
-        let raw: RawSpec = yaml::layered(&name, &[text]).map_err(ConfigError::from)?;
+        let raw: RawSpec = yaml::layered(&[Text::new(&name, text)])
+            .map_err(|error| FileError::of(POLICY, path)(error.without_name()))?;
         let mut config = Config::load("compliant")?;
         config.simulation = raw.simulation.clone();
         config.check().map_err(|error| ConfigError::Value { name, error })?;

@@ -40,10 +40,10 @@ impl Call<'_> {
             "Log" => self.input(0)?.map(f32::ln)?,
             "Sqrt" => self.input(0)?.map(f32::sqrt)?,
             "Reciprocal" => self.input(0)?.map(|x| 1.0 / x)?,
-            "Relu" => self.input(0)?.map(|x| x.max(0.0))?,
+            "Relu" => self.input(0)?.map(|x| propagating(x, 0.0, f32::max))?,
             "Tanh" => self.input(0)?.map(f32::tanh)?,
             "Sigmoid" => self.input(0)?.map(sigmoid)?,
-            "Softplus" => self.input(0)?.map(|x| x.max(0.0) + (-x.abs()).exp().ln_1p())?,
+            "Softplus" => self.input(0)?.map(|x| propagating(x, 0.0, f32::max) + (-x.abs()).exp().ln_1p())?,
             "Softsign" => self.input(0)?.map(|x| x / (1.0 + x.abs()))?,
             "Erf" => self.input(0)?.map(erf)?,
             "Elu" => {
@@ -67,8 +67,8 @@ impl Call<'_> {
             "Mul" => self.arithmetic(|a, b| a * b, i64::checked_mul)?,
             "Div" => self.arithmetic(|a, b| a / b, i64::checked_div)?,
             "Pow" => broadcast(self.input(0)?, self.input(1)?, f32::powf)?,
-            "Max" => self.fold(f32::max)?,
-            "Min" => self.fold(f32::min)?,
+            "Max" => self.fold(|a, b| propagating(a, b, f32::max))?,
+            "Min" => self.fold(|a, b| propagating(a, b, f32::min))?,
             "Clip" => self.clip()?,
             "Gemm" => self.gemm()?,
             "MatMul" => self.matmul()?,
@@ -419,4 +419,9 @@ impl Call<'_> {
         };
         sizes.into_iter().map(&mut part).collect()
     }
+}
+
+/// One of two numbers, NaN if one of them is: Rust's own take the other one then.
+fn propagating(a: f32, b: f32, choose: fn(f32, f32) -> f32) -> f32 {
+    if a.is_nan() || b.is_nan() { f32::NAN } else { choose(a, b) }
 }

@@ -4,9 +4,10 @@ use std::path::Path;
 
 use super::Imported;
 use super::names::{Description, foot};
-use super::xml::Element;
+use super::source::Source;
 use crate::mujoco::{Data, GeomContact, Kind, Model};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name};
+use crate::util::xml::Element;
 
 /// Class of what the file's top-level defaults were; those of a scene must not be changed by a robot.
 const MAIN_CLASS: &str = "robot_defaults";
@@ -22,8 +23,9 @@ struct Survey {
     geoms: Vec<Vec<(usize, GeomContact)>>,
 }
 
-/// Makes a robot of the file's tree.
-pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Imported, String> {
+/// Makes a robot of its files.
+pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
+    let (description, mut tree) = (&source.description, source.taken());
     let file = std::path::absolute(&description.mjcf).map_err(|error| error.to_string())?;
     find_assets(&mut tree, file.parent().unwrap_or(Path::new("")))?;
     for section in ["equality", "tendon", "deformable"] {
@@ -33,7 +35,7 @@ pub(super) fn adapt(mut tree: Element, description: &Description) -> Result<Impo
     }
     let survey = Survey::of(&tree, description)?;
     let mut report = survey.report();
-    report.extend(left_out(&tree, &survey));
+    report.extend(left_out(&source.tree, &survey));
     let start = survey.start(description, &mut report)?;
 
     let mut mjcf = "<mujoco>\n".to_owned();
@@ -92,7 +94,10 @@ fn find_assets(tree: &mut Element, folder: &Path) -> Result<(), String> {
                         if attribute.0 == "file" || asset.name == "texture" && attribute.0.starts_with("file") {
                             let file = Path::new(&attribute.1);
                             let file = if strip { Path::new(file.file_name().unwrap_or_default()) } else { file };
-                            attribute.1 = folder.join(within).join(file).display().to_string();
+                            let file = folder.join(within).join(file).into_os_string().into_string();
+                            attribute.1 = file.map_err(|file| {
+                                format!("MJCF cannot name {}: its path is not UTF-8; move it", file.display())
+                            })?;
                         }
                     }
                 }

@@ -8,12 +8,18 @@ without what contradicts that. Masses, inertias, shapes, joint limits and armatu
 */
 
 mod adapt;
+mod isolated;
 mod names;
-mod xml;
+mod source;
 
 use std::path::Path;
 
+pub use isolated::isolate_imports;
+use serde::{Deserialize, Serialize};
+pub(super) use source::Source;
+
 /// A robot that fits our scenes.
+#[derive(Debug, Serialize, Deserialize)]
 pub(super) struct Imported {
     /// Compiler settings, defaults, assets, the trunk in a world body, motors, the starting pose.
     pub(super) mjcf: String,
@@ -23,9 +29,7 @@ pub(super) struct Imported {
     pub(super) fall_height_m: Option<f64>,
 }
 
-/// Reads an MJCF file, or a YAML file that names one and says what its parts are called.
-pub(super) fn read(path: &Path) -> Result<Imported, String> {
-    let description = names::Description::read(path)?;
-    let tree = xml::read(&description.mjcf)?;
-    adapt::adapt(tree, &description)
+/// Makes a robot of the file at `path`, in a process of its own if this program has one: [`isolate_imports`].
+pub(super) fn import(source: &Source, path: &Path) -> Result<Imported, String> {
+    isolated::import(path).unwrap_or_else(|| adapt::adapt(source))
 }

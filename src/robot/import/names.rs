@@ -7,10 +7,7 @@ use serde::Deserialize;
 use crate::mujoco::{Kind, Model, Shape};
 use crate::robot::{JOINTS, Joints, LEGS, PARTS, joint_name, same_in_every_leg};
 use crate::util::files;
-use crate::util::yaml::layered;
-
-/// Larger files are not lists of names.
-const MAX_BYTES: u64 = 64 << 10;
+use crate::util::yaml::{Text, layered};
 
 /// One entry for each leg.
 #[derive(Debug, Clone, Deserialize)]
@@ -63,9 +60,9 @@ impl Description {
         if !files::is_yaml(path) {
             return Ok(Description { mjcf: path.to_owned(), ..Description::default() });
         }
-        let bytes = files::read_bounded(path, MAX_BYTES).map_err(|error| error.to_string())?;
-        let raw: RawDescription = layered(&path.display().to_string(), &[&String::from_utf8_lossy(&bytes)])
-            .map_err(|error| error.to_string())?;
+        let text = Text::read(path).map_err(|error| error.to_string())?;
+        // Whoever reads the error is told which file.
+        let raw: RawDescription = layered(&[text]).map_err(|error| error.without_name())?;
         let pose = raw.nominal_pose_rad.map(|pose| of_joints("nominal_pose_rad", pose)).transpose()?;
         if pose.is_some_and(|pose| !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU)) {
             return Err("nominal_pose_rad has an angle beyond one turn".into());

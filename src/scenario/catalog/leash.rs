@@ -34,8 +34,13 @@ impl Parameters for Leash {
     fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         let Some(pull) = script.pull else { return };
         let end_s = pull.until_s.min(script.duration_s);
-        let offset = metrics::offset_along_force(trace, pull.force, (end_s - 5.0).max(pull.from_s), end_s);
-        found.push(metric("leash_offset_m_s", "velocity along the pull", offset, "m/s"));
+        let from_s = (end_s - 5.0).max(pull.from_s);
+        let pulled = trace.disturbed("pull:").is_some();
+        let offset = metrics::offset_along_force(trace, pull.force, from_s, end_s).filter(|_| pulled);
+        let reason = if pull.force == [0.0; 2] { "there is no force" } else { "it was not pulled" };
+        let why = |metric: Metric| if pulled && pull.force != [0.0; 2] { metric } else { metric.because(reason) };
+        found.push(why(metric("leash_offset_m_s", "velocity along the pull", offset, "m/s")));
+        found.push(why(metric("leash_window_s", "the mean of the last", offset.map(|_| end_s - from_s), "s")));
     }
 
     fn delay(&mut self, phase_s: f64) {

@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::Script;
-use super::metrics::{self, Metric};
+use super::metrics::{self, Decay, Metric};
 use crate::config::{Config, ConfigError};
 use crate::scenario::trace::Trace;
 use crate::sim::Conditions;
@@ -22,7 +22,7 @@ use crate::task::Command;
 use crate::task::episode::GRAVITY;
 use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
-use crate::util::yaml::{YamlError, flat_parameters, layered};
+use crate::util::yaml::{Text, YamlError, flat_parameters, layered};
 
 /// Makes a struct of parameters: each field is a flag of the `scenario` program and a key of the YAML file, beside what every
 /// scenario asks of the policy.
@@ -118,12 +118,13 @@ pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
 /// The default parameters of a scenario and what is given beside them, which has to be one of them.
 fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
     let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
-    let (known, given) = (flat_parameters(scenario, defaults)?, flat_parameters(scenario, parameters)?);
+    let texts = [Text::new(scenario, defaults), Text::new(scenario, parameters)];
+    let [known, given] = [flat_parameters(&texts[0])?, flat_parameters(&texts[1])?];
     if let Some((unknown, _)) = given.iter().find(|(name, _)| known.iter().all(|(known, _)| known != name)) {
         let known: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
         return Err(YamlError::new(scenario, format!("it has no parameter '{unknown}'; it has: {}", known.join(", "))));
     }
-    layered(scenario, &[defaults, parameters])
+    layered(&texts)
 }
 
 /// Length still shown after a fall \[s\].
@@ -249,42 +250,67 @@ impl Scenario {
         Ok(script)
     }
 
-    /// The numbers this scenario is about.
+    /// The numbers this scenario is about: of the time that the robot is on its feet.
     pub fn metrics(&self, script: &Script, trace: &Trace) -> Vec<Metric> {
-        let end_s = trace.frames.last().map_or(0.0, |frame| frame.time_s);
+        let last_s = |trace: &Trace| trace.frames.last().map_or(0.0, |frame| frame.time_s);
+        let fall = trace.fall().map(|fall| fall.time_s);
+        let fell = fall.map(|_| true).or(trace.fault().is_none().then_some(false));
+        let mut found = vec![
+            metric("duration_s", "simulated", Some(last_s(trace)), "s"),
+            truth("fell", "fell", fell),
+            metric("fall_time_s", "fell after", fall, "s").because(metrics::NO_FALL),
+        ];
+        let upright = trace.on_its_feet();
+        let trace = upright.as_ref();
+        let end_s = last_s(trace);
         let settled_s = metrics::SETTLE_S.min(0.5 * end_s);
         let errors = metrics::velocity_errors(trace, settled_s, end_s);
         let error = |axis: usize| errors.map(|errors| errors[axis]);
         let all = metrics::window(trace, settled_s, end_s);
         let flight = metrics::flight_fraction(trace, settled_s, end_s);
-        let mut found = vec![
-            metric("duration_s", "simulated", Some(end_s), "s"),
-            truth("fell", "fell", trace.fall().map(|_| true).or(trace.fault().is_none().then_some(false))),
-            metric("fall_time_s", "fell after", trace.fall().map(|fall| fall.time_s), "s"),
+        let transport = metrics::cost_of_transport(trace, settled_s, end_s);
+        let swing = metrics::swing_height(trace, settled_s, end_s);
+        // Where there are no frames, there is another reason.
+        let seen = |metric: Metric, reason| if flight.is_some() { metric.because(reason) } else { metric };
+        found.extend([
+            metric("window_s", "averages are over", Some(end_s - settled_s), "s"),
             metric("forward_error_m_s", "forward velocity error", error(0), "m/s"),
             metric("left_error_m_s", "sideways velocity error", error(1), "m/s"),
             metric("yaw_error_rad_s", "yaw rate error", error(2), "rad/s"),
             metric("power_w", "mechanical power", metrics::mean(all.clone(), |f| f.power_w), "W"),
             metric("torque_n_m", "torque norm", metrics::mean(all.clone(), |f| f.torque_n_m), "N m"),
-            metric("cost_of_transport", "cost of transport", metrics::cost_of_transport(trace, settled_s, end_s), ""),
+            seen(metric("cost_of_transport", "cost of transport", transport, ""), "it stands"),
             metric("stride_frequency_hz", "stride frequency", metrics::stride_frequency(trace, settled_s, end_s), "Hz"),
             metric("flight_percent", "in flight", flight.map(|fraction| 100.0 * fraction), "%"),
-            metric("swing_height_m", "swing height", metrics::swing_height(trace, settled_s, end_s), "m"),
+            seen(metric("swing_height_m", "swing height", swing, "m"), "no foot was lifted and put down"),
             // The first step from rest is harder than those of a walk.
             metric("peak_foot_force_n", "peak foot force", metrics::largest(all, |f| f.peak_foot_force_n), "N"),
             metric("distance_m", "distance ahead", trace.frames.last().map(|frame| frame.position[0]), "m"),
-        ];
+        ]);
         self.parameters().metrics(script, trace, &mut found);
-        found
+        let reason = if trace.fault().is_some() {
+            "the simulation stopped"
+        } else if fall.is_some() {
+            "it fell"
+        } else {
+            "the rollout is too short"
+        };
+        found.into_iter().map(|metric| metric.because(reason)).collect()
     }
 }
 
 fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'static str) -> Metric {
-    Metric { name, label, value, unit }
+    Metric::new(name, label, value, unit)
+}
+
+/// How long a disturbance lasts, if it is over by the end.
+fn lasting(name: &'static str, label: &'static str, decay: Option<Decay>) -> Metric {
+    let found = metric(name, label, decay.and_then(Decay::ended_s), "s");
+    if decay.is_some() { found.because("it goes on to the end") } else { found }
 }
 
 fn truth(name: &'static str, label: &'static str, value: Option<bool>) -> Metric {
-    Metric { name, label, value: value.map(|truth| f64::from(u8::from(truth))), unit: metrics::TRUTH }
+    metric(name, label, value.map(|truth| f64::from(u8::from(truth))), metrics::TRUTH)
 }
 
 /// A direction from forward, counter-clockwise, as a unit vector: forward, left.

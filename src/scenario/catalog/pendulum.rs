@@ -8,7 +8,7 @@ rather than bare steel.
 
 use std::f64::consts::FRAC_PI_2;
 
-use super::{ParameterError, Parameters, in_range, metric, no_turn, towards};
+use super::{ParameterError, Parameters, in_range, lasting, metric, no_turn, towards};
 use crate::robot::Extent;
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric, STRIDE_S};
@@ -133,7 +133,8 @@ impl Parameters for Pendulum {
         let impact = self.impact(trace);
         let after = impact.map(|impact| metrics::window(trace, impact.time_s, impact.time_s + IMPULSE_S));
         // As that of a push.
-        let decay = |threshold| metrics::decay(trace, impact?.time_s, impact?.push, threshold, STRIDE_S)?.ended_s();
+        let decay = |threshold| metrics::decay(trace, impact?.time_s, impact?.push, threshold, STRIDE_S);
+        let [to_10, to_20] = [0.1, 0.2].map(decay);
         let [ahead, left] = self.direction();
         let push = impact.map(|impact| impact.push[0] * ahead + impact.push[1] * left);
         // A fall before the second is over ends the trace, and with it the sum.
@@ -142,14 +143,16 @@ impl Parameters for Pendulum {
             .is_some_and(|(impact, last)| last.time_s + 0.5 * trace.period_s > impact.time_s + IMPULSE_S);
         let impulse = after.filter(|_| is_whole).map(|frames| frames.map(|frame| frame.obstacle_impulse_n_s).sum());
         let peak = metrics::largest(trace.frames.iter(), |frame| frame.peak_obstacle_force_n);
-        found.extend([
+        let numbers = [
             metric("impact_time_s", "hit at", impact.map(|impact| impact.time_s), "s"),
             metric("push_m_s", "velocity change by the hit", push, "m/s"),
-            metric("decay_10_s", "decay to 10 %", decay(0.1), "s"),
-            metric("decay_20_s", "decay to 20 %", decay(0.2), "s"),
+            lasting("decay_10_s", "decay to 10 %", to_10),
+            lasting("decay_20_s", "decay to 20 %", to_20),
             metric("peak_contact_force_n", "peak contact force", peak.filter(|_| impact.is_some()), "N"),
             metric("contact_impulse_n_s", "impulse in the first second", impulse, "N s"),
-        ]);
+        ];
+        let reason = |metric: Metric| if impact.is_none() { metric.because("it was not hit") } else { metric };
+        found.extend(numbers.map(reason));
     }
 
     fn delay(&mut self, phase_s: f64) {

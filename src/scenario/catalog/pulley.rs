@@ -115,19 +115,22 @@ impl Parameters for Pulley {
 
     fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
         let end_s = (self.at_s + self.for_s).min(script.duration_s);
+        let from_s = self.at_s + SETTLED_S;
         // The rope's jerk when the weight is let go is the same for everyone.
-        let settled = || metrics::window(trace, self.at_s + SETTLED_S, end_s);
+        let settled = || metrics::window(trace, from_s, end_s);
         let direction = self.direction();
         let moved = metrics::displacement_off_course(trace, direction, self.at_s, end_s);
         let offset = metrics::yaw_at(trace, self.at_s).and_then(|yaw| {
             let pull = metrics::in_world(direction, yaw);
-            metrics::offset_along_force(trace, pull, self.at_s + SETTLED_S, end_s)
+            metrics::offset_along_force(trace, pull, from_s, end_s)
         });
+        let window_s = settled().next().map(|_| end_s.min(trace.frames.last().map_or(0.0, |f| f.time_s)) - from_s);
         let force = |frame: &Frame| frame.rope.as_ref().map_or(0.0, |rope| rope.force_n);
         let peak = |frame: &Frame| frame.rope.as_ref().map_or(0.0, |rope| rope.peak_force_n);
         found.extend([
             metric("displacement_m", "moved along the pull", moved, "m"),
             metric("offset_m_s", "velocity along the pull", offset, "m/s"),
+            metric("pull_window_s", "means of the pull are over", window_s, "s"),
             metric("mean_rope_force_n", "mean rope force", metrics::mean(settled(), force), "N"),
             metric("peak_rope_force_n", "peak rope force", metrics::largest(settled(), peak), "N"),
             metric("power_pulled_w", "power while pulled", metrics::mean(settled(), |frame| frame.power_w), "W"),

@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 
-use super::{ParameterError, Parameters, in_range, metric, towards};
+use super::{ParameterError, Parameters, in_range, lasting, metric, towards};
 use crate::scenario::metrics::{self, Metric, PHASE_S, STRIDE_S};
 use crate::scenario::trace::Trace;
 use crate::scenario::{Script, TimedPush};
@@ -50,18 +50,27 @@ impl Parameters for PushAway {
         let alone = script.pushes.get(1).map(|second| trace.until(second.time_s));
         let trace = alone.as_ref().unwrap_or(trace);
         let at_s = first.time_s;
-        let window = |from_s: f64| metrics::window(trace, from_s, from_s + 1.0);
-        let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S)?.ended_s();
-        let power = |frames| metrics::mean(frames, |frame| frame.power_w);
-        let torque = |frames| metrics::mean(frames, |frame| frame.torque_n_m);
-        found.extend([
-            metric("push_time_s", "pushed at", Some(at_s), "s"),
-            metric("decay_10_s", "decay to 10 %", decay(0.1), "s"),
-            metric("decay_20_s", "decay to 20 %", decay(0.2), "s"),
-            metric("power_before_w", "power, 1 s before", power(window(at_s - 1.0)), "W"),
-            metric("power_after_w", "power, 1 s after", power(window(at_s)), "W"),
-            metric("torque_before_n_m", "torque, 1 s before", torque(window(at_s - 1.0)), "N m"),
-            metric("torque_after_n_m", "torque, 1 s after", torque(window(at_s)), "N m"),
-        ]);
+        let pushed_s = trace.disturbed("push");
+        let decay = |threshold| metrics::decay(trace, at_s, first.push.linear, threshold, STRIDE_S);
+        let [to_10, to_20] = [0.1, 0.2].map(|threshold| decay(threshold).filter(|_| pushed_s.is_some()));
+        // Of a whole second or not at all: means over different times are no comparison.
+        let second = |from_s: f64| metrics::whole_window(trace, from_s, from_s + 1.0).filter(|_| pushed_s.is_some());
+        let power = |from_s: f64| metrics::mean(second(from_s)?, |frame| frame.power_w);
+        let torque = |from_s: f64| metrics::mean(second(from_s)?, |frame| frame.torque_n_m);
+        let numbers = [
+            metric("push_time_s", "pushed at", pushed_s, "s"),
+            lasting("decay_10_s", "decay to 10 %", to_10),
+            lasting("decay_20_s", "decay to 20 %", to_20),
+            metric("power_before_w", "power, 1 s before", power(at_s - 1.0), "W"),
+            metric("power_after_w", "power, 1 s after", power(at_s), "W"),
+            metric("torque_before_n_m", "torque, 1 s before", torque(at_s - 1.0), "N m"),
+            metric("torque_after_n_m", "torque, 1 s after", torque(at_s), "N m"),
+        ];
+        let reason = |metric: Metric| match () {
+            () if pushed_s.is_none() => metric.because("it was not pushed"),
+            () if alone.is_some() && trace.fall().is_none() => metric.because("the next push comes too early"),
+            () => metric,
+        };
+        found.extend(numbers.map(reason));
     }
 }

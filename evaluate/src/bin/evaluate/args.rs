@@ -1,10 +1,13 @@
 //! The command line.
 
+use std::ffi::OsStr;
 use std::path::PathBuf;
 
 use clap::Parser;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use supple::scenario::Sensing;
+use supple::util::paths;
+use supple::util::terminal::{path_as_text, shell_word};
 use supple_evaluate::protocol::Protocol;
 
 /// Compare sets of policies under disturbance, and write a report.
@@ -17,20 +20,21 @@ pub struct Args {
     /// Experiments to run [default: all]
     #[arg(value_name = "EXPERIMENT", value_parser = experiments())]
     pub experiments: Vec<String>,
-    /// Folder with policies NAME-seedN.safetensors of both sets
-    #[arg(long, value_name = "DIR", default_value = "policies")]
-    pub policies: PathBuf,
-    /// Folder (or file) with the first set, instead of --policies
+    /// Folder with policies NAME-seedN.safetensors of both sets [default: policies, or those that ship where there is none]
+    #[arg(long, value_name = "DIR")]
+    pub policies: Option<PathBuf>,
+    /// Folder (or file, or name of a shipped policy) with the first set, instead of --policies
     #[arg(long, value_name = "DIR", requires = "b", conflicts_with = "policies")]
     pub a: Option<PathBuf>,
-    /// Folder (or file) with the second set
+    /// Folder (or file, or name of a shipped policy) with the second set
     #[arg(long, value_name = "DIR", requires = "a")]
     pub b: Option<PathBuf>,
     /// Names of the two sets; the paper's claims are about the first
     #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1, default_value = "compliant,baseline")]
     pub names: Vec<String>,
-    /// A further set, shown beside the two that are compared: its name, and its folder (or file); may be repeated
-    #[arg(long, value_name = "NAME=PATH", value_parser = name_and_path)]
+    /// A further set, shown beside the two that are compared: its name, and its folder (or file, or a shipped policy's name); may be
+    /// repeated
+    #[arg(long, value_name = "NAME=PATH", value_parser = path_as_text().try_map(name_and_path))]
     pub also: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]
@@ -55,39 +59,44 @@ pub struct Args {
     pub results: Option<PathBuf>,
 }
 
+/// The folder of policies, if none is given.
+const POLICIES: &str = "policies";
+
 impl Args {
+    /// The folder with policies of both sets; none if it is those that ship.
+    pub fn folder(&self) -> Option<PathBuf> {
+        self.policies.clone().or_else(|| Some(PathBuf::from(POLICIES)).filter(|folder| folder.is_dir()))
+    }
+
     /// The arguments that decide what a report shows, each quoted for a shell; without the experiments.
     pub fn options(&self) -> Vec<String> {
-        let path = |path: &PathBuf| path.display().to_string();
+        let path = |path: &PathBuf| shell_word(path);
         let sets = match (&self.a, &self.b) {
             (Some(a), Some(b)) => vec![("--a", path(a)), ("--b", path(b))],
-            _ => vec![("--policies", path(&self.policies))],
+            _ => self.folder().iter().map(|folder| ("--policies", path(folder))).collect(),
         };
-        let names = (self.names != ["compliant", "baseline"]).then(|| ("--names", self.names.join(",")));
-        let also = self.also.iter().map(|(name, file)| ("--also", format!("{name}={}", file.display())));
+        let names = (self.names != ["compliant", "baseline"]).then(|| ("--names", shell_word(self.names.join(","))));
+        let also = self
+            .also
+            .iter()
+            .map(|(name, file)| ("--also", shell_word([OsStr::new(name), file.as_os_str()].join(OsStr::new("=")))));
         let protocol = self.protocol.iter().map(|file| ("--protocol", path(file)));
         let sensing = (self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".to_owned()));
         let results = self.results.iter().map(|file| ("--results", path(file)));
         let quick = self.quick.then(|| "--quick".to_owned());
         let pairs = sets.into_iter().chain(names).chain(also).chain(protocol).chain(sensing);
         let pairs = pairs.chain([("--out", path(&self.out))]).chain(results);
-        let words = pairs.flat_map(|(key, value)| [key.to_owned(), quoted(&value)]);
+        let words = pairs.flat_map(|(key, value)| [key.to_owned(), value]);
         quick.into_iter().chain(words).collect()
     }
 }
 
 /// `NAME=PATH`.
-fn name_and_path(text: &str) -> Result<(String, PathBuf), String> {
+fn name_and_path(text: String) -> Result<(String, PathBuf), String> {
     match text.split_once('=') {
-        Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), path.into())),
+        Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), paths::as_path(path))),
         _ => Err("expected NAME=PATH, as in mine=my-policy.yaml".to_owned()),
     }
-}
-
-/// For a POSIX shell.
-fn quoted(word: &str) -> String {
-    // An argument has no zero byte, the one thing that cannot be quoted.
-    shlex::try_quote(word).map_or_else(|_| word.to_owned(), Into::into)
 }
 
 /// The experiments by name, with what they are.
@@ -108,14 +117,14 @@ mod tests {
     #[test]
     fn a_report_tells_the_arguments_that_decide_what_it_shows() {
         let options = |arguments: &[&str]| Args::parse_from([&["evaluate"], arguments].concat()).options().join(" ");
-        assert_eq!(options(&["walk", "--again", "--threads", "2"]), "--policies policies --out report");
+        assert_eq!(options(&["walk", "--again", "--threads", "2", "--policies", "p"]), "--policies p --out report");
         assert_eq!(
             options(&["--a", "x", "--b", "it's", "--names", "A set,B", "--quick", "--sensing", "estimated"]),
             "--quick --a x --b \"it's\" --names 'A set,B' --sensing estimated --out report"
         );
         assert_eq!(
-            options(&["--also", "mine=a b.yaml", "--also", "other=runs/3"]),
-            "--policies policies --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
+            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3"]),
+            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
         );
     }
 }

@@ -18,6 +18,7 @@ use supple_evaluate::runner::{self, Measurement, Settings};
 use supple_evaluate::store::Store;
 
 fn main() -> ExitCode {
+    supple::robot::isolate_imports();
     terminal::conclude(run(&Args::parse()))
 }
 
@@ -99,6 +100,9 @@ fn contest(args: &Args) -> anyhow::Result<Contest> {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
             Contest::of_paths(&[&pair[..], &args.also].concat())?
         }
-        _ => Contest::in_folder(&args.policies, &names, &args.also)?,
+        _ => match args.folder() {
+            Some(folder) => Contest::in_folder(&folder, &names, &args.also)?,
+            None => Contest::shipped(&names, &args.also)?,
+        },
     })
 }

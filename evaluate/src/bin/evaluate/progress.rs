@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-use indicatif::{ProgressBar, ProgressDrawTarget};
 use supple::scenario::Sensing;
+use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 use supple_evaluate::Info;
 
@@ -18,9 +18,7 @@ pub struct Progress {
 
 impl Default for Progress {
     fn default() -> Self {
-        let bar = terminal::progress_bar(0, "{bar:30} {percent:>3} %, {eta} left, {msg}");
-        bar.set_draw_target(ProgressDrawTarget::stderr_with_hz(4));
-        Progress { bar, begun: Instant::now() }
+        Progress { bar: progress(0), begun: Instant::now() }
     }
 }
 

@@ -1,13 +1,17 @@
 //! The command line: scenarios as subcommands, whose defaults come from `configs/scenarios/`.
 
 use std::ffi::OsString;
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use supple::scenario::Sensing;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
-use supple::util::yaml::flat_parameters;
+use supple::util::terminal::path_as_text;
+use supple::util::yaml::{Text, flat_parameters};
+
+use crate::seeds;
 
 /// Old names of parameters.
 const RENAMED: [(&str, &str); 1] = [("joint_offset_sd_rad", "encoder_bias_sd_rad")];
@@ -23,17 +27,21 @@ const OUTPUT: &str = "Output";
 #[command(version)]
 pub struct Args {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: compliant]
-    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME", value_parser = path_as_text())]
     pub policy: Option<String>,
     /// Second policy in the same recording, `none` for none [default: baseline, if --policy is not given and both ship]
-    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME")]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME", value_parser = path_as_text())]
     pub compare: Option<String>,
     /// Another robot: its MJCF file, or a YAML file that names one and its joints [default: the policy's]
-    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE", value_parser = path_as_text())]
     pub model: Option<String>,
     /// Seed of everything random in the scenario
     #[arg(long, global = true, help_heading = INPUT, value_name = "N", default_value_t = 0)]
     pub seed: u64,
+    /// Seeds from the first to the last, both included: prints means and spread, and writes no recording
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FIRST..LAST", value_parser = seeds::range,
+          conflicts_with_all = ["seed", "record", "connect", "serve", "on_fall", "csv"])]
+    pub seeds: Option<RangeInclusive<u64>>,
     /// What the policy acts on: the true state, or estimates from noisy sensors
     #[arg(long, global = true, help_heading = INPUT, value_enum, default_value_t)]
     pub sensing: Sensing,
@@ -60,7 +68,7 @@ pub struct Args {
     /// Print one JSON object on stdout and nothing else there
     #[arg(long, global = true, help_heading = OUTPUT)]
     pub json: bool,
-    /// Write the trace, one row for each policy step
+    /// Write the trace, one row for each policy step; `-` writes it to stdout, and the summary to stderr
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
     pub csv: Option<PathBuf>,
     /// What to play.
@@ -84,8 +92,8 @@ pub fn parse() -> anyhow::Result<Args> {
     let (Some(file), What::Play(scenario)) = (&args.params, &args.what) else {
         return Ok(args);
     };
-    let text = std::fs::read_to_string(file).with_context(|| format!("cannot read {}", file.display()))?;
-    let parameters = flat_parameters(&file.display().to_string(), &text)?;
+    let text = Text::read(file).with_context(|| format!("cannot read {}", file.display()))?;
+    let parameters = flat_parameters(&text)?;
     Ok(from_line(command(Some((scenario.name(), parameters)))?, &line))
 }
 
@@ -98,7 +106,7 @@ fn from_line(command: clap::Command, line: &[OsString]) -> Args {
 fn command(file: Option<(&str, Vec<(String, String)>)>) -> anyhow::Result<clap::Command> {
     let mut command = Args::command();
     for (name, text) in DEFAULTS {
-        command = with_defaults(command, name, flat_parameters(name, text)?)?;
+        command = with_defaults(command, name, flat_parameters(&Text::new(name, text))?)?;
     }
     match file {
         Some((name, parameters)) => with_defaults(command, name, parameters),

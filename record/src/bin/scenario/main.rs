@@ -3,14 +3,18 @@
 mod args;
 mod output;
 mod recording;
+mod seeds;
 
-use std::path::Path;
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use anyhow::Context;
 use args::{Args, What};
 use clap::CommandFactory;
 use output::Outcome;
+use recording::Recording;
+use seeds::OfSeeds;
 use supple::estimate::contact::ContactNetwork;
 use supple::policy::Agent;
 use supple::policy::shipped;
@@ -20,9 +24,13 @@ use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::Trace;
 use supple::scenario::{Rollout, Script, Sensing};
+use supple::util::files::{self, Target};
+use supple::util::paths;
+use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 
 fn main() -> ExitCode {
+    supple::robot::isolate_imports();
     terminal::conclude(args::parse().and_then(|args| run(&args)))
 }
 
@@ -34,6 +42,12 @@ fn run(args: &Args) -> anyhow::Result<()> {
         }
         return Ok(());
     };
+    let to_output = |path: &PathBuf| Target::of(path).is_ok_and(|target| target == Target::Output);
+    let table_to_output = args.csv.as_ref().is_some_and(to_output);
+    anyhow::ensure!(
+        !(args.json && table_to_output),
+        "--json and --csv would both go to standard output: name a file for one"
+    );
     let mut robots = robots(args)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
@@ -45,14 +59,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         let compliance = scenario.task().compliance;
         agent.check_compliance(compliance).with_context(|| format!("--compliance {compliance} with {name}"))?;
     }
-    let scripts: Vec<Script> = robots
-        .iter()
-        .map(|(_, agent)| Ok(scenario.script(args.seed, &agent.config)?))
-        .collect::<anyhow::Result<_>>()
-        .map_err(|error| match &args.params {
-            Some(file) => error.context(format!("with the parameters of {}", file.display())),
-            None => error,
-        })?;
+    let scripts = scripts(args, scenario, &robots, args.seed)?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
         terminal::note(format_args!("note: {late}"));
     }
@@ -61,8 +68,13 @@ fn run(args: &Args) -> anyhow::Result<()> {
         let unfamiliar = ContactNetwork::shipped()?.unfamiliar(policies);
         unfamiliar.iter().for_each(|what| terminal::note(format_args!("note: {what}")));
     }
-    let mut recording = recording::Recording::start(args, scenario, &robots, &scripts)?;
-    let traces = play(args, &robots, &scripts, &mut recording)?;
+    if let Some(seeds) = &args.seeds {
+        return play_seeds(args, scenario, &robots, seeds);
+    }
+    let mut recording = Recording::start(args, scenario, &robots, &scripts)?;
+    let bar = progress(steps(&robots, &scripts));
+    let traces = play(args, args.seed, &robots, &scripts, &mut recording, &bar)?;
+    bar.finish_and_clear();
     let played = robots.iter().zip(&scripts).zip(&traces);
     let outcomes: Vec<Outcome<'_>> = played
         .map(|(((name, agent), script), trace)| Outcome {
@@ -74,20 +86,89 @@ fn run(args: &Args) -> anyhow::Result<()> {
         })
         .collect();
 
-    if let Some(path) = &args.csv {
-        output::write_csv(path, &outcomes).with_context(|| format!("cannot write {}", path.display()))?;
+    let told = tell(args, scenario, &outcomes, table_to_output);
+    // A recording is whole also if nothing else could be written.
+    let recorded = recording.finish(args, scenario, &robots, &scripts, &traces);
+    if let (Err(_), Err(error)) = (&told, &recorded) {
+        terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
     }
-    if args.json {
-        terminal::print(format_args!("{}\n", output::to_json(scenario, args.seed, args.sensing, &outcomes)))?;
-    } else {
-        terminal::print(output::summary(scenario, &outcomes))?;
-    }
-    recording.finish(args, scenario, &robots, &scripts, &traces)?;
+    told.and(recorded)?;
     let failed = outcomes.iter().find_map(|outcome| Some((outcome.policy, outcome.trace.fault()?)));
     if let Some((policy, fault)) = failed {
-        anyhow::bail!("{policy}: the simulation failed after {:.2} s: {}", fault.time_s, fault.text);
+        anyhow::bail!("{policy}: stopped after {:.2} s: {}", fault.time_s, fault.text);
     }
     Ok(())
+}
+
+/// Writes the table and says what happened.
+fn tell(args: &Args, scenario: &Scenario, outcomes: &[Outcome<'_>], table_to_output: bool) -> anyhow::Result<()> {
+    if let Some(path) = &args.csv {
+        files::write_with(path, |file| output::write_csv(file, outcomes))
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    if table_to_output {
+        // Standard output is a table now: what is for people stays out of it.
+        terminal::note(output::summary(scenario, outcomes).trim_end());
+    } else if args.json {
+        terminal::print(format_args!("{}\n", output::to_json(scenario, args.seed, args.sensing, outcomes)))?;
+    } else {
+        terminal::print(output::summary(scenario, outcomes))?;
+    }
+    Ok(())
+}
+
+/// The script of each robot.
+fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u64) -> anyhow::Result<Vec<Script>> {
+    let scripts = robots.iter().map(|(_, agent)| Ok(scenario.script(seed, &agent.config)?));
+    scripts.collect::<anyhow::Result<_>>().map_err(|error| match &args.params {
+        Some(file) => error.context(format!("with the parameters of {}", file.display())),
+        None => error,
+    })
+}
+
+/// Plays the scenario with every seed, and tells means and spread.
+fn play_seeds(
+    args: &Args,
+    scenario: &Scenario,
+    robots: &[(String, Agent)],
+    seeds: &RangeInclusive<u64>,
+) -> anyhow::Result<()> {
+    let mut runs: Vec<OfSeeds> = robots
+        .iter()
+        .map(|(name, agent)| OfSeeds {
+            policy: name.clone(),
+            sha256: agent.sha256.clone(),
+            robot: agent.config.robot.model.clone(),
+            metrics: Vec::new(),
+        })
+        .collect();
+    let of_seed = |seed: &u64| scripts(args, scenario, robots, *seed);
+    let (first, last) = (seeds.start(), seeds.end());
+    if first < last && args.sensing == Sensing::True && of_seed(first)? == of_seed(last)? {
+        terminal::note(format_args!("note: seeds draw nothing in {}: all runs are the same", scenario.name()));
+    }
+    let mut failed = None;
+    let bar = progress(0);
+    for seed in seeds.clone() {
+        let scripts = of_seed(&seed)?;
+        bar.set_length(seeds.clone().count() as u64 * steps(robots, &scripts));
+        bar.set_message(format!("seed {seed}"));
+        let traces = play(args, seed, robots, &scripts, &mut Recording::none(), &bar)?;
+        for ((run, script), trace) in runs.iter_mut().zip(&scripts).zip(&traces) {
+            run.metrics.push(metrics(args.sensing, scenario, script, trace));
+            if let (Some(fault), None) = (trace.fault(), &failed) {
+                failed =
+                    Some(format!("{}, seed {seed}: stopped after {:.2} s: {}", run.policy, fault.time_s, fault.text));
+            }
+        }
+    }
+    bar.finish_and_clear();
+    if args.json {
+        terminal::print(format_args!("{}\n", seeds::to_json(scenario, seeds, serde_json::json!(args.sensing), &runs)))?;
+    } else {
+        terminal::print(seeds::summary(scenario, seeds, &runs))?;
+    }
+    failed.map_or(Ok(()), |failed| Err(anyhow::anyhow!(failed)))
 }
 
 /// The scenario's numbers, and those of the estimates if there are any.
@@ -102,7 +183,7 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 /// The policies to play, by name.
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let label = |name: &str| {
-        let path = Path::new(name);
+        let path = paths::as_path(name);
         path.file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
     };
     let first = args.policy.as_deref().unwrap_or("compliant");
@@ -123,18 +204,18 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
 /// Plays all robots step by step beside one another, recording as they go.
 fn play(
     args: &Args,
+    seed: u64,
     robots: &[(String, Agent)],
     scripts: &[Script],
-    recording: &mut recording::Recording,
+    recording: &mut Recording,
+    bar: &ProgressBar,
 ) -> anyhow::Result<Vec<Trace>> {
     let mut rollouts = Vec::new();
     for ((_, agent), script) in robots.iter().zip(scripts) {
         let rollout = Rollout::new(script, &agent.config, agent.controller())?.with_bodies();
-        rollouts.push(rollout.with_sensing(args.sensing, args.seed)?);
+        rollouts.push(rollout.with_sensing(args.sensing, seed)?);
     }
     let mut traces: Vec<Trace> = rollouts.iter().map(Rollout::empty_trace).collect();
-    let steps = rollouts.iter().map(Rollout::steps).max().unwrap_or(0) as u64;
-    let bar = terminal::progress_bar(steps, "{bar:30} {percent} %, {eta} left");
     let mut playing = true;
     while playing {
         playing = false;
@@ -147,6 +228,12 @@ fn play(
         }
         bar.inc(1);
     }
-    bar.finish_and_clear();
     Ok(traces)
+}
+
+/// Steps of the longest rollout without a fall.
+fn steps(robots: &[(String, Agent)], scripts: &[Script]) -> u64 {
+    let steps =
+        |((_, agent), script): (&(String, Agent), &Script)| agent.config.simulation.policy_steps(script.duration_s);
+    robots.iter().zip(scripts).map(steps).max().unwrap_or(0) as u64
 }

@@ -1,7 +1,6 @@
 //! What a scenario leaves behind: a summary for people, JSON, CSV.
 
 use std::io::{self, Write};
-use std::path::Path;
 
 use serde_json::{Value, json};
 use supple::scenario::Sensing;
@@ -31,11 +30,11 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
     text.push_str(&format!("{:28}{header}\n", ""));
     for index in 0..outcomes.first().map_or(0, |outcome| outcome.metrics.len()) {
         let Metric { label, unit, .. } = outcomes[0].metrics[index];
+        let is_truth = outcomes[0].metrics[index].is_truth();
         let values: Vec<Option<f64>> = outcomes.iter().map(|outcome| outcome.metrics[index].value).collect();
         if values.iter().all(Option::is_none) {
             continue;
         }
-        let is_truth = unit == metrics::TRUTH;
         let cell = |value: &Option<f64>| match value {
             None => format!("{:>16}", "-"),
             Some(truth) if is_truth => format!("{:>16}", if *truth > 0.5 { "yes" } else { "no" }),
@@ -43,6 +42,7 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
         };
         text.push_str(&format!("  {label:26}{}\n", values.iter().map(cell).collect::<String>()));
     }
+    outcomes.iter().for_each(|outcome| text.push_str(&undefined(outcome.policy, &outcome.metrics)));
     for outcome in outcomes {
         for event in &outcome.trace.events {
             text.push_str(&format!("  {:6.2} s  {}: {}\n", event.time_s, outcome.policy, event.text));
@@ -51,16 +51,35 @@ pub fn summary(scenario: &Scenario, outcomes: &[Outcome<'_>]) -> String {
     text
 }
 
+/// What is undefined of a policy, and why: a line for each reason. That most do not fall goes without saying.
+pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>) -> String {
+    let mut labels: Vec<(&str, Vec<&str>)> = Vec::new();
+    for Metric { label, reason, .. } in metrics {
+        let Some(reason) = reason.filter(|reason| *reason != metrics::NO_FALL) else { continue };
+        match labels.iter_mut().find(|(known, _)| *known == reason) {
+            Some((_, labels)) if labels.contains(label) => {}
+            Some((_, labels)) => labels.push(label),
+            None => labels.push((reason, vec![label])),
+        }
+    }
+    let line =
+        |(reason, labels): (&str, Vec<&str>)| format!("  undefined of {policy}, as {reason}: {}\n", labels.join("; "));
+    labels.into_iter().map(line).collect()
+}
+
 /// Everything as one JSON object.
 pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
     let run = |outcome: &Outcome<'_>| {
         let metrics: serde_json::Map<String, Value> =
-            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.value))).collect();
+            outcome.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
+        let undefined: serde_json::Map<String, Value> =
+            outcome.metrics.iter().filter_map(|metric| Some((metric.name.to_owned(), json!(metric.reason?)))).collect();
         json!({
             "policy": outcome.policy,
             "sha256": outcome.sha256,
             "robot": outcome.robot,
             "metrics": metrics,
+            "undefined": undefined,
             "events": outcome.trace.events,
         })
     };
@@ -116,8 +135,7 @@ const ESTIMATED: &str = "estimated_x_m,estimated_y_m,estimated_height_m,estimate
                          estimated_base_z_m_s";
 
 /// Writes the traces as CSV, one row for each policy step.
-pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
-    let mut file = io::BufWriter::new(std::fs::File::create(path)?);
+pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<()> {
     writeln!(file, "policy,{},{ESTIMATED}", COLUMNS.map(|(name, _)| name).join(","))?;
     for outcome in outcomes {
         for frame in &outcome.trace.frames {
@@ -130,5 +148,5 @@ pub fn write_csv(path: &Path, outcomes: &[Outcome<'_>]) -> io::Result<()> {
             writeln!(file, "{},{}", outcome.policy, row.join(","))?;
         }
     }
-    file.flush()
+    Ok(())
 }

@@ -34,7 +34,7 @@ impl Recording {
             (Some(path), _, _) => Sink::File(path.clone()),
             (None, Some(url), _) => Sink::Connect(url.clone()),
             (None, None, Some(port)) => Sink::Serve(port),
-            (None, None, None) if args.no_record => return Ok(Recording { recorder: None, sink: None }),
+            (None, None, None) if args.no_record => return Ok(Self::none()),
             (None, None, None) => Sink::File(format!("{}.rrd", scenario.name()).into()),
         };
         let recorder = open(sink.clone(), scenario.name(), args.sensing, robots, scripts)?;
@@ -42,6 +42,11 @@ impl Recording {
             terminal::note(format_args!("watch it at {}", page_url(port)));
         }
         Ok(Recording { recorder: Some(recorder), sink: Some(sink) })
+    }
+
+    /// None.
+    pub fn none() -> Self {
+        Recording { recorder: None, sink: None }
     }
 
     /// Adds a step of a robot.
@@ -95,7 +100,8 @@ impl Recording {
             self.unless_the_viewer_is_gone(finished)?;
         }
         if let Some(Sink::File(path)) = self.sink {
-            terminal::note(format_args!("recorded {path}; open it with: rerun {path}", path = path.display()));
+            let (path, word) = (path.display(), terminal::shell_word(&path));
+            terminal::note(format_args!("recorded {path}; open it with: rerun {word}"));
         }
         Ok(())
     }

@@ -1,0 +1,154 @@
+//! The same scenario with several seeds: means and spread of its numbers.
+
+use std::ops::RangeInclusive;
+
+use serde_json::{Map, Value, json};
+use supple::scenario::catalog::Scenario;
+use supple::scenario::metrics::Metric;
+use supple::util::provenance::GIT_REVISION;
+
+use crate::output::undefined;
+
+/// What a policy made of all seeds.
+pub struct OfSeeds {
+    /// Name of the policy.
+    pub policy: String,
+    /// Its identity.
+    pub sha256: String,
+    /// Name or file of the robot.
+    pub robot: String,
+    /// The scenario's numbers, of each seed.
+    pub metrics: Vec<Vec<Metric>>,
+}
+
+/// `0..9`: from the first to the last, both included.
+pub fn range(text: &str) -> Result<RangeInclusive<u64>, String> {
+    let number = |text: &str| text.parse::<u64>().ok();
+    let ends = text.split_once("..").and_then(|(first, last)| number(first).zip(number(last)));
+    match ends.filter(|(first, last)| first <= last) {
+        Some((first, last)) if last - first < 10_000 => Ok(first..=last),
+        _ => Err("expected FIRST..LAST, both included, as in 0..9; at most 10000 seeds".into()),
+    }
+}
+
+/// Mean, standard deviation of the seeds, and how many of them have the number.
+struct Spread {
+    mean: f64,
+    /// None of one alone.
+    deviation: Option<f64>,
+    count: usize,
+    least: f64,
+    largest: f64,
+}
+
+impl Spread {
+    fn of(values: &[f64]) -> Option<Self> {
+        let count = values.len();
+        let (mut least, mut largest) = (*values.first()?, *values.first()?);
+        for value in values {
+            (least, largest) = (least.min(*value), largest.max(*value));
+        }
+        let mean = values.iter().sum::<f64>() / count as f64;
+        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        let deviation = (count > 1).then(|| (squares / (count - 1) as f64).sqrt());
+        Some(Spread { mean, deviation, count, least, largest })
+    }
+}
+
+impl OfSeeds {
+    fn values(&self, index: usize) -> Vec<f64> {
+        self.metrics.iter().filter_map(|metrics| metrics.get(index)?.value).collect()
+    }
+}
+
+/// A table with a column for each policy.
+pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds]) -> String {
+    let count = runs.first().map_or(0, |run| run.metrics.len());
+    let mut text = format!(
+        "{}, seeds {} to {}: mean ± standard deviation (of how many, if not of all {count})\n",
+        scenario.name(),
+        seeds.start(),
+        seeds.end()
+    );
+    let header: String = runs.iter().map(|run| format!("{:>30}", run.policy)).collect();
+    text.push_str(&format!("{:28}{header}\n", ""));
+    for (index, Metric { label, unit, .. }) in first(runs).iter().enumerate() {
+        if runs.iter().all(|run| run.values(index).is_empty()) {
+            continue;
+        }
+        let cell = |run: &OfSeeds| {
+            let values = run.values(index);
+            let Some(spread) = Spread::of(&values) else { return "-".to_owned() };
+            if first(runs)[index].is_truth() {
+                return format!("{} of {}", values.iter().filter(|truth| **truth > 0.5).count(), spread.count);
+            }
+            let deviation = spread.deviation.map_or_else(String::new, |deviation| format!(" ± {deviation:.3}"));
+            let of = if spread.count == count { String::new() } else { format!(" ({})", spread.count) };
+            format!("{:.3}{deviation} {unit}{of}", spread.mean)
+        };
+        let cells: String = runs.iter().map(|run| format!("{:>30}", cell(run))).collect();
+        text.push_str(&format!("  {label:26}{cells}\n"));
+    }
+    runs.iter().for_each(|run| text.push_str(&undefined(&run.policy, run.metrics.iter().flatten())));
+    text
+}
+
+/// Everything as one JSON object.
+pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value, runs: &[OfSeeds]) -> Value {
+    let metrics = |run: &OfSeeds| -> Map<String, Value> {
+        let of = |(index, metric): (usize, &Metric)| {
+            let of_seeds = || run.metrics.iter().filter_map(|metrics| metrics.get(index));
+            let spread = Spread::of(&run.values(index));
+            let told = json!({
+                "mean": spread.as_ref().map(|spread| spread.mean),
+                "standard_deviation": spread.as_ref().and_then(|spread| spread.deviation),
+                "least": spread.as_ref().map(|spread| spread.least),
+                "largest": spread.as_ref().map(|spread| spread.largest),
+                "count": spread.as_ref().map_or(0, |spread| spread.count),
+                "of_seeds": of_seeds().map(Metric::to_json).collect::<Vec<_>>(),
+                "undefined": of_seeds().map(|metric| metric.reason).collect::<Vec<_>>(),
+            });
+            (metric.name.to_owned(), told)
+        };
+        first(runs).iter().enumerate().map(of).collect()
+    };
+    let run = |run: &OfSeeds| json!({ "policy": run.policy, "sha256": run.sha256, "robot": run.robot, "metrics": metrics(run) });
+    let units: Map<String, Value> =
+        first(runs).iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
+    json!({
+        "scenario": scenario.name(),
+        "revision": GIT_REVISION,
+        "seeds": [seeds.start(), seeds.end()],
+        "sensing": sensing,
+        "parameters": scenario,
+        "units": units,
+        "runs": runs.iter().map(run).collect::<Vec<_>>(),
+    })
+}
+
+/// The numbers that there are, in order.
+fn first(runs: &[OfSeeds]) -> &[Metric] {
+    runs.first().and_then(|run| run.metrics.first()).map_or(&[], Vec::as_slice)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_ends_of_a_range_count() {
+        assert_eq!(range("0..9").unwrap().count(), 10);
+        assert_eq!(range("7..7").unwrap(), 7..=7);
+        for bad in ["9..0", "3", "0..", "a..b", "-1..2", "0..10000", "0..18446744073709551615"] {
+            assert!(range(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn the_spread_is_that_of_a_sample() {
+        // Mean 4; squares 4 + 0 + 4 over two.
+        let spread = Spread::of(&[2.0, 4.0, 6.0]).unwrap();
+        assert_eq!((spread.mean, spread.deviation, spread.least, spread.largest), (4.0, Some(2.0), 2.0, 6.0));
+        assert!(Spread::of(&[]).is_none() && Spread::of(&[1.0]).unwrap().deviation.is_none());
+    }
+}

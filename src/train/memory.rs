@@ -1,0 +1,136 @@
+/*! The memory that a run takes, known before it is taken.
+
+Sizes in a configuration multiply: a slip of the keyboard asks for a million simulations of a megabyte each, and the system
+ends the process in the middle of something. What an environment takes is looked at, networks and samples are counted.
+*/
+
+use std::fmt;
+
+use super::TrainError;
+use super::environment::LocomotionEnv;
+use crate::config::{Config, LearnerKind};
+use crate::robot::JOINTS;
+use crate::task::Curriculum;
+
+/// Bytes for each parameter of the fused learner, a checkpoint being written included: 54 to 56 were measured.
+const FUSED_BYTES: u64 = 60;
+
+/// The same with candle, which keeps a graph: 68 were measured with small minibatches.
+const CANDLE_BYTES: u64 = 100;
+
+/// Bytes of an environment beside its simulation, of 900 KiB: last second, observations, its state in a checkpoint.
+const ENVIRONMENT_BYTES: u64 = 100 << 10;
+
+/// What a run takes \[bytes\].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Memory {
+    /// All simulations.
+    pub environments: u64,
+    /// The samples of an iteration.
+    pub samples: u64,
+    /// Networks, moments, gradients.
+    pub networks: u64,
+}
+
+/// More than the machine has.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "this configuration takes {memory}, and the machine has {} left: lower ppo.environments, ppo.batch_size or ppo.hidden_layers",
+    gibibytes(.left)
+)]
+pub struct MemoryError {
+    /// What is needed.
+    pub memory: Memory,
+    /// What there is \[bytes\].
+    pub left: u64,
+}
+
+impl Memory {
+    /// What a configuration takes; one of its environments is made to see.
+    ///
+    /// # Errors
+    /// What does not fit in the robot or the observation, or a fault of MuJoCo.
+    pub fn of(config: &Config) -> Result<Self, TrainError> {
+        let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
+        let ppo = &config.ppo;
+        let inputs = environment.layout().length() as u64;
+        let [environments, samples, epochs] = [ppo.environments, ppo.batch_size, ppo.epochs].map(|count| count as u64);
+        let joints = JOINTS as u64;
+        // Observation, action and its mean, and some numbers more; once more in the mirror, of both.
+        let numbers = inputs + 2 * joints + 8;
+        let copies = if ppo.symmetry { 3 } else { 1 };
+        let weights = |outputs: u64| {
+            let widths = ppo.hidden_layers.iter().map(|width| *width as u64).chain([outputs]);
+            widths.fold((0, inputs), |(sum, from), to| (sum + (from + 1) * to, to)).0
+        };
+        let bytes = if ppo.learner == LearnerKind::Candle { CANDLE_BYTES } else { FUSED_BYTES };
+        Ok(Memory {
+            environments: environments.saturating_mul(environment.simulation_bytes() as u64 + ENVIRONMENT_BYTES),
+            samples: samples.saturating_mul(4 * (copies * numbers + epochs)),
+            networks: (weights(joints) + weights(1)).saturating_mul(bytes),
+        })
+    }
+
+    /// All of it \[bytes\].
+    pub fn total(&self) -> u64 {
+        self.environments.saturating_add(self.samples).saturating_add(self.networks)
+    }
+
+    /// Checks that the machine has it.
+    ///
+    /// # Errors
+    /// [`MemoryError`]
+    pub fn check(self) -> Result<(), MemoryError> {
+        match left() {
+            Some(left) if self.total() > left => Err(MemoryError { memory: self, left }),
+            _ => Ok(()),
+        }
+    }
+}
+
+impl fmt::Display for Memory {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [total, environments, samples, networks] =
+            [&self.total(), &self.environments, &self.samples, &self.networks].map(gibibytes);
+        write!(f, "{total} of memory (environments {environments}, samples {samples}, networks {networks})")
+    }
+}
+
+fn gibibytes(bytes: &u64) -> String {
+    format!("{:.1} GiB", *bytes as f64 / f64::from(1 << 30))
+}
+
+/// What the machine, or the container, has left \[bytes\]; nothing where the system does not say.
+fn left() -> Option<u64> {
+    let read = |path: &str| std::fs::read_to_string(path).ok();
+    let of_machine = read("/proc/meminfo").and_then(|text| {
+        let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
+        Some(1024 * line.trim().strip_suffix(" kB")?.parse::<u64>().ok()?)
+    });
+    let number = |path: &str| read(path)?.trim().parse::<u64>().ok();
+    let (most, used) = (number("/sys/fs/cgroup/memory.max"), number("/sys/fs/cgroup/memory.current"));
+    let of_container = most.zip(used).map(|(most, used)| most.saturating_sub(used));
+    [of_machine, of_container].into_iter().flatten().min()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_run_takes_grows_with_what_it_asks_for_and_is_refused_beyond_the_machine() {
+        let mut config = Config::load("fast").unwrap();
+        let usual = Memory::of(&config).unwrap();
+        assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");
+        (config.ppo.environments, config.ppo.batch_size) = (1 << 20, 1 << 20);
+        let many = Memory::of(&config).unwrap();
+        let each = usual.environments / Config::load("fast").unwrap().ppo.environments as u64;
+        assert_eq!(many.environments, each << 20);
+        let error = many.check().unwrap_err();
+        assert!(error.left < error.memory.total() && error.to_string().contains("lower ppo.environments"), "{error}");
+        // 83 · 4096 and 14 times 4096 · 4096 weights, biases, and a row for each output; 12 of the policy, 1 of the value.
+        config.ppo.hidden_layers = vec![4096; 15];
+        let weights = |outputs: u64| 4096 * (83 + 14 * 4096) + 15 * 4096 + (4096 + 1) * outputs;
+        assert_eq!(Memory::of(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
+    }
+}

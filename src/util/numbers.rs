@@ -1,0 +1,29 @@
+//! Comparisons that NaN does not slip through: `f64::max` takes the other number, and what is not a number seems sound.
+
+/// The larger one; NaN if one of them is.
+pub fn maximum(a: f64, b: f64) -> f64 {
+    if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
+}
+
+/// The largest magnitude, 0 of nothing; NaN if one of the numbers is.
+pub fn largest_magnitude(numbers: impl IntoIterator<Item = f64>) -> f64 {
+    numbers.into_iter().map(f64::abs).fold(0.0, maximum)
+}
+
+/// Whether numbers are finite, also in single precision.
+pub fn finite_in_single(numbers: &[f64]) -> bool {
+    numbers.iter().all(|number| (*number as f32).is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_a_number_is_not_passed_over() {
+        assert_eq!(largest_magnitude([1.0, -3.0, 2.0]), 3.0);
+        assert!(largest_magnitude([1.0, f64::NAN, 2.0]).is_nan() && largest_magnitude([f64::NAN]).is_nan());
+        assert_eq!(largest_magnitude([f64::NEG_INFINITY, 1.0]), f64::INFINITY);
+        assert!(finite_in_single(&[1e38]) && !finite_in_single(&[1e39]) && !finite_in_single(&[f64::NAN]));
+    }
+}

@@ -1,0 +1,72 @@
+//! Progress bars that fit any terminal and promise no end before they know one.
+
+use std::fmt::Write;
+
+pub use indicatif::ProgressBar;
+use indicatif::{ProgressDrawTarget, ProgressState, ProgressStyle};
+use rustix::termios::tcgetwinsize;
+
+/// Width of the bar itself \[columns\].
+const BAR: usize = 30;
+
+/// A bar over so many steps, drawn on standard error if that is a terminal; its message is cut where the line ends.
+pub fn progress(steps: u64) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(steps), ProgressDrawTarget::stderr_with_hz(4));
+    let draw = |state: &ProgressState, out: &mut dyn Write| {
+        let left_s = Some(state.eta().as_secs()).filter(|left_s| *left_s > 0);
+        // Writing into a line cannot fail.
+        let _ = out.write_str(&gauge(columns(), state.fraction(), left_s));
+    };
+    match ProgressStyle::with_template("{gauge}{wide_msg}") {
+        Ok(style) => bar.with_style(style.with_key("gauge", draw)),
+        Err(_) => bar,
+    }
+}
+
+/// Columns of the terminal, 80 where there is none.
+fn columns() -> usize {
+    tcgetwinsize(std::io::stderr()).map_or(80, |size| usize::from(size.ws_col)).max(1)
+}
+
+/// What comes before the message in a line of so many columns; `left_s` is the time that is left, once that is known.
+fn gauge(columns: usize, fraction: f32, left_s: Option<u64>) -> String {
+    let mut text = String::new();
+    if columns >= BAR + 40 {
+        let full = (fraction.clamp(0.0, 1.0) * BAR as f32) as usize;
+        text = format!("{}{} ", "█".repeat(full), "░".repeat(BAR - full));
+    }
+    text.push_str(&format!("{:3.0} %", 100.0 * fraction));
+    if let Some(left_s) = left_s {
+        text.push_str(&format!(", {} left", duration(left_s)));
+    }
+    text.push_str("  ");
+    text.chars().take(columns).collect()
+}
+
+fn duration(seconds: u64) -> String {
+    match seconds {
+        0..60 => format!("{seconds}s"),
+        60..3600 => format!("{}m", seconds / 60),
+        3600..360_000 => format!("{}h{:02}m", seconds / 3600, seconds / 60 % 60),
+        _ => format!("{}d", seconds / 86_400),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gauge_fits_20_columns_and_tells_no_time_before_there_is_one() {
+        for left_s in [None, Some(1), Some(59), Some(3599), Some(86_399), Some(u64::MAX / 2)] {
+            for fraction in [0.0, 0.5, 1.0] {
+                let width = gauge(20, fraction, left_s).chars().count();
+                assert!(width <= 20, "{left_s:?}: {width}");
+            }
+        }
+        assert_eq!(gauge(20, 0.5, None).trim(), "50 %");
+        assert_eq!(gauge(20, 0.5, Some(125)).trim(), "50 %, 2m left");
+        assert_eq!(gauge(80, 0.5, Some(3661)), format!("{}{}  50 %, 1h01m left  ", "█".repeat(15), "░".repeat(15)));
+        assert_eq!(gauge(3, 0.5, None).chars().count(), 3);
+    }
+}

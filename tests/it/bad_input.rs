@@ -1,0 +1,278 @@
+//! What people, disks and other programs put before ours by mistake or malice.
+
+use std::ffi::OsStr;
+use std::io::Write;
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::support::{complaint, metrics, program, repository, robot, run, small_config_file, standing_policy};
+
+/// Refused with exit code 2, one line that has these words, and within seconds.
+fn refused(name: &str, folder: &Path, arguments: &[&str], words: &str) -> String {
+    let begun = Instant::now();
+    let output = run(name, folder, arguments);
+    let complaint = complaint(&output);
+    assert_eq!(output.status.code(), Some(2), "{arguments:?}: {complaint}");
+    assert!(complaint.contains(words) && complaint.lines().count() == 1, "{arguments:?}: {complaint}");
+    assert!(begun.elapsed() < Duration::from_secs(60), "{arguments:?} took {:?}", begun.elapsed());
+    complaint
+}
+
+fn trained(folder: &Path, out: &str, more: &[&str]) {
+    let output = run("train", folder, &[&["--config", "small.yaml", "--samples", "768", "--out", out], more].concat());
+    assert!(output.status.success(), "{}", complaint(&output));
+}
+
+fn with_input(name: &str, folder: &Path, arguments: &[&str], input: &[u8]) -> Output {
+    let mut child = Command::new(program(name))
+        .args(arguments)
+        .current_dir(folder)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    // It may have seen enough before all is written.
+    let _ = child.stdin.take().unwrap().write_all(input);
+    child.wait_with_output().unwrap()
+}
+
+#[test]
+fn exports_go_to_standard_output_and_through_links_and_never_replace_what_is_no_file() {
+    let folder = tempfile::tempdir().unwrap();
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let export =
+        |out: &str| run("policy", folder.path(), &["export", "p.safetensors", "--format", "onnx", "--out", out]);
+    assert!(export("p.onnx").status.success());
+    let onnx = std::fs::read(folder.path().join("p.onnx")).unwrap();
+    for stdout in ["-", "/dev/stdout"] {
+        assert!(export(stdout).stdout == onnx, "{stdout}");
+    }
+    std::os::unix::fs::symlink("/dev/full", folder.path().join("full.onnx")).unwrap();
+    let output = export("full.onnx");
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).contains("No space left"), "{}", complaint(&output));
+    assert!(folder.path().join("full.onnx").is_symlink());
+    // Nothing else came to be, not beside a device either.
+    let names = std::fs::read_dir(folder.path()).unwrap().count();
+    assert_eq!(names, 4, "p.safetensors, p.onnx, p.yaml, full.onnx");
+}
+
+#[test]
+fn numbers_beyond_a_policy_are_told_with_their_line_and_never_answered_with_null() {
+    let folder = tempfile::tempdir().unwrap();
+    // A network with weights, of which a huge observation overflows.
+    let output = run("policy", folder.path(), &["show", "compliant", "--json"]);
+    let shown: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    let length = shown["usage"]["observation_elements"].as_array().unwrap().len();
+    let line = |number: &str| format!("[{}]\n", vec![number; length].join(","));
+    let output = with_input("policy", folder.path(), &["run", "compliant"], (line("0") + &line("1e300")).as_bytes());
+    assert_eq!(output.status.code(), Some(2));
+    assert_eq!(String::from_utf8_lossy(&output.stdout).lines().count(), 1);
+    assert!(complaint(&output).contains("line 2: the joint target of FR_hip is"), "{}", complaint(&output));
+    let endless = vec![b'1'; 8 << 20];
+    let output = with_input("policy", folder.path(), &["run", "compliant"], &endless);
+    assert!(complaint(&output).contains("line 1: it has more than the 1048576 bytes"), "{}", complaint(&output));
+}
+
+#[test]
+fn robots_that_would_eat_the_machine_are_refused_and_what_is_not_taken_over_does_no_harm() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let whole = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
+    std::os::unix::fs::symlink(robot("assets"), folder.path().join("assets")).unwrap();
+    let with = |before: &str, text: &str| {
+        assert!(whole.contains(before), "{before}");
+        std::fs::write(folder.path().join("r.xml"), whole.replacen(before, &format!("{text}{before}"), 1)).unwrap();
+    };
+    let arguments = ["--config", "small.yaml", "--set", "robot.model=r.xml", "--samples", "256", "--out", "x"];
+    let fields: String =
+        (0..100).map(|k| format!("<hfield name='h{k}' nrow='4096' ncol='4096' size='1 1 1 1'/>")).collect();
+    let attributes: String = (0..50_000).map(|k| format!(" a{k}=''")).collect();
+    for (before, text, words) in [
+        (
+            "<worldbody",
+            format!("<asset>{}</asset>", "<hfield name='h' nrow='2147483647' ncol='2' size='1 1 1 1'/>"),
+            "nrow is",
+        ),
+        // Each within the limits, all of them 6.7 GB.
+        ("<worldbody", format!("<asset>{fields}</asset>"), "robot"),
+        ("</worldbody", "<geom size='1'/>".repeat(100_000), "elements"),
+        ("</worldbody", format!("<geom{attributes}/>"), "attributes"),
+        ("<worldbody", "<custom><numeric name='n' size='2147483647'/></custom>".into(), "size is"),
+        (
+            "</worldbody",
+            "<body><composite type='particle' count='46 46 46' spacing='1'><geom size='.1'/></composite></body>".into(),
+            "count is",
+        ),
+    ] {
+        with(before, &text);
+        refused("train", folder.path(), &arguments, words);
+    }
+    std::fs::write(folder.path().join("r.xml"), "<mujoco><include file='/dev/zero'/></mujoco>").unwrap();
+    refused("train", folder.path(), &arguments, "it is a device");
+    with("</worldbody", "<body pos='nan 0 0'/>");
+    refused("train", folder.path(), &arguments, "pos of <body> is 'nan 0 0', expected finite numbers");
+    // What a scene has of its own is not taken from a robot's file.
+    let harmless = "<size nuser_body='2147483647' nkey='1000000'/><!-- nrow='2147483647' --><option iterations='2147483647'/>\
+                    <sensor><user dim='2147483647'/></sensor>";
+    with("<worldbody", harmless);
+    let output = run("train", folder.path(), &arguments);
+    assert!(output.status.success(), "{}", complaint(&output));
+}
+
+#[test]
+fn a_run_is_one_thing() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    trained(folder.path(), "run", &[]);
+    trained(folder.path(), "other", &["--seed", "1"]);
+    let at = |name: &str| folder.path().join(name);
+    let text = |name: &str| std::fs::read_to_string(at(name)).unwrap();
+    let resume = ["--resume", "run", "--samples", "1024"];
+    let (config, lines) = (text("run/config.yaml"), text("run/metrics.jsonl"));
+
+    std::fs::write(at("run/config.yaml"), config.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
+    refused("train", folder.path(), &resume, "run/config.yaml was changed after the run began: ppo.epochs: 3 and 2");
+    assert!(text("run/config.yaml").contains("epochs: 3"), "what somebody wrote is lost");
+    // Nor is what somebody tried to write.
+    std::fs::write(at("run/config.yaml"), config.replacen("epochs: 2", "epochs: 2e1", 1)).unwrap();
+    refused("train", folder.path(), &resume, "run/config.yaml, line ");
+    assert!(text("run/config.yaml").contains("epochs: 2e1"), "what somebody wrote is lost");
+    std::fs::write(at("run/config.yaml"), &config).unwrap();
+
+    let checkpoint = std::fs::read(at("run/checkpoint.safetensors")).unwrap();
+    std::fs::copy(at("other/checkpoint.safetensors"), at("run/checkpoint.safetensors")).unwrap();
+    refused("train", folder.path(), &resume, "two runs are mixed: its checkpoint is of seed 1, run.json of seed 0");
+    std::fs::write(at("run/checkpoint.safetensors"), &checkpoint).unwrap();
+
+    std::fs::copy(at("other/metrics.jsonl"), at("run/metrics.jsonl")).unwrap();
+    refused("train", folder.path(), &resume, "two runs are mixed: after iteration 3");
+    let cut: String = lines.lines().enumerate().filter(|(k, _)| *k != 1).map(|(_, line)| format!("{line}\n")).collect();
+    std::fs::write(at("run/metrics.jsonl"), cut + "{\"iter").unwrap();
+
+    // How long it is to be may be changed, and what is lost is told.
+    std::fs::write(at("run/config.yaml"), config.replacen("samples: 768", "samples: 1280", 1)).unwrap();
+    let output = run("train", folder.path(), &["--resume", "run"]);
+    let words = complaint(&output);
+    assert!(output.status.success(), "{words}");
+    assert!(words.contains("lacks iterations 2 of 3") && words.contains("run.samples is 1280"), "{words}");
+    let iterations: Vec<u64> = metrics(&at("run")).iter().map(|line| line["iteration"].as_u64().unwrap()).collect();
+    assert_eq!(iterations, [1, 3, 4, 5]);
+}
+
+#[test]
+fn paths_need_not_be_utf8() {
+    let folder = tempfile::tempdir().unwrap();
+    let odd = folder.path().join(OsStr::from_bytes(b"caf\xe9"));
+    std::fs::create_dir(&odd).unwrap();
+    let config = small_config_file(&odd);
+    std::fs::copy(repository("models/go1.xml"), odd.join("r.xml")).unwrap();
+    std::fs::write(odd.join("own.yaml"), "base: small.yaml\nrobot: {model: r.xml}\n").unwrap();
+    assert!(config.exists());
+    let out = odd.join(OsStr::from_bytes(b"run\xff"));
+    let train = |arguments: &[&OsStr]| {
+        let output = Command::new(program("train")).args(arguments).current_dir(folder.path()).output().unwrap();
+        assert!(output.status.success(), "{}", complaint(&output));
+        complaint(&output)
+    };
+    let [samples, begin, more] = ["--samples", "256", "512"].map(OsStr::new);
+    let own = odd.join("own.yaml");
+    train(&["--config".as_ref(), own.as_ref(), samples, begin, "--out".as_ref(), out.as_ref()]);
+    train(&["--resume".as_ref(), out.as_ref(), samples, more]);
+    let output = Command::new(program("policy")).arg("show").arg(odd.join("none")).output().unwrap();
+    assert!(complaint(&output).contains("caf\\uf7e9"), "{}", complaint(&output));
+    let shown = Command::new(program("policy")).arg("verify").arg(&out).arg("--config").arg(&own).output().unwrap();
+    assert!(shown.status.success(), "{}", complaint(&shown));
+}
+
+#[test]
+fn sizes_that_nobody_meant_are_refused_before_they_are_taken() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let set = |changes: &[&str], words: &str| {
+        let mut arguments = vec!["--config", "small.yaml", "--out", "x"];
+        arguments.extend(changes.iter().flat_map(|change| ["--set", change]));
+        refused("train", folder.path(), &arguments, words);
+    };
+    set(&["ppo.environments=1048576", "ppo.batch_size=1048576"], "GiB of memory");
+    set(&["ppo.epochs=4.5"], "config --set ppo.epochs=4.5: ppo.epochs: invalid type: floating point `4.5`");
+    set(&["ppo=4"], "expected keys with values");
+    set(&[&format!("ppo.hidden_layers=[{}]", vec!["4096"; 101].join(","))], "1 to 16 widths");
+    assert!(!folder.path().join("x").exists());
+}
+
+#[test]
+fn ctrl_c_while_a_run_is_set_up_stops_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let pipe = folder.path().join("pipe.yaml");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let mut train = Command::new(program("train"));
+    train.args(["--config", "pipe.yaml", "--out", "x"]).current_dir(folder.path()).stderr(Stdio::piped());
+    let child = train.spawn().unwrap();
+    // Open as soon as `train` opens it, which waits then for the configuration.
+    let _writer = std::fs::File::options().write(true).open(pipe).unwrap();
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(130));
+    assert!(complaint(&output).contains("stopped before training began") && !folder.path().join("x").exists());
+}
+
+#[test]
+fn errors_name_the_file_the_line_and_the_key_once_and_advice_is_never_circular() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let write = |name: &str, text: &[u8]| std::fs::write(folder.path().join(name), text).unwrap();
+    write("float.yaml", b"base: small.yaml\nrun:\n  samples: 2e7\n");
+    write("empty.yaml", b"");
+    write("tab.yaml", b"base: small.yaml\nppo:\n\tepochs: 3\n");
+    write("utf16.yaml", b"\xff\xfeb\0a\0s\0e\0");
+    write("deep.yaml", format!("base: small.yaml\nppo: {}", "[".repeat(100_000)).as_bytes());
+    write("escape.yaml", "base: \"\\e[31mred\"\n".as_bytes());
+    // What it is, and not that there is no policy of this name.
+    refused("policy", folder.path(), &["show", "/dev/zero"], "policy /dev/zero: it is a device");
+    for (name, words) in [
+        (
+            "float.yaml",
+            "config float.yaml, line 3: run.samples: invalid type: floating point `20000000.0`, expected a whole number",
+        ),
+        ("empty.yaml", "empty.yaml: it is empty"),
+        ("tab.yaml", "tab.yaml, line 3: it begins with a tab"),
+        ("utf16.yaml", "not text in UTF-8"),
+        ("deep.yaml", "deep.yaml: it has more than 10000 brackets"),
+        ("escape.yaml", "\\u001b[31mred"),
+        ("/dev/zero", "it is a device"),
+    ] {
+        let complaint = refused("train", folder.path(), &["--config", name, "--out", "x"], words);
+        assert!(!complaint.contains('\u{1b}'));
+    }
+    write("marked.yaml", "\u{feff}base: small.yaml\n".as_bytes());
+    trained(folder.path(), "run", &[]);
+    let output = run("train", folder.path(), &["--config", "marked.yaml", "--samples", "256", "--out", "marked"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+
+    std::fs::create_dir(folder.path().join("empty")).unwrap();
+    let start = ["--config", "small.yaml", "--out"];
+    let taken =
+        refused("train", folder.path(), &[&start[..], &["empty"]].concat(), "empty exists already and is no run");
+    assert!(!taken.contains("--resume"), "{taken}");
+    let none = refused("train", folder.path(), &["--resume", "empty"], "empty is not a run's folder");
+    assert!(!none.contains("--out"), "{none}");
+    refused("train", folder.path(), &[&start[..], &["run"]].concat(), "go on with --resume run");
+}
+
+#[test]
+fn shipped_policies_are_listed_and_have_cards_in_any_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let listed = run("policy", folder.path(), &["list"]);
+    let text = String::from_utf8_lossy(&listed.stdout);
+    assert!(text.lines().any(|line| line.starts_with("compliant-seed0 ")) && text.contains("hardware/compliant-seed0"));
+    let card = run("policy", folder.path(), &["card", "compliant-seed0"]);
+    let text = String::from_utf8_lossy(&card.stdout);
+    assert!(text.starts_with("# compliant-seed0\n") && text.contains("## Walking undisturbed"), "{text}");
+    let shipped = std::fs::read_to_string(repository("policies/compliant-seed0.md")).unwrap();
+    let hash = shipped.lines().find(|line| line.contains("SHA-256")).unwrap();
+    assert!(text.contains(hash) && !text.contains("Learning curve"));
+}
