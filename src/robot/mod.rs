@@ -46,6 +46,25 @@ pub struct Losses {
     pub damping_n_m_s_per_rad: f64,
 }
 
+/// Joints to try all policies with, whatever they were trained with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointLosses {
+    /// No losses
+    Ideal,
+    /// Dry friction of 0.2 N m and damping of 0.5 N m s/rad, as public models of such robots have them
+    Realistic,
+}
+
+impl From<JointLosses> for Losses {
+    fn from(joints: JointLosses) -> Self {
+        match joints {
+            JointLosses::Ideal => Losses::default(),
+            JointLosses::Realistic => Losses { friction_n_m: 0.2, damping_n_m_s_per_rad: 0.5 },
+        }
+    }
+}
+
 /// A quadruped.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
@@ -62,6 +81,8 @@ pub struct Robot {
     pub losses: Losses,
     /// What the robot starts from: the trunk's position and quaternion, then the joint angles in the model's order.
     pub stand: Vec<f64>,
+    /// Places of the joint angles in `stand`.
+    places: [usize; JOINTS],
     /// Joint angles that the robot stands on, the middle of what a policy does \[rad\].
     pub nominal_pose: Joints,
     /// Geometry of the legs, in the order of [`LEGS`].
@@ -107,10 +128,34 @@ impl Robot {
         if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
             return Ok(Arc::clone(robot));
         }
-        let import::Imported { mjcf, report, fall_height_m } = import::import(&source, path).map_err(fail)?;
-        let robot = Arc::new(Self::new(name, mjcf, report, fall_height_m)?);
+        let import::Imported { mjcf, report, has_pose, fall_height_m } = import::import(&source, path).map_err(fail)?;
+        let mut robot = Self::new(name, mjcf, report, fall_height_m)?;
+        if !has_pose {
+            robot.bend_knees();
+        }
+        let robot = Arc::new(robot);
         known.push((key, Arc::clone(&robot)));
         Ok(robot)
+    }
+
+    /// Bends knees that are straight only because nobody has said otherwise.
+    fn bend_knees(&mut self) {
+        let straight = |leg: usize| self.legs[leg].is_straight(of_leg(&self.nominal_pose, leg));
+        if !(0..LEGS.len()).all(straight) {
+            return;
+        }
+        // To a milliradian: it will be read.
+        let bent = |joint: usize| self.legs[joint / PARTS.len()].bent()[joint % PARTS.len()];
+        self.nominal_pose = std::array::from_fn(|joint| (1e3 * bent(joint)).round() / 1e3);
+        self.stand[2] = self.standing_height_m(&self.nominal_pose);
+        for (place, angle) in self.places.iter().zip(self.nominal_pose) {
+            self.stand[*place] = angle;
+        }
+        self.report.push(format!(
+            "pose: its file says none, and its legs are straight; knees bent to the rear, base at {:.3} m (nominal_pose_rad in a \
+             YAML file chooses another)",
+            self.stand[2]
+        ));
     }
 
     /// The same robot with other losses in its joints.
@@ -158,6 +203,7 @@ impl Robot {
             torque_limits,
             losses: Losses::default(),
             stand,
+            places,
             nominal_pose,
             legs,
             imu_in_base: imu.map_or_else(Vector3::zeros, |site| model.site_position(site).into()),
