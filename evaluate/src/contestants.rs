@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use supple::policy::{Agent, AgentError, shipped};
+use supple::robot::Losses;
 use supple::util::{files, paths};
 
 /// Keys of a configuration that trials are played with.
@@ -170,6 +171,17 @@ impl Contest {
             }
         }
         Contest { sides, notes }
+    }
+
+    /// Tries all policies with joints that have these losses.
+    pub fn set_losses(&mut self, losses: Losses) {
+        for member in self.sides.iter_mut().flat_map(|side| &mut side.members) {
+            member.agent.config.robot.set_losses(losses);
+        }
+        self.notes.push(format!(
+            "all robots have joints with {} N m of friction and {} N m s/rad of damping",
+            losses.friction_n_m, losses.damping_n_m_s_per_rad
+        ));
     }
 
     /// Names of all sets.

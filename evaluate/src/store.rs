@@ -14,7 +14,6 @@ use super::contestants::Contestant;
 use super::results::PolicyResult;
 use super::{Condition, Experiment};
 use supple::estimate::{EstimatorConfig, SensorNoise, contact};
-use supple::robot::Robot;
 use supple::scenario::Sensing;
 use supple::util::files;
 use supple::util::provenance::{GIT_REVISION, MEASURES};
@@ -105,10 +104,12 @@ fn checksum(samples: &PolicyResult) -> String {
 
 /// Hash of everything that decides what an experiment measures with a policy.
 pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant, sensing: Sensing) -> String {
+    let robot = &contestant.agent.config.robot;
     let mut parts = serde_json::json!({
         "program": MEASURES,
         // One that cannot be read fails in its first trial, with the reason.
-        "robot": Robot::load(&contestant.agent.config.robot.model).map(|robot| robot.sha256()).unwrap_or_default(),
+        "robot": robot.load().map(|robot| robot.sha256()).unwrap_or_default(),
+        "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],
         "experiment": experiment.info().name,
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),

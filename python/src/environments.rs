@@ -14,7 +14,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use supple::config::{Config, ValueError};
 use supple::mujoco;
 use supple::observation::Layout;
-use supple::robot::{JOINTS, Robot, joint_names, same_in_every_leg};
+use supple::robot::{JOINTS, Robot, joint_names};
 use supple::task::reward::TERMS;
 use supple::task::{Command, Curriculum};
 use supple::train::environment::{End, EpisodeReport, LocomotionEnv, Step};
@@ -98,7 +98,7 @@ impl Environments {
             return Err(PyValueError::new_err("num_envs is 0, expected at least 1"));
         }
         let config = Config::load(config).map_err(refused)?;
-        let robot = Robot::load(&config.robot.model).map_err(refused)?;
+        let robot = config.robot.load().map_err(refused)?;
         let layout = config.layout().map_err(ValueError::Observation).map_err(refused)?;
         let layout = Arc::new(layout);
         let first_curriculum = curriculum.map_or(Ok(Curriculum::new(&config.command)), checked)?;
@@ -214,7 +214,7 @@ impl Environments {
     /// gives all it has, wherever in its range the joint is.
     fn action_bounds<'py>(&self, py: Python<'py>) -> (Row<'py, f32>, Row<'py, f32>) {
         let (action, simulation) = (&self.config.action, &self.config.simulation);
-        let nominal = same_in_every_leg(action.nominal_pose_rad);
+        let nominal = action.nominal_pose_rad.joints();
         let bound = |side: usize, sign: f64| -> Vec<f32> {
             let of = |joint: usize| {
                 let beyond = sign * self.robot.torque_limits[joint] / simulation.kp_n_m_per_rad;

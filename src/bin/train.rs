@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::Parser;
 use supple::config::Config;
+use supple::robot::Robot;
 use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
@@ -31,10 +32,13 @@ const WORTH_TELLING_BYTES: u64 = 1 << 30;
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, or a YAML file; with
-    /// --resume, what the run has to be of [default: fast]
+    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, commanded, go2, go2-baseline,
+    /// or a YAML file; with --resume, what the run has to be of [default: fast]
     #[arg(long, value_name = "FILE", value_parser = terminal::path_as_text())]
     config: Option<String>,
+    /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file about one
+    #[arg(long, value_name = "FILE", conflicts_with = "resume", value_parser = terminal::path_as_text())]
+    robot: Option<String>,
     /// Another value for a key of the configuration, as in ppo.epochs=4; may be repeated
     #[arg(long, value_name = "KEY=VALUE", conflicts_with = "resume")]
     set: Vec<String>,
@@ -194,16 +198,23 @@ fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
 fn start(args: &Args, threads: usize, training: &AtomicBool) -> anyhow::Result<(Trainer, RunFolder)> {
     let name = args.config.as_deref().unwrap_or("fast");
     let mut config = Config::load_with(name, &args.set)?;
+    let stem = |name: &str| paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
+    let mut name = stem(name);
+    if let Some(model) = &args.robot {
+        let robot = Robot::load(model)?;
+        let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {model}: {reason}"))?;
+        terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
+        (config, name) = (fitted.with(&args.set)?, format!("{name}-{}", stem(model)));
+    }
     config.run.samples = args.samples.unwrap_or(config.run.samples);
-    let stem = paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
     let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{stem}-seed{seed}")));
+    let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{name}-seed{seed}")));
     let memory = Memory::of(&config)?;
     memory.check()?;
     if memory.total() > WORTH_TELLING_BYTES {
         terminal::note(format_args!("note: this run takes {memory}"));
     }
-    let trainer = Trainer::new(&stem, config, seed, threads)?;
+    let trainer = Trainer::new(&name, config, seed, threads)?;
     training.store(true, Ordering::Relaxed);
     let folder = RunFolder::create(&out, &trainer)?;
     Ok((trainer, folder))

@@ -61,8 +61,12 @@ impl Config {
         not_negative("simulation.kp_n_m_per_rad", s.kp_n_m_per_rad)?;
         not_negative("simulation.kd_n_m_s_per_rad", s.kd_n_m_s_per_rad)?;
 
-        let angles = self.action.nominal_pose_rad.iter().all(|angle| angle.is_finite());
-        require(angles, "action.nominal_pose_rad", format!("{:?}", self.action.nominal_pose_rad), "finite angles")?;
+        not_negative("robot.friction_loss_n_m", self.robot.friction_loss_n_m)?;
+        not_negative("robot.damping_n_m_s_per_rad", self.robot.damping_n_m_s_per_rad)?;
+
+        let pose = self.action.nominal_pose_rad.joints();
+        let sound = pose.iter().all(|angle| angle.is_finite());
+        require(sound, "action.nominal_pose_rad", format!("{pose:?}"), "finite angles")?;
         positive("action.scale_rad", self.action.scale_rad)?;
         self.layout().map_err(ValueError::Observation)?;
 
@@ -149,13 +153,6 @@ impl Config {
         let has = p.learner == LearnerKind::Fused || matches!(p.precision, Precision::Auto | Precision::F32);
         require(has, "ppo.precision", yaml::to_text(&p.precision).trim_end(), "auto or f32 with ppo.learner: candle")?;
         within("ppo.epochs", p.epochs, 1..=MAX_EPOCHS, &format!("1 to {MAX_EPOCHS}"))?;
-        let upright = self.action.nominal_pose_rad[0] == 0.0;
-        require(
-            !p.symmetry || upright,
-            "ppo.symmetry",
-            p.symmetry,
-            "false, unless the hip of action.nominal_pose_rad is 0",
-        )?;
         let widths = (1..=MAX_LAYERS).contains(&p.hidden_layers.len());
         let widths = widths && p.hidden_layers.iter().all(|width| (1..=4096).contains(width));
         let expected = format!("1 to {MAX_LAYERS} widths from 1 to 4096");

@@ -1,13 +1,15 @@
 //! What a configuration is made of. Every struct is a section of the file.
 
 use std::fmt;
+use std::sync::Arc;
 
 use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::observation::{Layout, Nominal, Observed, Scales, paper_layout};
-use crate::robot::{JOINTS, same_in_every_leg};
+use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
+use crate::util::files::FileError;
 
 /// Everything that defines a training run but its seed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,6 +47,28 @@ pub struct Config {
 pub struct RobotModel {
     /// Name of a robot that ships, or path of an MJCF file, or of a YAML file about one.
     pub model: String,
+    /// Dry friction of every joint [N·m].
+    #[serde(default)]
+    pub friction_loss_n_m: f64,
+    /// Viscous damping of every joint, beside `K_d` [N·m·s/rad].
+    #[serde(default)]
+    pub damping_n_m_s_per_rad: f64,
+}
+
+impl RobotModel {
+    /// The robot.
+    ///
+    /// # Errors
+    /// See [`Robot::load`].
+    pub fn load(&self) -> Result<Arc<Robot>, FileError> {
+        let losses = Losses { friction_n_m: self.friction_loss_n_m, damping_n_m_s_per_rad: self.damping_n_m_s_per_rad };
+        Ok(Robot::load(&self.model)?.with_losses(losses))
+    }
+
+    /// Gives its joints other losses.
+    pub fn set_losses(&mut self, losses: Losses) {
+        (self.friction_loss_n_m, self.damping_n_m_s_per_rad) = (losses.friction_n_m, losses.damping_n_m_s_per_rad);
+    }
 }
 
 /// Section IV: physics at 240 Hz, policy at 60 Hz, PD control with delayed targets.
@@ -89,10 +113,46 @@ impl Simulation {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Action {
-    /// Hip, thigh and calf of every leg \[rad\].
-    pub nominal_pose_rad: [f64; 3],
+    /// Hip, thigh and calf of every leg, or twelve angles in the order of [`crate::robot::LEGS`] \[rad\].
+    pub nominal_pose_rad: LegPose,
     /// \[rad\] per unit of action.
     pub scale_rad: f64,
+}
+
+/// Joint angles of one leg, which stand for every leg, or of all four.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "three angles, or twelve")]
+pub enum LegPose {
+    /// Hip, thigh, calf of every leg.
+    Alike([f64; 3]),
+    /// Of each joint.
+    Each(Joints),
+}
+
+impl LegPose {
+    /// Of each joint.
+    pub fn joints(&self) -> Joints {
+        match *self {
+            LegPose::Alike(leg) => same_in_every_leg(leg),
+            LegPose::Each(joints) => joints,
+        }
+    }
+}
+
+impl fmt::Display for LegPose {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            LegPose::Alike(leg) => write!(f, "{leg:?}"),
+            LegPose::Each(joints) => write!(f, "{joints:?}"),
+        }
+    }
+}
+
+impl From<Joints> for LegPose {
+    fn from(joints: Joints) -> Self {
+        let leg = [joints[0], joints[1], joints[2]];
+        if same_in_every_leg(leg) == joints { LegPose::Alike(leg) } else { LegPose::Each(joints) }
+    }
 }
 
 /// Commands are drawn uniformly from ± range · fraction.
@@ -331,7 +391,7 @@ impl Config {
     /// What offsets and scales in words stand for.
     pub fn nominal(&self) -> Nominal {
         Nominal {
-            pose: same_in_every_leg(self.action.nominal_pose_rad),
+            pose: self.action.nominal_pose_rad.joints(),
             height_m: self.reward.base_height_m,
             action_scale_rad: [self.action.scale_rad; JOINTS],
         }

@@ -428,6 +428,19 @@ impl Model {
         unsafe { *self.raw_mut().geom_priority.add(geom) = priority };
     }
 
+    /// Sets what a hinge loses: dry friction [N·m] and viscous damping [N·m·s/rad].
+    ///
+    /// # Panics
+    /// If there is no joint of this id.
+    pub fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) {
+        let dof = self.joint_velocity_index(joint);
+        // SAFETY: both hold a number for each degree of freedom, of which a joint's first is one.
+        unsafe {
+            *self.raw_mut().dof_frictionloss.add(dof) = friction;
+            *self.raw_mut().dof_damping.add(dof) = damping;
+        }
+    }
+
     /// Sets the length that a limited tendon cannot exceed \[m\].
     ///
     /// # Panics

@@ -15,7 +15,7 @@ use super::inference::{Action, Buffers, Inference, Meaning, Network};
 use crate::config::{Config, Simulation};
 use crate::network::{ActorCritic, Mlp, PackedMlp};
 use crate::observation::Layout;
-use crate::robot::{JOINTS, Joints, Robot, joint_names, same_in_every_leg};
+use crate::robot::{JOINTS, Joints, Robot, joint_names};
 use crate::util::files::{self, FileError};
 use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
@@ -133,7 +133,7 @@ impl Policy {
         provenance.config = provenance.config.without_folder();
         let config = &provenance.config;
         let usage = Usage::new(&layout, robot);
-        let nominal_pose = same_in_every_leg(config.action.nominal_pose_rad);
+        let nominal_pose = config.action.nominal_pose_rad.joints();
         let inference = inference(&network.policy, layout, nominal_pose, config.action.scale_rad, &config.simulation);
         let mut policy = Policy { actor: network.policy.clone(), usage, inference, provenance, sha256: String::new() };
         // What was built from whole tensors can be serialised.

@@ -8,7 +8,7 @@ use super::onnx;
 use crate::config::{Config, ValueError};
 use crate::network::{PackedMlp, Scratch};
 use crate::observation::{Command, Layout, Moment, Observer};
-use crate::robot::{JOINTS, Joints, RobotState, same_in_every_leg};
+use crate::robot::{JOINTS, Joints, RobotState};
 
 /// What an output of a network is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
@@ -104,7 +104,7 @@ impl Inference {
         Ok(Inference {
             layout: config.layout().map_err(ValueError::Observation)?,
             action: Action {
-                nominal_pose: same_in_every_leg(action.nominal_pose_rad),
+                nominal_pose: action.nominal_pose_rad.joints(),
                 meaning: Meaning::OffsetFromNominal,
                 scale_rad: [action.scale_rad; JOINTS],
                 clip: f64::INFINITY,

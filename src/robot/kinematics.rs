@@ -43,6 +43,12 @@ pub struct Leg {
     pub foot_radius_m: f64,
 }
 
+/// A knee that is bent by less does not carry a trunk that goes up and down \[rad\].
+const STRAIGHT: f64 = 0.4;
+
+/// How far the Go1's knees are bent in its nominal pose \[rad\].
+const BENT: f64 = 1.44;
+
 /// Axes count as parallel up to this angle \[rad\].
 const PARALLEL: f64 = 1e-3;
 
@@ -115,6 +121,28 @@ impl Leg {
             velocity: self.foot_jacobian(angles) * Vector3::from(rates),
             spin: self.hip_axis * rates[0] + about(&self.hip_axis, self.turned(angles)[0], &spin),
         }
+    }
+
+    /// Whether thigh and calf are nearly in line, seen along the thigh's axis.
+    pub(super) fn is_straight(&self, angles: [f64; 3]) -> bool {
+        let (thigh, calf) = self.links(angles);
+        (self.lean(&thigh) - self.lean(&calf)).abs() < STRAIGHT
+    }
+
+    /// The angles of a leg that is bent at the knee as the Go1's in its nominal pose: the foot below the thigh joint, the knee
+    /// behind both.
+    pub(super) fn bent(&self) -> [f64; 3] {
+        // About an axis that points to the left, what hangs down goes back as its angle grows.
+        let bend = self.thigh_axis.y.signum() * BENT;
+        let calf = self.lean(&self.knee) - self.lean(&self.foot) - bend;
+        let to_foot = self.knee + about(&self.thigh_axis, calf, &self.foot);
+        [self.zero[0], self.zero[1] - self.lean(&to_foot), self.zero[2] + self.calf_sign * calf]
+    }
+
+    /// By how much a vector is turned about the thigh's axis from pointing down \[rad\].
+    fn lean(&self, vector: &Vector3<f64>) -> f64 {
+        let down = -Vector3::z();
+        self.thigh_axis.dot(&down.cross(vector)).atan2(down.dot(vector))
     }
 
     /// Axes of hip, thigh and calf at zero angles, base frame.
@@ -195,6 +223,15 @@ mod tests {
 
     fn legs() -> [Leg; 4] {
         Robot::load("go1").unwrap().legs
+    }
+
+    #[test]
+    fn a_leg_is_bent_as_the_go1_stands() {
+        for leg in Robot::load("go1").unwrap().legs {
+            let [hip, thigh, calf] = leg.bent();
+            assert!(hip == 0.0 && (thigh - 0.72).abs() < 1e-12 && (calf + 1.44).abs() < 1e-12, "{thigh} {calf}");
+            assert!(leg.is_straight([0.0, 0.5, -0.3]) && !leg.is_straight(leg.bent()));
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@ MJCF file, or a YAML file that names one and says what its parts are called, mad
 [`Robot::mjcf`], which has our names for trunk, joints, feet and motors, whatever the file called them.
 */
 
+mod describe;
 mod extent;
 mod import;
 pub mod kinematics;
@@ -15,6 +16,7 @@ use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
 use nalgebra::Vector3;
 
+pub use describe::joint_table;
 pub use extent::Extent;
 pub use import::isolate_imports;
 pub use kinematics::{Foot, Leg};
@@ -26,13 +28,42 @@ use crate::util::files::{self, FileError};
 use crate::util::paths;
 
 /// The robots inside the program: name and MJCF.
-const SHIPPED: &[(&str, &str)] = &[("go1", include_str!("../../models/go1.xml"))];
+const SHIPPED: &[(&str, &str)] =
+    &[("go1", include_str!("../../models/go1.xml")), ("go2", include_str!("../../models/go2.xml"))];
 
 /// Name of the site at the trunk's centre of mass, to which ropes are tied.
 pub const HARNESS: &str = "harness";
 
 /// What errors call it.
 const ROBOT: &str = "robot";
+
+/// What is lost in every joint, beside what the controller's `K_d` takes.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Losses {
+    /// Dry friction [N·m].
+    pub friction_n_m: f64,
+    /// Viscous damping [N·m·s/rad].
+    pub damping_n_m_s_per_rad: f64,
+}
+
+/// Joints to try all policies with, whatever they were trained with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointLosses {
+    /// No losses
+    Ideal,
+    /// Dry friction of 0.2 N m and damping of 0.5 N m s/rad, as public models of such robots have them
+    Realistic,
+}
+
+impl From<JointLosses> for Losses {
+    fn from(joints: JointLosses) -> Self {
+        match joints {
+            JointLosses::Ideal => Losses::default(),
+            JointLosses::Realistic => Losses { friction_n_m: 0.2, damping_n_m_s_per_rad: 0.5 },
+        }
+    }
+}
 
 /// A quadruped.
 #[derive(Debug, Clone, PartialEq)]
@@ -46,8 +77,14 @@ pub struct Robot {
     pub joint_limits: [[f64; 2]; JOINTS],
     /// Largest torques of the motors [N·m].
     pub torque_limits: Joints,
+    /// Losses in the joints: none, unless a configuration says so.
+    pub losses: Losses,
     /// What the robot starts from: the trunk's position and quaternion, then the joint angles in the model's order.
     pub stand: Vec<f64>,
+    /// Places of the joint angles in `stand`.
+    places: [usize; JOINTS],
+    /// Joint angles that the robot stands on, the middle of what a policy does \[rad\].
+    pub nominal_pose: Joints,
     /// Geometry of the legs, in the order of [`LEGS`].
     pub legs: [Leg; 4],
     /// Where the IMU is, base frame \[m\]: the site `imu`, or the trunk's origin.
@@ -91,10 +128,39 @@ impl Robot {
         if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
             return Ok(Arc::clone(robot));
         }
-        let import::Imported { mjcf, report, fall_height_m } = import::import(&source, path).map_err(fail)?;
-        let robot = Arc::new(Self::new(name, mjcf, report, fall_height_m)?);
+        let import::Imported { mjcf, report, has_pose, fall_height_m } = import::import(&source, path).map_err(fail)?;
+        let mut robot = Self::new(name, mjcf, report, fall_height_m)?;
+        if !has_pose {
+            robot.bend_knees();
+        }
+        let robot = Arc::new(robot);
         known.push((key, Arc::clone(&robot)));
         Ok(robot)
+    }
+
+    /// Bends knees that are straight only because nobody has said otherwise.
+    fn bend_knees(&mut self) {
+        let straight = |leg: usize| self.legs[leg].is_straight(of_leg(&self.nominal_pose, leg));
+        if !(0..LEGS.len()).all(straight) {
+            return;
+        }
+        // To a milliradian: it will be read.
+        let bent = |joint: usize| self.legs[joint / PARTS.len()].bent()[joint % PARTS.len()];
+        self.nominal_pose = std::array::from_fn(|joint| (1e3 * bent(joint)).round() / 1e3);
+        self.stand[2] = self.standing_height_m(&self.nominal_pose);
+        for (place, angle) in self.places.iter().zip(self.nominal_pose) {
+            self.stand[*place] = angle;
+        }
+        self.report.push(format!(
+            "pose: its file says none, and its legs are straight; knees bent to the rear, base at {:.3} m (nominal_pose_rad in a \
+             YAML file chooses another)",
+            self.stand[2]
+        ));
+    }
+
+    /// The same robot with other losses in its joints.
+    pub fn with_losses(self: Arc<Self>, losses: Losses) -> Arc<Self> {
+        if self.losses == losses { self } else { Arc::new(Robot { losses, ..Robot::clone(&self) }) }
     }
 
     /// Whether a robot of this name ships.
@@ -108,13 +174,23 @@ impl Robot {
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Kind::Body, "trunk").map_err(words)?;
-        let (mut joint_limits, mut torque_limits) = ([[0.0; 2]; JOINTS], [0.0; JOINTS]);
+        let (mut joint_limits, mut torque_limits, mut places) = ([[0.0; 2]; JOINTS], [0.0; JOINTS], [0; JOINTS]);
         for joint in 0..JOINTS {
             let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
-            joint_limits[joint] = model.joint_range(id);
+            (joint_limits[joint], places[joint]) = (model.joint_range(id), model.joint_position_index(id));
             let motor = model.id(Kind::Actuator, &joint_name(joint)).map_err(words)?;
             torque_limits[joint] = model.control_range(motor)[1];
         }
+        let stand = model.numeric("stand_qpos").map_err(words)?.to_vec();
+        if stand.len() != model.nq() {
+            return Err(fail(format!("its stand_qpos has {} numbers, expected {}", stand.len(), model.nq())));
+        }
+        let nominal_pose = match model.numeric("nominal_pose") {
+            Ok(pose) => {
+                Joints::try_from(pose).map_err(|_| fail("its nominal_pose has not twelve angles".to_owned()))?
+            }
+            Err(_) => places.map(|place| stand[place]),
+        };
         let legs = (0..LEGS.len()).map(|leg| Leg::of(&model, leg)).collect::<Result<Vec<_>, _>>().map_err(fail)?;
         let legs = <[Leg; 4]>::try_from(legs).map_err(|_| fail("it has not four legs".to_owned()))?;
         let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
@@ -125,7 +201,10 @@ impl Robot {
             report,
             joint_limits,
             torque_limits,
-            stand: model.numeric("stand_qpos").map_err(words)?.to_vec(),
+            losses: Losses::default(),
+            stand,
+            places,
+            nominal_pose,
             legs,
             imu_in_base: imu.map_or_else(Vector3::zeros, |site| model.site_position(site).into()),
             mass_kg: model.body_mass().iter().sum(),
@@ -144,6 +223,12 @@ impl Robot {
     /// Identity of the robot: SHA-256 of its MJCF.
     pub fn sha256(&self) -> String {
         files::sha256(&[self.mjcf.as_bytes()])
+    }
+
+    /// How far the trunk's origin is above the ground on the lowest foot, the trunk level \[m\].
+    pub fn standing_height_m(&self, pose: &Joints) -> f64 {
+        let depth = |leg: usize| self.legs[leg].foot_radius_m - self.legs[leg].foot_position(of_leg(pose, leg)).z;
+        (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, f64::max)
     }
 
     /// What becomes of a joint's angle in a mirror between the left and the right legs: the joint that takes it over, and

@@ -23,7 +23,7 @@ pub use scene::{Buffers, GROUND, Scene};
 
 use crate::config::Simulation;
 use crate::mujoco::{Data, Error, Kind, Result};
-use crate::robot::{Foothold, JOINTS, Joints, Robot, RobotState, joint_name};
+use crate::robot::{Foothold, JOINTS, Joints, Losses, Robot, RobotState, joint_name};
 
 /// Why the robot counts as fallen (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -139,6 +139,10 @@ impl Sim {
         if scene.ground.patches().is_some() {
             // Where friction differs by place, each foot carries that of its own place.
             parts.feet().into_iter().for_each(|foot| model.set_priority(foot, FOOT_PRIORITY));
+        }
+        let Losses { friction_n_m, damping_n_m_s_per_rad } = scene.robot.losses;
+        for joint in parts.joints() {
+            model.set_losses(joint, friction_n_m, damping_n_m_s_per_rad);
         }
         let mut start = scene.robot.stand.clone();
         start[2] += scene.ground.height(start[0], start[1]);

@@ -13,6 +13,7 @@ pub struct Parts {
     trunk: usize,
     root_position: usize,
     root_velocity: usize,
+    joints: [usize; JOINTS],
     joint_position: [usize; JOINTS],
     joint_velocity: [usize; JOINTS],
     actuators: [usize; JOINTS],
@@ -40,6 +41,7 @@ impl Parts {
             trunk,
             root_position: model.joint_position_index(root),
             root_velocity: model.joint_velocity_index(root),
+            joints,
             joint_position: joints.map(|joint| model.joint_position_index(joint)),
             joint_velocity: joints.map(|joint| model.joint_velocity_index(joint)),
             actuators,
@@ -48,6 +50,11 @@ impl Parts {
             ground: model.id(Kind::Geom, GROUND)?,
             is_body_part,
         })
+    }
+
+    /// Ids of the joints.
+    pub fn joints(&self) -> [usize; JOINTS] {
+        self.joints
     }
 
     /// Body id of the trunk.

@@ -14,7 +14,7 @@ use super::TrainError;
 use crate::config::{Config, ValueError};
 use crate::mujoco;
 use crate::observation::{Command, Layout, Moment, Observer};
-use crate::robot::{JOINTS, Joints, Robot, RobotState, same_in_every_leg};
+use crate::robot::{JOINTS, Joints, Robot, RobotState};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Scene, Sim, SimState};
 use crate::task::compliance::{OuterLoop, Pulled};
@@ -166,7 +166,7 @@ impl LocomotionEnv {
     /// What does not fit in the robot or the observation, or a fault of MuJoCo.
     pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
         let layout = config.layout().map_err(ValueError::Observation)?;
-        let robot = Robot::load(&config.robot.model)?;
+        let robot = config.robot.load()?;
         Ok(Self::of(config, robot, Arc::new(layout), seed, index, curriculum)?)
     }
 
@@ -185,7 +185,7 @@ impl LocomotionEnv {
         let scene = Scene::flat(robot, config.simulation.timestep_s());
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
-        let nominal = same_in_every_leg(config.action.nominal_pose_rad);
+        let nominal = config.action.nominal_pose_rad.joints();
         let cut = first_cut(seed, index, &stages);
         let mut env = LocomotionEnv {
             progress: start(config, seed, index, 0, curriculum, cut, nominal),

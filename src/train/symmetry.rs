@@ -11,7 +11,7 @@ use rand::{Rng, RngExt};
 use crate::network::{Mlp, PackedMlp, Scratch};
 use crate::observation::Layout;
 use crate::ppo::{Batch, Samples};
-use crate::robot::{JOINTS, Robot};
+use crate::robot::{JOINTS, Joints, Robot, joint_name};
 
 /// What becomes of observations and actions in the mirror: for each number, the one that becomes it, and its sign.
 #[derive(Debug, Clone, PartialEq)]
@@ -25,11 +25,23 @@ fn reflect(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
 }
 
 impl Mirror {
-    /// For a robot and what its policy sees.
+    /// For a robot, its nominal pose \[rad\] and what its policy sees.
     ///
     /// # Errors
     /// In words: what has no mirror image.
-    pub fn new(layout: &Layout, robot: &Robot) -> Result<Self, String> {
+    pub fn new(layout: &Layout, robot: &Robot, pose: &Joints) -> Result<Self, String> {
+        for joint in 0..JOINTS {
+            let (image, sign) = robot.mirrored(joint);
+            if pose[joint] != sign * pose[image] {
+                return Err(format!(
+                    "{} is {} and {} is {} in action.nominal_pose_rad, which leans to one side",
+                    joint_name(joint),
+                    pose[joint],
+                    joint_name(image),
+                    pose[image]
+                ));
+            }
+        }
         let action = |joint| {
             let (image, sign) = robot.mirrored(joint);
             (image, sign as f32)
@@ -97,7 +109,7 @@ mod tests {
     use crate::config::Config;
     use crate::network::ActorCritic;
     use crate::observation::{Command, Moment, Observer};
-    use crate::robot::RobotState;
+    use crate::robot::{RobotState, same_in_every_leg};
     use crate::util::random::{Purpose, stream};
 
     const LENGTH: usize = 83;
@@ -107,7 +119,14 @@ mod tests {
     }
 
     fn mirror() -> Mirror {
-        Mirror::new(&layout(), &Robot::load("go1").unwrap()).unwrap()
+        let config = Config::load("compliant").unwrap();
+        Mirror::new(&layout(), &config.robot.load().unwrap(), &config.action.nominal_pose_rad.joints()).unwrap()
+    }
+
+    #[test]
+    fn a_pose_that_leans_to_one_side_has_no_mirror_image() {
+        let error = Mirror::new(&layout(), &Robot::load("go1").unwrap(), &same_in_every_leg([0.1, 0.72, -1.44]));
+        assert!(error.unwrap_err().contains("FR_hip is 0.1 and FL_hip is 0.1"));
     }
 
     /// A robot that leans, turns, moves and is commanded to its left, or to its right with the legs' roles swapped.

@@ -244,9 +244,10 @@ type Parts = (Arc<Robot>, Arc<Layout>, Option<Mirror>);
 
 /// The robot, what its policy sees, and the mirror if it is used.
 fn parts(config: &Config) -> Result<Parts, TrainError> {
-    let robot = Robot::load(&config.robot.model)?;
+    let robot = config.robot.load()?;
     let layout = config.layout().map_err(ValueError::Observation)?;
-    let mirror = || Mirror::new(&layout, &robot).map_err(TrainError::Symmetry);
+    let mirror =
+        || Mirror::new(&layout, &robot, &config.action.nominal_pose_rad.joints()).map_err(TrainError::Symmetry);
     let mirror = config.ppo.symmetry.then(mirror).transpose()?;
     Ok((robot, Arc::new(layout), mirror))
 }

@@ -11,7 +11,7 @@ use supple::config::Config;
 use supple::policy::compliance::Calibration;
 use supple::policy::{Buffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
-use supple::robot::joint_names;
+use supple::robot::{Robot, joint_names, joint_table};
 use supple::scenario::calibration::calibrate;
 use supple::util::files::{self, Target};
 use supple::util::terminal;
@@ -76,6 +76,15 @@ enum Command {
         #[arg(long)]
         out: Option<PathBuf>,
     },
+    /// Print what is understood of a robot, and what training it would take from that
+    Robot {
+        /// Robot that ships, MJCF file, or YAML file about one
+        #[arg(value_parser = terminal::path_as_text())]
+        robot: String,
+        /// Configuration to fit to it
+        #[arg(long, value_name = "FILE", default_value = "fast", value_parser = terminal::path_as_text())]
+        config: String,
+    },
     /// Write the policy in another format
     Export {
         /// Policy file, run folder, or name of a shipped policy
@@ -135,6 +144,11 @@ fn run(command: Command) -> anyhow::Result<()> {
             let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
             write(&out, format!("{}\n", serde_json::to_string_pretty(&calibration)?).as_bytes())?;
             terminal::print(calibration_table(&calibration))?;
+        }
+        Command::Robot { robot: name, config } => {
+            let (robot, config) = (Robot::load(&name)?, Config::load(&config)?);
+            let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {name}: {reason}"))?;
+            terminal::print(format_args!("{}\n{}", robot.description(), config.changes(&fitted)))?;
         }
         Command::Run { policy } => answer(&shipped::find_ours(&policy)?)?,
         Command::List => list()?,
@@ -259,14 +273,9 @@ fn description(policy: &Policy) -> String {
         text.push_str(&format!("  {start:3} {length:3}  {name:40} {unit:16} {when}\n"));
         start += length;
     }
-    text.push_str("\njoints            nominal [rad]  range [rad]         largest torque [N m]\n");
-    for (joint, (name, angle)) in joint_names().iter().zip(policy.nominal_pose()).enumerate() {
-        let range = policy.usage.joint_limits_rad.map(|limits| limits[joint]);
-        let range = range.map_or_else(|| "-".into(), |[low, high]| format!("{low:+.3} to {high:+.3}"));
-        let torque = policy.usage.torque_limits_n_m.map(|limits| limits[joint]);
-        let torque = torque.map_or_else(|| "-".into(), |torque| torque.to_string());
-        text.push_str(&format!("  {joint:2}  {name:12}{angle:+.4}        {range:20}{torque}\n"));
-    }
+    let usage = &policy.usage;
+    text.push('\n');
+    text += &joint_table(policy.nominal_pose(), usage.joint_limits_rad.as_ref(), usage.torque_limits_n_m.as_ref());
     text
 }
 

@@ -6,7 +6,7 @@ use supple::estimate::contact::learn::Samples;
 use supple::estimate::{EncoderReading, SensorNoise, Sensors};
 use supple::mujoco::Data;
 use supple::policy::Agent;
-use supple::robot::{Foothold, Joints, Robot};
+use supple::robot::{Foothold, Joints};
 use supple::sim::{Parts, Scene, Sim, StepObserver};
 use supple::task::{Command, Curriculum, EpisodePlan};
 use supple::util::random::{Purpose, stream};
@@ -36,7 +36,7 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
     let push_step = config.simulation.policy_steps(rng.random_range(PUSH_S));
 
     let simulation = &config.simulation;
-    let scene = Scene::flat(Robot::load(&config.robot.model)?, simulation.timestep_s());
+    let scene = Scene::flat(config.robot.load()?, simulation.timestep_s());
     let mut sim = Sim::new(&scene, simulation, config.episode.min_height_m)?;
     let mut controller = agent.controller();
     sim.reset(plan.conditions, &controller.rest())?;

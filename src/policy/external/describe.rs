@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use crate::config::{Config, Simulation};
 use crate::observation::{Numbers, Observed, Quantity, Word};
 use crate::policy::{Policy, Provenance};
-use crate::robot::{Joints, joint_names, same_in_every_leg};
+use crate::robot::{Joints, joint_names};
 
 /// What the first line of such a file says.
 const OURS: &str = "is a policy of Supple:";
@@ -33,7 +33,7 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
 /// what that observes, scaled, and its outputs are the environment's actions.
 pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> String {
     let title = format!("{onnx} acts in Supple's training environment, config {config_name}. It sees scaled numbers.");
-    let pose = same_in_every_leg(config.action.nominal_pose_rad);
+    let pose = config.action.nominal_pose_rad.joints();
     // What a nominal height is, such a file cannot say.
     let height = Numbers::All(config.reward.base_height_m);
     let observation = config.observation.iter().map(|observed| {

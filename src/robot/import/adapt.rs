@@ -36,7 +36,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
     let survey = Survey::of(&tree, description)?;
     let mut report = survey.report();
     report.extend(left_out(&source.tree, &survey));
-    let start = survey.start(description, &mut report)?;
+    let (start, has_pose) = survey.start(description, &mut report)?;
 
     let mut mjcf = "<mujoco>\n".to_owned();
     for section in tree.all("compiler") {
@@ -63,12 +63,13 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
     let world = Element { name: "worldbody".into(), attributes: Vec::new(), children: vec![trunk] };
     world.write(&mut mjcf);
     survey.motors().write(&mut mjcf);
-    let numbers: Vec<String> = start.iter().map(f64::to_string).collect();
-    mjcf.push_str(&format!(
-        "<custom><numeric name=\"stand_qpos\" data=\"{}\"/></custom>\n</mujoco>\n",
-        numbers.join(" ")
-    ));
-    Ok(Imported { mjcf, report, fall_height_m: description.fall_height_m })
+    let numbers = |values: &[f64]| values.iter().map(f64::to_string).collect::<Vec<_>>().join(" ");
+    mjcf.push_str(&format!("<custom><numeric name=\"stand_qpos\" data=\"{}\"/>", numbers(&start)));
+    if let (None, Ok(pose)) = (description.pose, survey.model.numeric("nominal_pose")) {
+        mjcf.push_str(&format!("<numeric name=\"nominal_pose\" data=\"{}\"/>", numbers(pose)));
+    }
+    mjcf.push_str("</custom>\n</mujoco>\n");
+    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m })
 }
 
 /// Makes the files of assets absolute, since what is compiled in the end lies in no folder.
@@ -79,12 +80,19 @@ fn find_assets(tree: &mut Element, folder: &Path) -> Result<(), String> {
     if let Some(name) = ["settotalmass", "coordinate"].into_iter().find(|name| setting(name).is_some()) {
         return Err(format!("its compiler setting '{name}' would change everything else in a scene, too"));
     }
+    if tree.all("compiler").next().is_none() {
+        tree.children.insert(0, Element { name: "compiler".into(), ..Element::default() });
+    }
     for child in &mut tree.children {
         match child.name.as_str() {
             "compiler" => {
                 ["meshdir", "texturedir", "strippath"].iter().for_each(|name| child.remove(name));
                 child.set("discardvisual", "false");
                 child.set("fusestatic", "false");
+                // A range is meant to limit; that goes without saying since MuJoCo 3.
+                if child.get("autolimits").is_none() {
+                    child.set("autolimits", "true");
+                }
             }
             "asset" => {
                 for asset in &mut child.children {
@@ -234,8 +242,8 @@ impl Survey {
     }
 
     /// Positions at the start: those of `stand_qpos`, of the keyframe `home` (or the first), or the description's pose;
-    /// set down on the ground by its lowest foot.
-    fn start(&self, description: &Description, report: &mut Vec<String>) -> Result<Vec<f64>, String> {
+    /// set down on the ground by its lowest foot; and whether somebody has chosen them.
+    fn start(&self, description: &Description, report: &mut Vec<String>) -> Result<(Vec<f64>, bool), String> {
         let model = &self.model;
         let fail = |error: crate::mujoco::Error| error.to_string();
         let ours =
@@ -244,14 +252,15 @@ impl Survey {
             && stand.len() == 7 + JOINTS
             && model.nq() == stand.len()
         {
-            return Ok(stand.to_vec());
+            return Ok((stand.to_vec(), true));
         }
         let keyframe = model.keyframe();
         let (pose, from) = match (description.pose, keyframe) {
-            (Some(pose), _) => (pose, "its description's nominal pose"),
-            (None, Some(positions)) => (ours(positions), "its keyframe"),
-            (None, None) => (ours(model.rest_positions()), "the angles of its file"),
+            (Some(pose), _) => (pose, "the joint angles of its description's nominal pose"),
+            (None, Some(positions)) => (ours(positions), "the joint angles of its keyframe"),
+            (None, None) => (ours(model.rest_positions()), "all joint angles as in its file"),
         };
+        let has_pose = description.pose.is_some() || keyframe.is_some();
         let model = model.try_clone().map_err(fail)?;
         let root = (0..model.count(Kind::Joint)).find(|joint| model.joint_body(*joint) == self.trunk).unwrap_or(0);
         let base = model.joint_position_index(root);
@@ -266,16 +275,12 @@ impl Survey {
         data.step1().map_err(fail)?;
         let bottom = |leg: usize| data.geom_positions()[3 * self.feet[leg] + 2] - radii[leg];
         let height = 1.0 - (0..4).map(bottom).fold(f64::INFINITY, f64::min);
-        report.push(format!(
-            "start: the joint angles of {from}, base at {height:.3} m, where the lowest foot touches the ground"
-        ));
+        report.push(format!("start: {from}, base at {height:.3} m, where the lowest foot touches the ground"));
         // In the order of the joints in the file, which is that of the positions.
         let mut in_file: Vec<(usize, f64)> = places.into_iter().zip(pose).collect();
         in_file.sort_by_key(|(place, _)| *place);
-        Ok([0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0]
-            .into_iter()
-            .chain(in_file.into_iter().map(|(_, angle)| angle))
-            .collect())
+        let trunk = [0.0, 0.0, height, 1.0, 0.0, 0.0, 0.0].into_iter();
+        Ok((trunk.chain(in_file.into_iter().map(|(_, angle)| angle)).collect(), has_pose))
     }
 
     /// What is changed.

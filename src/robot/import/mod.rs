@@ -25,6 +25,8 @@ pub(super) struct Imported {
     pub(super) mjcf: String,
     /// What was changed and what was left out, a line each.
     pub(super) report: Vec<String>,
+    /// Whether somebody has chosen the starting pose, and it is not merely where all angles are zero.
+    pub(super) has_pose: bool,
     /// Base height below which it has fallen, if its description says so \[m\].
     pub(super) fall_height_m: Option<f64>,
 }

@@ -15,7 +15,6 @@ use serde::{Deserialize, Serialize};
 use super::Script;
 use super::metrics::{self, Decay, Metric};
 use crate::config::{Config, ConfigError};
-use crate::robot::Robot;
 use crate::scenario::trace::Trace;
 use crate::sim::Conditions;
 use crate::sim::Scene;
@@ -230,7 +229,7 @@ impl Scenario {
         in_range("compliance", task.compliance, 0.0, 1.0, "0 to 1 m/s/N")?;
         let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
-            scene: Scene::flat(Robot::load(&config.robot.model)?, config.simulation.timestep_s()),
+            scene: Scene::flat(config.robot.load()?, config.simulation.timestep_s()),
             conditions: Conditions {
                 gravity: [0.0, 0.0, -GRAVITY],
                 friction: config.randomisation.default_friction,

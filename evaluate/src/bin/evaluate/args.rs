@@ -3,8 +3,9 @@
 use std::ffi::OsStr;
 use std::path::PathBuf;
 
-use clap::Parser;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use clap::{Parser, ValueEnum};
+use supple::robot::JointLosses;
 use supple::scenario::Sensing;
 use supple::util::paths;
 use supple::util::terminal::{path_as_text, shell_word};
@@ -45,6 +46,9 @@ pub struct Args {
     /// YAML file with what differs from configs/evaluation/full.yaml
     #[arg(long, value_name = "FILE")]
     pub protocol: Option<PathBuf>,
+    /// Losses in the joints of all robots [default: as each policy was trained]
+    #[arg(long, value_enum)]
+    pub joints: Option<JointLosses>,
     /// `estimated` runs the experiments a second time on noisy sensors, for E12
     #[arg(long, value_enum, default_value_t)]
     pub sensing: Sensing,
@@ -81,10 +85,14 @@ impl Args {
             .iter()
             .map(|(name, file)| ("--also", shell_word([OsStr::new(name), file.as_os_str()].join(OsStr::new("=")))));
         let protocol = self.protocol.iter().map(|file| ("--protocol", path(file)));
+        let joints = self
+            .joints
+            .iter()
+            .filter_map(|joints| Some(("--joints", joints.to_possible_value()?.get_name().to_owned())));
         let sensing = (self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".to_owned()));
         let results = self.results.iter().map(|file| ("--results", path(file)));
         let quick = self.quick.then(|| "--quick".to_owned());
-        let pairs = sets.into_iter().chain(names).chain(also).chain(protocol).chain(sensing);
+        let pairs = sets.into_iter().chain(names).chain(also).chain(protocol).chain(joints).chain(sensing);
         let pairs = pairs.chain([("--out", path(&self.out))]).chain(results);
         let words = pairs.flat_map(|(key, value)| [key.to_owned(), value]);
         quick.into_iter().chain(words).collect()

@@ -24,7 +24,10 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
-    let contest = contest(args)?;
+    let mut contest = contest(args)?;
+    if let Some(joints) = args.joints {
+        contest.set_losses(joints.into());
+    }
     let command = Command { experiments: args.experiments.clone(), options: args.options() };
     let mut report = Report::new(&contest, name, command);
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);

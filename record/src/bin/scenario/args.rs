@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use supple::robot::JointLosses;
 use supple::scenario::Sensing;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::util::terminal::path_as_text;
@@ -35,6 +36,9 @@ pub struct Args {
     /// Another robot: its MJCF file, or a YAML file that names one and its joints [default: the policy's]
     #[arg(long, global = true, help_heading = INPUT, value_name = "FILE", value_parser = path_as_text())]
     pub model: Option<String>,
+    /// Losses in the joints [default: as each policy was trained]
+    #[arg(long, global = true, help_heading = INPUT, value_enum)]
+    pub joints: Option<JointLosses>,
     /// Seed of everything random in the scenario
     #[arg(long, global = true, help_heading = INPUT, value_name = "N", default_value_t = 0)]
     pub seed: u64,

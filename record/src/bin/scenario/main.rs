@@ -59,6 +59,9 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
         robot.report.iter().for_each(|line| terminal::note(format_args!("  {line}")));
         robots.iter_mut().for_each(|(_, agent)| agent.run_on(&robot));
     }
+    if let Some(joints) = args.joints {
+        robots.iter_mut().for_each(|(_, agent)| agent.config.robot.set_losses(joints.into()));
+    }
     for (name, agent) in &robots {
         let compliance = scenario.task().compliance;
         agent.check_compliance(compliance).with_context(|| format!("--compliance {compliance} with {name}"))?;

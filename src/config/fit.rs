@@ -1,0 +1,163 @@
+/*! A configuration for another robot than the one it was made for, by dynamic similarity.
+
+Of two robots of one shape, let the second be λ times as tall and μ times as heavy. Heights go with λ, torques with μ λ, and
+times with √λ. So, to move alike and to be paid alike for the same velocities:
+
+| key | goes with |
+|---|---|
+| `reward.base_height_m`, `reward.foot_height_m`, `episode.min_height_m` | λ |
+| `simulation.kp_n_m_per_rad` | μ λ |
+| `simulation.kd_n_m_s_per_rad` | μ λ √λ |
+| `reward.energy`, of a power | 1 / μ |
+| `reward.torque`, of a squared torque | 1 / (μ λ)² |
+| `reward.height_sharpness`, `reward.foot_clearance`, of squared heights | 1 / λ² |
+
+The pose is the robot's own. What the world does and what is asked for (commands, pushes, slopes), rates and latency stay.
+*/
+
+use std::path::Path;
+
+use super::{Config, LegPose, robot_in};
+use crate::robot::{JOINTS, Joints, Robot, joint_name};
+
+impl Config {
+    /// This configuration for another robot.
+    ///
+    /// # Errors
+    /// In words: this configuration's robot cannot be read, or the other one cannot stand in its nominal pose.
+    pub fn fitted_to(&self, robot: &Robot) -> Result<Config, String> {
+        if robot.name == self.robot.model {
+            return Ok(self.clone());
+        }
+        let own = self.robot.load().map_err(|error| error.to_string())?;
+        let pose = symmetric(robot);
+        check_pose(robot, &pose)?;
+        let height = robot.standing_height_m(&pose) / own.standing_height_m(&self.action.nominal_pose_rad.joints());
+        let mass = robot.mass_kg / own.mass_kg;
+        if !(height > 0.0 && height.is_finite()) {
+            return Err(format!(
+                "its feet are not below its trunk in its nominal pose {}: write nominal_pose_rad into a YAML file, as \
+                 examples/robots/quadruped.yaml does",
+                LegPose::from(pose)
+            ));
+        }
+        let mut config = self.clone();
+        config.robot.model = robot_in(Path::new(""), &robot.name);
+        config.action.nominal_pose_rad = pose.into();
+        let scale = |value: &mut f64, factor: f64| *value = rounded(*value * factor);
+        scale(&mut config.reward.base_height_m, height);
+        scale(&mut config.reward.foot_height_m, height);
+        scale(&mut config.episode.min_height_m, height);
+        scale(&mut config.simulation.kp_n_m_per_rad, mass * height);
+        scale(&mut config.simulation.kd_n_m_s_per_rad, mass * height * height.sqrt());
+        scale(&mut config.reward.energy, 1.0 / mass);
+        scale(&mut config.reward.torque, (mass * height).powi(-2));
+        scale(&mut config.reward.height_sharpness, height.powi(-2));
+        scale(&mut config.reward.foot_clearance, height.powi(-2));
+        if let Some(fallen) = robot.fall_height_m {
+            config.episode.min_height_m = fallen;
+        }
+        Ok(config)
+    }
+}
+
+impl Config {
+    /// What another configuration has that this one has not, a key a line; empty if they are the same.
+    pub fn changes(&self, other: &Config) -> String {
+        let lines =
+            self.differences(other).into_iter().map(|(key, [own, other])| format!("{key}: {other} (was {own})\n"));
+        lines.collect()
+    }
+}
+
+/// The robot's nominal pose, its sides made alike: the mean of each angle and its mirror image.
+fn symmetric(robot: &Robot) -> Joints {
+    std::array::from_fn(|joint| {
+        let (image, sign) = robot.mirrored(joint);
+        // Without −0, which is not what a file says.
+        (robot.nominal_pose[joint] + sign * robot.nominal_pose[image]) / 2.0 + 0.0
+    })
+}
+
+fn check_pose(robot: &Robot, pose: &Joints) -> Result<(), String> {
+    let outside = |joint: &usize| {
+        let [low, high] = robot.joint_limits[*joint];
+        !(low..=high).contains(&pose[*joint])
+    };
+    match (0..JOINTS).find(outside) {
+        None => Ok(()),
+        Some(joint) => Err(format!(
+            "its joint {} stands at {} rad in its nominal pose, but goes from {} to {} rad: write nominal_pose_rad into a YAML \
+             file, as examples/robots/quadruped.yaml does",
+            joint_name(joint),
+            pose[joint],
+            robot.joint_limits[joint][0],
+            robot.joint_limits[joint][1]
+        )),
+    }
+}
+
+/// To three digits: nobody reads more, and no rule is more exact.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.2e}").parse().unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::{Robot, same_in_every_leg};
+
+    #[test]
+    fn a_robot_of_other_height_and_mass_gets_heights_gains_and_weights_of_its_own() {
+        // Ten times as heavy, standing on a deeper knee: twice 0.213 m of leg and 0.02 m of foot,
+        // (0.426 cos 1 + 0.02) / (0.426 cos 0.72 + 0.02) = 0.7352 times as high.
+        let mut robot = Robot::clone(&Robot::load("go1").unwrap());
+        (robot.name, robot.mass_kg) = ("heavy".to_owned(), 10.0 * robot.mass_kg);
+        robot.nominal_pose = same_in_every_leg([0.0, 1.0, -2.0]);
+        let own = Config::load("fast").unwrap();
+        let config = own.fitted_to(&robot).unwrap();
+        assert!(
+            config.robot.model.ends_with("/heavy")
+                && config.action.nominal_pose_rad == LegPose::Alike([0.0, 1.0, -2.0])
+        );
+        assert_eq!((config.reward.base_height_m, config.reward.foot_height_m), (0.228, 0.0588));
+        assert_eq!(config.episode.min_height_m, 0.147);
+        // 40 · 7.352, 7.352 · √0.7352
+        assert_eq!((config.simulation.kp_n_m_per_rad, config.simulation.kd_n_m_s_per_rad), (294.0, 6.3));
+        // 0.015 / 10, 0.0015 / 7.352², 10 / 0.7352², 0.1 / 0.7352²
+        assert_eq!((config.reward.energy, config.reward.torque), (-0.0015, -2.78e-5));
+        assert_eq!((config.reward.height_sharpness, config.reward.foot_clearance), (18.5, -0.185));
+        assert_eq!((config.command, config.ppo), (own.command, own.ppo));
+    }
+
+    #[test]
+    fn the_preset_of_the_go2_is_what_the_rule_says() {
+        let (preset, rule) = (Config::load("go2").unwrap(), Config::load("fast").unwrap());
+        let rule = rule.fitted_to(&Robot::load("go2").unwrap()).unwrap();
+        let numbers = |config: &Config| {
+            let (simulation, reward) = (&config.simulation, &config.reward);
+            [
+                simulation.kp_n_m_per_rad,
+                simulation.kd_n_m_s_per_rad,
+                reward.energy,
+                reward.torque,
+                reward.foot_clearance,
+                reward.base_height_m,
+                reward.foot_height_m,
+                config.episode.min_height_m,
+            ]
+        };
+        for (stated, found) in numbers(&preset).into_iter().zip(numbers(&rule)) {
+            assert!((stated / found - 1.0).abs() < 0.03, "{stated} {found}");
+        }
+        assert_eq!(preset.action.nominal_pose_rad, rule.action.nominal_pose_rad);
+    }
+
+    #[test]
+    fn a_pose_beyond_the_limits_is_refused_by_name() {
+        let mut robot = Robot::clone(&Robot::load("go2").unwrap());
+        (robot.nominal_pose[2], robot.nominal_pose[5]) = (-3.0, -3.0);
+        let error = Config::load("fast").unwrap().fitted_to(&robot).unwrap_err();
+        assert!(error.contains("FR_calf") && error.contains("-3") && error.contains("-2.7227"), "{error}");
+    }
+}
