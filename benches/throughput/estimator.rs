@@ -5,7 +5,7 @@ use serde::Serialize;
 use supple::config::Config;
 use supple::estimate::contact::{ContactEstimator, ContactNetwork, RATE_HZ};
 use supple::estimate::{EncoderReading, Estimator, EstimatorConfig, ImuReading};
-use supple::robot::{JOINTS, PARTS, Robot, same_in_every_leg};
+use supple::robot::{JOINTS, PARTS, Robot};
 
 use crate::stopwatch::{Effort, median, timed};
 
@@ -21,7 +21,7 @@ pub struct Sensing {
 /// Readings of a robot that bends its knees once a second.
 fn reading(config: &Config, tick: usize) -> (ImuReading, EncoderReading) {
     let phase = std::f64::consts::TAU * tick as f64 / RATE_HZ;
-    let mut angles = same_in_every_leg(config.action.nominal_pose_rad);
+    let mut angles = config.action.nominal_pose_rad.joints();
     angles.iter_mut().skip(2).step_by(PARTS.len()).for_each(|calf| *calf += 0.1 * phase.sin());
     let mut rates = [0.0; JOINTS];
     rates.iter_mut().skip(2).step_by(PARTS.len()).for_each(|calf| *calf = 0.1 * std::f64::consts::TAU * phase.cos());
@@ -33,7 +33,7 @@ fn reading(config: &Config, tick: usize) -> (ImuReading, EncoderReading) {
 pub fn measure(config: &Config, effort: &Effort) -> anyhow::Result<Sensing> {
     let ticks = if effort.quick { 240 } else { 20_000 };
     let readings: Vec<_> = (0..ticks).map(|tick| reading(config, tick)).collect();
-    let target = same_in_every_leg(config.action.nominal_pose_rad);
+    let target = config.action.nominal_pose_rad.joints();
     let per_tick_us = |seconds: f64| 1e6 * seconds / ticks as f64;
     let (mut network_s, mut whole_s) = (Vec::new(), Vec::new());
     for _ in 0..effort.repetitions {

@@ -14,7 +14,7 @@ use serde::Deserialize;
 use supple::config::Config;
 use supple::mujoco::Data;
 use supple::policy::{Buffers, Policy};
-use supple::robot::{JOINTS, Joints, PARTS, Robot, same_in_every_leg};
+use supple::robot::{JOINTS, Joints, PARTS, Robot};
 use supple::sim::{Conditions, Parts, Push, Scene, Sim, StepObserver};
 use supple::task::{Curriculum, Stages};
 use supple::train::environment::{End, EnvState, LocomotionEnv};
@@ -227,7 +227,7 @@ fn trot(joint: usize, step: usize) -> f64 {
 }
 
 fn nominal(config: &Config) -> Joints {
-    same_in_every_leg(config.action.nominal_pose_rad)
+    config.action.nominal_pose_rad.joints()
 }
 
 /// As the environment maps actions to joint targets.
