@@ -1,4 +1,4 @@
-//! The experiments E0 to E11, one file each: what is varied, what is measured, what is shown.
+//! The experiments E0 to E14, one file each: what is varied, what is measured, what is shown.
 
 mod push;
 mod velocity;
@@ -73,6 +73,9 @@ experiments! {
     pendulum: pendulum::Pendulum,
     rubble: rubble::Rubble,
     outdoor: outdoor::Outdoor,
+    pull: pull::Pull,
+    wall: wall::Wall,
+    lead: lead::Lead,
 }
 
 /// What a robot does at a forward command \[m/s\].
