@@ -473,8 +473,14 @@ fn a_set_that_is_told_a_compliance_is_measured_apart_and_refused_where_it_cannot
     assert_eq!(kept(&folder.join("report")).len(), 5);
 
     for (path, expected) in [
-        ("policies/compliant@0.06", "policies/compliant-seed0.safetensors at @0.06: a compliance of 0.06 m/s/N is beyond it"),
-        ("policies/baseline@0.03", "policies/baseline-seed0.safetensors at @0.03: how far it yields has not been measured"),
+        (
+            "policies/compliant@0.06",
+            "policies/compliant-seed0.safetensors at @0.06: a compliance of 0.06 m/s/N is beyond it",
+        ),
+        (
+            "policies/baseline@0.03",
+            "policies/baseline-seed0.safetensors at @0.03: how far it yields has not been measured",
+        ),
         ("policies/nobody@0.03", "cannot read the policies in policies/nobody"),
     ] {
         for sets in [&["--also", &format!("soft={path}")][..], &["--a", path, "--b", "policies/baseline"]] {

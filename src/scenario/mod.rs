@@ -69,7 +69,8 @@ impl Script {
         let pull = self.pull.map(|pull| ("pull", pull.from_s));
         let spring = self.spring.as_ref().map(|spring| ("start of the leash", spring.from_s));
         let release = self.rig.as_ref().map(|rig| ("release of the load", rig.release_s));
-        let (what, at_s) = [push, pull, spring, release].into_iter().flatten().find(|(_, at_s)| *at_s >= self.duration_s)?;
+        let (what, at_s) =
+            [push, pull, spring, release].into_iter().flatten().find(|(_, at_s)| *at_s >= self.duration_s)?;
         Some(format!(
             "the {what} at {at_s:.2} s would come after the end at {:.2} s: it does not happen",
             self.duration_s

@@ -306,7 +306,8 @@ impl<'a> Rollout<'a> {
         if self.pulling {
             return Some(Disturbance::Pull { force: self.pull().into() });
         }
-        if let Some(acting) = self.script.spring.as_ref().zip(stretch).and_then(|(it, now)| it.disturbance(now.force_n)) {
+        if let Some(acting) = self.script.spring.as_ref().zip(stretch).and_then(|(it, now)| it.disturbance(now.force_n))
+        {
             return Some(acting);
         }
         let (until_s, velocity) = self.shown_push?;

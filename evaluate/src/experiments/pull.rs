@@ -65,7 +65,8 @@ impl Experiment for Pull {
     fn show(&self, show: &mut Show) {
         let names = self.forces_n.iter().map(|force| format!("{force} N"));
         let forces = Group::all(names, show.results);
-        let text = format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
+        let text =
+            format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
         show.claim(&text, "", SURVIVED.name, Expected::Higher, &show.all());
         show.table_of("Sustained pulls survived, by force: mean over all directions.", show.rows(&forces));
         show.table_in_file("all", "Sustained pulls survived, by force and direction.");
@@ -80,7 +81,8 @@ impl Experiment for Pull {
         let directions = self.directions as usize;
         let spread = |set: usize, direction: usize| {
             let conditions: Vec<usize> = forces.iter().map(|force| force.conditions[direction]).collect();
-            Spread::of(&show.results.per_seed_over(set, &conditions, SURVIVED.name)).map(|spread| spread.times(SURVIVED.scale()))
+            Spread::of(&show.results.per_seed_over(set, &conditions, SURVIVED.name))
+                .map(|spread| spread.times(SURVIVED.scale()))
         };
         let panel = Polar {
             title: String::new(),

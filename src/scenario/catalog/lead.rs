@@ -1,10 +1,10 @@
 //! Somebody walks away with the leash (E14).
 
 use super::{ParameterError, Parameters, in_range, metric, towards};
+use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::spring::{Spring, SpringEnd};
 use crate::scenario::trace::{Frame, Trace};
-use crate::scenario::Script;
 
 /// At the end of the rollout, when the robot goes along as it will \[s\].
 const LAST_S: f64 = 3.0;

@@ -1,9 +1,9 @@
 //! A constant pull on the trunk (E5).
 
 use super::{ParameterError, Parameters, in_range, metric, towards};
+use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::Trace;
-use crate::scenario::Script;
 use crate::sim::Pull;
 
 parameters! {
