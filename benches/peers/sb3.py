@@ -1,10 +1,11 @@
-"""Whole iterations of Stable-Baselines3's PPO with Table III on the environment of go1_env.py.
+"""Whole iterations of Stable-Baselines3's PPO with Table III on the environment of go1_env.py, or on ours.
 
-    sb3.py FOLDER [--threads N] [--epochs N] [--repetitions N]
+    sb3.py FOLDER [--environment supple] [--threads N] [--epochs N] [--repetitions N]
 
 FOLDER holds config.json, scene.xml and robot.xml. Prints one JSON object; times are medians over iterations. Threads of
 the environment and of PyTorch's update are whichever is faster here, one or N. Differences from ours, all in its favour
-or without effect on the time: current MuJoCo, fused Adam, a constant learning rate.
+or without effect on the time: current MuJoCo (but for our environment, which is the one of `train`), fused Adam, a
+constant learning rate.
 """
 import argparse
 import json
@@ -40,13 +41,14 @@ class TimedPPO(PPO):
 
 
 class Curriculum(BaseCallback):
-    """Widens the commands after every rollout."""
+    """Widens the commands after every rollout; our environment does so by itself."""
 
     def _on_step(self):
         return True
 
     def _on_rollout_end(self):
-        self.training_env.advance_curriculum()
+        if isinstance(self.training_env, Go1VecEnv):
+            self.training_env.advance_curriculum()
 
 
 def ppo(env, config, epochs):
@@ -82,6 +84,7 @@ def environment_s(env, steps):
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=pathlib.Path)
+    parser.add_argument("--environment", choices=["go1_env", "supple"], default="go1_env")
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--epochs", type=int, default=30)
     parser.add_argument("--repetitions", type=int, default=5)
@@ -90,7 +93,13 @@ def main():
     count, batch_size = config["ppo"]["environments"], config["ppo"]["batch_size"]
     choices = sorted({1, args.threads})
 
-    make = lambda threads: Go1VecEnv(args.folder / "scene.xml", config, count, threads)
+    def make(threads):
+        if args.environment == "go1_env":
+            return Go1VecEnv(args.folder / "scene.xml", config, count, threads)
+        import supple.sb3
+
+        return supple.sb3.SB3VecEnv(supple.make_vec("compliant", num_envs=count, threads=threads))
+
     env_trial_s = {threads: environment_s(make(threads), 64) for threads in choices}
     env_threads = min(env_trial_s, key=env_trial_s.get)
     model = ppo(make(env_threads), config, args.epochs)

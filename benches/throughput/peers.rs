@@ -25,6 +25,8 @@ pub struct Peers {
     pub torch_update: Option<Value>,
     /// `benches/peers/sb3.py`
     pub sb3: Option<Value>,
+    /// The same on our environment, by the Python package.
+    pub sb3_on_supple: Option<Value>,
 }
 
 /// Runs the peers if they are installed.
@@ -48,7 +50,11 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
         return Ok(None);
     }
     let runner = Runner { root, python: installed.join("bin/python"), folder: &folder, threads, effort };
-    Ok(Some(Peers { torch_update: runner.run("torch_update.py"), sb3: runner.run("sb3.py") }))
+    Ok(Some(Peers {
+        torch_update: runner.run("torch_update.py", &[]),
+        sb3: runner.run("sb3.py", &[]),
+        sb3_on_supple: runner.run("sb3.py", &["--environment", "supple"]),
+    }))
 }
 
 struct Runner<'a> {
@@ -60,15 +66,16 @@ struct Runner<'a> {
 }
 
 impl Runner<'_> {
-    fn run(&self, script: &str) -> Option<Value> {
-        eprintln!("{script} …");
-        self.try_run(script).inspect_err(|error| eprintln!("warning: {script} is left out: {error:#}")).ok()
+    fn run(&self, script: &str, options: &[&str]) -> Option<Value> {
+        eprintln!("{script} {} …", options.join(" "));
+        self.try_run(script, options).inspect_err(|error| eprintln!("warning: {script} is left out: {error:#}")).ok()
     }
 
-    fn try_run(&self, script: &str) -> anyhow::Result<Value> {
+    fn try_run(&self, script: &str, options: &[&str]) -> anyhow::Result<Value> {
         let output = Command::new(&self.python)
             .arg(self.root.join("benches/peers").join(script))
             .arg(self.folder)
+            .args(options)
             .args(["--threads", &self.threads.to_string()])
             .args(["--epochs", &self.effort.epochs.to_string()])
             .args(["--repetitions", &self.effort.repetitions.to_string()])

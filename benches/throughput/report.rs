@@ -13,13 +13,14 @@ use crate::physics::Physics;
 use crate::pit::Pit;
 use crate::training::{Projection, Training};
 
-/// All figures. The first six are ratios within this run; those of peers are none where they did not run.
+/// All figures. The first seven are ratios within this run; those of peers are none where they did not run.
 #[derive(Debug, Serialize)]
 pub struct Report {
     env_over_raw: f64,
     update_over_peak: f64,
     update_over_torch: Option<f64>,
     end_to_end_over_sb3: Option<f64>,
+    end_to_end_over_sb3_on_supple: Option<f64>,
     thread_scaling: f64,
     ball_pit_real_time: f64,
     machine: Machine,
@@ -45,11 +46,13 @@ impl Report {
         let figure = |peer: Option<&Value>, name: &str| peer.and_then(|peer| peer[name].as_f64());
         let torch = peers.as_ref().and_then(|peers| figure(peers.torch_update.as_ref(), "sample_passes_per_s"));
         let sb3 = peers.as_ref().and_then(|peers| figure(peers.sb3.as_ref(), "samples_per_s"));
+        let on_supple = peers.as_ref().and_then(|peers| figure(peers.sb3_on_supple.as_ref(), "samples_per_s"));
         Report {
             env_over_raw: physics.all_threads.env_over_raw,
             update_over_peak: update.update_over_peak,
             update_over_torch: torch.map(|torch| update.all_threads.sample_passes_per_s / torch),
             end_to_end_over_sb3: sb3.map(|sb3| training.all_threads.samples_per_s / sb3),
+            end_to_end_over_sb3_on_supple: on_supple.map(|sb3| training.all_threads.samples_per_s / sb3),
             thread_scaling: training.whole.speed_up,
             ball_pit_real_time: ball_pit.real_time,
             machine,
@@ -99,16 +102,18 @@ impl Display for Report {
         row("  rest [s]", one.rest_s, all.rest_s)?;
         row("sensing, a tick at 240 Hz [µs]", sensing.tick_us, f64::NAN)?;
         row("  contact network [µs]", sensing.network_us, f64::NAN)?;
-        if let Some(Peers { torch_update, sb3 }) = &self.peers {
+        if let Some(Peers { torch_update, sb3, sb3_on_supple }) = &self.peers {
             let figure = |peer: &Option<Value>, name: &str| peer.as_ref().and_then(|peer| peer[name].as_f64());
             let mut row = |name: &str, value: Option<f64>| match value {
                 Some(value) => writeln!(f, "{name:<58}{:>12}", short(value)),
                 None => writeln!(f, "{name:<58}{:>12}", "-"),
             };
             row("PyTorch's update [sample passes/s]", figure(torch_update, "sample_passes_per_s"))?;
-            row("Stable-Baselines3 [samples/s]", figure(sb3, "samples_per_s"))?;
-            row("  rollout [s]", figure(sb3, "rollout_s"))?;
-            row("  update [s]", figure(sb3, "update_s"))?;
+            for (name, sb3) in [("Stable-Baselines3", sb3), ("Stable-Baselines3 on our environment", sb3_on_supple)] {
+                row(&format!("{name} [samples/s]"), figure(sb3, "samples_per_s"))?;
+                row("  rollout [s]", figure(sb3, "rollout_s"))?;
+                row("  update [s]", figure(sb3, "update_s"))?;
+            }
         }
         for Projection { cores, samples_per_s } in &training.projected {
             writeln!(

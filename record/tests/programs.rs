@@ -106,6 +106,21 @@ fn scenario_tells_how_good_the_estimates_of_a_robot_on_sensors_are() {
 }
 
 #[test]
+fn a_policy_that_is_told_how_far_to_yield_does() {
+    let folder = tempfile::tempdir().unwrap();
+    let line = ["leash", "--policy", "baseline", "--force-n", "12", "--duration-s", "8", "--no-record", "--json"];
+    for compliance in ["0.008", "0.03"] {
+        let output = run("scenario", folder.path(), &[&line[..], &["--compliance", compliance]].concat());
+        assert!(output.status.success(), "{}", complaint(&output));
+        let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let found = json["runs"][0]["metrics"]["leash_offset_m_s"].as_f64().unwrap();
+        // To a side, a policy may be off by some hundredths undisturbed.
+        let expected = 12.0 * compliance.parse::<f64>().unwrap();
+        assert!((found - expected).abs() < 0.05, "{compliance}: {found} instead of {expected}");
+    }
+}
+
+#[test]
 fn scenario_refuses_bad_input_with_exit_code_2() {
     let folder = tempfile::tempdir().unwrap();
     let policy = standing_policy();
@@ -119,7 +134,7 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
     let rows = other.actor.layers[1].weight.len() - other.actor.layers[1].inputs();
     other.actor.layers[1].weight.truncate(8 * 11.min(rows));
     std::fs::write(folder.path().join("other.safetensors"), other.to_bytes().unwrap()).unwrap();
-    let cases: [(&[&str], &str); 9] = [
+    let cases: [(&[&str], &str); 11] = [
         (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
         (&["push", "--policy", "cut.safetensors"], "was it cut off"),
         (&["push", "--policy", "other.safetensors"], "should have shape [12], but has shape [11]"),
@@ -131,6 +146,11 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
             "with the parameters of hard.yaml: --push-m-s is 30, expected 0 to 20 m/s",
         ),
         (&["walk", "--policy", "standing.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
+        (&["walk", "--policy", "standing.safetensors", "--compliance", "0.02"], "run `policy calibrate`"),
+        (
+            &["walk", "--policy", "baseline", "--compliance", "0.5"],
+            "--compliance 0.5 with baseline: a compliance of 0.5",
+        ),
         (
             &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],
             "--duration-s is 100, expected a way",

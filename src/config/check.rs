@@ -87,6 +87,8 @@ impl Config {
             let [low, high] = c.range_m_s_per_n;
             let sound = 0.0 < low && low <= high && high.is_finite();
             require(sound, "compliance.range_m_s_per_n", format!("{:?}", [low, high]), "[least, largest], positive")?;
+            let sound = c.limits_m_s.iter().all(|limit| *limit >= 0.0 && limit.is_finite());
+            require(sound, "compliance.limits_m_s", format!("{:?}", c.limits_m_s), "[forward, left], not negative")?;
             positive("compliance.speed_limit_m_s", c.speed_limit_m_s)?;
             not_negative("compliance.force_n", c.force_n)?;
             fraction("compliance.gentle_fraction", c.gentle_fraction)?;

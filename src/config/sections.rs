@@ -149,6 +149,8 @@ pub struct Compliance {
     pub own_m_s_per_n: f64,
     /// Least and largest commanded compliance, drawn uniformly [m/s/N].
     pub range_m_s_per_n: [f64; 2],
+    /// Fastest walk that the outer loop asks for, forward and left, unless the command is faster [m/s].
+    pub limits_m_s: [f64; 2],
     /// Bound of the virtual masses' speed [m/s]: nobody leads the robot faster than it can walk.
     pub speed_limit_m_s: f64,
     /// Largest pull \[N\].
@@ -161,7 +163,8 @@ pub struct Compliance {
     pub duration_s: [f64; 2],
     /// Shortest and longest time between two pulls \[s\].
     pub gap_s: [f64; 2],
-    /// Growth per iteration of the fraction of `force_n` that is open, from zero on.
+    /// Growth per iteration of the fraction of `force_n` and of the range (its logarithm about `own_m_s_per_n`) that is open,
+    /// from zero on.
     pub fraction_step: f64,
     /// Mean `r_lin` above which it grows.
     pub fraction_gate: f64,
@@ -310,6 +313,13 @@ pub struct Run {
 }
 
 impl Config {
+    /// Fastest walk that an outer loop may ask for, forward and left, unless the command is faster [m/s].
+    pub fn led_limits_m_s(&self) -> [f64; 2] {
+        self.compliance
+            .as_ref()
+            .map_or([self.command.forward_m_s, self.command.left_m_s], |compliance| compliance.limits_m_s)
+    }
+
     /// What the policy sees, made ready.
     ///
     /// # Errors

@@ -41,7 +41,7 @@ pub struct Command {
 impl Command {
     /// A walk: forward and left [m/s], yaw rate [rad/s].
     pub fn velocity(forward: f64, left: f64, yaw: f64) -> Self {
-        Command { forward, left, yaw, compliance: 0.0 }
+        Command { forward, left, yaw, ..Command::default() }
     }
 }
 

@@ -83,7 +83,8 @@ impl Agent {
         Ok(agent)
     }
 
-    pub(super) fn external(inference: Inference, config: Config, sha256: String) -> Self {
+    /// A policy that is in no file of ours, with what it runs with. Its identity is for what keeps results by policy.
+    pub fn external(inference: Inference, config: Config, sha256: String) -> Self {
         Agent { config, sha256, calibration: None, mind: Mind::External(Box::new(inference)) }
     }
 

@@ -161,7 +161,7 @@ impl<'a> Compliant<'a> {
     pub fn new(policy: Box<dyn Controller + 'a>, calibration: &'a Calibration, config: &Config) -> Self {
         let outer_loop = OuterLoop {
             own_m_s_per_n: calibration.own_m_s_per_n,
-            limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
+            limits_m_s: config.led_limits_m_s(),
             period_s: config.simulation.policy_period_s(),
         };
         Compliant { policy, calibration, outer_loop, led: [0.0; 2] }
@@ -185,5 +185,42 @@ impl Controller for Compliant<'_> {
         let (setting, bias) = (self.calibration.nearest_setting(command.compliance), self.calibration.bias(command));
         let command = self.outer_loop.command(state, command, setting, bias, &mut self.led);
         self.policy.joint_targets(state, &command)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TEXT: &str = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0.1, 0.5, 0, 0], [0, 0, 0, 2]],
+        "points": [{"setting": 0.005, "measured": 0.006}, {"setting": 0.02, "measured": 0.018}]}"#;
+
+    fn parsed(text: &str) -> Result<Calibration, FileError> {
+        Calibration::from_json(Path::new("p.calibration.json"), text, "it")
+    }
+
+    #[test]
+    fn a_setting_is_found_between_those_that_were_measured() {
+        let calibration = parsed(TEXT).unwrap();
+        // A quarter of the way from 0.006 to 0.018.
+        assert!((calibration.nearest_setting(0.009) - 0.00875).abs() < 1e-12);
+        assert_eq!(calibration.nearest_setting(1.0), 0.02);
+        assert!(calibration.check(0.018).is_ok() && calibration.check(0.0).is_ok());
+        let beyond = ComplianceError::OutOfReach { found: 0.019, low: 0.006, high: 0.018 };
+        assert_eq!(calibration.check(0.019), Err(beyond));
+        let bias = calibration.bias(&Command::velocity(0.4, 0.0, 0.25));
+        assert!((bias[0] - 0.3).abs() < 1e-12 && (bias[1] - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_calibration_of_another_policy_or_without_sense_is_refused() {
+        let other = Calibration::from_json(Path::new("p.calibration.json"), TEXT, "other");
+        assert!(other.unwrap_err().to_string().contains("p.calibration.json"));
+        for (from, to) in
+            [("0.018", "0.006"), ("0.02,", "0.005,"), ("0.01,", "-0.01,"), ("0.01,", "1e999,"), ("0.1,", "{},")]
+        {
+            assert!(TEXT.contains(from), "{from}");
+            assert!(parsed(&TEXT.replacen(from, to, 1)).is_err(), "{from} to {to}");
+        }
     }
 }

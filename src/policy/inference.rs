@@ -1,10 +1,13 @@
 //! From the robot's state to joint targets: what a policy sees, its network, what its outputs mean.
 
+use std::fmt;
+
 use super::controller::Controller;
 use super::onnx;
+use crate::config::{Config, ValueError};
 use crate::network::{PackedMlp, Scratch};
 use crate::observation::{Command, Layout, Moment, Observer};
-use crate::robot::{JOINTS, Joints, RobotState};
+use crate::robot::{JOINTS, Joints, RobotState, same_in_every_leg};
 
 /// What an output of a network is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
@@ -29,13 +32,27 @@ pub struct Action {
     pub clip: f64,
 }
 
+/// What maps what is seen, shape (length of the layout), to one output for each joint.
+pub type Function = Box<dyn Fn(&[f32]) -> [f32; JOINTS] + Send + Sync>;
+
 /// A network of ours or an external one.
-#[derive(Debug)]
 pub enum Network {
     /// Of a policy file.
     Mlp(PackedMlp),
     /// Of an ONNX file.
     Onnx(onnx::Network),
+    /// Of the program that this library is a part of.
+    Function(Function),
+}
+
+impl fmt::Debug for Network {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Network::Mlp(mlp) => f.debug_tuple("Mlp").field(mlp).finish(),
+            Network::Onnx(network) => f.debug_tuple("Onnx").field(network).finish(),
+            Network::Function(_) => f.write_str("Function"),
+        }
+    }
 }
 
 /// Everything that turns states into joint targets.
@@ -60,23 +77,55 @@ pub struct Buffers {
 }
 
 impl Network {
-    /// One output for each joint.
-    fn forward<'a>(&self, seen: &[f32], buffers: &'a mut Buffers) -> &'a [f32] {
+    /// One output for each joint, for each row of `seen`: shape (rows, joints).
+    fn forward<'a>(&self, rows: usize, seen: &[f32], buffers: &'a mut Buffers) -> &'a [f32] {
+        let Buffers { output, mlp: scratch, onnx } = buffers;
+        output.resize(rows * JOINTS, 0.0);
+        let length = seen.len() / rows.max(1);
+        let each = seen.chunks_exact(length.max(1)).zip(output.chunks_exact_mut(JOINTS));
         match self {
-            Network::Mlp(mlp) => {
-                buffers.output.resize(mlp.outputs(), 0.0);
-                mlp.forward(1, seen, &mut buffers.output, &mut buffers.mlp);
-                &buffers.output
-            }
-            Network::Onnx(network) => network.forward(seen, &mut buffers.onnx),
+            Network::Mlp(mlp) => mlp.forward(rows, seen, output, scratch),
+            Network::Onnx(network) => each.for_each(|(seen, out)| out.copy_from_slice(network.forward(seen, onnx))),
+            Network::Function(function) => each.for_each(|(seen, out)| out.copy_from_slice(&function(seen))),
         }
+        output
     }
 }
 
 impl Inference {
+    /// A network that acts in the training environment of `config`: it sees what that observes, and its outputs are the
+    /// environment's actions.
+    ///
+    /// # Errors
+    /// An observation that does not fit in the robot.
+    pub fn in_environment(config: &Config, network: Network) -> Result<Self, ValueError> {
+        let action = &config.action;
+        Ok(Inference {
+            layout: config.layout().map_err(ValueError::Observation)?,
+            action: Action {
+                nominal_pose: same_in_every_leg(action.nominal_pose_rad),
+                meaning: Meaning::OffsetFromNominal,
+                scale_rad: [action.scale_rad; JOINTS],
+                clip: f64::INFINITY,
+            },
+            network,
+            period_s: config.simulation.policy_period_s(),
+        })
+    }
+
+    /// Clipped outputs for rows of what is seen, shape (rows, length of the layout): shape (rows, joints), in the
+    /// policy's order. Each row's bits are those that it has alone.
+    ///
+    /// # Panics
+    /// If `seen` has another shape.
+    pub fn actions(&self, rows: usize, seen: &[f32], buffers: &mut Buffers) -> Vec<f32> {
+        let clip = self.action.clip as f32;
+        self.network.forward(rows, seen, buffers).iter().map(|output| output.clamp(-clip, clip)).collect()
+    }
+
     /// Clipped outputs, in the policy's order, and the joint targets that they mean, in ours \[rad\].
     pub fn act(&self, seen: &[f32], buffers: &mut Buffers) -> (Joints, Joints) {
-        let output = self.network.forward(seen, buffers);
+        let output = self.network.forward(1, seen, buffers);
         let Action { nominal_pose, meaning, scale_rad, clip } = &self.action;
         let (mut actions, mut targets) = ([0.0; JOINTS], [0.0; JOINTS]);
         for (index, joint) in self.layout.order().iter().enumerate() {
@@ -190,6 +239,20 @@ observation:
 history: [1, 0]
 action: {meaning: offset_from_nominal, scale_rad: 0.25, clip: 1.0}
 ";
+
+    #[test]
+    fn a_function_acts_as_a_network_does_and_each_row_as_alone() {
+        let config = Config::load("fast").unwrap();
+        let function: Function = Box::new(|seen| std::array::from_fn(|joint| seen[0] + joint as f32));
+        let inference = Inference::in_environment(&config, Network::Function(function)).unwrap();
+        let length = inference.layout.length();
+        let mut seen = vec![0.0; 2 * length];
+        seen[length] = 100.0;
+        let actions = inference.actions(2, &seen, &mut Buffers::default());
+        assert_eq!((actions[1], actions[JOINTS + 2]), (1.0, 102.0));
+        let (alone, targets) = inference.act(&seen[length..], &mut Buffers::default());
+        assert_eq!((alone[2], targets[2]), (102.0, -1.44 + 0.3 * 102.0));
+    }
 
     #[test]
     fn an_observation_is_in_the_order_axes_scales_and_ages_of_its_description() {

@@ -16,4 +16,4 @@ pub mod shipped;
 pub use agent::{Agent, AgentError};
 pub use controller::Controller;
 pub use file::{Policy, Provenance, Usage};
-pub use inference::{Action, Buffers, Inference, Meaning, Network, PolicyController};
+pub use inference::{Action, Buffers, Function, Inference, Meaning, Network, PolicyController};

@@ -1,6 +1,6 @@
 /*! Measures how far a policy yields: pulls from all sides, walks without.
 
-Walking at 0.5 m/s on a plane, the robot is pulled from twelve sides with 10 and with 20 N, one after the other; the mean of
+Walking at 0.5 m/s on a plane, the robot is pulled to twelve sides with up to 20 N, one after the other; the mean of
 the velocity along the pull, less that without, over the force is its compliance.
 */
 
@@ -18,8 +18,11 @@ use crate::policy::compliance::{Calibration, Point};
 /// Sides that the robot is pulled to.
 const DIRECTIONS: u32 = 12;
 
-/// \[N\]
+/// Largest pulls \[N\].
 const FORCES_N: [f64; 2] = [10.0, 20.0];
+
+/// Pulls are weaker where they would lead the robot faster than this [m/s]: there, it is not its compliance that shows.
+const LED_M_S: f64 = 0.4;
 
 /// When the pull begins, how long it lasts, over how much of its end the mean is taken \[s\]. The softest robot takes 2 s to
 /// follow.
@@ -114,8 +117,9 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<Calibration, Calib
 fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, CalibrationError> {
     let command = Command { compliance: setting, ..Command::velocity(0.5, 0.0, 0.0) };
     let side = |index: u32| 360.0 * f64::from(index) / f64::from(DIRECTIONS);
+    let weaker = (LED_M_S / (setting.max(1e-9) * FORCES_N[1])).min(1.0);
     let pulls = FORCES_N.iter().flat_map(|force_n| {
-        (0..DIRECTIONS).map(move |index| Probe { command, force_n: *force_n, direction_deg: side(index) })
+        (0..DIRECTIONS).map(move |index| Probe { command, force_n: weaker * force_n, direction_deg: side(index) })
     });
     let probes: Vec<Probe> = std::iter::once(Probe::walk(command)).chain(pulls).collect();
     let found: Option<Vec<[f64; 2]>> = offsets(agent, &probes, threads)?.into_iter().collect();
@@ -134,7 +138,7 @@ fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, 
 fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option<[f64; 2]>>, CalibrationError> {
     let base: Leash = defaults("leash")?;
     let offset = &|probe: &Probe| -> Result<Option<[f64; 2]>, CalibrationError> {
-        let Command { forward, left, yaw, compliance } = probe.command;
+        let Command { forward, left, yaw, compliance, .. } = probe.command;
         let duration_s = AT_S + FOR_S;
         let task =
             Task { forward_m_s: forward, left_m_s: left, yaw_rad_s: yaw, compliance, duration_s, ..base.task.clone() };

@@ -185,7 +185,7 @@ impl<'a> Rollout<'a> {
         }
         let step = reward::Step {
             state: &state,
-            tracked: &[self.script.command],
+            command: &self.script.command,
             summary: &summary,
             landings: &landings,
             config: &config.reward,

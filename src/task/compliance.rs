@@ -111,3 +111,71 @@ fn heading(state: &RobotState) -> UnitQuaternion<f64> {
     let (_, _, yaw) = state.roll_pitch_yaw();
     UnitQuaternion::from_euler_angles(0.0, 0.0, yaw)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MASS_KG: f64 = 12.5;
+    const STEP_S: f64 = 1.0 / 60.0;
+
+    /// Upright, with this yaw.
+    fn turned(yaw: f64) -> RobotState {
+        RobotState { world_from_base: UnitQuaternion::from_euler_angles(0.0, 0.0, yaw), ..RobotState::default() }
+    }
+
+    fn pulled(force: [f64; 2]) -> Pulled {
+        Pulled { force, mass_kg: MASS_KG, time_s: STEP_S }
+    }
+
+    #[test]
+    fn a_steady_pull_offsets_a_virtual_mass_by_force_times_compliance_in_the_world() {
+        let command = Command::velocity(0.5, 0.0, 0.0);
+        // It heads along the world's y, and is pulled along x: to its right.
+        let state = turned(std::f64::consts::FRAC_PI_2);
+        let mut mass = VirtualMass::default();
+        (0..600).for_each(|_| mass.step(&state, &command, 0.02, pulled([10.0, 0.0]), 2.0));
+        let reached = mass.command(&state, &command);
+        assert!((reached.forward - 0.5).abs() < 1e-9 && (reached.left + 0.2).abs() < 1e-9, "{reached:?}");
+        // Nobody leads it faster than the bound: 0.5 and 10 · 0.1 m/s would be 1.118 m/s.
+        (0..600).for_each(|_| mass.step(&state, &command, 0.1, pulled([10.0, 0.0]), 1.0));
+        let reached = mass.command(&state, &command);
+        assert!((reached.forward.hypot(reached.left) - 1.0).abs() < 1e-9, "{reached:?}");
+    }
+
+    #[test]
+    fn a_push_decays_with_the_time_constant_mass_times_compliance() {
+        let (state, command) = (turned(0.0), Command::default());
+        let mut mass = VirtualMass::of(&state);
+        mass.push(Vector3::new(0.0, 1.0, 0.0));
+        // 12.5 kg · 0.04 m/s/N = 0.5 s = 30 steps, whatever the steps' length.
+        (0..30).for_each(|_| mass.step(&state, &command, 0.04, pulled([0.0; 2]), 2.0));
+        assert!((mass.command(&state, &command).left - (-1.0_f64).exp()).abs() < 1e-12);
+    }
+
+    /// A robot that follows its command with its own compliance, pulled to the left for 10 s: its velocity at the end.
+    fn led(c: f64, force_n: f64, bias: [f64; 2]) -> f64 {
+        let outer_loop = OuterLoop { own_m_s_per_n: 0.01, limits_m_s: [1.0, 0.6], period_s: STEP_S };
+        let (command, mut mass, mut low_pass) = (Command::velocity(0.5, 0.0, 0.0), VirtualMass::default(), [0.0; 2]);
+        let mut state = turned(0.0);
+        for _ in 0..600 {
+            let mut asked = outer_loop.command(&state, &command, c, [0.0, bias[1]], &mut low_pass);
+            asked.left += bias[0];
+            mass.step(&state, &asked, outer_loop.own_m_s_per_n, pulled([0.0, force_n]), 2.0);
+            state.velocity_in_base = Vector3::new(mass.velocity[0], mass.velocity[1], 0.0);
+        }
+        state.velocity_in_base.y
+    }
+
+    #[test]
+    fn an_outer_loop_makes_a_policys_own_compliance_any_other() {
+        for c in [0.005, 0.01, 0.02, 0.05] {
+            assert!((led(c, 10.0, [0.0; 2]) - 10.0 * c).abs() < 1e-4, "{c}");
+        }
+        // It asks for 0.6 m/s to the left and no more; the policy itself yields by 30 · 0.01 m/s.
+        assert!((led(0.05, 30.0, [0.0; 2]) - 0.9).abs() < 1e-4);
+        // What the policy is off by is five times as much at five times its own compliance, unless it is known.
+        assert!((led(0.05, 0.0, [0.02, 0.0]) - 0.1).abs() < 1e-4);
+        assert!((led(0.05, 0.0, [0.02, 0.02]) - 0.02).abs() < 1e-4);
+    }
+}

@@ -104,7 +104,8 @@ impl EpisodePlan {
         let mut pulls = Vec::new();
         if let Some(compliance) = &config.compliance {
             let [low, high] = compliance.range_m_s_per_n;
-            command.compliance = rng.random_range(low..=high);
+            let (own, open) = (compliance.own_m_s_per_n, curriculum.force_fraction);
+            command.compliance = own * (rng.random_range(low..=high) / own).powf(open);
             let force_n = compliance.force_n * curriculum.force_fraction;
             let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
             pulls = drawn_pulls(compliance, command.compliance, force_n, length_s, rng);
@@ -151,7 +152,7 @@ pub struct Curriculum {
     pub command_fraction: f64,
     /// Whether episodes go on to the push and what follows it. Once they do, they always do.
     pub pushes: bool,
-    /// Open fraction of the pulls' range, 0 to 1; where there are pulls.
+    /// Open fraction of the pulls and of the outer loop's gain, 0 to 1; where there are such. It grows once there are pushes.
     #[serde(default)]
     pub force_fraction: f64,
 }
@@ -173,7 +174,8 @@ impl Curriculum {
             self.command_fraction = (self.command_fraction + config.command.fraction_step).min(1.0);
         }
         self.pushes |= mean_linear_reward > config.episode.push_gate;
-        if let Some(compliance) = config.compliance.as_ref().filter(|c| mean_linear_reward > c.fraction_gate) {
+        let walks = |compliance: &&Compliance| self.pushes && mean_linear_reward > compliance.fraction_gate;
+        if let Some(compliance) = config.compliance.as_ref().filter(walks) {
             self.force_fraction = (self.force_fraction + compliance.fraction_step).min(1.0);
         }
     }
@@ -274,5 +276,41 @@ mod tests {
         assert!(first.is_some());
         curriculum.update(0.5, &config);
         assert_eq!(push(curriculum), first);
+    }
+
+    #[test]
+    fn pulls_and_the_loop_open_together_from_a_robot_as_it_is() {
+        let config = Config::load("commanded").unwrap();
+        let compliance = config.compliance.clone().unwrap();
+        let plans = |force_fraction: f64| -> Vec<EpisodePlan> {
+            let curriculum = Curriculum { force_fraction, ..Curriculum::complete() };
+            (0..500).map(|k| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, k, 0))).collect()
+        };
+        let strongest = |plans: &[EpisodePlan]| {
+            let forces = plans.iter().flat_map(|plan| &plan.pulls).map(|pull| pull.force[0].hypot(pull.force[1]));
+            forces.fold(0.0, f64::max)
+        };
+        let closed = plans(0.0);
+        assert!(
+            closed.iter().all(|plan| (plan.command.compliance - 0.0105).abs() < 1e-12) && strongest(&closed) == 0.0
+        );
+        let open = plans(1.0);
+        let [low, high] = compliance.range_m_s_per_n;
+        let told: Vec<f64> = open.iter().map(|plan| plan.command.compliance).collect();
+        assert!(told.iter().all(|c| (low..=high).contains(c)) && told.iter().any(|c| *c > 0.9 * high));
+        assert!((0.9..=1.0).contains(&(strongest(&open) / compliance.force_n)));
+        // One after the other, with pauses, to the end of the episode.
+        for pulls in open.iter().map(|plan| &plan.pulls) {
+            assert!(pulls.windows(2).all(|pair| pair[1].from_s - pair[0].until_s >= 0.2));
+            assert!(pulls.last().is_some_and(|last| last.until_s + 1.5 >= 6.0));
+        }
+        let first = open[0].pulls[0];
+        assert_eq!(open[0].force(0.5 * (first.from_s + first.until_s)), first.force);
+        assert_eq!(open[0].force(first.until_s + 0.1), [0.0; 2]);
+        // What there was before is drawn as before.
+        let without = Config { compliance: None, ..config.clone() };
+        let plan = EpisodePlan::draw(&without, Curriculum::complete(), &mut stream(1, Purpose::Episode, 0, 0));
+        let command = Command { compliance: 0.0, ..open[0].command };
+        assert_eq!(plan, EpisodePlan { command, pulls: Vec::new(), ..open[0].clone() });
     }
 }

@@ -25,8 +25,8 @@ use crate::sim::{StepObserver, StepSummary};
 pub struct Step<'a> {
     /// At its end.
     pub state: &'a RobotState,
-    /// What is to be tracked: the command, or what it comes to for a robot that is to yield; of several, the mean counts.
-    pub tracked: &'a [Command],
+    /// What was asked for.
+    pub command: &'a Command,
     /// What it cost.
     pub summary: &'a StepSummary,
     /// What has landed in it.
@@ -68,8 +68,20 @@ const fn term(
 
 /// Table II, and `r_f`.
 pub const TERMS: &[Term] = &[
-    term("linear_velocity", "r_lin", Part::Positive, |w| w.linear_velocity, |step| tracking(step, linear_velocity)),
-    term("angular_velocity", "r_ang", Part::Positive, |w| w.angular_velocity, |step| tracking(step, angular_velocity)),
+    term(
+        "linear_velocity",
+        "r_lin",
+        Part::Positive,
+        |w| w.linear_velocity,
+        |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
+    ),
+    term(
+        "angular_velocity",
+        "r_ang",
+        Part::Positive,
+        |w| w.angular_velocity,
+        |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
+    ),
     term("energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
     term("torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
     term("pose", "r_pose", Part::Negative, |w| w.pose, |step| pose(step.state, step.config)),
@@ -155,12 +167,6 @@ impl<'de> Deserialize<'de> for Terms {
         let found = BTreeMap::<String, f64>::deserialize(deserializer)?;
         Ok(Terms(std::array::from_fn(|k| found.get(TERMS[k].name).copied().unwrap_or(0.0))))
     }
-}
-
-/// The mean over what is tracked.
-fn tracking(step: &Step<'_>, term: fn(&RobotState, &Command, f64) -> f64) -> f64 {
-    let terms = step.tracked.iter().map(|command| term(step.state, command, step.config.tracking_sharpness));
-    terms.sum::<f64>() / step.tracked.len() as f64
 }
 
 /// `r_lin = exp(−8 ((v_x − v_x*)² + (v_z − v_z*)²))`.

@@ -41,6 +41,10 @@ pub struct Step {
     pub reward: f64,
     /// Set if this step ended the episode. The observation afterwards is the final one.
     pub end: Option<End>,
+    /// The stage that it was a step of.
+    pub stage: Stage,
+    /// Its terms as measured (never replaced); zero if the physics failed.
+    pub terms: Terms,
 }
 
 /// Summary of a finished episode.
@@ -117,10 +121,8 @@ struct Yielding {
     led: [f64; 2],
     /// What the policy is commanded.
     asked: Command,
-    /// Follows what the policy is commanded, by the policy's own compliance.
-    near: VirtualMass,
-    /// Follows the command itself, by the commanded compliance.
-    free: VirtualMass,
+    /// What is to be tracked.
+    mass: VirtualMass,
 }
 
 impl Progress {
@@ -184,7 +186,7 @@ impl LocomotionEnv {
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = same_in_every_leg(config.action.nominal_pose_rad);
-        let cut = stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start);
+        let cut = first_cut(seed, index, &stages);
         let mut env = LocomotionEnv {
             progress: start(config, seed, index, 0, curriculum, cut, nominal),
             config: config.clone(),
@@ -193,7 +195,7 @@ impl LocomotionEnv {
             nominal,
             outer_loop: config.compliance.as_ref().map(|compliance| OuterLoop {
                 own_m_s_per_n: compliance.own_m_s_per_n,
-                limits_m_s: [config.command.forward_m_s, config.command.left_m_s],
+                limits_m_s: config.led_limits_m_s(),
                 period_s: config.simulation.policy_period_s(),
             }),
             seed,
@@ -220,13 +222,24 @@ impl LocomotionEnv {
         self.begin()
     }
 
+    /// Starts the first episode of another seed: the same bits as a new environment of that seed.
+    ///
+    /// # Errors
+    /// A fault of MuJoCo.
+    pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
+        self.seed = seed;
+        let cut = first_cut(seed, self.index, &self.stages);
+        self.progress = start(&self.config, seed, self.index, 0, curriculum, cut, self.nominal);
+        self.begin()
+    }
+
     fn begin(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
         self.last_second.clear();
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
         let (mass, asked) = (VirtualMass::of(&state), self.progress.plan.command);
-        let yielding = || Yielding { led: [0.0; 2], asked, near: mass, free: mass };
+        let yielding = || Yielding { led: [0.0; 2], asked, mass };
         self.progress.yielding = self.outer_loop.map(|_| yielding());
         self.observe(&state);
         Ok(())
@@ -247,6 +260,11 @@ impl LocomotionEnv {
             time_s: p.step as f64 * self.config.simulation.policy_period_s(),
         };
         p.observer.measure(&self.layout, &now);
+    }
+
+    /// What was drawn for this episode.
+    pub fn plan(&self) -> &EpisodePlan {
+        &self.progress.plan
     }
 
     /// What the observation is made of.
@@ -279,7 +297,8 @@ impl LocomotionEnv {
                     step: self.progress.step,
                     last_second: self.last_second.csv(),
                 };
-                let step = Step { reward: 0.0, end: Some(End::Fault) };
+                let stage = self.stages.at(self.progress.step);
+                let step = Step { reward: 0.0, end: Some(End::Fault), stage, terms: Terms::default() };
                 (step, Some(self.report(End::Fault, Some(Box::new(fault)))))
             }
         }
@@ -296,9 +315,7 @@ impl LocomotionEnv {
                 let before = self.sim.state().velocity_in_world();
                 self.sim.push(push)?;
                 if let Some(yielding) = &mut self.progress.yielding {
-                    let change = self.sim.state().velocity_in_world() - before;
-                    yielding.near.push(change);
-                    yielding.free.push(change);
+                    yielding.mass.push(self.sim.state().velocity_in_world() - before);
                 }
                 self.progress.pushed = true;
             }
@@ -313,21 +330,15 @@ impl LocomotionEnv {
 
         let p = &mut self.progress;
         let landings = p.swings.take();
-        let mut tracked = [p.plan.command; 2];
-        let several = match (&self.config.compliance, &mut p.yielding) {
-            (Some(compliance), Some(Yielding { asked, near, free, .. })) => {
-                let pulled = Pulled { force, mass_kg: self.sim.robot().mass_kg, time_s: period_s };
-                let (command, limit) = (&p.plan.command, compliance.speed_limit_m_s);
-                near.step(&state, asked, compliance.own_m_s_per_n, pulled, limit);
-                free.step(&state, command, command.compliance, pulled, limit);
-                tracked = [near.command(&state, command), free.command(&state, command)];
-                2
-            }
-            _ => 1,
-        };
+        let mut tracked = p.plan.command;
+        if let (Some(compliance), Some(Yielding { mass, .. })) = (&self.config.compliance, &mut p.yielding) {
+            let pulled = Pulled { force, mass_kg: self.sim.robot().mass_kg, time_s: period_s };
+            mass.step(&state, &tracked, tracked.compliance, pulled, compliance.speed_limit_m_s);
+            tracked = mass.command(&state, &tracked);
+        }
         let step = reward::Step {
             state: &state,
-            tracked: &tracked[..several],
+            command: &tracked,
             summary: &summary,
             landings: &landings,
             config: &self.config.reward,
@@ -353,7 +364,7 @@ impl LocomotionEnv {
 
         let end = self.end(summary.fall.is_some());
         let report = end.map(|end| self.report(end, None));
-        Ok((Step { reward, end }, report))
+        Ok((Step { reward, end, stage, terms }, report))
     }
 
     fn end(&self, fell: bool) -> Option<End> {
@@ -420,6 +431,11 @@ impl LocomotionEnv {
     }
 }
 
+/// Steps after which the first episode is cut.
+fn first_cut(seed: u64, index: u64, stages: &Stages) -> usize {
+    stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start)
+}
+
 fn start(
     config: &Config,
     seed: u64,
@@ -454,6 +470,7 @@ fn start(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sim::Pull;
 
     /// Actions of a clumsy trot.
     fn action(step: usize) -> [f32; 12] {
@@ -479,21 +496,89 @@ mod tests {
     }
 
     #[test]
-    fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
+    fn a_restarted_environment_has_the_bits_of_a_new_one() {
         let mut config = Config::load("compliant").unwrap();
         config.episode.walking_s = 0.5;
-        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-        let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
-        for step in 0..200 {
-            let json = serde_json::to_string(&env.save()).unwrap();
-            other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
-            assert_eq!(env.save(), other.save(), "step {step}");
-            let (outcome, report) = env.step(&action(step));
-            assert_eq!((outcome, report), other.step(&action(step)), "step {step}");
-            assert_eq!(env.observation(), other.observation(), "step {step}");
-            if outcome.end.is_some() {
-                env.reset(Curriculum::complete()).unwrap();
+        let curriculum = Curriculum::complete();
+        let mut used = LocomotionEnv::new(&config, 1, 2, curriculum).unwrap();
+        // Into the second episode, in the middle of a step's latency.
+        for step in 0..40 {
+            if used.step(&action(step)).0.end.is_some() {
+                used.reset(curriculum).unwrap();
             }
         }
+        used.restart(7, curriculum).unwrap();
+        let mut new = LocomotionEnv::new(&config, 7, 2, curriculum).unwrap();
+        for step in 0..150 {
+            assert_eq!(used.observation(), new.observation(), "step {step}");
+            let outcome = used.step(&action(step));
+            assert_eq!(outcome, new.step(&action(step)), "step {step}");
+            if outcome.0.end.is_some() {
+                used.reset(curriculum).unwrap();
+                new.reset(curriculum).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_step_tells_its_stage_and_its_terms() {
+        let config = Config::load("compliant").unwrap();
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let (mut terms, mut stages) = (Terms::default(), Vec::new());
+        let report = loop {
+            let (step, report) = env.step(&[0.0; 12]);
+            terms.add(&step.terms);
+            stages.push(step.stage);
+            if let Some(report) = report {
+                break report;
+            }
+        };
+        assert_eq!((report.terms, report.steps), (terms, stages.len()));
+        assert!(stages.iter().enumerate().all(|(step, stage)| *stage == env.stages.at(step)));
+    }
+
+    #[test]
+    fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
+        // With pushes alone, and with pulls and an outer loop.
+        for name in ["compliant", "commanded"] {
+            let mut config = Config::load(name).unwrap();
+            config.episode.walking_s = 0.5;
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
+            for step in 0..200 {
+                let json = serde_json::to_string(&env.save()).unwrap();
+                other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
+                assert_eq!(env.save(), other.save(), "{name}, step {step}");
+                let (outcome, report) = env.step(&action(step));
+                assert_eq!((outcome, report), other.step(&action(step)), "{name}, step {step}");
+                assert_eq!(env.observation(), other.observation(), "{name}, step {step}");
+                if outcome.end.is_some() {
+                    env.reset(Curriculum::complete()).unwrap();
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_pull_shows_in_what_the_policy_is_commanded_and_in_what_it_is_paid_for() {
+        let mut config = Config::load("commanded").unwrap();
+        (config.command.forward_m_s, config.command.left_m_s, config.episode.slope) = (0.0, 0.0, 0.0);
+        config.reward.linear_velocity = 1.0;
+        let stand = |force: [f64; 2], compliance: f64| {
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            env.progress.plan.pulls = vec![Pull { from_s: 0.0, until_s: 10.0, force }];
+            env.progress.plan.command = Command { compliance, ..Command::default() };
+            let paid: f64 = (0..30).map(|_| env.step(&[0.0; 12]).0.reward).sum();
+            // The last two of the observation's command, which ends it: forward and yaw; left comes before.
+            let observed = env.observation();
+            (paid, observed[observed.len() - 3])
+        };
+        // It stands still on stiff legs: pulled, that is no yielding.
+        let (at_ease, asked) = stand([0.0; 2], 0.03);
+        assert!(asked.abs() < 0.02, "{asked}");
+        let (pulled, asked) = stand([0.0, 20.0], 0.03);
+        assert!(pulled < 0.8 * at_ease, "{pulled} {at_ease}");
+        // The trunk gives way to the left a little: the loop goes with it when it is to be softer, against it when stiffer.
+        assert!(asked > 0.0 && stand([0.0, 20.0], 0.005).1 < 0.0);
     }
 }

@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
+use crate::config::Config;
 use crate::ppo::UpdateStatistics;
-use crate::task::Terms;
+use crate::task::{Curriculum, Terms};
 use crate::train::collection::Rollout;
 use crate::train::environment::{End, EpisodeReport};
 
@@ -25,6 +26,9 @@ pub struct IterationMetrics {
     /// Open fraction of the command range.
     #[serde(alias = "command_share")]
     pub command_fraction: f64,
+    /// Open fraction of pulls and of the outer loop, where there are such.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force_fraction: Option<f64>,
     /// Mean standard deviation of the actions.
     pub action_std: f64,
     /// Fraction of the variance of the returns that the values explain.
@@ -120,6 +124,16 @@ impl EpisodeMeans {
     }
 }
 
+impl EpisodeMeans {
+    /// Makes episodes harder if these went well enough.
+    pub fn advance(&self, curriculum: &mut Curriculum, config: &Config) {
+        // The few that walk among many that fall are no measure.
+        if let Some(mean) = self.walking_linear.filter(|_| 2 * self.walks >= self.episodes) {
+            curriculum.update(mean, config);
+        }
+    }
+}
+
 /// `1 − Var(returns − values) / Var(returns)`, 0 if the returns do not vary.
 pub fn explained_variance(rollout: &Rollout, returns: &[f32]) -> f64 {
     let variance = |values: &mut dyn Iterator<Item = f64>| {
@@ -152,6 +166,7 @@ impl IterationMetrics {
         put("episode/walking_linear", self.means.walking_linear);
         put("episode/swing_height_m", self.means.swing_height_m);
         put("curriculum/command_fraction", Some(self.command_fraction));
+        put("curriculum/force_fraction", self.force_fraction);
         put("curriculum/push_fraction", self.means.push_fraction);
         for (name, value) in self.means.terms.iter().flat_map(Terms::fields) {
             put(&format!("reward/{name}"), Some(value));

@@ -184,10 +184,7 @@ impl Trainer {
         })?;
 
         let means = EpisodeMeans::new(&rollout.episodes);
-        // The few that walk among many that fall are no measure.
-        if let Some(mean) = means.walking_linear.filter(|_| 2 * means.walks >= means.episodes) {
-            self.run.curriculum.update(mean, &self.run.config);
-        }
+        means.advance(&mut self.run.curriculum, &self.run.config);
         self.run.iteration += 1;
         self.run.samples += rollout.len() as u64;
         let whole = started.elapsed();
@@ -199,6 +196,7 @@ impl Trainer {
             step_reward: rollout.rewards.iter().map(|reward| f64::from(*reward)).sum::<f64>() / rollout.len() as f64,
             means,
             command_fraction: self.run.curriculum.command_fraction,
+            force_fraction: self.run.config.compliance.as_ref().map(|_| self.run.curriculum.force_fraction),
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
             explained_variance: explained_variance(&rollout, &returns),
             learner: statistics,

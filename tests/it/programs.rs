@@ -7,7 +7,9 @@ use serde_json::Value;
 use supple::policy::Agent;
 use supple::robot::Robot;
 
-use crate::support::{assert_same, complaint, metrics, program, robot, run, small_config_file, standing_policy};
+use crate::support::{
+    assert_same, complaint, metrics, program, repository, robot, run, small_config_file, standing_policy,
+};
 
 /// Writes a configuration for each learner into a folder, with layers wide enough for candle to hand their products out to
 /// threads if it may.
@@ -277,4 +279,30 @@ fn policy_program_shows_verifies_and_exports() {
         assert!(complaint(&output).contains(expected), "{}", complaint(&output));
     }
     assert_eq!(std::fs::read_to_string(folder.path().join("p.yaml")).unwrap(), "onnx: mine.onnx\n");
+}
+
+#[test]
+fn policy_calibrate_finds_what_ships_beside_the_policy_and_a_stiff_stand_has_none() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::copy(repository("policies/baseline-seed0.safetensors"), folder.path().join("b.safetensors")).unwrap();
+    let output = run("policy", folder.path(), &["calibrate", "b.safetensors"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let read = |path: &Path| -> Value { serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap() };
+    let found = read(&folder.path().join("b.calibration.json"));
+    let ships = read(&repository("policies/baseline-seed0.calibration.json"));
+    assert_eq!(found["sha256"], ships["sha256"]);
+    // Another machine's libm may round otherwise, and a fall ends the list.
+    let near = |a: &Value, b: &Value| (a.as_f64().unwrap() / b.as_f64().unwrap() - 1.0).abs() < 0.1;
+    assert!(near(&found["own_m_s_per_n"], &ships["own_m_s_per_n"]), "{found:#}");
+    let pairs = found["points"].as_array().unwrap().iter().zip(ships["points"].as_array().unwrap());
+    assert!(
+        pairs.clone().count() > 6 && pairs.into_iter().all(|(a, b)| near(&a["measured"], &b["measured"])),
+        "{found:#}"
+    );
+
+    standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
+    let output = run("policy", folder.path(), &["calibrate", "p.safetensors"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).starts_with("error: p.safetensors: it "), "{}", complaint(&output));
+    assert!(!folder.path().join("p.calibration.json").exists());
 }

@@ -25,6 +25,24 @@ pub fn scenario(name: &str, changes: &[&str]) -> Scenario {
     Scenario::from_arg_matches(&command.get_matches_from(line)).unwrap()
 }
 
+#[test]
+fn a_scenario_by_name_is_that_of_the_command_line_and_says_what_it_does_not_have() {
+    for (name, _) in DEFAULTS {
+        assert_eq!(Scenario::named(name, "{}").unwrap(), scenario(name, &[]));
+        let changed = Scenario::named(name, r#"{"duration_s": 3, "forward_m_s": -0.25}"#).unwrap();
+        assert_eq!(changed, scenario(name, &["--duration-s=3", "--forward-m-s=-0.25"]));
+    }
+    let refused = |name, parameters| Scenario::named(name, parameters).unwrap_err().to_string();
+    for (error, expected) in [
+        (refused("nothing", "{}"), "walk, push, leash"),
+        (refused("walk", "{push_m_s: 1}"), "'push_m_s'; it has: forward_m_s"),
+        (refused("push", "{push_m_s: much}"), "invalid type"),
+        (refused("push", "[]"), "expected lines"),
+    ] {
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
 fn trace(scenario: &Scenario, seed: u64) -> Trace {
     trace_with(scenario, seed, Sensing::True)
 }

@@ -73,6 +73,7 @@ experiments! {
     pendulum: pendulum::Pendulum,
     rubble: rubble::Rubble,
     outdoor: outdoor::Outdoor,
+    calibration: calibration::Calibration,
     pull: pull::Pull,
     wall: wall::Wall,
     lead: lead::Lead,

@@ -5,8 +5,10 @@ use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, GREY, INK, SMALL, WIDTH, colour};
 
 /// Mean and extremes of several runs.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Curve {
+    /// Whose it is: decides its colour.
+    pub set: usize,
     /// Above it.
     pub title: String,
     /// (time, mean, least, largest) in order of time.
@@ -15,6 +17,8 @@ pub struct Curve {
     pub mark: Option<(f64, String)>,
     /// A band to draw around a level: level, half-width.
     pub tolerance: Option<[f64; 2]>,
+    /// Whether to draw the line on which both axes are alike.
+    pub diagonal: bool,
 }
 
 /// Height of a row of panels \[px\].
@@ -32,29 +36,35 @@ pub fn draw(title: &str, curves: &[Curve], x_label: &str, y_label: &str) -> Stri
     }
     let margin = 0.06 * (high - low).max(1e-3);
     let width = 326.0;
-    for (set, curve) in curves.iter().enumerate() {
-        let (row, column) = (set / 2, set % 2);
+    for (index, curve) in curves.iter().enumerate() {
+        let (row, column) = (index / 2, index % 2);
         let corner = [62.0 + column as f64 * (width + 26.0), ROW * row as f64 + 30.0];
         let panel = Panel { corner, size: [width, 216.0], x, y: [low - margin, high + margin] };
         panel.draw_axes(&mut svg, x_label, (column == 0).then_some(y_label));
         panel.draw_title(&mut svg, &curve.title);
-        draw_curve(&mut svg, &panel, curve, set);
+        draw_curve(&mut svg, &panel, curve);
     }
     svg.finish(title)
 }
 
-fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve, set: usize) {
+fn draw_curve(svg: &mut Svg, panel: &Panel, curve: &Curve) {
     let line = |column: usize| curve.points.iter().map(move |point| panel.at([point[0], point[column]]));
     let band: Vec<_> = line(3).chain(line(2).rev()).collect();
-    svg.area(&[&band], colour(set), BAND);
+    svg.area(&[&band], colour(curve.set), BAND);
     if let Some([level, half]) = curve.tolerance {
         for value in [level - half, level + half] {
             let line = Stroke::new(GREY, 1.0).dashed("2 3");
             svg.line(panel.at([panel.x[0], value]), panel.at([panel.x[1], value]), line);
         }
     }
-    svg.line(panel.at([0.0, panel.y[0]]), panel.at([0.0, panel.y[1]]), Stroke::new(GREY, 1.0));
-    svg.polyline(&line(1).collect::<Vec<_>>(), Stroke::new(colour(set), 2.0));
+    if curve.diagonal {
+        let ends = [panel.x[0].max(panel.y[0]), panel.x[1].min(panel.y[1])];
+        svg.line(panel.at([ends[0]; 2]), panel.at([ends[1]; 2]), Stroke::new(GREY, 1.3).dashed("5 3"));
+    }
+    if panel.x[0] <= 0.0 {
+        svg.line(panel.at([0.0, panel.y[0]]), panel.at([0.0, panel.y[1]]), Stroke::new(GREY, 1.0));
+    }
+    svg.polyline(&line(1).collect::<Vec<_>>(), Stroke::new(colour(curve.set), 2.0));
     if let Some((time, label)) = &curve.mark {
         let top = panel.at([*time, panel.y[1]]);
         svg.line(panel.at([*time, panel.y[0]]), top, Stroke::new(INK, 1.3).dashed("5 3"));
@@ -70,12 +80,8 @@ mod tests {
 
     #[test]
     fn all_sets_are_drawn_on_one_scale() {
-        let level = |size: f64| Curve {
-            title: String::new(),
-            points: vec![[0.0, 0.5, -size, size], [1.0, 0.5, -size, size]],
-            mark: None,
-            tolerance: None,
-        };
+        let level =
+            |size: f64| Curve { points: vec![[0.0, 0.5, -size, size], [1.0, 0.5, -size, size]], ..Curve::default() };
         let svg = draw("", &[level(1.0), level(10.0)], "", "");
         let heights: Vec<&str> = svg
             .split("<polyline points=\"")

@@ -1,9 +1,11 @@
-//! A policy of ours described as an external one: what goes beside its ONNX file.
+//! A policy described as an external one: what goes beside its ONNX file.
 
 use std::fmt::Write as _;
 
-use crate::policy::Policy;
-use crate::robot::joint_names;
+use crate::config::{Config, Simulation};
+use crate::observation::{Numbers, Observed, Quantity, Word};
+use crate::policy::{Policy, Provenance};
+use crate::robot::{Joints, joint_names, same_in_every_leg};
 
 /// What the first line of such a file says.
 const OURS: &str = "is a policy of Supple:";
@@ -15,21 +17,53 @@ pub fn is_described_by_us(text: &str) -> bool {
 
 /// The YAML file for the ONNX file `onnx` that the policy was exported to.
 pub fn describe(policy: &Policy, onnx: &str) -> String {
-    let simulation = &policy.provenance.config.simulation;
+    let Provenance { config, config_name, seed, samples, .. } = &policy.provenance;
+    let title =
+        format!("{onnx} {OURS} {samples} samples, config {config_name}, seed {seed}. It scales what it sees itself.");
+    let observation = config.observation.iter().map(|observed| Observed {
+        offset: None,
+        scale: None,
+        clip: None,
+        ..observed.clone()
+    });
+    text(&title, onnx, &config.simulation, policy.nominal_pose(), observation, ("joint_angle", 1.0))
+}
+
+/// The YAML file for the ONNX file `onnx` of a network that acts in the training environment of a configuration: it sees
+/// what that observes, scaled, and its outputs are the environment's actions.
+pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> String {
+    let title = format!("{onnx} acts in Supple's training environment, config {config_name}. It sees scaled numbers.");
+    let pose = same_in_every_leg(config.action.nominal_pose_rad);
+    // What a nominal height is, such a file cannot say.
+    let height = Numbers::All(config.reward.base_height_m);
+    let observation = config.observation.iter().map(|observed| {
+        let is_nominal_height =
+            observed.quantity == Quantity::BaseHeight && observed.offset == Some(Numbers::Word(Word::Nominal));
+        let offset = if is_nominal_height { Some(height.clone()) } else { observed.offset.clone() };
+        Observed { offset, ..observed.clone() }
+    });
+    text(&title, onnx, &config.simulation, &pose, observation, ("offset_from_nominal", config.action.scale_rad))
+}
+
+fn text(
+    title: &str,
+    onnx: &str,
+    simulation: &Simulation,
+    nominal_pose: &Joints,
+    observation: impl Iterator<Item = Observed>,
+    (meaning, scale_rad): (&str, f64),
+) -> String {
     let mut text = String::new();
     // Writing into a String cannot fail.
     let _ = write!(
         text,
-        "# {onnx} {OURS} {} samples, config {}, seed {}. It scales what it sees itself.\n\
+        "# {title}\n\
          onnx: {}\n\
          simulation:\n  physics_rate_hz: {}\n  policy_rate_hz: {}\n  kp_n_m_per_rad: {:?}\n  kd_n_m_s_per_rad: {:?}\n  \
          latency_s: {:?}\n\
          joints: [{}]\n\
          nominal_pose_rad: {:?}\n\
          observation:\n",
-        policy.provenance.samples,
-        policy.provenance.config_name,
-        policy.provenance.seed,
         // A JSON string is a YAML string.
         serde_json::Value::from(onnx),
         simulation.physics_rate_hz,
@@ -38,16 +72,12 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
         simulation.kd_n_m_s_per_rad,
         simulation.latency_s,
         joint_names().join(", "),
-        policy.nominal_pose(),
+        nominal_pose,
     );
-    for observed in &policy.provenance.config.observation {
+    for observed in observation {
         // Flow style is JSON, which is YAML.
-        let mut entry = serde_json::to_value(observed).unwrap_or_default();
-        if let Some(keys) = entry.as_object_mut() {
-            ["offset", "scale", "clip"].into_iter().for_each(|key| drop(keys.remove(key)));
-        }
-        let _ = writeln!(text, "  - {entry}");
+        let _ = writeln!(text, "  - {}", serde_json::to_value(observed).unwrap_or_default());
     }
-    text.push_str("action:\n  meaning: joint_angle\n  scale_rad: 1.0\n");
+    let _ = write!(text, "action:\n  meaning: {meaning}\n  scale_rad: {scale_rad:?}\n");
     text
 }

@@ -11,7 +11,7 @@ mod spec;
 
 use std::path::Path;
 
-pub use describe::{describe, is_described_by_us};
+pub use describe::{describe, describe_network, is_described_by_us};
 
 use super::inference::{Inference, Network};
 use super::{Agent, AgentError, onnx};

@@ -126,6 +126,7 @@ fn joint_order(names: &[String]) -> Result<[usize; JOINTS], String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::external::describe_network;
     use proptest::prelude::*;
 
     const EXAMPLE: &str = include_str!("../../../examples/policies/rsl_rl.yaml");
@@ -134,6 +135,20 @@ mod tests {
     fn the_example_parses() {
         let spec = Spec::parse(Path::new("rsl_rl.yaml"), EXAMPLE).unwrap();
         assert_eq!(spec.layout.length(), 48);
+    }
+
+    #[test]
+    fn a_network_of_the_training_environment_is_described_as_it_sees_and_acts() {
+        let mut config = Config::load("fast").unwrap();
+        config.reward.base_height_m = 0.29;
+        config.action.scale_rad = 0.25;
+        let text = describe_network("mine", &config, "net.onnx");
+        let spec = Spec::parse(Path::new("net.yaml"), &text).unwrap();
+        assert_eq!(spec.layout, config.layout().unwrap());
+        assert_eq!(spec.config.simulation, config.simulation);
+        let Action { nominal_pose, meaning, scale_rad, clip } = spec.action;
+        assert_eq!((nominal_pose[..3].to_vec(), meaning), (vec![0.0, 0.72, -1.44], Meaning::OffsetFromNominal));
+        assert_eq!((scale_rad, clip), ([0.25; JOINTS], f64::INFINITY));
     }
 
     #[test]

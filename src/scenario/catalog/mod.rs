@@ -23,7 +23,7 @@ use crate::task::Command;
 use crate::task::episode::GRAVITY;
 use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
-use crate::util::yaml::layered;
+use crate::util::yaml::{YamlError, flat_parameters, layered};
 
 /// Makes a struct of parameters: each field is a flag of the `scenario` program and a key of the YAML file, beside what every
 /// scenario asks of the policy.
@@ -70,6 +70,20 @@ macro_rules! scenarios {
                 match self { $(Scenario::$variant(scenario) => &scenario.task,)* }
             }
 
+            /// A scenario by name, with parameters that differ from its defaults as YAML.
+            ///
+            /// # Errors
+            /// [`YamlError`] that lists the scenarios or the parameters that there are, or says what is of another type.
+            pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
+                match name {
+                    $($name => Ok(Scenario::$variant(with_parameters($name, parameters)?)),)*
+                    _ => {
+                        let known: Vec<&str> = DEFAULTS.iter().map(|(name, _)| *name).collect();
+                        Err(YamlError::new(name, format!("no such scenario; there are: {}", known.join(", "))))
+                    }
+                }
+            }
+
             fn parameters(&self) -> &dyn Parameters {
                 match self { $(Scenario::$variant(scenario) => scenario,)* }
             }
@@ -101,8 +115,18 @@ scenarios! {
 /// # Errors
 /// [`ConfigError`] if there is no scenario of this name, or its parameters are of another type.
 pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
-    let text = DEFAULTS.iter().find(|(known, _)| *known == name).map_or("", |(_, text)| text);
-    Ok(layered(name, &[text])?)
+    Ok(with_parameters(name, "{}")?)
+}
+
+/// The default parameters of a scenario and what is given beside them, which has to be one of them.
+fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
+    let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
+    let (known, given) = (flat_parameters(scenario, defaults)?, flat_parameters(scenario, parameters)?);
+    if let Some((unknown, _)) = given.iter().find(|(name, _)| known.iter().all(|(known, _)| known != name)) {
+        let known: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
+        return Err(YamlError::new(scenario, format!("it has no parameter '{unknown}'; it has: {}", known.join(", "))));
+    }
+    layered(scenario, &[defaults, parameters])
 }
 
 /// Length still shown after a fall \[s\].
@@ -151,7 +175,7 @@ pub struct Task {
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
     /// Commanded compliance: how much velocity a newton of sustained pull is to buy (m/s/N); 0: whatever the policy has
-    #[arg(long, value_name = "COMPLIANCE", default_value_t = 0.0)]
+    #[arg(long)]
     #[serde(default, skip_serializing_if = "is_zero")]
     pub compliance: f64,
 }

@@ -1,0 +1,259 @@
+//! E13: whether a policy yields as far as it is told (docs/compliance.md).
+
+use super::prelude::*;
+use super::push;
+use crate::findings::{Claim, Row, Table};
+use crate::plot::curves::{self, Curve};
+use crate::plot::polar::evenly;
+use crate::results::Results;
+use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
+use supple::scenario::catalog::{Leash, PushAway};
+
+/// Its measured compliance; what it was told is in the condition.
+const MEASURED: Quantity = Quantity::new("compliance_m_s_per_n", "compliance", "m/s/N", 4);
+
+const QUANTITIES: &[Quantity] = &[MEASURED, push::TO_10, push::CARRIED, FELL];
+
+/// Of the line through what was measured over what was commanded.
+const LINE: [Quantity; 4] = [
+    Quantity::new("slope", "slope", "", 2),
+    Quantity::new("intercept_m_s_per_n", "intercept", "m/s/N", 4),
+    Quantity::new("r_squared", "R²", "", 3),
+    Quantity::new(SLOPE_ERROR, "slope, distance from 1", "", 2),
+];
+
+/// What the claims are about.
+const SLOPE_ERROR: &str = "slope_error";
+
+/// A slope this far from one is still called calibrated.
+const SLOPE_BOUND: f64 = 0.1;
+
+/// Faster than this, a robot is not led: pulls that would do so test the bound, not the calibration [m/s].
+const LED_M_S: f64 = 0.5;
+
+pub(super) const INFO: Info = Info {
+    id: "E13",
+    number: 13,
+    name: "calibration",
+    title: "Compliance as commanded",
+    paper: "not in the paper",
+    method: "The robot is told by how much it is to yield, standing and walking at 0.5 m/s, and is pulled by constant \
+             horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last seconds of \
+             the pull. Lines are fitted to each policy's means over all directions, over the commanded compliance c and the \
+             forces F, as far as c·F is at most 0.5 m/s: no robot is led faster than it can walk. Told so, it is also pushed to the \
+             left by 0.5 m/s: an ideal one takes 2.3·m·c until a tenth is left.",
+    quantities: QUANTITIES,
+};
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Calibration {
+    /// Commanded compliances [m/s/N].
+    pub compliances: Vec<f64>,
+    /// Forward commands \[m/s\]; 0 is standing.
+    pub commands_m_s: Vec<f64>,
+    /// Directions that divide the circle evenly.
+    pub directions: u32,
+    /// Pulling forces \[N\].
+    pub forces_n: Vec<f64>,
+    /// Runs of each policy in each condition.
+    pub trials: u32,
+    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    pub at_s: f64,
+    /// Length of the pull \[s\].
+    pub for_s: f64,
+    /// Length of the average at its end \[s\].
+    pub average_s: f64,
+}
+
+/// What the robot is told in a condition, and by how much it is pulled, if it is.
+fn told(condition: &Condition) -> (f64, Option<f64>) {
+    let force = match &condition.scenario {
+        Scenario::Leash(leash) => Some(leash.force_n),
+        _ => None,
+    };
+    (condition.scenario.task().compliance, force)
+}
+
+/// (slope, intercept, R²) of the least-squares line.
+fn line(points: &[[f64; 2]]) -> Option<[f64; 3]> {
+    let of = |axis: usize| mean(points.iter().map(|point| point[axis]));
+    let [x, y] = [of(0)?, of(1)?];
+    let sum = |of: &dyn Fn(&[f64; 2]) -> f64| points.iter().map(of).sum::<f64>();
+    let (xx, xy) = (sum(&|p| (p[0] - x).powi(2)), sum(&|p| (p[0] - x) * (p[1] - y)));
+    let yy = sum(&|p| (p[1] - y).powi(2));
+    (xx > 0.0 && yy > 0.0).then(|| [xy / xx, y - xy / xx * x, xy * xy / (xx * yy)])
+}
+
+impl Calibration {
+    /// The pulls at one command, in the order of the conditions.
+    fn pulls(&self, command: usize) -> std::ops::Range<usize> {
+        let count = self.compliances.len() * self.forces_n.len() * self.directions as usize;
+        command * count..(command + 1) * count
+    }
+
+    /// Of a set's policies at one command, by seed: the line's numbers.
+    fn lines(&self, results: &Results, set: usize, command: usize) -> Vec<PerSeed> {
+        let mut lines = vec![PerSeed::new(); LINE.len()];
+        for seed in results.sets[set].keys() {
+            let point = |sides: &[usize]| {
+                let (c, force) = told(&results.conditions[*sides.first()?]);
+                let of = |condition: &usize| results.per_seed(set, *condition, MEASURED.name).get(seed).copied();
+                let measured: Option<Vec<f64>> = sides.iter().map(of).collect();
+                (c * force? <= LED_M_S + 1e-9).then_some([c, mean(measured?.into_iter())?])
+            };
+            let conditions: Vec<usize> = self.pulls(command).collect();
+            let points: Vec<[f64; 2]> = conditions.chunks(self.directions as usize).filter_map(point).collect();
+            let Some([slope, intercept, r_squared]) = line(&points) else { continue };
+            for (numbers, number) in lines.iter_mut().zip([slope, intercept, r_squared, (slope - 1.0).abs()]) {
+                numbers.insert(*seed, number);
+            }
+        }
+        lines
+    }
+
+    /// A set's measured compliance over what it was told: mean over policies, least and largest over directions and forces.
+    fn curve(&self, results: &Results, set: usize, command: usize) -> Vec<[f64; 4]> {
+        let of = |c: &f64| {
+            let at = self.pulls(command).filter(|condition| {
+                let (told, force) = told(&results.conditions[*condition]);
+                told == *c && force.is_some_and(|force| c * force <= LED_M_S + 1e-9)
+            });
+            let spread = |condition| Spread::of(&results.per_seed(set, condition, MEASURED.name));
+            let means: Vec<f64> = at.filter_map(spread).map(|spread| spread.mean).collect();
+            let least = means.iter().copied().reduce(f64::min)?;
+            let largest = means.iter().copied().reduce(f64::max)?;
+            Some([*c, mean(means.iter().copied())?, least, largest])
+        };
+        self.compliances.iter().filter_map(of).collect()
+    }
+}
+
+impl Experiment for Calibration {
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let (leash, push): (Leash, PushAway) = (defaults("leash")?, defaults("push")?);
+        let mut conditions = Vec::new();
+        for command in &self.commands_m_s {
+            for compliance in &self.compliances {
+                for force_n in &self.forces_n {
+                    for direction_deg in evenly(self.directions) {
+                        let task = Task {
+                            forward_m_s: *command,
+                            compliance: *compliance,
+                            duration_s: self.at_s + self.for_s,
+                            ..leash.task.clone()
+                        };
+                        conditions.push(Condition {
+                            label: format!("{}, c = {compliance}, {force_n} N, {direction_deg:.0}°", gait(*command)),
+                            scenario: Scenario::Leash(Leash {
+                                task,
+                                force_n: *force_n,
+                                direction_deg,
+                                at_s: self.at_s,
+                                for_s: self.for_s,
+                            }),
+                        });
+                    }
+                }
+            }
+        }
+        conditions.extend(self.compliances.iter().map(|compliance| Condition {
+            label: format!("pushed, c = {compliance}"),
+            scenario: Scenario::Push(PushAway {
+                task: Task { compliance: *compliance, ..push.task.clone() },
+                ..push.clone()
+            }),
+        }));
+        Ok(conditions)
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
+        in_range("average_s", self.average_s, 0.1, self.for_s, "0.1 s to calibration.for_s")?;
+        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        let mut values = vec![None, None, None, trial.end.fell()];
+        if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
+            let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
+            let offset = metrics::offset_along_force(trial.trace, pull.force, from_s, until_s);
+            values[0] = offset.map(|offset| offset / pull.force[0].hypot(pull.force[1]));
+        }
+        if let Some(pushed) = push::of_upright(trial) {
+            let [to_10, _, carried, _] = push::decay(trial.trace, pushed.time_s, pushed.push.linear);
+            (values[1], values[2]) = (to_10, carried);
+        }
+        values.into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let results = show.results;
+        let (mut rows, mut panels) = (Vec::new(), Vec::new());
+        for (command, speed) in self.commands_m_s.iter().enumerate() {
+            let lines = show.by_set(|set| self.lines(results, set, command));
+            for (k, quantity) in LINE.iter().enumerate() {
+                let numbers = |set: usize| results.numbers(set, lines[set][k].clone());
+                let comparison = Comparison::new(show.by_set(numbers));
+                let (condition, paper) = (gait(*speed).to_owned(), String::new());
+                rows.push(Row { condition, quantity: *quantity, paper, comparison: comparison.clone() });
+                if quantity.name != SLOPE_ERROR {
+                    continue;
+                }
+                let text = format!(
+                    "Told how far to yield, {}, policies do: the slope of what is measured over what is commanded is one \
+                     within {SLOPE_BOUND}",
+                    gait(*speed)
+                );
+                let verdict = Verdict::below(SLOPE_BOUND, &comparison);
+                let (paper, quantity) = ("not in the paper".to_owned(), *quantity);
+                show.findings.claims.push(Claim { text, paper, quantity, comparison, verdict });
+            }
+            for (set, name) in results.names.iter().enumerate() {
+                panels.push(Curve {
+                    title: format!("{name}, {}", gait(*speed)),
+                    points: self.curve(results, set, command),
+                    diagonal: true,
+                    set,
+                    ..Curve::default()
+                });
+            }
+        }
+        let name = format!("{}-lines", INFO.name);
+        let caption = "Lines through the measured compliance over the commanded one.".to_owned();
+        show.findings.tables.push(Table { name, caption, rows, in_page: true });
+        let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
+        let pushes: Vec<Group> = pushed
+            .iter()
+            .map(|index| Group { name: results.conditions[*index].label.clone(), conditions: vec![*index] })
+            .collect();
+        let rows = pushes.iter().flat_map(|group| [push::TO_10, push::CARRIED].map(|it| show.row(group, it)));
+        let rows: Vec<Row> = rows.collect();
+        show.table_of("A sideways push of 0.5 m/s, by commanded compliance.", rows);
+        show.table_in_file("all", "Compliance by command, commanded compliance, force and direction.");
+        let words = ["commanded compliance [m/s/N]", "measured [m/s/N]"];
+        let svg = curves::draw("Measured over commanded compliance", &panels, words[0], words[1]);
+        show.figure(
+            "",
+            "Measured over commanded compliance: mean over policies, directions and forces, and the band between the \
+             direction and force with the least and that with the largest. Dashed: what is asked for.",
+            svg,
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_has_its_slope_intercept_and_a_fit_of_one() {
+        let [slope, intercept, r_squared] = line(&[[0.0, 1.0], [1.0, 3.0], [2.0, 5.0]]).unwrap();
+        assert!((slope - 2.0).abs() < 1e-12 && (intercept - 1.0).abs() < 1e-12 && (r_squared - 1.0).abs() < 1e-12);
+        // Deviations of ±1 about a line of slope 1 through 0, 2, 4, 6 (x 0 to 6 by 2, y 1, 1, 5, 5): xx = 20, xy = 16, yy = 16.
+        let [slope, _, r_squared] = line(&[[0.0, 1.0], [2.0, 1.0], [4.0, 5.0], [6.0, 5.0]]).unwrap();
+        assert!((slope - 0.8).abs() < 1e-12 && (r_squared - 256.0 / 320.0).abs() < 1e-12);
+        assert_eq!(line(&[[1.0, 1.0], [1.0, 2.0]]), None);
+    }
+}

@@ -1,0 +1,100 @@
+"""Policies, and networks as policies."""
+
+import os
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _supple
+
+Function = Callable[[NDArray[np.float32]], Any]
+"""From an observation, shape (length,), to an action, shape (joints,)."""
+
+
+class Policy:
+    """A policy that acts on observations as the environment of its configuration gives them.
+
+    `Policy.load` finds it: a shipped one by name, a policy file, a run's folder, the YAML file of an external policy.
+    """
+
+    def __init__(self, native: _supple.Policy) -> None:
+        self._native = native
+
+    @classmethod
+    def load(cls, name_or_path: str | os.PathLike[str]) -> "Policy":
+        """By name or path."""
+        return cls(_supple.Policy.load(os.fspath(name_or_path)))
+
+    def __call__(self, observations: ArrayLike) -> NDArray[np.float32]:
+        """Actions, shape (n, joints), for observations of shape (n, length); or one for one of shape (length,)."""
+        seen = np.ascontiguousarray(observations, dtype=np.float32)
+        if seen.ndim not in (1, 2):
+            raise ValueError(f"observations have shape {list(seen.shape)}, expected [length] or [n, length]")
+        actions = self._native.act(np.atleast_2d(seen))
+        return actions if seen.ndim == 2 else actions[0]
+
+    @property
+    def name(self) -> str:
+        """As it was asked for."""
+        return self._native.name
+
+    @property
+    def sha256(self) -> str:
+        """Identity: the SHA-256 of its files."""
+        return self._native.sha256
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of its training, if it is one of ours."""
+        return self._native.seed
+
+    @property
+    def observation_names(self) -> list[str]:
+        """Name and unit of every number that it sees, before it is scaled."""
+        return self._native.observation_names()
+
+    @property
+    def action_names(self) -> list[str]:
+        """Names of the joints, in the order of its actions."""
+        return self._native.action_names()
+
+    def __repr__(self) -> str:
+        return f"Policy({self.name!r})"
+
+
+def describe(config: str | os.PathLike[str], onnx: str) -> str:
+    """The YAML file that goes beside an ONNX file of a network that was trained in the environment of `config`: with it
+    the network is a policy for every program. `onnx` is the file's name."""
+    return _supple.describe(os.fspath(config), onnx)
+
+
+def resolve(policy: "Policy | Function | str | os.PathLike[str]", config: str | os.PathLike[str]) -> _supple.Policy:
+    """Whatever can be asked to act, as a policy. `config` is for functions."""
+    if isinstance(policy, Policy):
+        return policy._native
+    if isinstance(policy, (str, os.PathLike)):
+        return _supple.Policy.load(os.fspath(policy))
+    if not callable(policy):
+        raise TypeError(f"policy is {policy!r}, expected a Policy, the name of one, or a function")
+    function = _of_network(policy)
+
+    def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        return np.ascontiguousarray(function(observation), dtype=np.float32).reshape(-1)
+
+    return _supple.Policy.of_function(os.fspath(config), act)
+
+
+def _of_network(policy: Function) -> Function:
+    """A PyTorch module takes tensors with a batch dimension; everything else is taken at its word."""
+    torch: Any = sys.modules.get("torch")
+    if torch is None or not isinstance(policy, torch.nn.Module):
+        return policy
+
+    def act(observation: NDArray[np.float32]) -> Any:
+        with torch.no_grad():
+            return policy(torch.from_numpy(observation)[None]).cpu().numpy()
+
+    return act

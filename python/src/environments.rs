@@ -1,0 +1,423 @@
+/*! Training environments, stepped together on threads of their own.
+
+An environment is that of training, index and random streams included: the same seed and the same actions give the same
+bits. The curriculum goes on as in training, after every `ppo.batch_size` samples, by what the episodes were like that
+ended in them.
+*/
+
+use std::sync::{Arc, Mutex, PoisonError, TryLockError};
+
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::prelude::*;
+use rayon::{ThreadPool, ThreadPoolBuilder};
+use supple::config::{Config, ValueError};
+use supple::mujoco;
+use supple::observation::Layout;
+use supple::robot::{JOINTS, Robot, joint_names, same_in_every_leg};
+use supple::task::reward::TERMS;
+use supple::task::{Command, Curriculum};
+use supple::train::environment::{End, EpisodeReport, LocomotionEnv, Step};
+use supple::train::metrics::EpisodeMeans;
+
+use crate::failure::{apart, failed, refused};
+
+/// Environments that a thread steps before it looks for more.
+const BLOCK: usize = 4;
+
+/// Environments of one configuration.
+#[pyclass(frozen, module = "supple._supple")]
+pub struct Environments {
+    /// None once they are closed, or broken by a defect.
+    world: Mutex<Option<World>>,
+    /// That they were made in: a copy of the process has no threads to step them.
+    process: u32,
+    config: Config,
+    robot: Arc<Robot>,
+    layout: Arc<Layout>,
+}
+
+struct World {
+    config: Config,
+    length: usize,
+    environments: Vec<LocomotionEnv>,
+    /// Of environments that nobody resets, whether their episode is over.
+    over: Vec<bool>,
+    /// Whether all of them are at the start of their first episode.
+    fresh: bool,
+    curriculum: Curriculum,
+    /// That the curriculum starts from.
+    first_curriculum: Curriculum,
+    advances: bool,
+    /// Steps of each environment that make a batch of training, and those since the last one.
+    batch_steps: usize,
+    steps: usize,
+    /// That ended since then, by environment.
+    episodes: Vec<Vec<EpisodeReport>>,
+    /// Beside the thread that calls.
+    helpers: Option<ThreadPool>,
+}
+
+/// A step of one environment.
+struct Outcome {
+    step: Step,
+    /// That the observation after the step belongs to.
+    command: Command,
+    /// Of the episode that it ended, with the last observation.
+    ended: Option<(EpisodeReport, Vec<f32>)>,
+}
+
+type Row<'py, T> = Bound<'py, PyArray1<T>>;
+type Table<'py, T> = Bound<'py, PyArray2<T>>;
+/// Environments, last observations, returns, lengths, whether pushed, physics faults in words.
+type Ended<'py> = (Row<'py, i64>, Table<'py, f32>, Row<'py, f64>, Row<'py, i64>, Row<'py, bool>, Vec<(usize, String)>);
+/// Observations, rewards, terminations, truncations, terms, stages, commands, ended.
+type Stepped<'py> = (
+    Table<'py, f32>,
+    Row<'py, f64>,
+    Row<'py, bool>,
+    Row<'py, bool>,
+    Table<'py, f64>,
+    Row<'py, i8>,
+    Table<'py, f64>,
+    Option<Ended<'py>>,
+);
+
+#[pymethods]
+impl Environments {
+    #[new]
+    fn new(
+        py: Python<'_>,
+        config: &str,
+        num_envs: usize,
+        seed: u64,
+        threads: usize,
+        curriculum: Option<(f64, bool, f64)>,
+    ) -> PyResult<Self> {
+        if num_envs == 0 {
+            return Err(PyValueError::new_err("num_envs is 0, expected at least 1"));
+        }
+        let config = Config::load(config).map_err(refused)?;
+        let robot = Robot::load(&config.robot.model).map_err(refused)?;
+        let layout = config.layout().map_err(ValueError::Observation).map_err(refused)?;
+        let layout = Arc::new(layout);
+        let first_curriculum = curriculum.map_or(Ok(Curriculum::new(&config.command)), checked)?;
+        let world = apart(py, || {
+            let environment = |index| {
+                let (robot, layout) = (Arc::clone(&robot), Arc::clone(&layout));
+                LocomotionEnv::of(&config, robot, layout, seed, index as u64, first_curriculum)
+            };
+            Ok(World {
+                length: layout.length(),
+                environments: (0..num_envs).map(environment).collect::<mujoco::Result<_>>().map_err(failed)?,
+                over: vec![false; num_envs],
+                fresh: true,
+                curriculum: first_curriculum,
+                first_curriculum,
+                advances: curriculum.is_none(),
+                batch_steps: config.ppo.batch_size.div_ceil(num_envs),
+                steps: 0,
+                episodes: vec![Vec::new(); num_envs],
+                helpers: helpers(threads.min(num_envs)).map_err(failed)?,
+                config: config.clone(),
+            })
+        })?;
+        Ok(Environments { world: Mutex::new(Some(world)), process: std::process::id(), config, robot, layout })
+    }
+
+    /// Starts episodes: with a seed the first ones of that seed, without one the next ones.
+    fn reset<'py>(&self, py: Python<'py>, seed: Option<u64>) -> PyResult<(Table<'py, f32>, Table<'py, f64>)> {
+        let (observations, commands) = self.with(py, |world| world.reset(seed).map_err(failed))?;
+        Ok((table(py, observations, self.layout.length())?, table(py, commands, 3)?))
+    }
+
+    /// One policy step of every environment. Those whose episode ends go on with the next one at once, if `resets`.
+    fn step<'py>(&self, py: Python<'py>, actions: PyReadonlyArray2<'py, f32>, resets: bool) -> PyResult<Stepped<'py>> {
+        let shape = actions.shape().to_vec();
+        // Another thread of Python could write into the array while this one goes without the lock: the actions, which
+        // are small, are copied.
+        let actions = actions.as_slice()?.to_vec();
+        let (observations, outcomes) = self.with(py, move |world| {
+            let expected = [world.environments.len(), JOINTS];
+            if shape != expected {
+                return Err(PyValueError::new_err(format!("actions have shape {shape:?}, expected {expected:?}")));
+            }
+            if let Some(index) = actions.iter().position(|action| !action.is_finite()) {
+                let (environment, joint, action) = (index / JOINTS, &joint_names()[index % JOINTS], actions[index]);
+                return Err(PyValueError::new_err(format!(
+                    "the action of environment {environment} for {joint} is {action}, expected a finite number"
+                )));
+            }
+            if let Some(index) = world.over.iter().position(|over| *over) {
+                return Err(PyRuntimeError::new_err(format!(
+                    "the episode of environment {index} is over: call reset() before the next step"
+                )));
+            }
+            world.step(&actions, resets).map_err(failed)
+        })?;
+        let row = |of: fn(&Outcome) -> bool| outcomes.iter().map(of).collect::<Vec<_>>().into_pyarray(py);
+        let terms = outcomes.iter().flat_map(|outcome| outcome.step.terms.fields().map(|(_, value)| value));
+        let stages = outcomes.iter().map(|outcome| outcome.step.stage as i8);
+        let commands = outcomes.iter().flat_map(|outcome| numbers(&outcome.command));
+        Ok((
+            table(py, observations, self.layout.length())?,
+            outcomes.iter().map(|outcome| outcome.step.reward).collect::<Vec<_>>().into_pyarray(py),
+            row(|outcome| outcome.step.end == Some(End::Fall)),
+            row(|outcome| matches!(outcome.step.end, Some(End::TimeLimit | End::Fault))),
+            table(py, terms.collect(), TERMS.len())?,
+            stages.collect::<Vec<_>>().into_pyarray(py),
+            table(py, commands.collect(), 3)?,
+            ended(py, &outcomes, self.layout.length())?,
+        ))
+    }
+
+    /// Frees them.
+    fn close(&self) {
+        *self.world.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// Open fraction of the command range, whether there are pushes, open fraction of pulls.
+    fn curriculum(&self, py: Python<'_>) -> PyResult<(f64, bool, f64)> {
+        self.with(py, |world| {
+            let Curriculum { command_fraction, pushes, force_fraction } = world.curriculum;
+            Ok((command_fraction, pushes, force_fraction))
+        })
+    }
+
+    /// Of episodes that start from now on, and of what a seed starts from.
+    fn set_curriculum(&self, py: Python<'_>, curriculum: (f64, bool, f64)) -> PyResult<()> {
+        let curriculum = checked(curriculum)?;
+        self.with(py, |world| {
+            (world.curriculum, world.first_curriculum) = (curriculum, curriculum);
+            Ok(())
+        })
+    }
+
+    /// Name and unit of every number of an observation, before it is scaled.
+    fn observation_names(&self) -> Vec<String> {
+        self.layout.names()
+    }
+
+    /// Offset, scale and limit of each of them: what is seen is (value − offset) · scale, within ± limit.
+    fn observation_scaling<'py>(&self, py: Python<'py>) -> (Row<'py, f64>, Row<'py, f64>, Row<'py, f64>) {
+        let row = |values: &[f64]| values.to_vec().into_pyarray(py);
+        (row(self.layout.offset()), row(self.layout.scale()), row(self.layout.clip()))
+    }
+
+    /// Names of the joints.
+    #[staticmethod]
+    fn action_names() -> Vec<String> {
+        joint_names().to_vec()
+    }
+
+    /// The least and the largest action of each joint that makes a difference: joint targets from where on the motor
+    /// gives all it has, wherever in its range the joint is.
+    fn action_bounds<'py>(&self, py: Python<'py>) -> (Row<'py, f32>, Row<'py, f32>) {
+        let (action, simulation) = (&self.config.action, &self.config.simulation);
+        let nominal = same_in_every_leg(action.nominal_pose_rad);
+        let bound = |side: usize, sign: f64| -> Vec<f32> {
+            let of = |joint: usize| {
+                let beyond = sign * self.robot.torque_limits[joint] / simulation.kp_n_m_per_rad;
+                ((self.robot.joint_limits[joint][side] + beyond - nominal[joint]) / action.scale_rad) as f32
+            };
+            (0..JOINTS).map(of).collect()
+        };
+        (bound(0, -1.0).into_pyarray(py), bound(1, 1.0).into_pyarray(py))
+    }
+
+    /// Names of the terms of the reward.
+    #[staticmethod]
+    fn term_names() -> Vec<&'static str> {
+        TERMS.iter().map(|term| term.name).collect()
+    }
+
+    /// Policy steps in a second.
+    fn rate_hz(&self) -> u32 {
+        self.config.simulation.policy_rate_hz
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(pyo3::exceptions::PyTypeError::new_err(
+            "environments cannot be pickled or copied: call supple.make_vec in the process that is to step them",
+        ))
+    }
+}
+
+impl Environments {
+    /// Works on the environments without the interpreter's lock.
+    fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut World) -> PyResult<T> + Send) -> PyResult<T> {
+        if std::process::id() != self.process {
+            return Err(PyRuntimeError::new_err(
+                "these environments belong to the process that this one was forked from, and so do their threads: call \
+                 supple.make_vec after the fork",
+            ));
+        }
+        let mut slot = match self.world.try_lock() {
+            Ok(slot) => slot,
+            Err(TryLockError::Poisoned(slot)) => slot.into_inner(),
+            Err(TryLockError::WouldBlock) => {
+                return Err(PyRuntimeError::new_err(
+                    "another thread is at work on these environments: give each its own",
+                ));
+            }
+        };
+        let Some(mut world) = slot.take() else {
+            return Err(PyRuntimeError::new_err("these environments are closed: make new ones"));
+        };
+        // What panics is not put back.
+        let (world, result) = apart(py, move || {
+            let result = work(&mut world);
+            Ok((world, result))
+        })?;
+        *slot = Some(world);
+        result
+    }
+}
+
+impl World {
+    fn reset(&mut self, seed: Option<u64>) -> mujoco::Result<(Vec<f32>, Vec<f64>)> {
+        if seed.is_some() {
+            (self.curriculum, self.steps) = (self.first_curriculum, 0);
+            self.episodes.iter_mut().for_each(Vec::clear);
+        }
+        let (curriculum, fresh) = (self.curriculum, self.fresh);
+        let mut observations = vec![0.0; self.environments.len() * self.length];
+        let mut done: Vec<mujoco::Result<()>> = vec![Ok(()); self.environments.len()];
+        let parts = self.environments.chunks_mut(BLOCK).zip(observations.chunks_mut(BLOCK * self.length));
+        let length = self.length;
+        share(self.helpers.as_ref(), parts.zip(done.chunks_mut(BLOCK)), |((environments, seen), done)| {
+            for ((environment, seen), done) in environments.iter_mut().zip(seen.chunks_mut(length)).zip(done) {
+                *done = match seed {
+                    Some(seed) => environment.restart(seed, curriculum),
+                    None if fresh => Ok(()),
+                    None => environment.reset(curriculum),
+                };
+                environment.normalised_observation(seen);
+            }
+        });
+        done.into_iter().collect::<mujoco::Result<()>>()?;
+        self.fresh = false;
+        self.over.fill(false);
+        let commands = self.environments.iter().flat_map(|environment| numbers(&environment.plan().command)).collect();
+        Ok((observations, commands))
+    }
+
+    fn step(&mut self, actions: &[f32], resets: bool) -> mujoco::Result<(Vec<f32>, Vec<Outcome>)> {
+        let (count, length, curriculum) = (self.environments.len(), self.length, self.curriculum);
+        let mut observations = vec![0.0; count * length];
+        let mut outcomes: Vec<Option<mujoco::Result<Outcome>>> = (0..count).map(|_| None).collect();
+        let parts = self
+            .environments
+            .chunks_mut(BLOCK)
+            .zip(actions.chunks(BLOCK * JOINTS))
+            .zip(observations.chunks_mut(BLOCK * length))
+            .zip(outcomes.chunks_mut(BLOCK));
+        share(self.helpers.as_ref(), parts, |(((environments, actions), seen), outcomes)| {
+            let each = environments.iter_mut().zip(actions.chunks(JOINTS)).zip(seen.chunks_mut(length)).zip(outcomes);
+            for (((environment, action), seen), outcome) in each {
+                *outcome = Some(step(environment, action, resets.then_some(curriculum), seen));
+            }
+        });
+        let outcomes = outcomes.into_iter().flatten().collect::<mujoco::Result<Vec<Outcome>>>()?;
+        self.fresh = false;
+        for (index, outcome) in outcomes.iter().enumerate() {
+            self.over[index] = outcome.ended.is_some() && !resets;
+            self.episodes[index].extend(outcome.ended.as_ref().map(|(report, _)| report.clone()));
+        }
+        self.advance();
+        Ok((observations, outcomes))
+    }
+
+    /// After every batch, as training does.
+    fn advance(&mut self) {
+        self.steps += 1;
+        if self.steps == self.batch_steps {
+            let episodes: Vec<EpisodeReport> = self.episodes.iter_mut().flat_map(std::mem::take).collect();
+            if self.advances {
+                EpisodeMeans::new(&episodes).advance(&mut self.curriculum, &self.config);
+            }
+            self.steps = 0;
+        }
+    }
+}
+
+/// Steps an environment, and starts its next episode with a curriculum if there is one.
+fn step(
+    environment: &mut LocomotionEnv,
+    action: &[f32],
+    next: Option<Curriculum>,
+    seen: &mut [f32],
+) -> mujoco::Result<Outcome> {
+    let (step, report) = environment.step(action);
+    environment.normalised_observation(seen);
+    let ended = report.map(|report| (report, seen.to_vec()));
+    if let (Some(curriculum), Some(_)) = (next, &ended) {
+        environment.reset(curriculum)?;
+        environment.normalised_observation(seen);
+    }
+    Ok(Outcome { step, command: environment.plan().command, ended })
+}
+
+/// Works on all parts: the thread that calls and its helpers each take the next one, until there is none.
+fn share<T: Send>(helpers: Option<&ThreadPool>, parts: impl Iterator<Item = T> + Send, work: impl Fn(T) + Sync) {
+    let parts = Mutex::new(parts);
+    let worker = || {
+        loop {
+            let next = parts.lock().unwrap_or_else(PoisonError::into_inner).next();
+            let Some(part) = next else { return };
+            work(part);
+        }
+    };
+    match helpers {
+        None => worker(),
+        Some(pool) => pool.in_place_scope(|scope| {
+            (0..pool.current_num_threads()).for_each(|_| scope.spawn(|_| worker()));
+            worker();
+        }),
+    }
+}
+
+/// One thread fewer than there are to be, for the one that calls works too.
+fn helpers(threads: usize) -> Result<Option<ThreadPool>, rayon::ThreadPoolBuildError> {
+    let pool = |threads| ThreadPoolBuilder::new().num_threads(threads).thread_name(|k| format!("supple-{k}")).build();
+    (threads > 1).then(|| pool(threads - 1)).transpose()
+}
+
+fn checked((command_fraction, pushes, force_fraction): (f64, bool, f64)) -> PyResult<Curriculum> {
+    for (name, fraction) in [("command_fraction", command_fraction), ("force_fraction", force_fraction)] {
+        if !(0.0..=1.0).contains(&fraction) {
+            return Err(PyValueError::new_err(format!("{name} is {fraction}, expected 0 to 1")));
+        }
+    }
+    Ok(Curriculum { command_fraction, pushes, force_fraction })
+}
+
+fn numbers(command: &Command) -> [f64; 3] {
+    [command.forward, command.left, command.yaw]
+}
+
+/// Rows of a width, handed over.
+fn table<T: numpy::Element>(py: Python<'_>, values: Vec<T>, width: usize) -> PyResult<Table<'_, T>> {
+    let rows = values.len() / width;
+    values.into_pyarray(py).reshape([rows, width])
+}
+
+/// What there is to tell of the episodes that ended, if any did.
+fn ended<'py>(py: Python<'py>, outcomes: &[Outcome], length: usize) -> PyResult<Option<Ended<'py>>> {
+    let ended = || {
+        let all = outcomes.iter().enumerate();
+        all.filter_map(|(index, outcome)| outcome.ended.as_ref().map(|(report, seen)| (index, report, seen)))
+    };
+    if ended().next().is_none() {
+        return Ok(None);
+    }
+    let fault = |report: &EpisodeReport| report.fault.as_ref().map(|fault| fault.error.to_string());
+    Ok(Some((
+        ended().map(|(index, ..)| index as i64).collect::<Vec<_>>().into_pyarray(py),
+        table(py, ended().flat_map(|(_, _, seen)| seen.iter().copied()).collect(), length)?,
+        ended().map(|(_, report, _)| report.reward).collect::<Vec<_>>().into_pyarray(py),
+        ended().map(|(_, report, _)| report.steps as i64).collect::<Vec<_>>().into_pyarray(py),
+        ended().map(|(_, report, _)| report.pushed).collect::<Vec<_>>().into_pyarray(py),
+        ended().filter_map(|(index, report, _)| Some((index, fault(report)?))).collect(),
+    )))
+}

@@ -1,0 +1,148 @@
+/*! The experiments of the paper with one policy: what `evaluate` measures, as arrays.
+
+Trials have the scenarios and seeds that `evaluate` gives them, so that numbers of two policies are paired, and those of a
+policy file are the ones that the program keeps.
+*/
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use supple::scenario::Sensing;
+use supple_evaluate::protocol::Protocol;
+use supple_evaluate::trial::{self, End, Sample};
+use supple_evaluate::{Condition, Experiment};
+
+use crate::failure::{apart, failed, refused};
+use crate::policy::Policy;
+use crate::scenario::sensing;
+
+/// Time between two looks for Ctrl-C.
+const WAIT: Duration = Duration::from_millis(20);
+
+/// Name, conditions, quantities (name, label, unit), values of shape (conditions, trials, quantities), ends of shape
+/// (conditions, trials).
+type Measured<'py> = (
+    &'static str,
+    Vec<String>,
+    Vec<(&'static str, &'static str, &'static str)>,
+    Bound<'py, PyArray3<f64>>,
+    Bound<'py, PyArray2<i8>>,
+);
+
+/// Measures experiments with a policy.
+#[pyfunction]
+pub fn evaluate<'py>(
+    py: Python<'py>,
+    policy: &Policy,
+    experiments: Option<Vec<String>>,
+    protocol: &str,
+    seed: u64,
+    estimated: bool,
+    threads: usize,
+) -> PyResult<Vec<Measured<'py>>> {
+    let protocol = self::protocol(protocol)?;
+    let known = protocol.experiments();
+    let names: Vec<&str> = known.iter().map(|experiment| experiment.info().name).collect();
+    if let Some(unknown) = experiments.iter().flatten().find(|name| !names.contains(&name.as_str())) {
+        return Err(PyValueError::new_err(format!("no experiment '{unknown}'; there are: {}", names.join(", "))));
+    }
+    let wanted = |name: &str| experiments.as_ref().is_none_or(|wanted| wanted.iter().any(|known| known == name));
+    let mut measured = Vec::new();
+    for experiment in known.into_iter().filter(|experiment| wanted(experiment.info().name)) {
+        let conditions = experiment.conditions().map_err(refused)?;
+        let work = Work { experiment, conditions: &conditions, policy, seed, sensing: sensing(estimated) };
+        let samples = apart(py, || work.play(threads))?;
+        let info = experiment.info();
+        let shape = [conditions.len(), experiment.trials() as usize];
+        let values = samples.iter().flat_map(|sample| sample.values.iter().map(|value| value.unwrap_or(f64::NAN)));
+        let values = values.collect::<Vec<_>>().into_pyarray(py);
+        let ends = samples.iter().map(|sample| match sample.end {
+            End::Upright => 0,
+            End::Fell => 1,
+            End::Fault => 2,
+        });
+        measured.push((
+            info.name,
+            conditions.into_iter().map(|condition| condition.label).collect(),
+            info.quantities.iter().map(|quantity| (quantity.name, quantity.label, quantity.unit)).collect(),
+            values.reshape([shape[0], shape[1], info.quantities.len()])?,
+            ends.collect::<Vec<i8>>().into_pyarray(py).reshape(shape)?,
+        ));
+    }
+    Ok(measured)
+}
+
+/// An experiment to be played.
+struct Work<'a> {
+    experiment: &'a dyn Experiment,
+    conditions: &'a [Condition],
+    policy: &'a Policy,
+    seed: u64,
+    sensing: Sensing,
+}
+
+impl Work<'_> {
+    /// All trials, by condition and trial. Ctrl-C ends it.
+    fn play(&self, threads: usize) -> PyResult<Vec<Sample>> {
+        let trials = self.experiment.trials() as usize;
+        let count = self.conditions.len() * trials;
+        let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+        let played: Mutex<Vec<(usize, PyResult<Sample>)>> = Mutex::new(Vec::with_capacity(count));
+        let worker = || {
+            while !stop.load(Ordering::Relaxed) {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                if index >= count {
+                    return;
+                }
+                let sample = self.trial(index / trials, index % trials);
+                if sample.is_err() {
+                    stop.store(true, Ordering::Relaxed);
+                }
+                played.lock().unwrap_or_else(PoisonError::into_inner).push((index, sample));
+            }
+        };
+        let interrupted = std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker)).collect();
+            let mut signals = Ok(());
+            while signals.is_ok() && workers.iter().any(|worker| !worker.is_finished()) {
+                std::thread::sleep(WAIT);
+                signals = Python::attach(|py| py.check_signals());
+            }
+            stop.store(true, Ordering::Relaxed);
+            signals
+        });
+        interrupted?;
+        let mut played = played.into_inner().unwrap_or_else(PoisonError::into_inner);
+        played.sort_by_key(|(index, _)| *index);
+        played.into_iter().map(|(_, sample)| sample).collect()
+    }
+
+    fn trial(&self, condition: usize, trial: usize) -> PyResult<Sample> {
+        let seed = trial::trial_seed(self.seed, self.experiment.info().number, condition, trial as u32);
+        let condition = &self.conditions[condition];
+        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing);
+        self.policy.check()?;
+        sample.map_err(failed)
+    }
+}
+
+fn protocol(name: &str) -> PyResult<Protocol> {
+    match name {
+        "full" => Protocol::full(),
+        "quick" => Protocol::quick(),
+        path => Protocol::load(Path::new(path)),
+    }
+    .map_err(refused)
+}
+
+/// Names and titles of the experiments.
+#[pyfunction]
+pub fn experiments() -> PyResult<Vec<(&'static str, &'static str)>> {
+    let protocol = Protocol::full().map_err(refused)?;
+    Ok(protocol.experiments().iter().map(|experiment| (experiment.info().name, experiment.info().title)).collect())
+}

@@ -1,0 +1,41 @@
+/*! The native half of the Python package `supple`: environments, policies, scenarios and experiments as Python sees them.
+
+What Python users meet is in `supple/`, written in Python; here is what it calls. Everything long runs without the
+interpreter's lock, arrays that come out are handed over rather than copied, and no panic gets through: see `failure`.
+*/
+
+mod environments;
+mod evaluation;
+mod failure;
+mod policy;
+#[cfg(feature = "record")]
+mod recording;
+mod scenario;
+mod trace;
+
+use pyo3::prelude::*;
+
+/// What `supple/` calls; `_supple.pyi` has the types.
+#[pymodule]
+mod _supple {
+    #[pymodule_export]
+    use super::environments::Environments;
+    #[pymodule_export]
+    use super::evaluation::{evaluate, experiments};
+    #[pymodule_export]
+    use super::failure::panic;
+    #[pymodule_export]
+    use super::policy::{Policy, describe};
+    #[pymodule_export]
+    use super::scenario::{run_scenario, scenarios};
+
+    use super::{Bound, PyModule, PyModuleMethods, PyResult};
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("RECORDS", cfg!(feature = "record"))?;
+        module.add("REVISION", supple::util::provenance::GIT_REVISION)?;
+        module.add("CONFIGURATIONS", supple::config::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>())?;
+        module.add("POLICIES", supple::policy::shipped::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>())
+    }
+}

@@ -1,0 +1,148 @@
+//! Policies: ours, external ones, and functions in Python.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
+};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use supple::config::Config;
+use supple::policy::{Agent, Buffers, Inference, Network, external, shipped};
+use supple::robot::{JOINTS, joint_names};
+
+use crate::failure::{apart, refused};
+
+/// What a function in Python has raised.
+type Raised = Arc<Mutex<Option<PyErr>>>;
+
+/// A policy with the robot, rates, gains and latency that it runs with.
+#[pyclass(frozen, module = "supple._supple")]
+pub struct Policy {
+    pub(crate) name: String,
+    pub(crate) agent: Agent,
+    /// Of functions.
+    raised: Option<Raised>,
+}
+
+#[pymethods]
+impl Policy {
+    /// A policy file, a run's folder, the YAML file of an external policy, or a shipped one by name.
+    #[staticmethod]
+    fn load(name: &str) -> PyResult<Self> {
+        let agent = shipped::find(name).map_err(refused)?;
+        Ok(Policy { name: name.to_owned(), agent, raised: None })
+    }
+
+    /// A function from what is observed in the environment of a configuration, shape (length), to an action, shape
+    /// (joints), both float32.
+    #[staticmethod]
+    fn of_function(config: &str, function: Py<PyAny>) -> PyResult<Self> {
+        let config = Config::load(config).map_err(refused)?;
+        let raised = Raised::default();
+        let network = Network::Function(Box::new({
+            let raised = Arc::clone(&raised);
+            move |seen| act(&function, seen, &raised)
+        }));
+        let inference = Inference::in_environment(&config, network).map_err(refused)?;
+        let agent = Agent::external(inference, config, "a function in Python".into());
+        Ok(Policy { name: "function".into(), agent, raised: Some(raised) })
+    }
+
+    /// Actions, shape (n, joints), for observations as the network sees them, shape (n, length).
+    fn act<'py>(
+        &self,
+        py: Python<'py>,
+        observations: PyReadonlyArray2<'py, f32>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let (inference, shape) = (self.agent.inference(), observations.shape().to_vec());
+        let (rows, expected) = (shape[0], inference.layout.length());
+        if shape[1] != expected {
+            return Err(PyValueError::new_err(format!(
+                "observations have shape {shape:?}, {} expects [n, {expected}]",
+                self.name
+            )));
+        }
+        let seen = observations.as_slice()?.to_vec();
+        let actions = apart(py, || Ok(inference.actions(rows, &seen, &mut Buffers::default())))?;
+        self.check()?;
+        actions.into_pyarray(py).reshape([rows, JOINTS])
+    }
+
+    #[getter]
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Identity: SHA-256 of its files.
+    #[getter]
+    fn sha256(&self) -> &str {
+        &self.agent.sha256
+    }
+
+    /// Seed of its training, if it is ours.
+    #[getter]
+    fn seed(&self) -> Option<u64> {
+        Some(self.agent.policy()?.provenance.seed)
+    }
+
+    /// Name and unit of every number that it sees, before it is scaled.
+    fn observation_names(&self) -> Vec<String> {
+        self.agent.inference().layout.names()
+    }
+
+    /// Names of the joints, in the order of its actions.
+    fn action_names(&self) -> Vec<String> {
+        let names = joint_names();
+        self.agent.inference().layout.order().iter().map(|joint| names[*joint].clone()).collect()
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err("policies cannot be pickled or copied: load them by name where they are needed"))
+    }
+}
+
+impl Policy {
+    /// Raises what its function has raised.
+    pub(crate) fn check(&self) -> PyResult<()> {
+        let raised = self.raised.as_ref().and_then(|raised| lock(raised).take());
+        raised.map_or(Ok(()), Err)
+    }
+}
+
+/// Calls a function. Once it has raised something it is called no more: what it would have answered is not a number.
+fn act(function: &Py<PyAny>, seen: &[f32], raised: &Raised) -> [f32; JOINTS] {
+    if lock(raised).is_some() {
+        return [f32::NAN; JOINTS];
+    }
+    Python::attach(|py| call(py, function, seen)).unwrap_or_else(|error| {
+        *lock(raised) = Some(error);
+        [f32::NAN; JOINTS]
+    })
+}
+
+fn call(py: Python<'_>, function: &Py<PyAny>, seen: &[f32]) -> PyResult<[f32; JOINTS]> {
+    let answer = function.bind(py).call1((PyArray1::from_slice(py, seen),))?;
+    let answer: PyReadonlyArray1<'_, f32> = answer.extract()?;
+    let action: [f32; JOINTS] = answer.as_slice()?.try_into().map_err(|_| {
+        PyValueError::new_err(format!("the policy answered {} numbers, expected {JOINTS}", answer.len()))
+    })?;
+    match action.iter().position(|action| !action.is_finite()) {
+        None => Ok(action),
+        Some(joint) => Err(PyValueError::new_err(format!(
+            "the policy answered {} for {}, expected a finite number",
+            action[joint],
+            joint_names()[joint]
+        ))),
+    }
+}
+
+fn lock(raised: &Raised) -> std::sync::MutexGuard<'_, Option<PyErr>> {
+    raised.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The YAML file that describes an ONNX file of a network that acts in the environment of a configuration.
+#[pyfunction]
+pub fn describe(config: &str, onnx: &str) -> PyResult<String> {
+    Ok(external::describe_network(config, &Config::load(config).map_err(refused)?, onnx))
+}

@@ -1,0 +1,103 @@
+//! Scenarios: a policy is disturbed, and what it did comes out as numbers.
+
+use std::path::PathBuf;
+
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use supple::scenario::catalog::{DEFAULTS, Scenario};
+use supple::scenario::estimation::Estimation;
+use supple::scenario::metrics::Metric;
+use supple::scenario::trace::Trace;
+use supple::scenario::{Rollout, Script, Sensing};
+
+use crate::failure::{apart, failed, refused};
+use crate::policy::Policy;
+use crate::trace;
+
+/// Policy steps between two looks for Ctrl-C.
+const STEPS: usize = 60;
+
+/// Name, value and unit.
+type Numbers = Vec<(&'static str, Option<f64>, &'static str)>;
+/// Time, kind and words.
+type Events = Vec<(f64, String, String)>;
+
+/// Plays a scenario: metrics, trace, events, what comes too late to happen.
+#[pyfunction]
+pub fn run_scenario<'py>(
+    py: Python<'py>,
+    name: &str,
+    policy: &Policy,
+    seed: u64,
+    estimated: bool,
+    parameters: &str,
+    record: Option<PathBuf>,
+) -> PyResult<(Numbers, Bound<'py, PyDict>, Events, Option<String>)> {
+    let scenario = Scenario::named(name, parameters).map_err(refused)?;
+    let sensing = sensing(estimated);
+    let (script, trace) = apart(py, || {
+        let script = scenario.script(seed, &policy.agent.config).map_err(refused)?;
+        let trace = play(policy, &script, sensing, seed, record.is_some())?;
+        if let Some(path) = &record {
+            recorded(path, &scenario, policy, &script, &trace)?;
+        }
+        Ok((script, trace))
+    })?;
+    let mut metrics = scenario.metrics(&script, &trace);
+    if estimated {
+        metrics.extend(Estimation::metrics(&trace));
+    }
+    let metrics = metrics.into_iter().map(|Metric { name, value, unit, .. }| (name, value, unit));
+    let events = trace.events.iter().map(|event| (event.time_s, kind(event.kind), event.text.clone()));
+    Ok((metrics.collect(), trace::arrays(py, &trace)?, events.collect(), script.too_late()))
+}
+
+/// What a policy acts on.
+pub fn sensing(estimated: bool) -> Sensing {
+    if estimated { Sensing::Estimated } else { Sensing::True }
+}
+
+fn play(policy: &Policy, script: &Script, sensing: Sensing, seed: u64, with_bodies: bool) -> PyResult<Trace> {
+    let config = &policy.agent.config;
+    let rollout = Rollout::new(script, config, policy.agent.controller()).map_err(failed)?;
+    let rollout = if with_bodies { rollout.with_bodies() } else { rollout };
+    let rollout = rollout.with_sensing(sensing, seed).map_err(refused)?;
+    let mut trace = rollout.empty_trace();
+    for (step, played) in rollout.enumerate() {
+        policy.check()?;
+        if step % STEPS == 0 {
+            Python::attach(|py| py.check_signals())?;
+        }
+        trace.events.extend(played.events);
+        trace.frames.extend(played.frame);
+    }
+    Ok(trace)
+}
+
+#[cfg(feature = "record")]
+fn recorded(
+    path: &std::path::Path,
+    scenario: &Scenario,
+    policy: &Policy,
+    script: &Script,
+    trace: &Trace,
+) -> PyResult<()> {
+    crate::recording::write(path, scenario.name(), &policy.name, script, trace).map_err(failed)
+}
+
+#[cfg(not(feature = "record"))]
+fn recorded(_: &std::path::Path, _: &Scenario, _: &Policy, _: &Script, _: &Trace) -> PyResult<()> {
+    Err(pyo3::exceptions::PyRuntimeError::new_err("this wheel was built without recordings"))
+}
+
+/// As files spell it.
+fn kind(kind: supple::scenario::trace::EventKind) -> String {
+    let value = serde_json::to_value(kind).unwrap_or_default();
+    value.as_str().unwrap_or_default().to_owned()
+}
+
+/// Names of the scenarios, and their default parameters as YAML.
+#[pyfunction]
+pub fn scenarios() -> Vec<(&'static str, &'static str)> {
+    DEFAULTS.to_vec()
+}

@@ -1,0 +1,322 @@
+"""The environments: the same bits as in Rust, and what Gymnasium expects."""
+
+import copy
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import gymnasium
+import numpy as np
+import pytest
+import supple
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
+
+COMPLETE = supple.Curriculum(1.0, True)
+
+
+def random_actions(steps, num_envs, seed=0):
+    return (0.3 * np.random.default_rng(seed).standard_normal((steps, num_envs, 12))).astype(np.float32)
+
+
+def play(env, actions):
+    """Observations, rewards, terminations and truncations of all steps."""
+    return [np.stack(column) for column in zip(*(env.step(action)[:4] for action in actions))]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_the_same_seed_gives_the_bits_of_trainings_rollout_while_the_curriculum_goes_on(programs, tmp_path, threads):
+    batches = 4
+    programs.run("examples/rollout", "fast", 3, batches, tmp_path)
+
+    def read(name, kind, *shape):
+        # By batch, environment and step there; by step and environment here.
+        found = np.fromfile(tmp_path / name, dtype=kind).reshape(batches, 64, 128, *shape)
+        return found.swapaxes(1, 2).reshape(batches * 128, 64, *shape)
+
+    actions, ends = read("actions", "<f4", 12), read("ends", "u1")
+    curricula = np.fromfile(tmp_path / "curriculum", dtype="<f8").reshape(batches, 2)
+    env = supple.make_vec("fast", num_envs=64, seed=3, threads=threads)
+    seen, _ = env.reset()
+    for step, (action, observation, reward) in enumerate(
+        zip(actions, read("observations", "<f4", 83), read("rewards", "<f4"))
+    ):
+        assert np.array_equal(seen, observation), f"step {step}"
+        assert tuple(env.curriculum)[:2] == tuple(curricula[step // 128])
+        seen, rewards, terminations, truncations, info = env.step(action)
+        assert np.array_equal(rewards.astype(np.float32), reward), f"step {step}"
+        assert np.array_equal(terminations, ends[step] == 1) and np.array_equal(truncations, ends[step] > 1)
+    # The curriculum did go on, and there were both kinds of ends.
+    assert curricula[0, 0] < curricula[-1, 0] and {1, 2} <= set(ends.flat)
+
+
+def assert_no_more_than_advice(warnings):
+    """Observations have no limits, and an action is an action of `train`, not of -1 to 1."""
+    messages = [str(warning.message) for warning in warnings]
+    assert not [message for message in messages if "infinity" not in message and "normalized" not in message]
+
+
+def test_gymnasiums_checker_passes(recwarn):
+    check_env(gymnasium.make("supple/Locomotion-v0", disable_env_checker=True).unwrapped)
+    assert_no_more_than_advice(recwarn)
+
+
+def test_stable_baselines3s_checker_passes(recwarn):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    checker.check_env(supple.make())
+    assert_no_more_than_advice(recwarn)
+
+
+def test_stable_baselines3_takes_the_environments():
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecMonitor
+
+    import supple.sb3
+
+    env = supple.sb3.SB3VecEnv(supple.make_vec(num_envs=4, seed=1, threads=1))
+    env.seed(5)
+    reference = supple.make_vec(num_envs=4, seed=5, threads=1)
+    assert np.array_equal(env.reset(), reference.reset()[0])
+    for action in random_actions(150, 4):
+        seen, rewards, dones, infos = env.step(action)
+        expected = reference.step(action)
+        assert np.array_equal(seen, expected[0]) and np.array_equal(rewards, expected[1].astype(np.float32))
+        for k in np.flatnonzero(dones):
+            assert np.array_equal(infos[k]["terminal_observation"], expected[4]["final_obs"][k])
+            assert infos[k]["TimeLimit.truncated"] == expected[3][k]
+    PPO("MlpPolicy", VecMonitor(env), n_steps=16, batch_size=32, n_epochs=1, device="cpu").learn(128)
+
+
+def test_spaces_have_the_sizes_names_and_bounds_of_the_configuration():
+    env = supple.make_vec("compliant", num_envs=3, threads=1)
+    assert env.observation_space.shape == (3, 83) and env.action_space.shape == (3, 12)
+    assert env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
+    assert env.observation_names[0] == "previous base height [m]" and len(env.observation_names) == 83
+    assert env.action_names[:3] == ["FR_hip", "FR_thigh", "FR_calf"]
+    # Hip: (0.863 rad + 23.7 N·m / 40 N·m/rad − 0) / 0.3 rad.
+    assert env.single_action_space.high[0] == pytest.approx((0.863 + 23.7 / 40) / 0.3)
+    assert env.single_action_space.low[0] == -env.single_action_space.high[0]
+    seen, _ = env.reset()
+    # (height − 0.31) · 10 of a robot that stands on its nominal pose.
+    assert abs(seen[0, 0]) < 0.2 and env.observation_space.contains(seen)
+    assert env.observation_offset[0] == 0.31 and env.observation_scale[0] == 10.0
+
+
+def test_an_episode_that_ends_goes_on_with_the_next_one_and_its_last_observation_is_told():
+    env = supple.make_vec(num_envs=2, seed=4, threads=1, curriculum=COMPLETE)
+    single = supple.make(seed=4, curriculum=COMPLETE)
+    env.reset()
+    alone, _ = single.reset()
+    ends = 0
+    for action in random_actions(400, 2):
+        seen, rewards, terminations, truncations, info = env.step(action)
+        alone, reward, terminated, truncated, about = single.step(action[0])
+        assert (reward, terminated, truncated) == (rewards[0], terminations[0], truncations[0])
+        assert about["stage"] == info["stage"][0]
+        assert about["reward_terms"] == {k: v[0] for k, v in info["reward_terms"].items() if k[0] != "_"}
+        if terminated or truncated:
+            ends += 1
+            assert np.array_equal(info["final_obs"][0], alone)
+            assert info["final_info"]["episode"]["r"][0] == about["episode"]["r"]
+            assert info["final_info"]["episode"]["l"][0] == about["episode"]["l"]
+            with pytest.raises(RuntimeError, match=r"call reset\(\)"):
+                single.step(action[0])
+            alone, start = single.reset()
+            assert np.array_equal(start["command"], info["command"][0])
+        else:
+            assert "final_obs" not in info or info["final_obs"][0] is None
+        assert np.array_equal(seen[0], alone)
+    assert ends > 1
+
+
+def test_a_robot_is_pushed_after_two_seconds_if_the_curriculum_says_so():
+    policy = supple.Policy.load("compliant")
+    for curriculum, length in [(supple.Curriculum(0.0, False), 120), (supple.Curriculum(0.0, True), 240)]:
+        env = supple.make(seed=7, curriculum=curriculum)
+        env.reset()
+        seen, _ = env.reset()  # the first episode is cut anywhere
+        stages, truncated = [], False
+        while not truncated:
+            seen, _, terminated, truncated, info = env.step(policy(seen))
+            stages.append(info["stage"])
+            assert not terminated, "it stays on its feet"
+        assert len(stages) == length == info["episode"]["l"] and info["pushed"] is curriculum.pushes
+        assert np.array_equal(info["command"], np.zeros(3))
+        assert [supple.STAGES[k] for k in sorted(set(stages))] == list(supple.STAGES[: 3 if curriculum.pushes else 1])
+
+
+def test_rewards_are_made_of_their_terms():
+    env = supple.make_vec("compliant", num_envs=8, threads=1, curriculum=supple.Curriculum(1.0, False))
+    env.reset()
+    for action in random_actions(30, 8):
+        _, rewards, _, _, info = env.step(action)
+        term = info["reward_terms"]
+        positive = 0.8 * term["linear_velocity"] + 0.5 * term["angular_velocity"] - 0.7 * term["foot_height"]
+        negative = (
+            -0.015 * term["energy"] - 0.0015 * term["torque"] - 2.0 * term["pose"] - 0.1 * term["foot_clearance"]
+        )
+        assert np.allclose(rewards, np.maximum(positive, 0.0) * np.exp(0.45 * negative), rtol=1e-12)
+
+
+def test_a_seed_begins_everything_anew_and_no_seed_goes_on():
+    env, actions = supple.make_vec(num_envs=5, seed=1, threads=2), random_actions(80, 5)
+    first, _ = env.reset()
+    played = play(env, actions)
+    other, _ = env.reset()
+    assert not np.array_equal(first, other)
+    again, _ = env.reset(seed=1)
+    assert np.array_equal(first, again)
+    assert all(np.array_equal(a, b) for a, b in zip(played, play(env, actions)))
+    assert not np.array_equal(first, env.reset(seed=2)[0])
+    assert np.array_equal(supple.make_vec(num_envs=5, seed=2).reset()[0], env.reset(seed=2)[0])
+
+
+def test_a_curriculum_can_be_set_and_then_stays_after_a_seed_too():
+    env = supple.make_vec(num_envs=2, threads=1)
+    assert env.curriculum == supple.Curriculum(0.5, False)
+    env.curriculum = COMPLETE
+    env.reset(seed=3)
+    assert env.curriculum == COMPLETE
+    with pytest.raises(ValueError, match="command_fraction is 2, expected 0 to 1"):
+        env.curriculum = supple.Curriculum(2.0, True)
+
+
+def test_gymnasiums_vector_wrappers_work():
+    env = gymnasium.make_vec("supple/Locomotion-v0", num_envs=3, config="fast", seed=1, threads=1)
+    env = DictInfoToList(RecordEpisodeStatistics(env))
+    env.reset()
+    ended = [info for action in random_actions(150, 3) for info in env.step(action)[4] if "final_info" in info]
+    assert ended and all(info["final_info"]["episode"]["l"] > 0 for info in ended)
+    env.close()
+
+
+def test_what_is_given_wrongly_is_refused_in_words():
+    env = supple.make_vec(num_envs=2, threads=1)
+    with pytest.raises(ValueError, match=r"actions have shape \[3, 12\], expected \[2, 12\]"):
+        env.step(np.zeros((3, 12)))
+    with pytest.raises(ValueError, match="environment 1 for FR_calf is NaN, expected a finite number"):
+        actions = np.zeros((2, 12))
+        actions[1, 2] = np.nan
+        env.step(actions)
+    with pytest.raises(ValueError, match="cannot read config nowhere.yaml.*compliant, baseline, fast"):
+        supple.make_vec("nowhere.yaml")
+    with pytest.raises(ValueError, match="num_envs is 0"):
+        supple.make_vec(num_envs=0)
+    with pytest.raises(ValueError, match="threads is 0"):
+        supple.make_vec(threads=0)
+    with pytest.raises(ValueError, match="no options"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+    env.close()
+    env.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        env.reset()
+
+
+def test_a_configuration_of_ones_own_is_taken(tmp_path):
+    (tmp_path / "mine.yaml").write_text("base: fast\nepisode: {walking_s: 0.5}\ncommand: {initial_fraction: 0.25}\n")
+    env = supple.make(tmp_path / "mine.yaml")
+    assert env.curriculum.command_fraction == 0.25
+    env.reset()
+    env.reset()
+    assert [env.step(np.zeros(12))[3] for _ in range(30)] == [False] * 29 + [True]
+
+
+def test_a_fault_of_the_physics_truncates_its_episode_says_why_and_leaves_the_others_alone(tmp_path):
+    # Ten steps a second without damping, and joints that are torn from one end to the other.
+    (tmp_path / "bad.yaml").write_text(
+        "base: fast\nsimulation: {physics_rate_hz: 10, policy_rate_hz: 10, kd_n_m_s_per_rad: 0.0}\n"
+    )
+    env, rng = supple.make_vec(tmp_path / "bad.yaml", num_envs=32, threads=2), np.random.default_rng(0)
+    env.reset()
+    faults = 0
+    for _ in range(20):
+        seen, rewards, terminations, truncations, info = env.step(rng.choice([-50.0, 50.0], size=(32, 12)))
+        told = info.get("final_info", {})
+        for k in np.flatnonzero(told.get("_fault", [])):
+            faults += 1
+            assert truncations[k] and not terminations[k] and rewards[k] == 0.0
+            assert "buffer" in told["fault"][k] or "unstable" in told["fault"][k]
+            assert np.isfinite(info["final_obs"][k]).all()
+        assert np.isfinite(seen).all()
+    assert faults > 0
+
+
+def test_copies_of_environments_are_refused():
+    env = supple.make_vec(num_envs=1, threads=1)
+    for attempt in (pickle.dumps, copy.deepcopy):
+        with pytest.raises(TypeError, match="call supple.make_vec in the process"):
+            attempt(env)
+
+
+def test_environments_do_not_outlive_a_fork():
+    program = """
+import os, supple, numpy
+env = supple.make_vec(num_envs=8, threads=2)
+env.reset()
+env.step(numpy.zeros((8, 12)))
+child = os.fork()
+if child == 0:
+    try:
+        env.step(numpy.zeros((8, 12)))
+    except RuntimeError as error:
+        assert "call supple.make_vec after the fork" in str(error)
+        supple.make_vec(num_envs=8, threads=2).step(numpy.zeros((8, 12)))
+        os._exit(17)
+    os._exit(1)
+assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 17
+env.step(numpy.zeros((8, 12)))
+"""
+    subprocess.run([sys.executable, "-W", "ignore", "-c", program], check=True, timeout=60)
+
+
+def test_the_interpreter_goes_on_while_environments_step_and_a_second_thread_is_refused():
+    env, refused, stop = supple.make_vec(num_envs=512, threads=1), [], threading.Event()
+    env.reset()
+
+    def step():
+        while not stop.is_set():
+            try:
+                env.step(np.zeros((512, 12)))
+            except RuntimeError as error:
+                refused.append(str(error))
+                stop.set()
+
+    threads = [threading.Thread(target=step) for _ in range(2)]
+    [thread.start() for thread in threads]
+    stop.wait(timeout=30)
+    stop.set()
+    [thread.join() for thread in threads]
+    assert refused and "another thread" in refused[0]
+
+
+def test_a_panic_becomes_an_exception():
+    with pytest.raises(RuntimeError, match="a defect of supple, please report it: asked for by a test"):
+        supple._supple._panic()
+
+
+@pytest.mark.parametrize(
+    "work",
+    [
+        "env = supple.make_vec(num_envs=256)\nwhile True: env.step(numpy.zeros((256, 12)))",
+        "supple.run_scenario('walk', duration_s=3600.0)",
+        "supple.run_scenario('walk', lambda seen: numpy.zeros(12), duration_s=3600.0)",
+        "supple.evaluate('compliant', protocol='full')",
+        "supple.evaluate(lambda seen: numpy.zeros(12), protocol='full')",
+    ],
+)
+def test_ctrl_c_ends_whatever_is_under_way(work):
+    # What is started in the background of a script would ignore it.
+    listen = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    program = f"import numpy, signal, supple\n{listen}\nprint('begun', flush=True)\n{work}"
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert child.stdout is not None and child.stdout.readline() == "begun\n"
+    time.sleep(1.0)
+    os.kill(child.pid, signal.SIGINT)
+    _, errors = child.communicate(timeout=20)
+    assert child.returncode == -signal.SIGINT and "KeyboardInterrupt" in errors
