@@ -1,4 +1,4 @@
-//! The experiments E0 to E11, one file each: what is varied, what is measured, what is shown.
+//! The experiments E0 to E14, one file each: what is varied, what is measured, what is shown.
 
 mod push;
 mod velocity;
@@ -74,6 +74,9 @@ experiments! {
     rubble: rubble::Rubble,
     outdoor: outdoor::Outdoor,
     calibration: calibration::Calibration,
+    pull: pull::Pull,
+    wall: wall::Wall,
+    lead: lead::Lead,
 }
 
 /// What a robot does at a forward command \[m/s\].
