@@ -493,7 +493,7 @@ fn a_set_that_is_told_a_compliance_is_measured_apart_and_refused_where_it_cannot
             "policies/baseline@0.03",
             "policies/baseline-seed0.safetensors at @0.03: how far it yields has not been measured",
         ),
-        ("policies/nobody@0.03", "cannot read the policies in policies/nobody"),
+        ("policies/nobody@0.03", "there is no policy 'policies/nobody'"),
     ] {
         for sets in [&["--also", &format!("soft={path}")][..], &["--a", path, "--b", "policies/baseline"]] {
             let output = evaluate(folder, &[&["leash", "--out", "x"], sets].concat());

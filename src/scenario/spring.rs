@@ -159,6 +159,7 @@ mod tests {
         assert_eq!(state.force_n(&leash, 0.3, 1.0, STEP_S), 0.0);
         let (slack, text) = state.after_step(&leash).unwrap();
         assert!((slack.stretch_m + 0.05).abs() < 1e-12 && slack.force_n == 0.0 && text.is_none(), "{slack:?}");
+        let mut state = self::state();
         // 0.5 · 0.6 − 0.2 = 0.1 m, growing by 0.5 m/s: 200 · 0.1 + 20 · 0.5 = 30 N.
         state.force_n(&leash, 0.6 - STEP_S, 1.0, STEP_S);
         assert!((state.force_n(&leash, 0.6, 1.0, STEP_S) - 30.0).abs() < 1e-9);
