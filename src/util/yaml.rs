@@ -221,7 +221,11 @@ pub fn differences(first: &impl serde::Serialize, second: &impl serde::Serialize
 
 fn compare(key: &str, first: &Value, second: &Value, found: &mut Vec<(String, [String; 2])>) {
     let (Some(ours), Some(theirs)) = (first.as_mapping(), second.as_mapping()) else {
-        let text = |value: &Value| to_text(value).trim().replace('\n', " ");
+        let text = |value: &Value| match value {
+            // On one line, which is YAML, too.
+            Value::Sequence(_) => serde_json::to_string(value).unwrap_or_default(),
+            value => to_text(value).trim().replace('\n', " "),
+        };
         if first != second {
             found.push((key.to_owned(), [text(first), text(second)]));
         }

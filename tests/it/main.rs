@@ -9,6 +9,7 @@ mod model;
 mod programs;
 mod provenance;
 mod readme;
+mod robots;
 mod scenarios;
 mod support;
 mod travel;
