@@ -5,9 +5,9 @@ use std::cell::OnceCell;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::contestants::Contestant;
 use super::{Condition, Experiment, Measured};
 use supple::mujoco;
+use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::{self, Metric, PHASE_S};
@@ -137,7 +137,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment, with the set's compliance where the condition commands none.
+/// Plays a trial of an experiment, commanding `compliance` [m/s/N] where the condition commands none.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -145,13 +145,13 @@ pub fn play(
     experiment: &dyn Experiment,
     condition: &Condition,
     seed: u64,
-    contestant: &Contestant,
+    agent: &Agent,
+    compliance: f64,
     sensing: Sensing,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
-    let agent = &contestant.agent;
     let mut script = scenario.script(seed, &agent.config)?;
-    command(&mut script, contestant.compliance);
+    command(&mut script, compliance);
     if agent.check_compliance(script.command.compliance).is_err() {
         let values = vec![None; experiment.info().quantities.len()];
         return Ok(Sample { end: End::OutOfReach, values, series: Vec::new(), estimation: None });
@@ -194,17 +194,12 @@ mod tests {
         let mut condition = protocol.leash.conditions().unwrap().remove(0);
         let Scenario::Leash(leash) = &mut condition.scenario else { panic!("{condition:?}") };
         leash.task.compliance = 0.03;
-        let mut contestant = Contestant {
-            seed: 0,
-            file: "compliant".into(),
-            agent: supple::policy::shipped::find("compliant").unwrap(),
-            compliance: 0.0,
-        };
+        let mut agent = supple::policy::shipped::find("compliant").unwrap();
         let mut play = |low: f64| {
             let point = |measured| Point { setting: measured, measured };
-            let calibration = Calibration::unmeasured(&contestant.agent.sha256);
-            contestant.agent.calibration = Some(Calibration { points: vec![point(low), point(0.05)], ..calibration });
-            play(&protocol.leash, &condition, 1, &contestant, Sensing::True).unwrap()
+            let calibration = Calibration::unmeasured(&agent.sha256);
+            agent.calibration = Some(Calibration { points: vec![point(low), point(0.05)], ..calibration });
+            play(&protocol.leash, &condition, 1, &agent, 0.0, Sensing::True).unwrap()
         };
         let refused = play(0.04);
         assert_eq!((refused.end, &refused.values[..]), (End::OutOfReach, &[None, None, None][..]));
