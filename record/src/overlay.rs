@@ -101,7 +101,7 @@ impl Overlay {
             .with_colors([opaque(colour)])
             .with_labels([event.text.as_str()])
             .with_show_labels(true);
-        stream.log(&self.entity("label"), &label)
+        stream.replace(&self.entity("label"), &label)
     }
 
     /// Takes away labels and trails.
