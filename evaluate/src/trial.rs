@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{Condition, Experiment, Measured};
+use super::{Condition, Experiment, FELL, Measured, Quantity};
 use supple::mujoco;
 use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
@@ -113,6 +113,15 @@ impl<'a> Trial<'a> {
     /// The same; none if the robot fell.
     pub fn upright_metric(&self, name: &str) -> Option<f64> {
         self.is_upright().then(|| self.metric(name))?
+    }
+
+    /// Quantities by name, as [`Trial::upright_metric`], and whether the robot fell.
+    pub fn upright_metrics(&self, quantities: &[Quantity]) -> Measured {
+        let value = |quantity: &Quantity| match *quantity {
+            FELL => self.end.fell(),
+            quantity => self.upright_metric(quantity.name),
+        };
+        quantities.iter().map(value).collect::<Vec<_>>().into()
     }
 
     /// Length of mean velocity minus command in the horizontal plane, from 2 s to the end; none if the robot fell

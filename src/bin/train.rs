@@ -202,7 +202,7 @@ fn start(args: &Args, threads: usize, training: &AtomicBool) -> anyhow::Result<(
     let mut name = stem(name);
     if let Some(model) = &args.robot {
         let robot = Robot::load(model)?;
-        let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {model}: {reason}"))?;
+        let fitted = config.fitted_to(&robot)?;
         terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
         (config, name) = (fitted.with(&args.set)?, format!("{name}-{}", stem(model)));
     }

@@ -159,14 +159,6 @@ impl Calibration {
         self.points.windows(2).find_map(between).unwrap_or(compliance)
     }
 
-    fn outer_loop(&self, config: &Config) -> OuterLoop {
-        OuterLoop {
-            own_m_s_per_n: self.own_m_s_per_n,
-            limits_m_s: config.led_limits_m_s(),
-            period_s: config.simulation.policy_period_s(),
-        }
-    }
-
     /// What the velocity is off by undisturbed, forward and left [m/s].
     fn bias(&self, command: &Command) -> [f64; 2] {
         let of = |[constant, forward, left, yaw]: [f64; 4]| {
@@ -176,17 +168,42 @@ impl Calibration {
     }
 }
 
+/// The outer loop around a calibrated policy, with its state.
+#[derive(Debug)]
+struct Calibrated {
+    calibration: Calibration,
+    outer_loop: OuterLoop,
+    /// State of the loop's low-pass.
+    led: [f64; 2],
+}
+
+impl Calibrated {
+    /// For the rates and the commands that the policy was trained with.
+    fn new(calibration: Calibration, config: &Config) -> Self {
+        let outer_loop = OuterLoop {
+            own_m_s_per_n: calibration.own_m_s_per_n,
+            limits_m_s: config.led_limits_m_s(),
+            period_s: config.simulation.policy_period_s(),
+        };
+        Calibrated { calibration, outer_loop, led: [0.0; 2] }
+    }
+
+    /// What to command of a policy that walks at `velocity`, forward and left [m/s], so that it yields as `command` says.
+    fn asked(&mut self, velocity: [f64; 2], command: &Command) -> Command {
+        let setting = self.calibration.nearest_setting(command.compliance);
+        self.outer_loop.command(velocity, command, setting, self.calibration.bias(command), &mut self.led)
+    }
+}
+
 /// The outer loop on raw observations, for whoever runs a policy outside of here: it puts what is to be asked of the policy in
 /// the place of the command.
 #[derive(Debug)]
 pub struct Led {
-    calibration: Calibration,
-    outer_loop: OuterLoop,
+    around: Calibrated,
     compliance: f64,
     /// Where velocity (forward, left) and command (forward, left, yaw) are.
     velocity: [usize; 2],
     command: [usize; 3],
-    led: [f64; 2],
 }
 
 impl Led {
@@ -202,7 +219,7 @@ impl Led {
             wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
         };
         Ok(Led {
-            outer_loop: calibration.outer_loop(&policy.provenance.config),
+            around: Calibrated::new(calibration, &policy.provenance.config),
             compliance,
             velocity: [place("velocity forward [m/s]")?, place("velocity left [m/s]")?],
             command: [
@@ -210,18 +227,14 @@ impl Led {
                 place("commanded left [m/s]")?,
                 place("commanded yaw rate [rad/s]")?,
             ],
-            calibration,
-            led: [0.0; 2],
         })
     }
 
     /// Changes what the next observation commands.
     pub fn lead(&mut self, observation: &mut [f64]) {
         let [forward, left, yaw] = self.command.map(|place| observation[place]);
-        let command = Command::velocity(forward, left, yaw);
-        let (setting, bias) = (self.calibration.nearest_setting(self.compliance), self.calibration.bias(&command));
-        let velocity = self.velocity.map(|place| observation[place]);
-        let asked = self.outer_loop.command(velocity, &command, setting, bias, &mut self.led);
+        let command = Command { compliance: self.compliance, ..Command::velocity(forward, left, yaw) };
+        let asked = self.around.asked(self.velocity.map(|place| observation[place]), &command);
         (observation[self.command[0]], observation[self.command[1]]) = (asked.forward, asked.left);
     }
 }
@@ -229,17 +242,13 @@ impl Led {
 /// A calibrated policy, which yields as it is commanded to.
 pub struct Compliant<'a> {
     policy: Box<dyn Controller + 'a>,
-    calibration: Calibration,
-    outer_loop: OuterLoop,
-    /// State of the loop's low-pass.
-    led: [f64; 2],
+    around: Calibrated,
 }
 
 impl<'a> Compliant<'a> {
     /// With an outer loop around a policy, for the rates and the commands that it was trained with.
     pub fn new(policy: Box<dyn Controller + 'a>, calibration: Calibration, config: &Config) -> Self {
-        let outer_loop = calibration.outer_loop(config);
-        Compliant { policy, calibration, outer_loop, led: [0.0; 2] }
+        Compliant { policy, around: Calibrated::new(calibration, config) }
     }
 }
 
@@ -249,7 +258,7 @@ impl Controller for Compliant<'_> {
     }
 
     fn begin(&mut self, state: &RobotState) {
-        self.led = [0.0; 2];
+        self.around.led = [0.0; 2];
         self.policy.begin(state);
     }
 
@@ -257,9 +266,7 @@ impl Controller for Compliant<'_> {
         if command.compliance <= 0.0 {
             return self.policy.joint_targets(state, command);
         }
-        let (setting, bias) = (self.calibration.nearest_setting(command.compliance), self.calibration.bias(command));
-        let velocity = [state.velocity_in_base.x, state.velocity_in_base.y];
-        let command = self.outer_loop.command(velocity, command, setting, bias, &mut self.led);
+        let command = self.around.asked([state.velocity_in_base.x, state.velocity_in_base.y], command);
         self.policy.joint_targets(state, &command)
     }
 }

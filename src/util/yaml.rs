@@ -242,25 +242,33 @@ fn compare(key: &str, first: &Value, second: &Value, found: &mut Vec<(String, [S
 mod tests {
     use super::*;
 
-    #[derive(Debug, serde::Deserialize)]
+    #[derive(Debug, PartialEq, serde::Deserialize)]
     #[serde(deny_unknown_fields)]
-    #[allow(dead_code)]
     struct Outer {
         name: String,
         inner: Inner,
     }
 
-    #[derive(Debug, serde::Deserialize)]
+    #[derive(Debug, PartialEq, serde::Deserialize)]
     #[serde(deny_unknown_fields)]
-    #[allow(dead_code)]
     struct Inner {
         count: u64,
         sizes: Vec<f64>,
     }
 
-    fn complaint(texts: &[&str]) -> String {
+    fn read(texts: &[&str]) -> Result<Outer, YamlError> {
         let texts: Vec<Text> = texts.iter().zip(["a", "b"]).map(|(text, name)| Text::new(name, text)).collect();
-        layered::<Outer>(&texts).unwrap_err().to_string()
+        layered(&texts)
+    }
+
+    fn complaint(texts: &[&str]) -> String {
+        read(texts).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_later_text_changes_what_it_names_and_leaves_the_rest() {
+        let found = read(&["name: x\ninner:\n  count: 1\n  sizes: [1.0]\n", "inner: {count: 2}"]).unwrap();
+        assert_eq!(found, Outer { name: "x".into(), inner: Inner { count: 2, sizes: vec![1.0] } });
     }
 
     #[test]

@@ -52,15 +52,11 @@ impl Experiment for Lead {
     }
 
     fn check(&self) -> Result<(), ParameterError> {
-        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+        check_directions(self.directions)
     }
 
     fn measure(&self, trial: &Trial) -> Measured {
-        let values = QUANTITIES.iter().map(|quantity| match *quantity {
-            FELL => trial.end.fell(),
-            quantity => trial.upright_metric(quantity.name),
-        });
-        values.collect::<Vec<_>>().into()
+        trial.upright_metrics(QUANTITIES)
     }
 
     fn show(&self, show: &mut Show) {

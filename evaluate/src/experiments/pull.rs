@@ -1,9 +1,9 @@
 //! E14a: which sustained pulls the robot stays on its feet under.
 
+use super::leash::pulls;
 use super::prelude::*;
-use crate::plot::polar::{self, Polar, Scales, evenly};
+use crate::plot::polar::{self, Polar, Scales};
 use crate::statistics::Spread;
-use supple::scenario::catalog::Leash as Pulled;
 
 const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
 const QUANTITIES: &[Quantity] = &[SURVIVED];
@@ -38,24 +38,12 @@ pub struct Pull {
 
 impl Experiment for Pull {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Pulled = defaults("leash")?;
-        let condition = |force_n: f64, direction_deg: f64| Condition {
-            label: format!("{force_n} N, {direction_deg:.1}°"),
-            scenario: Scenario::Leash(Pulled {
-                force_n,
-                direction_deg,
-                at_s: self.at_s,
-                for_s: self.for_s,
-                task: Task { duration_s: self.at_s + self.for_s, ..base.task.clone() },
-            }),
-        };
-        let forces = self.forces_n.iter();
-        Ok(forces.flat_map(|force| evenly(self.directions).map(|d| condition(*force, d))).collect())
+        pulls(&self.forces_n, self.directions, [self.at_s, self.for_s])
     }
 
     fn check(&self) -> Result<(), ParameterError> {
         in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
-        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+        check_directions(self.directions)
     }
 
     fn measure(&self, trial: &Trial) -> Measured {

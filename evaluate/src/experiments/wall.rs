@@ -43,11 +43,7 @@ impl Experiment for Wall {
     }
 
     fn measure(&self, trial: &Trial) -> Measured {
-        let values = QUANTITIES.iter().map(|quantity| match *quantity {
-            FELL => trial.end.fell(),
-            quantity => trial.upright_metric(quantity.name),
-        });
-        values.collect::<Vec<_>>().into()
+        trial.upright_metrics(QUANTITIES)
     }
 
     fn show(&self, show: &mut Show) {

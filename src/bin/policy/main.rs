@@ -150,7 +150,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
         Command::Robot { robot: name, config } => {
             let (robot, config) = (Robot::load(&name)?, Config::load(&config)?);
-            let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {name}: {reason}"))?;
+            let fitted = config.fitted_to(&robot)?;
             terminal::print(format_args!("{}\n{}", robot.description(), config.changes(&fitted)))?;
         }
         Command::Run { policy: name, compliance } => {
