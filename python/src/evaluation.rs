@@ -24,12 +24,12 @@ use crate::scenario::sensing;
 /// Time between two looks for Ctrl-C.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// Name, conditions, quantities (name, label, unit), values of shape (conditions, trials, quantities), ends of shape
+/// Name, conditions, quantities, values of shape (conditions, trials, quantities), ends of shape
 /// (conditions, trials).
 type Measured<'py> = (
     &'static str,
     Vec<String>,
-    Vec<(&'static str, &'static str, &'static str)>,
+    Vec<&'static str>,
     Bound<'py, PyArray3<f64>>,
     Bound<'py, PyArray2<i8>>,
 );
@@ -70,7 +70,7 @@ pub fn evaluate<'py>(
         measured.push((
             info.name,
             conditions.into_iter().map(|condition| condition.label).collect(),
-            info.quantities.iter().map(|quantity| (quantity.name, quantity.label, quantity.unit)).collect(),
+            info.quantities.iter().map(|quantity| quantity.name).collect(),
             values.reshape([shape[0], shape[1], info.quantities.len()])?,
             ends.collect::<Vec<i8>>().into_pyarray(py).reshape(shape)?,
         ));
@@ -88,7 +88,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// All trials, by condition and trial. Ctrl-C ends it.
+    /// All trials, by condition and trial: on threads, or those of a function on this one. Ctrl-C ends it.
     fn play(&self, threads: usize) -> PyResult<Vec<Sample>> {
         let trials = self.experiment.trials() as usize;
         let count = self.conditions.len() * trials;
@@ -107,7 +107,7 @@ impl Work<'_> {
                 played.lock().unwrap_or_else(PoisonError::into_inner).push((index, sample));
             }
         };
-        let interrupted = std::thread::scope(|scope| {
+        let watch = || std::thread::scope(|scope| {
             let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker)).collect();
             let mut signals = Ok(());
             while signals.is_ok() && workers.iter().any(|worker| !worker.is_finished()) {
@@ -117,7 +117,11 @@ impl Work<'_> {
             stop.store(true, Ordering::Relaxed);
             signals
         });
-        interrupted?;
+        if self.policy.is_function() {
+            worker();
+        } else {
+            watch()?;
+        }
         let mut played = played.into_inner().unwrap_or_else(PoisonError::into_inner);
         played.sort_by_key(|(index, _)| *index);
         played.into_iter().map(|(_, sample)| sample).collect()
