@@ -22,9 +22,6 @@ use supple::train::metrics::EpisodeMeans;
 
 use crate::failure::{apart, failed, refused};
 
-/// Environments that a thread steps at most before it looks for more.
-const BLOCK: usize = 4;
-
 /// Environments that are made between two looks for Ctrl-C.
 const MADE: usize = 64;
 
@@ -84,8 +81,6 @@ struct World {
     episodes: Vec<Vec<EpisodeReport>>,
     /// Beside the thread that calls.
     helpers: Option<ThreadPool>,
-    /// Environments that a thread takes at a time.
-    block: usize,
 }
 
 /// A step of one environment.
@@ -177,7 +172,6 @@ impl Environments {
                 steps: 0,
                 episodes: vec![Vec::new(); num_envs],
                 helpers: helpers(threads).map_err(failed)?,
-                block: BLOCK.min(num_envs.div_ceil(threads)),
                 config: config.clone(),
             })
         })?;
@@ -339,24 +333,16 @@ impl World {
             self.episodes.iter_mut().for_each(Vec::clear);
         }
         let seed = seed.or(self.seed);
-        let (curriculum, stagger, length, block) = (self.curriculum, self.stagger, self.length, self.block);
+        let (curriculum, stagger, length) = (self.curriculum, self.stagger, self.length);
         let mut observations = vec![0.0; self.environments.len() * length];
         let mut done: Vec<mujoco::Result<()>> = vec![Ok(()); self.environments.len()];
         let chosen: Vec<bool> = mask.map_or_else(|| vec![true; self.environments.len()], <[bool]>::to_vec);
-        let parts = self
-            .environments
-            .chunks_mut(block)
-            .zip(chosen.chunks(block))
-            .zip(observations.chunks_mut(block * length))
-            .zip(done.chunks_mut(block));
-        share(self.helpers.as_ref(), parts, |(((environments, chosen), seen), done)| {
-            let each = environments.iter_mut().zip(chosen).zip(seen.chunks_mut(length)).zip(done);
-            for (((environment, chosen), seen), done) in each {
-                if *chosen {
-                    *done = begin(environment, seed, curriculum, stagger);
-                }
-                environment.normalised_observation(seen);
+        let each = self.environments.iter_mut().zip(&chosen).zip(observations.chunks_mut(length)).zip(&mut done);
+        share(self.helpers.as_ref(), each, |(((environment, chosen), seen), done)| {
+            if *chosen {
+                *done = begin(environment, seed, curriculum, stagger);
             }
+            environment.normalised_observation(seen);
         });
         done.into_iter().collect::<mujoco::Result<()>>()?;
         self.seed = None;
@@ -366,28 +352,25 @@ impl World {
     }
 
     fn step(&mut self, actions: &[f32]) -> mujoco::Result<(Vec<f32>, Vec<Outcome>)> {
-        let (count, length, block) = (self.environments.len(), self.length, self.block);
+        let (count, length) = (self.environments.len(), self.length);
         let (curriculum, autoreset) = (self.curriculum, self.autoreset);
         let mut observations = vec![0.0; count * length];
         let mut outcomes: Vec<Option<mujoco::Result<Outcome>>> = (0..count).map(|_| None).collect();
-        let parts = self
+        let each = self
             .environments
-            .chunks_mut(block)
-            .zip(self.over.chunks_mut(block))
-            .zip(actions.chunks(block * JOINTS))
-            .zip(observations.chunks_mut(block * length))
-            .zip(outcomes.chunks_mut(block));
-        share(self.helpers.as_ref(), parts, |((((environments, over), actions), seen), outcomes)| {
-            let each = environments.iter_mut().zip(over).zip(actions.chunks(JOINTS)).zip(seen.chunks_mut(length));
-            for ((((environment, over), action), seen), outcome) in each.zip(outcomes) {
-                *outcome = Some(if *over {
-                    pause(environment, curriculum, seen)
-                } else {
-                    step(environment, action, (autoreset == Autoreset::SameStep).then_some(curriculum), seen)
-                });
-                let ended = matches!(outcome, Some(Ok(Outcome { ended: Some(_), .. })));
-                *over = ended && autoreset != Autoreset::SameStep;
-            }
+            .iter_mut()
+            .zip(&mut self.over)
+            .zip(actions.chunks(JOINTS))
+            .zip(observations.chunks_mut(length))
+            .zip(&mut outcomes);
+        share(self.helpers.as_ref(), each, |((((environment, over), action), seen), outcome)| {
+            *outcome = Some(if *over {
+                pause(environment, curriculum, seen)
+            } else {
+                step(environment, action, (autoreset == Autoreset::SameStep).then_some(curriculum), seen)
+            });
+            let ended = matches!(outcome, Some(Ok(Outcome { ended: Some(_), .. })));
+            *over = ended && autoreset != Autoreset::SameStep;
         });
         let outcomes = outcomes.into_iter().flatten().collect::<mujoco::Result<Vec<Outcome>>>()?;
         self.seed = None;
@@ -451,14 +434,14 @@ fn pause(environment: &mut LocomotionEnv, curriculum: Curriculum, seen: &mut [f3
     Ok(Outcome { step, command: *environment.command(), ended: None })
 }
 
-/// Works on all parts: the thread that calls and its helpers each take the next one, until there is none.
-fn share<T: Send>(helpers: Option<&ThreadPool>, parts: impl Iterator<Item = T> + Send, work: impl Fn(T) + Sync) {
-    let parts = Mutex::new(parts);
+/// Works on all of them: the thread that calls and its helpers each take the next one, until there is none.
+fn share<T: Send>(helpers: Option<&ThreadPool>, all: impl Iterator<Item = T> + Send, work: impl Fn(T) + Sync) {
+    let all = Mutex::new(all);
     let worker = || {
         loop {
-            let next = parts.lock().unwrap_or_else(PoisonError::into_inner).next();
-            let Some(part) = next else { return };
-            work(part);
+            let next = all.lock().unwrap_or_else(PoisonError::into_inner).next();
+            let Some(one) = next else { return };
+            work(one);
         }
     };
     match helpers {

@@ -26,13 +26,8 @@ const WAIT: Duration = Duration::from_millis(20);
 
 /// Name, conditions, quantities, values of shape (conditions, trials, quantities), ends of shape
 /// (conditions, trials).
-type Measured<'py> = (
-    &'static str,
-    Vec<String>,
-    Vec<&'static str>,
-    Bound<'py, PyArray3<f64>>,
-    Bound<'py, PyArray2<i8>>,
-);
+type Measured<'py> =
+    (&'static str, Vec<String>, Vec<&'static str>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<i8>>);
 
 /// Measures experiments with a policy.
 #[pyfunction]
@@ -107,16 +102,18 @@ impl Work<'_> {
                 played.lock().unwrap_or_else(PoisonError::into_inner).push((index, sample));
             }
         };
-        let watch = || std::thread::scope(|scope| {
-            let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker)).collect();
-            let mut signals = Ok(());
-            while signals.is_ok() && workers.iter().any(|worker| !worker.is_finished()) {
-                std::thread::sleep(WAIT);
-                signals = Python::attach(|py| py.check_signals());
-            }
-            stop.store(true, Ordering::Relaxed);
-            signals
-        });
+        let watch = || {
+            std::thread::scope(|scope| {
+                let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker)).collect();
+                let mut signals = Ok(());
+                while signals.is_ok() && workers.iter().any(|worker| !worker.is_finished()) {
+                    std::thread::sleep(WAIT);
+                    signals = Python::attach(|py| py.check_signals());
+                }
+                stop.store(true, Ordering::Relaxed);
+                signals
+            })
+        };
         if self.policy.is_function() {
             worker();
         } else {

@@ -75,8 +75,7 @@ impl Agent {
     /// # Errors
     /// [`AgentError`]
     pub fn load(path: &Path) -> Result<Self, AgentError> {
-        let mut agent =
-            if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
+        let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
         agent.calibration = Calibration::beside(path, &agent.sha256)?;
         Ok(agent)
