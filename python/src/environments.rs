@@ -434,23 +434,29 @@ fn pause(environment: &mut LocomotionEnv, curriculum: Curriculum, seen: &mut [f3
     Ok(Outcome { step, command: *environment.command(), ended: None })
 }
 
-/// Works on all of them: the thread that calls and its helpers each take the next one, until there is none.
-fn share<T: Send>(helpers: Option<&ThreadPool>, all: impl Iterator<Item = T> + Send, work: impl Fn(T) + Sync) {
-    let all = Mutex::new(all);
-    let worker = || {
-        loop {
-            let next = all.lock().unwrap_or_else(PoisonError::into_inner).next();
-            let Some(one) = next else { return };
-            work(one);
+/// Works on all of them: the thread that calls and its helpers each go through a stretch of their own, whose data are in the
+/// cache of their core from the step before, and then help with what is left of the others'.
+fn share<T: Send>(helpers: Option<&ThreadPool>, all: impl Iterator<Item = T>, work: impl Fn(T) + Sync) {
+    let Some(pool) = helpers else { return all.for_each(work) };
+    let (mut all, threads) = (all.collect::<Vec<T>>(), pool.current_num_threads() + 1);
+    let mut stretches = Vec::with_capacity(threads);
+    for k in (0..threads).rev() {
+        stretches.push(Mutex::new(all.split_off(k * all.len() / (k + 1))));
+    }
+    let worker = |own: usize| {
+        for k in 0..threads {
+            let stretch = &stretches[(own + k) % threads];
+            loop {
+                let next = stretch.lock().unwrap_or_else(PoisonError::into_inner).pop();
+                let Some(one) = next else { break };
+                work(one);
+            }
         }
     };
-    match helpers {
-        None => worker(),
-        Some(pool) => pool.in_place_scope(|scope| {
-            (0..pool.current_num_threads()).for_each(|_| scope.spawn(|_| worker()));
-            worker();
-        }),
-    }
+    pool.in_place_scope(|scope| {
+        scope.spawn_broadcast(|_, thread| worker(thread.index()));
+        worker(threads - 1);
+    });
 }
 
 /// One thread fewer than there are to be, for the one that calls works too.
