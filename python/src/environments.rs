@@ -223,7 +223,11 @@ impl Environments {
     /// Frees them, once the step of another thread is done. A copy of the process has nothing to free.
     fn close(&self, py: Python<'_>) {
         if std::process::id() == self.process {
-            py.detach(|| *self.world.lock().unwrap_or_else(PoisonError::into_inner) = None);
+            py.detach(|| {
+                let world = self.world.lock().unwrap_or_else(PoisonError::into_inner).take();
+                // It takes a while, for which the other thread shall not find them at work.
+                drop(world);
+            });
         }
     }
 
