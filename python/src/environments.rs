@@ -2,12 +2,12 @@
 
 An environment is that of training, index and random streams included: the same seed and the same actions give the same
 bits. The curriculum goes on as in training, after every `ppo.batch_size` samples, by what the episodes were like that
-ended in them.
+ended in them, until somebody sets it.
 */
 
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2, PyUntypedArrayMethods};
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
@@ -16,14 +16,36 @@ use supple::mujoco;
 use supple::observation::Layout;
 use supple::robot::{JOINTS, Robot, joint_names};
 use supple::task::reward::TERMS;
-use supple::task::{Command, Curriculum};
+use supple::task::{Command, Curriculum, Stage, Terms};
 use supple::train::environment::{End, EpisodeReport, LocomotionEnv, Step};
 use supple::train::metrics::EpisodeMeans;
 
 use crate::failure::{apart, failed, refused};
 
-/// Environments that a thread steps before it looks for more.
-const BLOCK: usize = 4;
+/// Environments that are made between two looks for Ctrl-C.
+const MADE: usize = 64;
+
+/// When the next episode of an environment begins, as Gymnasium calls it.
+#[derive(Clone, Copy, PartialEq)]
+enum Autoreset {
+    /// In the step that ends one.
+    SameStep,
+    /// In the step after that, whose action counts for nothing.
+    NextStep,
+    /// When somebody asks for it.
+    Disabled,
+}
+
+impl Autoreset {
+    fn named(name: &str) -> PyResult<Self> {
+        match name {
+            "SameStep" => Ok(Autoreset::SameStep),
+            "NextStep" => Ok(Autoreset::NextStep),
+            "Disabled" => Ok(Autoreset::Disabled),
+            _ => Err(PyValueError::new_err(format!("there is no autoreset mode '{name}'"))),
+        }
+    }
+}
 
 /// Environments of one configuration.
 #[pyclass(frozen, module = "supple._supple")]
@@ -41,10 +63,13 @@ struct World {
     config: Config,
     length: usize,
     environments: Vec<LocomotionEnv>,
-    /// Of environments that nobody resets, whether their episode is over.
+    /// Whether their episode is over, and the next one has not begun.
     over: Vec<bool>,
-    /// Whether all of them are at the start of their first episode.
-    fresh: bool,
+    autoreset: Autoreset,
+    /// Whether first episodes are cut at random.
+    stagger: bool,
+    /// Of the first episodes, as long as all of them are at their start.
+    seed: Option<u64>,
     curriculum: Curriculum,
     /// That the curriculum starts from.
     first_curriculum: Curriculum,
@@ -63,14 +88,30 @@ struct Outcome {
     step: Step,
     /// That the observation after the step belongs to.
     command: Command,
-    /// Of the episode that it ended, with the last observation.
-    ended: Option<(EpisodeReport, Vec<f32>)>,
+    /// Of the episode that it ended.
+    ended: Option<Ended>,
+}
+
+/// An episode that is over.
+struct Ended {
+    report: EpisodeReport,
+    /// The last one, and what it asked for.
+    observation: Vec<f32>,
+    command: Command,
 }
 
 type Row<'py, T> = Bound<'py, PyArray1<T>>;
 type Table<'py, T> = Bound<'py, PyArray2<T>>;
-/// Environments, last observations, returns, lengths, whether pushed, physics faults in words.
-type Ended<'py> = (Row<'py, i64>, Table<'py, f32>, Row<'py, f64>, Row<'py, i64>, Row<'py, bool>, Vec<(usize, String)>);
+/// Environments, last observations and commands, returns, lengths, whether pushed, physics faults in words.
+type Ends<'py> = (
+    Row<'py, i64>,
+    Table<'py, f32>,
+    Table<'py, f64>,
+    Row<'py, f64>,
+    Row<'py, i64>,
+    Row<'py, bool>,
+    Vec<(usize, String)>,
+);
 /// Observations, rewards, terminations, truncations, terms, stages, commands, ended.
 type Stepped<'py> = (
     Table<'py, f32>,
@@ -80,12 +121,13 @@ type Stepped<'py> = (
     Table<'py, f64>,
     Row<'py, i8>,
     Table<'py, f64>,
-    Option<Ended<'py>>,
+    Option<Ends<'py>>,
 );
 
 #[pymethods]
 impl Environments {
     #[new]
+    #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
         config: &str,
@@ -93,10 +135,11 @@ impl Environments {
         seed: u64,
         threads: usize,
         curriculum: Option<(f64, bool, f64)>,
+        stagger: bool,
+        autoreset: &str,
     ) -> PyResult<Self> {
-        if num_envs == 0 {
-            return Err(PyValueError::new_err("num_envs is 0, expected at least 1"));
-        }
+        let autoreset = Autoreset::named(autoreset)?;
+        let threads = threads.min(num_envs);
         let config = Config::load(config).map_err(refused)?;
         let robot = config.robot.load().map_err(refused)?;
         let layout = config.layout().map_err(ValueError::Observation).map_err(refused)?;
@@ -104,56 +147,62 @@ impl Environments {
         let first_curriculum = curriculum.map_or(Ok(Curriculum::new(&config.command)), checked)?;
         let world = apart(py, || {
             let environment = |index| {
+                if index % MADE == 0 {
+                    Python::attach(|py| py.check_signals())?;
+                }
                 let (robot, layout) = (Arc::clone(&robot), Arc::clone(&layout));
-                LocomotionEnv::of(&config, robot, layout, seed, index as u64, first_curriculum)
+                let mut environment =
+                    LocomotionEnv::of(&config, robot, layout, seed, index as u64, first_curriculum).map_err(failed)?;
+                if !stagger {
+                    environment.without_stagger();
+                }
+                Ok(environment)
             };
             Ok(World {
                 length: layout.length(),
-                environments: (0..num_envs).map(environment).collect::<mujoco::Result<_>>().map_err(failed)?,
+                environments: (0..num_envs).map(environment).collect::<PyResult<_>>()?,
                 over: vec![false; num_envs],
-                fresh: true,
+                autoreset,
+                stagger,
+                seed: Some(seed),
                 curriculum: first_curriculum,
                 first_curriculum,
                 advances: curriculum.is_none(),
                 batch_steps: config.ppo.batch_size.div_ceil(num_envs),
                 steps: 0,
                 episodes: vec![Vec::new(); num_envs],
-                helpers: helpers(threads.min(num_envs)).map_err(failed)?,
+                helpers: helpers(threads).map_err(failed)?,
                 config: config.clone(),
             })
         })?;
         Ok(Environments { world: Mutex::new(Some(world)), process: std::process::id(), config, robot, layout })
     }
 
-    /// Starts episodes: with a seed the first ones of that seed, without one the next ones.
-    fn reset<'py>(&self, py: Python<'py>, seed: Option<u64>) -> PyResult<(Table<'py, f32>, Table<'py, f64>)> {
-        let (observations, commands) = self.with(py, |world| world.reset(seed).map_err(failed))?;
+    /// Starts episodes: with a seed the first ones of that seed, without one the next ones. With a mask only where it is set.
+    fn reset<'py>(
+        &self,
+        py: Python<'py>,
+        seed: Option<u64>,
+        mask: Option<Vec<bool>>,
+    ) -> PyResult<(Table<'py, f32>, Table<'py, f64>)> {
+        let (observations, commands) = self.with(py, |world| world.reset(seed, mask.as_deref()).map_err(failed))?;
         Ok((table(py, observations, self.layout.length())?, table(py, commands, 3)?))
     }
 
-    /// One policy step of every environment. Those whose episode ends go on with the next one at once, if `resets`.
-    fn step<'py>(&self, py: Python<'py>, actions: PyReadonlyArray2<'py, f32>, resets: bool) -> PyResult<Stepped<'py>> {
-        let shape = actions.shape().to_vec();
+    /// One policy step of every environment.
+    fn step<'py>(&self, py: Python<'py>, actions: PyReadonlyArray2<'py, f32>) -> PyResult<Stepped<'py>> {
         // Another thread of Python could write into the array while this one goes without the lock: the actions, which
         // are small, are copied.
         let actions = actions.as_slice()?.to_vec();
         let (observations, outcomes) = self.with(py, move |world| {
-            let expected = [world.environments.len(), JOINTS];
-            if shape != expected {
-                return Err(PyValueError::new_err(format!("actions have shape {shape:?}, expected {expected:?}")));
-            }
-            if let Some(index) = actions.iter().position(|action| !action.is_finite()) {
-                let (environment, joint, action) = (index / JOINTS, &joint_names()[index % JOINTS], actions[index]);
-                return Err(PyValueError::new_err(format!(
-                    "the action of environment {environment} for {joint} is {action}, expected a finite number"
-                )));
-            }
-            if let Some(index) = world.over.iter().position(|over| *over) {
+            assert_eq!(actions.len(), world.environments.len() * JOINTS, "numbers in the actions");
+            let over = world.over.iter().position(|over| *over);
+            if let (Some(index), Autoreset::Disabled) = (over, world.autoreset) {
                 return Err(PyRuntimeError::new_err(format!(
                     "the episode of environment {index} is over: call reset() before the next step"
                 )));
             }
-            world.step(&actions, resets).map_err(failed)
+            world.step(&actions).map_err(failed)
         })?;
         let row = |of: fn(&Outcome) -> bool| outcomes.iter().map(of).collect::<Vec<_>>().into_pyarray(py);
         let terms = outcomes.iter().flat_map(|outcome| outcome.step.terms.fields().map(|(_, value)| value));
@@ -167,13 +216,19 @@ impl Environments {
             table(py, terms.collect(), TERMS.len())?,
             stages.collect::<Vec<_>>().into_pyarray(py),
             table(py, commands.collect(), 3)?,
-            ended(py, &outcomes, self.layout.length())?,
+            ends(py, &outcomes, self.layout.length())?,
         ))
     }
 
-    /// Frees them.
-    fn close(&self) {
-        *self.world.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    /// Frees them, once the step of another thread is done. A copy of the process has nothing to free.
+    fn close(&self, py: Python<'_>) {
+        if std::process::id() == self.process {
+            py.detach(|| {
+                let world = self.world.lock().unwrap_or_else(PoisonError::into_inner).take();
+                // It takes a while, for which the other thread shall not find them at work.
+                drop(world);
+            });
+        }
     }
 
     /// Open fraction of the command range, whether there are pushes, open fraction of pulls.
@@ -184,11 +239,11 @@ impl Environments {
         })
     }
 
-    /// Of episodes that start from now on, and of what a seed starts from.
+    /// Of episodes that start from now on, for good.
     fn set_curriculum(&self, py: Python<'_>, curriculum: (f64, bool, f64)) -> PyResult<()> {
         let curriculum = checked(curriculum)?;
         self.with(py, |world| {
-            (world.curriculum, world.first_curriculum) = (curriculum, curriculum);
+            (world.curriculum, world.first_curriculum, world.advances) = (curriculum, curriculum, false);
             Ok(())
         })
     }
@@ -210,8 +265,15 @@ impl Environments {
         joint_names().to_vec()
     }
 
-    /// The least and the largest action of each joint that makes a difference: joint targets from where on the motor
-    /// gives all it has, wherever in its range the joint is.
+    /// Joint target = offset + scale · action \[rad\], for each joint.
+    fn action_scaling<'py>(&self, py: Python<'py>) -> (Row<'py, f64>, Row<'py, f64>) {
+        let action = &self.config.action;
+        let offset = action.nominal_pose_rad.joints().to_vec();
+        (offset.into_pyarray(py), vec![action.scale_rad; JOINTS].into_pyarray(py))
+    }
+
+    /// The least and the largest action of each joint: from there on, the motor of a joint that is at rest within its range
+    /// gives all it has.
     fn action_bounds<'py>(&self, py: Python<'py>) -> (Row<'py, f32>, Row<'py, f32>) {
         let (action, simulation) = (&self.config.action, &self.config.simulation);
         let nominal = action.nominal_pose_rad.joints();
@@ -234,12 +296,6 @@ impl Environments {
     /// Policy steps in a second.
     fn rate_hz(&self) -> u32 {
         self.config.simulation.policy_rate_hz
-    }
-
-    fn __reduce__(&self) -> PyResult<()> {
-        Err(pyo3::exceptions::PyTypeError::new_err(
-            "environments cannot be pickled or copied: call supple.make_vec in the process that is to step them",
-        ))
     }
 }
 
@@ -275,56 +331,59 @@ impl Environments {
 }
 
 impl World {
-    fn reset(&mut self, seed: Option<u64>) -> mujoco::Result<(Vec<f32>, Vec<f64>)> {
+    fn reset(&mut self, seed: Option<u64>, mask: Option<&[bool]>) -> mujoco::Result<(Vec<f32>, Vec<f64>)> {
         if seed.is_some() {
             (self.curriculum, self.steps) = (self.first_curriculum, 0);
             self.episodes.iter_mut().for_each(Vec::clear);
         }
-        let (curriculum, fresh) = (self.curriculum, self.fresh);
-        let mut observations = vec![0.0; self.environments.len() * self.length];
+        let seed = seed.or(self.seed);
+        let (curriculum, stagger, length) = (self.curriculum, self.stagger, self.length);
+        let mut observations = vec![0.0; self.environments.len() * length];
         let mut done: Vec<mujoco::Result<()>> = vec![Ok(()); self.environments.len()];
-        let parts = self.environments.chunks_mut(BLOCK).zip(observations.chunks_mut(BLOCK * self.length));
-        let length = self.length;
-        share(self.helpers.as_ref(), parts.zip(done.chunks_mut(BLOCK)), |((environments, seen), done)| {
-            for ((environment, seen), done) in environments.iter_mut().zip(seen.chunks_mut(length)).zip(done) {
-                *done = match seed {
-                    Some(seed) => environment.restart(seed, curriculum),
-                    None if fresh => Ok(()),
-                    None => environment.reset(curriculum),
-                };
-                environment.normalised_observation(seen);
+        let chosen: Vec<bool> = mask.map_or_else(|| vec![true; self.environments.len()], <[bool]>::to_vec);
+        let each = self.environments.iter_mut().zip(&chosen).zip(observations.chunks_mut(length)).zip(&mut done);
+        share(self.helpers.as_ref(), each, |(((environment, chosen), seen), done)| {
+            if *chosen {
+                *done = begin(environment, seed, curriculum, stagger);
             }
+            environment.normalised_observation(seen);
         });
         done.into_iter().collect::<mujoco::Result<()>>()?;
-        self.fresh = false;
-        self.over.fill(false);
-        let commands = self.environments.iter().flat_map(|environment| numbers(&environment.plan().command)).collect();
+        self.seed = None;
+        self.over.iter_mut().zip(chosen).for_each(|(over, chosen)| *over &= !chosen);
+        let commands = self.environments.iter().flat_map(|environment| numbers(environment.command())).collect();
         Ok((observations, commands))
     }
 
-    fn step(&mut self, actions: &[f32], resets: bool) -> mujoco::Result<(Vec<f32>, Vec<Outcome>)> {
-        let (count, length, curriculum) = (self.environments.len(), self.length, self.curriculum);
+    fn step(&mut self, actions: &[f32]) -> mujoco::Result<(Vec<f32>, Vec<Outcome>)> {
+        let (count, length) = (self.environments.len(), self.length);
+        let (curriculum, autoreset) = (self.curriculum, self.autoreset);
         let mut observations = vec![0.0; count * length];
         let mut outcomes: Vec<Option<mujoco::Result<Outcome>>> = (0..count).map(|_| None).collect();
-        let parts = self
+        let each = self
             .environments
-            .chunks_mut(BLOCK)
-            .zip(actions.chunks(BLOCK * JOINTS))
-            .zip(observations.chunks_mut(BLOCK * length))
-            .zip(outcomes.chunks_mut(BLOCK));
-        share(self.helpers.as_ref(), parts, |(((environments, actions), seen), outcomes)| {
-            let each = environments.iter_mut().zip(actions.chunks(JOINTS)).zip(seen.chunks_mut(length)).zip(outcomes);
-            for (((environment, action), seen), outcome) in each {
-                *outcome = Some(step(environment, action, resets.then_some(curriculum), seen));
-            }
+            .iter_mut()
+            .zip(&mut self.over)
+            .zip(actions.chunks(JOINTS))
+            .zip(observations.chunks_mut(length))
+            .zip(&mut outcomes);
+        share(self.helpers.as_ref(), each, |((((environment, over), action), seen), outcome)| {
+            *outcome = Some(if *over {
+                pause(environment, curriculum, seen)
+            } else {
+                step(environment, action, (autoreset == Autoreset::SameStep).then_some(curriculum), seen)
+            });
+            let ended = matches!(outcome, Some(Ok(Outcome { ended: Some(_), .. })));
+            *over = ended && autoreset != Autoreset::SameStep;
         });
         let outcomes = outcomes.into_iter().flatten().collect::<mujoco::Result<Vec<Outcome>>>()?;
-        self.fresh = false;
-        for (index, outcome) in outcomes.iter().enumerate() {
-            self.over[index] = outcome.ended.is_some() && !resets;
-            self.episodes[index].extend(outcome.ended.as_ref().map(|(report, _)| report.clone()));
+        self.seed = None;
+        if self.advances {
+            for (episodes, outcome) in self.episodes.iter_mut().zip(&outcomes) {
+                episodes.extend(outcome.ended.as_ref().map(|ended| ended.report.clone()));
+            }
+            self.advance();
         }
-        self.advance();
         Ok((observations, outcomes))
     }
 
@@ -333,12 +392,25 @@ impl World {
         self.steps += 1;
         if self.steps == self.batch_steps {
             let episodes: Vec<EpisodeReport> = self.episodes.iter_mut().flat_map(std::mem::take).collect();
-            if self.advances {
-                EpisodeMeans::new(&episodes).advance(&mut self.curriculum, &self.config);
-            }
+            EpisodeMeans::new(&episodes).advance(&mut self.curriculum, &self.config);
             self.steps = 0;
         }
     }
+}
+
+/// Starts the next episode of an environment, or the first one of a seed.
+fn begin(
+    environment: &mut LocomotionEnv,
+    seed: Option<u64>,
+    curriculum: Curriculum,
+    stagger: bool,
+) -> mujoco::Result<()> {
+    let Some(seed) = seed else { return environment.reset(curriculum) };
+    environment.restart(seed, curriculum)?;
+    if !stagger {
+        environment.without_stagger();
+    }
+    Ok(())
 }
 
 /// Steps an environment, and starts its next episode with a curriculum if there is one.
@@ -350,31 +422,45 @@ fn step(
 ) -> mujoco::Result<Outcome> {
     let (step, report) = environment.step(action);
     environment.normalised_observation(seen);
-    let ended = report.map(|report| (report, seen.to_vec()));
+    let ended = report.map(|report| Ended { report, observation: seen.to_vec(), command: *environment.command() });
     if let (Some(curriculum), Some(_)) = (next, &ended) {
         environment.reset(curriculum)?;
         environment.normalised_observation(seen);
     }
-    Ok(Outcome { step, command: environment.plan().command, ended })
+    Ok(Outcome { step, command: *environment.command(), ended })
 }
 
-/// Works on all parts: the thread that calls and its helpers each take the next one, until there is none.
-fn share<T: Send>(helpers: Option<&ThreadPool>, parts: impl Iterator<Item = T> + Send, work: impl Fn(T) + Sync) {
-    let parts = Mutex::new(parts);
-    let worker = || {
-        loop {
-            let next = parts.lock().unwrap_or_else(PoisonError::into_inner).next();
-            let Some(part) = next else { return };
-            work(part);
+/// Starts the next episode of an environment in place of a step.
+fn pause(environment: &mut LocomotionEnv, curriculum: Curriculum, seen: &mut [f32]) -> mujoco::Result<Outcome> {
+    environment.reset(curriculum)?;
+    environment.normalised_observation(seen);
+    let step = Step { reward: 0.0, end: None, stage: Stage::Walking, terms: Terms::default() };
+    Ok(Outcome { step, command: *environment.command(), ended: None })
+}
+
+/// Works on all of them: the thread that calls and its helpers each go through a stretch of their own, whose data are in the
+/// cache of their core from the step before, and then help with what is left of the others'.
+fn share<T: Send>(helpers: Option<&ThreadPool>, all: impl Iterator<Item = T>, work: impl Fn(T) + Sync) {
+    let Some(pool) = helpers else { return all.for_each(work) };
+    let (mut all, threads) = (all.collect::<Vec<T>>(), pool.current_num_threads() + 1);
+    let mut stretches = Vec::with_capacity(threads);
+    for k in (0..threads).rev() {
+        stretches.push(Mutex::new(all.split_off(k * all.len() / (k + 1))));
+    }
+    let worker = |own: usize| {
+        for k in 0..threads {
+            let stretch = &stretches[(own + k) % threads];
+            loop {
+                let next = stretch.lock().unwrap_or_else(PoisonError::into_inner).pop();
+                let Some(one) = next else { break };
+                work(one);
+            }
         }
     };
-    match helpers {
-        None => worker(),
-        Some(pool) => pool.in_place_scope(|scope| {
-            (0..pool.current_num_threads()).for_each(|_| scope.spawn(|_| worker()));
-            worker();
-        }),
-    }
+    pool.in_place_scope(|scope| {
+        scope.spawn_broadcast(|_, thread| worker(thread.index()));
+        worker(threads - 1);
+    });
 }
 
 /// One thread fewer than there are to be, for the one that calls works too.
@@ -403,21 +489,22 @@ fn table<T: numpy::Element>(py: Python<'_>, values: Vec<T>, width: usize) -> PyR
 }
 
 /// What there is to tell of the episodes that ended, if any did.
-fn ended<'py>(py: Python<'py>, outcomes: &[Outcome], length: usize) -> PyResult<Option<Ended<'py>>> {
-    let ended = || {
-        let all = outcomes.iter().enumerate();
-        all.filter_map(|(index, outcome)| outcome.ended.as_ref().map(|(report, seen)| (index, report, seen)))
-    };
-    if ended().next().is_none() {
+fn ends<'py>(py: Python<'py>, outcomes: &[Outcome], length: usize) -> PyResult<Option<Ends<'py>>> {
+    let all = outcomes.iter().enumerate();
+    let ended: Vec<(usize, &Ended)> =
+        all.filter_map(|(index, outcome)| Some((index, outcome.ended.as_ref()?))).collect();
+    if ended.is_empty() {
         return Ok(None);
     }
-    let fault = |report: &EpisodeReport| report.fault.as_ref().map(|fault| fault.error.to_string());
+    let fault = |ended: &Ended| ended.report.fault.as_ref().map(|fault| fault.error.to_string());
+    let each = || ended.iter().map(|(_, ended)| *ended);
     Ok(Some((
-        ended().map(|(index, ..)| index as i64).collect::<Vec<_>>().into_pyarray(py),
-        table(py, ended().flat_map(|(_, _, seen)| seen.iter().copied()).collect(), length)?,
-        ended().map(|(_, report, _)| report.reward).collect::<Vec<_>>().into_pyarray(py),
-        ended().map(|(_, report, _)| report.steps as i64).collect::<Vec<_>>().into_pyarray(py),
-        ended().map(|(_, report, _)| report.pushed).collect::<Vec<_>>().into_pyarray(py),
-        ended().filter_map(|(index, report, _)| Some((index, fault(report)?))).collect(),
+        ended.iter().map(|(index, _)| *index as i64).collect::<Vec<_>>().into_pyarray(py),
+        table(py, each().flat_map(|ended| ended.observation.iter().copied()).collect(), length)?,
+        table(py, each().flat_map(|ended| numbers(&ended.command)).collect(), 3)?,
+        each().map(|ended| ended.report.reward).collect::<Vec<_>>().into_pyarray(py),
+        each().map(|ended| ended.report.steps as i64).collect::<Vec<_>>().into_pyarray(py),
+        each().map(|ended| ended.report.pushed).collect::<Vec<_>>().into_pyarray(py),
+        ended.iter().filter_map(|(index, ended)| Some((*index, fault(ended)?))).collect(),
     )))
 }

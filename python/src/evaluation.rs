@@ -24,15 +24,10 @@ use crate::scenario::sensing;
 /// Time between two looks for Ctrl-C.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// Name, conditions, quantities (name, label, unit), values of shape (conditions, trials, quantities), ends of shape
+/// Name, conditions, quantities, values of shape (conditions, trials, quantities), ends of shape
 /// (conditions, trials).
-type Measured<'py> = (
-    &'static str,
-    Vec<String>,
-    Vec<(&'static str, &'static str, &'static str)>,
-    Bound<'py, PyArray3<f64>>,
-    Bound<'py, PyArray2<i8>>,
-);
+type Measured<'py> =
+    (&'static str, Vec<String>, Vec<&'static str>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<i8>>);
 
 /// Measures experiments with a policy.
 #[pyfunction]
@@ -70,7 +65,7 @@ pub fn evaluate<'py>(
         measured.push((
             info.name,
             conditions.into_iter().map(|condition| condition.label).collect(),
-            info.quantities.iter().map(|quantity| (quantity.name, quantity.label, quantity.unit)).collect(),
+            info.quantities.iter().map(|quantity| quantity.name).collect(),
             values.reshape([shape[0], shape[1], info.quantities.len()])?,
             ends.collect::<Vec<i8>>().into_pyarray(py).reshape(shape)?,
         ));
@@ -88,7 +83,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// All trials, by condition and trial. Ctrl-C ends it.
+    /// All trials, by condition and trial: on threads, or those of a function on this one. Ctrl-C ends it.
     fn play(&self, threads: usize) -> PyResult<Vec<Sample>> {
         let trials = self.experiment.trials() as usize;
         let count = self.conditions.len() * trials;
@@ -107,17 +102,23 @@ impl Work<'_> {
                 played.lock().unwrap_or_else(PoisonError::into_inner).push((index, sample));
             }
         };
-        let interrupted = std::thread::scope(|scope| {
-            let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker)).collect();
-            let mut signals = Ok(());
-            while signals.is_ok() && workers.iter().any(|worker| !worker.is_finished()) {
-                std::thread::sleep(WAIT);
-                signals = Python::attach(|py| py.check_signals());
-            }
-            stop.store(true, Ordering::Relaxed);
-            signals
-        });
-        interrupted?;
+        let watch = || {
+            std::thread::scope(|scope| {
+                let workers: Vec<_> = (0..threads.clamp(1, count.max(1))).map(|_| scope.spawn(worker)).collect();
+                let mut signals = Ok(());
+                while signals.is_ok() && workers.iter().any(|worker| !worker.is_finished()) {
+                    std::thread::sleep(WAIT);
+                    signals = Python::attach(|py| py.check_signals());
+                }
+                stop.store(true, Ordering::Relaxed);
+                signals
+            })
+        };
+        if self.policy.is_function() {
+            worker();
+        } else {
+            watch()?;
+        }
         let mut played = played.into_inner().unwrap_or_else(PoisonError::into_inner);
         played.sort_by_key(|(index, _)| *index);
         played.into_iter().map(|(_, sample)| sample).collect()

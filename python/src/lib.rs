@@ -1,6 +1,6 @@
 /*! The native half of the Python package `supple`: environments, policies, scenarios and experiments as Python sees them.
 
-What Python users meet is in `supple/`, written in Python; here is what it calls. Everything long runs without the
+What Python users meet is in `lib/supple/`, written in Python; here is what it calls. Everything long runs without the
 interpreter's lock, arrays that come out are handed over rather than copied, and no panic gets through: see `failure`.
 */
 
@@ -15,7 +15,7 @@ mod trace;
 
 use pyo3::prelude::*;
 
-/// What `supple/` calls; `_supple.pyi` has the types.
+/// What `lib/supple/` calls; `_supple.pyi` has the types.
 #[pymodule]
 mod _supple {
     #[pymodule_export]

@@ -5,10 +5,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
 };
-use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use supple::config::Config;
-use supple::policy::{Agent, Buffers, Inference, Network, external, shipped};
+use supple::policy::{Agent, Buffers, Inference, Meaning, Network, external, shipped};
 use supple::robot::{JOINTS, joint_names};
 
 use crate::failure::{apart, refused};
@@ -55,14 +55,7 @@ impl Policy {
         py: Python<'py>,
         observations: PyReadonlyArray2<'py, f32>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        let (inference, shape) = (self.agent.inference(), observations.shape().to_vec());
-        let (rows, expected) = (shape[0], inference.layout.length());
-        if shape[1] != expected {
-            return Err(PyValueError::new_err(format!(
-                "observations have shape {shape:?}, {} expects [n, {expected}]",
-                self.name
-            )));
-        }
+        let (inference, rows) = (self.agent.inference(), observations.shape()[0]);
         let seen = observations.as_slice()?.to_vec();
         let actions = apart(py, || Ok(inference.actions(rows, &seen, &mut Buffers::default())))?;
         self.check()?;
@@ -97,12 +90,28 @@ impl Policy {
         self.agent.inference().layout.order().iter().map(|joint| names[*joint].clone()).collect()
     }
 
+    /// Joint target = offset + scale · action \[rad\], in the order of its actions.
+    fn action_scaling<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>) {
+        let Inference { layout, action, .. } = self.agent.inference();
+        let offset = |joint: &usize| match action.meaning {
+            Meaning::OffsetFromNominal => action.nominal_pose[*joint],
+            Meaning::JointAngle => 0.0,
+        };
+        let offset: Vec<f64> = layout.order().iter().map(offset).collect();
+        (offset.into_pyarray(py), action.scale_rad.to_vec().into_pyarray(py))
+    }
+
     fn __reduce__(&self) -> PyResult<()> {
         Err(PyTypeError::new_err("policies cannot be pickled or copied: load them by name where they are needed"))
     }
 }
 
 impl Policy {
+    /// Whether it is a function in Python, which is called on the thread that asks for it.
+    pub(crate) fn is_function(&self) -> bool {
+        self.raised.is_some()
+    }
+
     /// Raises what its function has raised.
     pub(crate) fn check(&self) -> PyResult<()> {
         let raised = self.raised.as_ref().and_then(|raised| lock(raised).take());
@@ -121,20 +130,13 @@ fn act(function: &Py<PyAny>, seen: &[f32], raised: &Raised) -> [f32; JOINTS] {
     })
 }
 
+/// The package in Python sees to it that an answer is twelve finite numbers. A function that is not written in Python does not
+/// look for Ctrl-C itself.
 fn call(py: Python<'_>, function: &Py<PyAny>, seen: &[f32]) -> PyResult<[f32; JOINTS]> {
+    py.check_signals()?;
     let answer = function.bind(py).call1((PyArray1::from_slice(py, seen),))?;
     let answer: PyReadonlyArray1<'_, f32> = answer.extract()?;
-    let action: [f32; JOINTS] = answer.as_slice()?.try_into().map_err(|_| {
-        PyValueError::new_err(format!("the policy answered {} numbers, expected {JOINTS}", answer.len()))
-    })?;
-    match action.iter().position(|action| !action.is_finite()) {
-        None => Ok(action),
-        Some(joint) => Err(PyValueError::new_err(format!(
-            "the policy answered {} for {}, expected a finite number",
-            action[joint],
-            joint_names()[joint]
-        ))),
-    }
+    Ok(answer.as_slice()?.try_into()?)
 }
 
 fn lock(raised: &Raised) -> std::sync::MutexGuard<'_, Option<PyErr>> {

@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use supple::scenario::catalog::{DEFAULTS, Scenario};
+use supple::scenario::catalog::{DEFAULTS, ParameterError, Scenario, ScriptError};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::Metric;
-use supple::scenario::trace::Trace;
+use supple::scenario::trace::{EventKind, Trace};
 use supple::scenario::{Rollout, Script, Sensing};
 
 use crate::failure::{apart, failed, refused};
@@ -20,7 +21,7 @@ const STEPS: usize = 60;
 /// Name, value and unit.
 type Numbers = Vec<(&'static str, Option<f64>, &'static str)>;
 /// Time, kind and words.
-type Events = Vec<(f64, String, String)>;
+type Events = Vec<(f64, &'static str, String)>;
 
 /// Plays a scenario: metrics, trace, events, what comes too late to happen.
 #[pyfunction]
@@ -36,7 +37,7 @@ pub fn run_scenario<'py>(
     let scenario = Scenario::named(name, parameters).map_err(refused)?;
     let sensing = sensing(estimated);
     let (script, trace) = apart(py, || {
-        let script = scenario.script(seed, &policy.agent.config).map_err(refused)?;
+        let script = scenario.script(seed, &policy.agent.config).map_err(unfit)?;
         let trace = play(policy, &script, sensing, seed, record.is_some())?;
         if let Some(path) = &record {
             recorded(path, &scenario, policy, &script, &trace)?;
@@ -90,10 +91,24 @@ fn recorded(_: &std::path::Path, _: &Scenario, _: &Policy, _: &Script, _: &Trace
     Err(pyo3::exceptions::PyRuntimeError::new_err("this wheel was built without recordings"))
 }
 
+/// The name of a parameter is here that of an argument, not that of a flag.
+fn unfit(error: ScriptError) -> PyErr {
+    match error {
+        ScriptError::Parameter(ParameterError { name, found, expected }) => {
+            PyValueError::new_err(format!("{} is {found}, expected {expected}", name.replace('-', "_")))
+        }
+        other => refused(other),
+    }
+}
+
 /// As files spell it.
-fn kind(kind: supple::scenario::trace::EventKind) -> String {
-    let value = serde_json::to_value(kind).unwrap_or_default();
-    value.as_str().unwrap_or_default().to_owned()
+fn kind(kind: EventKind) -> &'static str {
+    match kind {
+        EventKind::Disturbance => "disturbance",
+        EventKind::Fall => "fall",
+        EventKind::Success => "success",
+        EventKind::Fault => "fault",
+    }
 }
 
 /// Names of the scenarios, and their default parameters as YAML.

@@ -1,4 +1,4 @@
-"""Where the programs are that the package is compared with. `scripts/check_wheel` builds them and says."""
+"""Where the programs are that the package is compared with. `scripts/check_python` builds them and says."""
 
 import os
 import pathlib
@@ -30,5 +30,5 @@ def programs() -> Programs:
     """From the folder that `SUPPLE_PROGRAMS` names."""
     folder = os.environ.get("SUPPLE_PROGRAMS")
     if folder is None:
-        pytest.fail("SUPPLE_PROGRAMS does not name the folder with the programs: run scripts/check_wheel")
+        pytest.fail("SUPPLE_PROGRAMS does not name the folder with the programs: run scripts/check_python")
     return Programs(pathlib.Path(folder))

@@ -5,6 +5,7 @@ import pickle
 import re
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -101,10 +102,30 @@ def test_what_a_function_raises_comes_out_where_it_was_asked():
     ):
         with pytest.raises(Own, match="after all"):
             attempt()
-    with pytest.raises(ValueError, match="the policy answered NaN for FR_hip, expected a finite number"):
-        supple.run_scenario("walk", lambda seen: np.full(12, np.nan))
-    with pytest.raises(ValueError, match="the policy answered 3 numbers, expected 12"):
-        supple.run_scenario("walk", lambda seen: np.zeros(3))
+    answers = {
+        "finite numbers, found nan": np.full(12, np.nan),
+        r"\[12\] or \[1, 12\], found shape \[3\]": np.zeros(3),
+        r"found shape \[3, 4\]": np.zeros((3, 4)),
+        r"found shape \[12, 1\]": np.zeros((12, 1)),
+        r"found shape \[\]": None,
+        "found str": "walk",
+    }
+    for words, answer in answers.items():
+        with pytest.raises(ValueError, match=f"the policy's answer: expected .*{words}"):
+            supple.run_scenario("walk", lambda seen: answer)
+    assert supple.run_scenario("walk", lambda seen: np.zeros((1, 12)), duration_s=0.5).trace["time_s"].size == 30
+
+
+def test_a_function_is_called_on_the_thread_that_asks():
+    threads = set()
+
+    def note(_):
+        threads.add(threading.get_ident())
+        return np.zeros(12)
+
+    supple.run_scenario("walk", note, duration_s=0.5)
+    supple.evaluate(note, ["table4"], threads=2)
+    assert threads == {threading.get_ident()}
 
 
 def test_experiments_have_the_numbers_that_the_program_keeps(programs, tmp_path):
@@ -138,8 +159,26 @@ def test_what_there_is_not_is_refused_with_what_there_is():
         supple.run_scenario("nothing")
     with pytest.raises(ValueError, match="no parameter 'push'; it has: .*push_m_s"):
         supple.run_scenario("push", push=1.0)
-    with pytest.raises(ValueError, match="--push-m-s is -1, expected 0 to 20 m/s"):
+    for value, words in [
+        (-1.0, "is -1, expected 0.1 to 3600 s"),
+        (0, "is 0, expected"),
+        ("x", '.*"x", expected a number'),
+        (np.nan, ".*expected a number"),
+        (None, ".*must be a number"),
+    ]:
+        with pytest.raises(ValueError, match=f"(^|push: )duration_s:? ?{words}"):
+            supple.run_scenario("push", duration_s=value)
+    with pytest.raises(ValueError, match="^push_m_s is -1, expected 0 to 20 m/s"):
         supple.run_scenario("push", push_m_s=-1.0)
+    for seed in (-1, 1.0):
+        with pytest.raises(ValueError, match="seed is .*expected a whole number"):
+            supple.run_scenario("push", seed=seed)
+        with pytest.raises(ValueError, match="seed is .*expected a whole number"):
+            supple.evaluate("compliant", ["table4"], seed=seed)
+    with pytest.raises(ValueError, match="threads is 0, expected a whole number from 1"):
+        supple.evaluate("compliant", ["table4"], threads=0)
+    with pytest.raises(ValueError, match="config is 'fast', but 'compliant' has a configuration of its own"):
+        supple.run_scenario("walk", "compliant", config="fast")
     with pytest.raises(ValueError, match="no experiment 'nothing'; there are: walk, push-grid"):
         supple.evaluate("compliant", ["nothing"])
     with pytest.raises(ValueError, match="sensing is 'maybe'"):
@@ -147,10 +186,20 @@ def test_what_there_is_not_is_refused_with_what_there_is():
     with pytest.raises(TypeError, match="expected a Policy, the name of one, or a function"):
         supple.run_scenario("walk", 3)  # type: ignore[arg-type]
     policy = supple.Policy.load("compliant")
-    with pytest.raises(ValueError, match=r"observations have shape \[2, 5\], compliant expects \[n, 83\]"):
-        policy(np.zeros((2, 5)))
+    for observations, words in [
+        (np.zeros((2, 5)), r"observations for compliant: .*\[83\] or \[n, 83\], found shape \[2, 5\]"),
+        (None, r"found shape \[\]"),
+        (np.full(83, np.nan), r"expected finite numbers, found nan at \[0\]"),
+    ]:
+        with pytest.raises(ValueError, match=words):
+            policy(observations)
     with pytest.raises(TypeError, match="load them by name"):
         pickle.dumps(policy)
+
+
+def test_parameters_may_be_numbers_of_numpy():
+    parameters = {"duration_s": np.float32(0.5), "seed": np.int64(3)}
+    assert supple.run_scenario("walk", **parameters).metrics == supple.run_scenario("walk", duration_s=0.5, seed=3).metrics
 
 
 def test_what_comes_too_late_is_told():
@@ -193,6 +242,7 @@ def test_a_network_in_onnx_with_its_description_is_the_function_that_it_was(prog
         return weights[2] @ np.where(x > 0, x, np.expm1(x)) + weights[3]
 
     policy = supple.Policy.load(tmp_path / "net.yaml")
+    assert policy.action_offset.tolist() == [0.0, 0.72, -1.44] * 4 and set(policy.action_scale) == {0.3}
     seen = supple.make_vec(num_envs=3, threads=1).reset()[0]
     assert np.allclose(policy(seen), [network(row) for row in seen], atol=1e-5)
     described = supple.run_scenario("walk", policy, duration_s=0.5).trace["joint_targets"]
@@ -204,6 +254,27 @@ def test_a_network_in_onnx_with_its_description_is_the_function_that_it_was(prog
         )
     )
     assert printed["runs"][0]["metrics"] == supple.run_scenario("walk", policy, duration_s=0.5).metrics
+
+
+def test_a_described_network_walks_on_the_robot_that_it_was_trained_on(tmp_path):
+    onnx = pytest.importorskip("onnx")
+    graph = onnx.helper.make_graph(
+        [onnx.helper.make_node("Gemm", ["seen", "w"], ["action"])],
+        "policy",
+        [onnx.helper.make_tensor_value_info("seen", onnx.TensorProto.FLOAT, [1, 83])],
+        [onnx.helper.make_tensor_value_info("action", onnx.TensorProto.FLOAT, [1, 12])],
+        [onnx.numpy_helper.from_array(np.zeros((83, 12), dtype=np.float32), "w")],
+    )
+    path = tmp_path / "net.onnx"
+    onnx.save(onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 18)]), path)
+
+    def torques(policy, **config):
+        return supple.run_scenario("walk", policy, duration_s=0.5, **config).trace["torques"]
+
+    for config in ("fast", "go2"):
+        (tmp_path / f"{config}.yaml").write_text(supple.describe(config, path))
+        assert np.array_equal(torques(tmp_path / f"{config}.yaml"), torques(lambda _: np.zeros(12), config=config))
+    assert not np.array_equal(torques(tmp_path / "fast.yaml"), torques(tmp_path / "go2.yaml"))
 
 
 def test_what_the_docs_show_runs(programs):

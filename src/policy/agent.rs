@@ -77,13 +77,8 @@ impl Agent {
     /// # Errors
     /// [`AgentError`]
     pub fn load(path: &Path) -> Result<Self, AgentError> {
-        let mut agent = if files::is_yaml(path) {
-            external::load(path)?
-        } else {
-            let mut agent = Agent::from(Policy::load(path)?);
-            agent.find_robot(path.parent().unwrap_or(Path::new("")));
-            agent
-        };
+        let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
+        agent.find_robot(path.parent().unwrap_or(Path::new("")));
         agent.calibration = Calibration::beside(path, &agent.sha256)?;
         Ok(agent)
     }
@@ -93,7 +88,7 @@ impl Agent {
         Agent { config, sha256, calibration: None, told: 0.0, mind: Mind::External(Box::new(inference)) }
     }
 
-    /// The file of a robot that does not ship goes by its name alone: it lies where the run had it, or beside the policy.
+    /// The path of a robot that does not ship starts beside the policy; in a run's folder the robot may lie where the run had it.
     /// If it is nowhere, the policy can still be looked at, or run on another robot.
     fn find_robot(&mut self, folder: &Path) {
         let model = &mut self.config.robot.model;

@@ -126,6 +126,10 @@ struct Yielding {
 }
 
 impl Progress {
+    fn command(&self) -> &Command {
+        self.yielding.as_ref().map_or(&self.plan.command, |yielding| &yielding.asked)
+    }
+
     /// What the observer of the paper's 83 numbers had noted down: a frame is `ô`, the last target, `ô` again, the command.
     fn observer_of_old(&self) -> Observer {
         let command = &self.plan.command;
@@ -233,6 +237,12 @@ impl LocomotionEnv {
         self.begin()
     }
 
+    /// Lets the first episode go on to its end, which otherwise comes early at random, so that environments that are stepped
+    /// together are not in the same phase.
+    pub fn without_stagger(&mut self) {
+        self.progress.cut = usize::MAX;
+    }
+
     fn begin(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
         self.last_second.clear();
@@ -252,9 +262,10 @@ impl LocomotionEnv {
             let velocity = [state.velocity_in_base.x, state.velocity_in_base.y];
             yielding.asked = outer_loop.command(velocity, command, command.compliance, [0.0; 2], &mut yielding.led);
         }
+        let command = *p.command();
         let now = Moment {
             state,
-            command: p.yielding.as_ref().map_or(&p.plan.command, |yielding| &yielding.asked),
+            command: &command,
             last_action: &p.last_action,
             last_target: &p.last_target,
             nominal: &self.nominal,
@@ -271,6 +282,11 @@ impl LocomotionEnv {
     /// What was drawn for this episode.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan
+    }
+
+    /// What the observation asks for: the command of the plan, or where compliance is commanded what the outer loop makes of it.
+    pub fn command(&self) -> &Command {
+        self.progress.command()
     }
 
     /// What the observation is made of.
@@ -527,6 +543,21 @@ mod tests {
     }
 
     #[test]
+    fn without_stagger_the_first_episode_is_as_long_as_any() {
+        let config = Config::load("compliant").unwrap();
+        let steps = |staggered: bool| {
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::new(&config.command)).unwrap();
+            if !staggered {
+                env.without_stagger();
+            }
+            (0..200).find_map(|_| env.step(&[0.0; 12]).1).unwrap().steps
+        };
+        // 2 s at 60 Hz.
+        assert_eq!(steps(false), 120);
+        assert!(steps(true) < 120);
+    }
+
+    #[test]
     fn a_step_tells_its_stage_and_its_terms() {
         let config = Config::load("compliant").unwrap();
         let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
@@ -577,7 +608,9 @@ mod tests {
             let paid: f64 = (0..30).map(|_| env.step(&[0.0; 12]).0.reward).sum();
             // The last two of the observation's command, which ends it: forward and yaw; left comes before.
             let observed = env.observation();
-            (paid, observed[observed.len() - 3])
+            let Command { left, forward, yaw, .. } = *env.command();
+            assert_eq!(observed[observed.len() - 3..], [left, forward, yaw]);
+            (paid, left)
         };
         // It stands still on stiff legs: pulled, that is no yielding.
         let (at_ease, asked) = stand([0.0; 2], 0.03);

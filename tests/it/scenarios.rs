@@ -36,7 +36,8 @@ fn a_scenario_by_name_is_that_of_the_command_line_and_says_what_it_does_not_have
     for (error, expected) in [
         (refused("nothing", "{}"), "walk, push, leash"),
         (refused("walk", "{push_m_s: 1}"), "'push_m_s'; it has: forward_m_s"),
-        (refused("push", "{push_m_s: much}"), "invalid type"),
+        (refused("push", "{push_m_s: much}"), "push, line 1: push_m_s: invalid type"),
+        (refused("push", "{push_m_s: 1, duration_s: long}"), "duration_s: invalid type"),
         (refused("push", "[]"), "expected lines"),
     ] {
         assert!(error.contains(expected), "{error}");

@@ -41,6 +41,23 @@ fn our_policy_as_onnx_with_its_description_walks_as_the_policy_file_does() {
 }
 
 #[test]
+fn a_description_names_its_robot_which_lies_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let policy = shipped::find_ours("compliant").unwrap();
+    std::fs::write(folder.path().join("p.onnx"), onnx::export(&policy)).unwrap();
+    std::fs::copy(repository("models/go2.xml"), folder.path().join("mine.xml")).unwrap();
+    let mass = |model: &str| {
+        let text = describe(&policy, "p.onnx").replace(r#""model":"go1""#, &format!(r#""model":"{model}""#));
+        std::fs::write(folder.path().join("p.yaml"), text).unwrap();
+        let agent = Agent::load(&folder.path().join("p.yaml")).unwrap();
+        Scenario::named("walk", "{}").unwrap().script(0, &agent.config).unwrap().scene.robot.mass_kg
+    };
+    let go2 = Robot::load("go2").unwrap().mass_kg;
+    assert!(mass("go1") < go2);
+    assert_eq!((mass("go2"), mass("mine.xml")), (go2, go2));
+}
+
+#[test]
 fn our_own_model_imported_walks_bit_for_bit_as_before() {
     let path = repository("models/go1.xml");
     let found = Robot::load(path.to_str().unwrap()).unwrap();

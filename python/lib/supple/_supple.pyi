@@ -33,10 +33,14 @@ class Environments:
         seed: int,
         threads: int,
         curriculum: tuple[float, bool, float] | None,
+        stagger: bool,
+        autoreset: str,
     ) -> Environments: ...
-    def reset(self, seed: int | None) -> tuple[NDArray[np.float32], NDArray[np.float64]]: ...
+    def reset(
+        self, seed: int | None, mask: list[bool] | None
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]: ...
     def step(
-        self, actions: NDArray[np.float32], resets: bool
+        self, actions: NDArray[np.float32]
     ) -> tuple[
         NDArray[np.float32],
         NDArray[np.float64],
@@ -48,6 +52,7 @@ class Environments:
         tuple[
             NDArray[np.int64],
             NDArray[np.float32],
+            NDArray[np.float64],
             NDArray[np.float64],
             NDArray[np.int64],
             NDArray[np.bool_],
@@ -62,6 +67,7 @@ class Environments:
     def observation_scaling(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
     @staticmethod
     def action_names() -> list[str]: ...
+    def action_scaling(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
     def action_bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]: ...
     @staticmethod
     def term_names() -> list[str]: ...
@@ -84,6 +90,7 @@ class Policy:
     def seed(self) -> int | None: ...
     def observation_names(self) -> list[str]: ...
     def action_names(self) -> list[str]: ...
+    def action_scaling(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]: ...
 
 def run_scenario(
     name: str,
@@ -94,7 +101,7 @@ def run_scenario(
     record: str | None,
 ) -> tuple[
     list[tuple[str, float | None, str]],
-    dict[str, NDArray[np.float64]],
+    dict[str, NDArray[Any]],
     list[tuple[float, str, str]],
     str | None,
 ]: ...
@@ -109,7 +116,7 @@ def evaluate(
     tuple[
         str,
         list[str],
-        list[tuple[str, str, str]],
+        list[str],
         NDArray[np.float64],
         NDArray[np.int8],
     ]

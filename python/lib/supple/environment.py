@@ -1,11 +1,13 @@
 """The training environments behind Gymnasium's interfaces.
 
 An observation is what the networks see: float32, each number (value - offset) * scale. An action is a number for each joint:
-joint target = nominal pose + scale * action.
+joint target = offset + scale * action.
 """
 
 import os
-from typing import Any, NamedTuple
+import secrets
+from collections.abc import Sequence
+from typing import Any, NamedTuple, NoReturn
 
 import gymnasium
 import numpy as np
@@ -15,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from . import _supple
+from .given import cores, numbers, whole
 
 STAGES = ("walking", "recovery", "post-recovery")
 """What the numbers in `info["stage"]` stand for."""
@@ -38,23 +41,29 @@ class Curriculum(NamedTuple):
 def make_vec(
     config: str | os.PathLike[str] = "fast",
     num_envs: int = 64,
-    seed: int = 0,
+    seed: int | None = None,
     threads: int | None = None,
     *,
     curriculum: Curriculum | None = None,
+    stagger: bool = True,
+    autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
 ) -> "LocomotionVectorEnv":
     """Environments of a configuration, by name or file.
 
-    `threads` step them: all cores if it is left out. A `curriculum` stays as it is given; without one it is that of
-    training, which gets harder as walking gets better.
+    A seed is drawn if none is given. `threads` step them: all cores if it is left out. A `curriculum` stays as it is given;
+    without one it is that of training, which gets harder as walking gets better. `stagger` cuts each first episode at
+    random, so that not all environments are in the same phase. `autoreset_mode` says when the next episode begins: in the
+    step that ends one, in the step after it, or when `reset` is called.
     """
-    return LocomotionVectorEnv(config, num_envs, seed, threads, curriculum=curriculum)
+    return LocomotionVectorEnv(
+        config, num_envs, seed, threads, curriculum=curriculum, stagger=stagger, autoreset_mode=autoreset_mode
+    )
 
 
 def make(
-    config: str | os.PathLike[str] = "fast", seed: int = 0, *, curriculum: Curriculum | None = None
+    config: str | os.PathLike[str] = "fast", seed: int | None = None, *, curriculum: Curriculum | None = None
 ) -> "LocomotionEnv":
-    """A single environment: the first one of `make_vec`, without resets of its own."""
+    """A single environment: the first one of `make_vec`, without stagger and without resets of its own."""
     return LocomotionEnv(config, seed, curriculum=curriculum)
 
 
@@ -62,6 +71,27 @@ class _Described:
     """What an environment's numbers are."""
 
     _native: _supple.Environments
+
+    def __init__(
+        self,
+        config: str | os.PathLike[str],
+        num_envs: int,
+        seed: int | None,
+        threads: int | None,
+        curriculum: Curriculum | None,
+        stagger: bool,
+        autoreset_mode: AutoresetMode,
+    ) -> None:
+        self._native = _supple.Environments(
+            os.fspath(config),
+            whole("num_envs", num_envs, 1, 1_000_000),
+            secrets.randbits(64) if seed is None else whole("seed", seed),
+            cores(threads),
+            None if curriculum is None else Curriculum(*curriculum),
+            stagger,
+            AutoresetMode(autoreset_mode).value,
+        )
+        self._terms = self._native.term_names()
 
     @property
     def observation_names(self) -> list[str]:
@@ -84,13 +114,29 @@ class _Described:
         return self._native.action_names()
 
     @property
+    def action_offset(self) -> NDArray[np.float64]:
+        """Joint targets of actions of zero, the nominal pose [rad], shape (joints,)."""
+        return self._native.action_scaling()[0]
+
+    @property
+    def action_scale(self) -> NDArray[np.float64]:
+        """What a unit of action adds to them [rad], shape (joints,)."""
+        return self._native.action_scaling()[1]
+
+    @property
     def curriculum(self) -> Curriculum:
-        """Of episodes that start now. Setting it holds for those that start from then on, and after `reset(seed=…)`."""
+        """Of episodes that start now. Setting it holds for those that start from then on, for good, as with
+        `make_vec(curriculum=…)`."""
         return Curriculum(*self._native.curriculum())
 
     @curriculum.setter
     def curriculum(self, curriculum: Curriculum) -> None:
         self._native.set_curriculum(Curriculum(*curriculum))
+
+    def __reduce__(self) -> NoReturn:
+        raise TypeError(
+            "environments cannot be pickled or copied: call supple.make_vec in the process that is to step them"
+        )
 
     def _spaces(self) -> "tuple[spaces.Space[Observations], spaces.Space[NDArray[np.float32]]]":
         limit = self._native.observation_scaling()[2].astype(np.float32)
@@ -99,120 +145,139 @@ class _Described:
 
 
 class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
-    """Environments that are stepped together. One whose episode ends goes on with its next one in the same step."""
+    """Environments that are stepped together. docs/python.md lists what is in their infos."""
 
     def __init__(
         self,
         config: str | os.PathLike[str] = "fast",
         num_envs: int = 64,
-        seed: int = 0,
+        seed: int | None = None,
         threads: int | None = None,
         *,
         curriculum: Curriculum | None = None,
+        stagger: bool = True,
+        autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
     ) -> None:
-        self._native = _supple.Environments(os.fspath(config), num_envs, seed, _cores(threads), curriculum)
-        self.num_envs = num_envs
+        super().__init__(config, num_envs, seed, threads, curriculum, stagger, autoreset_mode)
+        self.num_envs = int(num_envs)
         self.single_observation_space, self.single_action_space = self._spaces()
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.metadata = {
-            "autoreset_mode": AutoresetMode.SAME_STEP,
-            "render_modes": [],
-            "render_fps": self._native.rate_hz(),
-        }
-        self._all = np.ones(num_envs, dtype=np.bool_)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self._mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"autoreset_mode": self._mode, "render_modes": [], "render_fps": self._native.rate_hz()}
+        self._all = np.ones(self.num_envs, dtype=np.bool_)
         self._all.flags.writeable = False
-        self._terms = self._native.term_names()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Info]:
-        """Starts new episodes: the first ones of `seed`, or the next ones."""
-        super().reset(seed=seed)
-        _no_options(options)
-        observations, commands = self._native.reset(seed)
+        """Starts new episodes: the first ones of `seed`, or the next ones. Where nothing resets by itself,
+        `options["reset_mask"]`, shape (num_envs,), can say which environments start one."""
+        seed = None if seed is None else whole("seed", seed)
+        mask = self._mask(seed, options)
+        VectorEnv.reset(self, seed=seed)
+        observations, commands = self._native.reset(seed, mask)
         return observations, {"command": commands, "_command": self._all}
 
-    def step(
-        self, actions: ArrayLike
-    ) -> tuple[Observations, NDArray[np.float64], Flags, Flags, Info]:
-        """One policy step. docs/python.md lists what is in the info."""
-        actions = np.ascontiguousarray(actions, dtype=np.float32)
-        seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions, True)
-        info: Info = {
-            "reward_terms": self._by_term(terms),
-            "stage": stages,
-            "command": commands,
-            "fall": terminations.copy(),
-            "_reward_terms": self._all,
-            "_stage": self._all,
-            "_command": self._all,
-            "_fall": self._all,
-        }
+    def step(self, actions: ArrayLike) -> tuple[Observations, NDArray[np.float64], Flags, Flags, Info]:
+        """One policy step."""
+        actions = numbers("actions", actions, (self.num_envs, len(self._native.action_names())))
+        seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
+        info = self._info(terms, stages, commands, terminations, self._all)
         if ended is not None:
-            self._tell_of_ends(info, *ended)
+            which, last_seen, last_commands, returns, lengths, pushed, faults = ended
+            mask = np.zeros(self.num_envs, dtype=np.bool_)
+            mask[which] = True
+            about: Info = {"pushed": self._spread(which, pushed), "_pushed": mask}
+            if faults:
+                at, words = zip(*faults)
+                about["fault"] = self._spread(np.array(at), words)
+                about["_fault"] = about["fault"] != None  # noqa: E711
+            if self._mode is AutoresetMode.SAME_STEP:
+                episode = {"r": self._spread(which, returns), "l": self._spread(which, lengths), "_r": mask, "_l": mask}
+                final = self._info(terms, stages, self._spread(which, last_commands), terminations, mask)
+                info["final_info"] = {**final, "episode": episode, "_episode": mask, **about}
+                info["final_obs"] = self._spread(which, list(last_seen))
+                info["_final_info"] = info["_final_obs"] = mask
+            else:
+                info.update(about)
         return seen, rewards, terminations, truncations, info
 
     def close_extras(self, **_: Any) -> None:
         """Frees the environments."""
         self._native.close()
 
-    def _by_term(self, terms: NDArray[np.float64]) -> Info:
-        found: Info = {}
-        for k, name in enumerate(self._terms):
-            found[name], found[f"_{name}"] = terms[:, k], self._all
-        return found
+    def _mask(self, seed: int | None, options: dict[str, Any] | None) -> list[bool] | None:
+        if not options:
+            return None
+        if list(options) != ["reset_mask"] or self._mode is not AutoresetMode.DISABLED or seed is not None:
+            raise ValueError(
+                f"options to reset with: expected none, or with autoreset_mode DISABLED and without a seed a reset_mask, "
+                f"found {list(options)}"
+            )
+        mask = np.asarray(options["reset_mask"])
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(
+                f"reset_mask: expected {self.num_envs} truth values, not all of them false, found {mask.tolist()}"
+            )
+        chosen: list[bool] = mask.tolist()
+        return chosen
 
-    def _tell_of_ends(
+    def _info(
         self,
-        info: Info,
-        which: NDArray[np.int64],
-        observations: Observations,
-        returns: NDArray[np.float64],
-        lengths: NDArray[np.int64],
-        pushed: Flags,
-        faults: list[tuple[int, str]],
-    ) -> None:
-        mask = np.zeros(self.num_envs, dtype=np.bool_)
-        mask[which] = True
+        terms: NDArray[np.float64],
+        stages: NDArray[np.int8],
+        commands: NDArray[np.float64],
+        falls: Flags,
+        mask: Flags,
+    ) -> Info:
+        by_term: Info = {}
+        for k, name in enumerate(self._terms):
+            by_term[name], by_term[f"_{name}"] = terms[:, k], mask
+        return {
+            "reward_terms": by_term,
+            "stage": stages,
+            "command": commands,
+            "fall": falls.copy(),
+            "_reward_terms": mask,
+            "_stage": mask,
+            "_command": mask,
+            "_fall": mask,
+        }
 
-        def spread(values: NDArray[Any]) -> NDArray[Any]:
-            whole = np.zeros(self.num_envs, dtype=values.dtype)
+    def _spread(self, which: NDArray[np.int64], values: NDArray[Any] | Sequence[Any]) -> NDArray[Any]:
+        """Values of some environments among all of them: zeros elsewhere, or None between objects."""
+        if isinstance(values, np.ndarray):
+            whole = np.zeros((self.num_envs, *values.shape[1:]), dtype=values.dtype)
             whole[which] = values
             return whole
-
-        final = np.full(self.num_envs, None, dtype=object)
-        for index, observation in zip(which, observations):
-            final[index] = observation
-        episode = {"r": spread(returns), "l": spread(lengths), "_r": mask, "_l": mask}
-        about: Info = {"episode": episode, "_episode": mask, "pushed": spread(pushed), "_pushed": mask}
-        if faults:
-            about["fault"], about["_fault"] = np.full(self.num_envs, None, dtype=object), np.zeros_like(mask)
-            for index, words in faults:
-                about["fault"][index], about["_fault"][index] = words, True
-        info.update(final_obs=final, _final_obs=mask, final_info=about, _final_info=mask)
+        objects = np.full(self.num_envs, None, dtype=object)
+        for index, value in zip(which, values):
+            objects[index] = value
+        return objects
 
 
 class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]):
     """A single environment, for checkers, and for code that resets by itself."""
 
     def __init__(
-        self, config: str | os.PathLike[str] = "fast", seed: int = 0, *, curriculum: Curriculum | None = None
+        self, config: str | os.PathLike[str] = "fast", seed: int | None = None, *, curriculum: Curriculum | None = None
     ) -> None:
-        self._native = _supple.Environments(os.fspath(config), 1, seed, 1, curriculum)
+        super().__init__(config, 1, seed, 1, curriculum, False, AutoresetMode.DISABLED)
         self.observation_space, self.action_space = self._spaces()
         self.metadata = {"render_modes": [], "render_fps": self._native.rate_hz()}
-        self._terms = self._native.term_names()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Info]:
         """Starts a new episode: the first one of `seed`, or the next one."""
-        super().reset(seed=seed)
-        _no_options(options)
-        observations, commands = self._native.reset(seed)
+        seed = None if seed is None else whole("seed", seed)
+        if options:
+            raise ValueError(f"options to reset with: expected none, found {list(options)}")
+        gymnasium.Env.reset(self, seed=seed)
+        observations, commands = self._native.reset(seed, None)
         return observations[0], {"command": commands[0]}
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Info]:
         """One policy step."""
-        actions = np.ascontiguousarray(action, dtype=np.float32)[None]
-        seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions, False)
+        actions = numbers("action", action, (len(self._native.action_names()),))[None]
+        seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
         info: Info = {
             "reward_terms": dict(zip(self._terms, terms[0].tolist())),
             "stage": int(stages[0]),
@@ -220,8 +285,7 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
             "fall": bool(terminations[0]),
         }
         if ended is not None:
-            _, _, returns, lengths, pushed, faults = ended
-            info["episode"] = {"r": float(returns[0]), "l": int(lengths[0])}
+            *_, pushed, faults = ended
             info["pushed"] = bool(pushed[0])
             info.update({"fault": words for _, words in faults})
         return seen[0], float(rewards[0]), bool(terminations[0]), bool(truncations[0]), info
@@ -229,19 +293,6 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
     def close(self) -> None:
         """Frees the environment."""
         self._native.close()
-
-
-def _cores(threads: int | None) -> int:
-    if threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if threads < 1:
-        raise ValueError(f"threads is {threads}, expected at least 1")
-    return threads
-
-
-def _no_options(options: dict[str, Any] | None) -> None:
-    if options:
-        raise ValueError(f"there are no options to reset with, found {sorted(options)}")
 
 
 gymnasium.register(

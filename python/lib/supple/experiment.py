@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _supple
+from .given import cores, whole
 from .policy import Function, Policy, resolve
 from .scenario import estimated
 
@@ -43,7 +44,7 @@ def evaluate(
     *,
     protocol: str | os.PathLike[str] = "quick",
     seed: int | None = None,
-    config: str | os.PathLike[str] = "fast",
+    config: str | os.PathLike[str] | None = None,
     sensing: str = "true",
     threads: int | None = None,
 ) -> dict[str, Experiment]:
@@ -51,22 +52,22 @@ def evaluate(
 
     `protocol` is "quick", "full", or a YAML file with what differs from the full one. Trials are those that the program
     `evaluate` plays with a policy of this training seed: measure two policies with the same `seed`, and their trials are
-    pairs. It is that of the policy, or 0. A function is called from one thread at a time, whatever `threads` says.
+    pairs. It is that of the policy, or 0. `threads` play them: all cores if it is left out. A function is called on the
+    thread that calls this, and sees what the environment of `config` observes, `fast` if it is left out.
     """
     native = resolve(policy, config)
-    is_function = not isinstance(policy, (Policy, str, os.PathLike))
     if isinstance(experiments, str):
         experiments = [experiments]
     measured = _supple.evaluate(
         native,
         None if experiments is None else list(experiments),
         os.fspath(protocol),
-        (native.seed or 0) if seed is None else seed,
+        (native.seed or 0) if seed is None else whole("seed", seed),
         estimated(sensing),
-        1 if is_function else threads or os.cpu_count() or 1,
+        cores(threads),
     )
     return {
-        name: Experiment(conditions, [quantity for quantity, _, _ in quantities], values, np.array(ENDS)[ends])
+        name: Experiment(conditions, quantities, values, np.array(ENDS)[ends])
         for name, conditions, quantities, values, ends in measured
     }
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import _supple
+from .given import numbers
 
 Function = Callable[[NDArray[np.float32]], Any]
 """From an observation, shape (length,), to an action, shape (joints,)."""
@@ -22,6 +23,7 @@ class Policy:
 
     def __init__(self, native: _supple.Policy) -> None:
         self._native = native
+        self._length = len(native.observation_names())
 
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str]) -> "Policy":
@@ -29,10 +31,12 @@ class Policy:
         return cls(_supple.Policy.load(os.fspath(name_or_path)))
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.float32]:
-        """Actions, shape (n, joints), for observations of shape (n, length); or one for one of shape (length,)."""
-        seen = np.ascontiguousarray(observations, dtype=np.float32)
-        if seen.ndim not in (1, 2):
-            raise ValueError(f"observations have shape {list(seen.shape)}, expected [length] or [n, length]")
+        """Actions, shape (n, joints), for observations of shape (n, length); or one for one of shape (length,).
+
+        They are actions of an environment whose names, offsets and scales are those of this policy: not so for external
+        policies that were trained elsewhere.
+        """
+        seen = numbers(f"observations for {self.name}", observations, (self._length,), (None, self._length))
         actions = self._native.act(np.atleast_2d(seen))
         return actions if seen.ndim == 2 else actions[0]
 
@@ -61,30 +65,43 @@ class Policy:
         """Names of the joints, in the order of its actions."""
         return self._native.action_names()
 
+    @property
+    def action_offset(self) -> NDArray[np.float64]:
+        """Joint target = offset + scale * action [rad], shape (joints,)."""
+        return self._native.action_scaling()[0]
+
+    @property
+    def action_scale(self) -> NDArray[np.float64]:
+        """Joint target = offset + scale * action [rad], shape (joints,)."""
+        return self._native.action_scaling()[1]
+
     def __repr__(self) -> str:
         return f"Policy({self.name!r})"
 
 
-def describe(config: str | os.PathLike[str], onnx: str) -> str:
+def describe(config: str | os.PathLike[str], onnx: str | os.PathLike[str]) -> str:
     """The YAML file that goes beside an ONNX file of a network that was trained in the environment of `config`: with it
     the network is a policy for every program. `onnx` is the file's name."""
-    return _supple.describe(os.fspath(config), onnx)
+    return _supple.describe(os.fspath(config), os.fspath(onnx))
 
 
-def resolve(policy: "Policy | Function | str | os.PathLike[str]", config: str | os.PathLike[str]) -> _supple.Policy:
+def resolve(
+    policy: "Policy | Function | str | os.PathLike[str]", config: str | os.PathLike[str] | None
+) -> _supple.Policy:
     """Whatever can be asked to act, as a policy. `config` is for functions."""
-    if isinstance(policy, Policy):
-        return policy._native
-    if isinstance(policy, (str, os.PathLike)):
-        return _supple.Policy.load(os.fspath(policy))
+    if isinstance(policy, (Policy, str, os.PathLike)):
+        if config is not None:
+            raise ValueError(f"config is {config!r}, but {policy!r} has a configuration of its own: leave config out")
+        return policy._native if isinstance(policy, Policy) else _supple.Policy.load(os.fspath(policy))
     if not callable(policy):
         raise TypeError(f"policy is {policy!r}, expected a Policy, the name of one, or a function")
     function = _of_network(policy)
+    joints = len(_supple.Environments.action_names())
 
     def act(observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.ascontiguousarray(function(observation), dtype=np.float32).reshape(-1)
+        return numbers("the policy's answer", function(observation), (joints,), (1, joints)).reshape(-1)
 
-    return _supple.Policy.of_function(os.fspath(config), act)
+    return _supple.Policy.of_function("fast" if config is None else os.fspath(config), act)
 
 
 def _of_network(policy: Function) -> Function:

@@ -1,5 +1,6 @@
 """The environments for Stable-Baselines3.
 
+    import supple.sb3            # not by `import supple` alone
     from stable_baselines3 import PPO
     model = PPO("MlpPolicy", supple.sb3.SB3VecEnv(supple.make_vec("fast")))
 """
@@ -8,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -21,6 +23,8 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
     as Gymnasium has it: an info for each environment tells of the end of an episode alone."""
 
     def __init__(self, env: LocomotionVectorEnv) -> None:
+        if not isinstance(env, LocomotionVectorEnv) or env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
+            raise TypeError(f"env is {env!r}, expected what supple.make_vec makes, with its own autoreset_mode")
         self.env = env
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         self._actions: NDArray[np.float32] | None = None
@@ -28,9 +32,10 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
 
     def reset(self) -> NDArray[np.float32]:
         """Starts new episodes; those of the seed given to `seed`, if it was called."""
-        seed = self._seeds[0]
+        seed, options = self._seeds[0], self._options[0]
         self._reset_seeds()
-        observations, info = self.env.reset(seed=seed)
+        self._reset_options()
+        observations, info = self.env.reset(seed=seed, options=options)
         self.reset_infos = [{"command": command} for command in info["command"]]
         return observations
 

@@ -3,12 +3,13 @@
 import json
 import os
 import warnings
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _supple
+from .given import whole
 from .policy import Function, Policy, resolve
 
 
@@ -28,8 +29,8 @@ class Run(NamedTuple):
     """Numbers by name, with their unit at the end; None where the run does not define one."""
     units: dict[str, str]
     """Of the metrics."""
-    trace: dict[str, NDArray[np.float64]]
-    """By name, one row for each policy step."""
+    trace: dict[str, NDArray[Any]]
+    """By name, one row for each policy step; numbers, and truth values for contacts."""
     events: list[Event]
     """In order of time."""
 
@@ -49,7 +50,7 @@ def run_scenario(
     policy: Policy | Function | str | os.PathLike[str] = "compliant",
     seed: int = 0,
     *,
-    config: str | os.PathLike[str] = "fast",
+    config: str | os.PathLike[str] | None = None,
     sensing: str = "true",
     record: str | os.PathLike[str] | None = None,
     **parameters: float | str | bool,
@@ -57,7 +58,7 @@ def run_scenario(
     """Plays a scenario with a policy: a Policy, the name of one, a PyTorch module, or any function from an observation,
     shape (length,), to an action, shape (joints,).
 
-    A function sees what the environment of `config` observes. `sensing` is "true", or "estimated": noisy sensors.
+    A function sees what the environment of `config` observes, `fast` if it is left out. `sensing` is "true", or "estimated": noisy sensors.
     `parameters` are those of the scenario, see `scenarios()`. `record` names an .rrd file for the rerun viewer.
     """
     if record is not None and not _supple.RECORDS:
@@ -67,9 +68,9 @@ def run_scenario(
     metrics, trace, events, note = _supple.run_scenario(
         name,
         resolve(policy, config),
-        seed,
+        whole("seed", seed),
         estimated(sensing),
-        json.dumps(parameters),
+        json.dumps(parameters, default=_plain),
         None if record is None else os.fspath(record),
     )
     if note is not None:
@@ -92,3 +93,9 @@ def estimated(sensing: str) -> bool:
     if sensing not in ("true", "estimated"):
         raise ValueError(f"sensing is {sensing!r}, expected 'true' or 'estimated'")
     return sensing == "estimated"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.generic):
+        return value.item()
+    raise ValueError(f"a parameter is {value!r}, expected a number, a text, or True or False")

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use crate::config::{Config, Simulation};
+use crate::config::Config;
 use crate::observation::{Numbers, Observed, Quantity, Word};
 use crate::policy::{Policy, Provenance};
 use crate::robot::{Joints, joint_names};
@@ -26,7 +26,7 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
         clip: None,
         ..observed.clone()
     });
-    text(&title, onnx, &config.simulation, policy.nominal_pose(), observation, ("joint_angle", 1.0))
+    text(&title, onnx, config, policy.nominal_pose(), observation, ("joint_angle", 1.0))
 }
 
 /// The YAML file for the ONNX file `onnx` of a network that acts in the training environment of a configuration: it sees
@@ -42,13 +42,13 @@ pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> Strin
         let offset = if is_nominal_height { Some(height.clone()) } else { observed.offset.clone() };
         Observed { offset, ..observed.clone() }
     });
-    text(&title, onnx, &config.simulation, &pose, observation, ("offset_from_nominal", config.action.scale_rad))
+    text(&title, onnx, config, &pose, observation, ("offset_from_nominal", config.action.scale_rad))
 }
 
 fn text(
     title: &str,
     onnx: &str,
-    simulation: &Simulation,
+    Config { robot, simulation, .. }: &Config,
     nominal_pose: &Joints,
     observation: impl Iterator<Item = Observed>,
     (meaning, scale_rad): (&str, f64),
@@ -57,15 +57,19 @@ fn text(
     // Writing into a String cannot fail.
     let _ = write!(
         text,
-        "# {title}\n\
+        "# {}\n\
          onnx: {}\n\
+         robot: {}\n\
          simulation:\n  physics_rate_hz: {}\n  policy_rate_hz: {}\n  kp_n_m_per_rad: {:?}\n  kd_n_m_s_per_rad: {:?}\n  \
          latency_s: {:?}\n\
          joints: [{}]\n\
          nominal_pose_rad: {:?}\n\
          observation:\n",
-        // A JSON string is a YAML string.
+        // A comment is one line.
+        title.replace(char::is_control, " "),
+        // JSON is YAML.
         serde_json::Value::from(onnx),
+        serde_json::to_value(robot).unwrap_or_default(),
         simulation.physics_rate_hz,
         simulation.policy_rate_hz,
         simulation.kp_n_m_per_rad,
@@ -75,7 +79,6 @@ fn text(
         nominal_pose,
     );
     for observed in observation {
-        // Flow style is JSON, which is YAML.
         let _ = writeln!(text, "  - {}", serde_json::to_value(observed).unwrap_or_default());
     }
     let _ = write!(text, "action:\n  meaning: {meaning}\n  scale_rad: {scale_rad:?}\n");

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::POLICY;
-use crate::config::{Config, ConfigError, Simulation};
+use crate::config::{Config, ConfigError, RobotModel, Simulation};
 use crate::observation::{Layout, Nominal, Numbers, Observed, limit, numbers};
 use crate::policy::AgentError;
 use crate::policy::inference::{Action, Meaning};
@@ -26,6 +26,7 @@ struct RawAction {
 #[serde(deny_unknown_fields)]
 struct RawSpec {
     onnx: PathBuf,
+    robot: Option<RobotModel>,
     simulation: Simulation,
     joints: Vec<String>,
     nominal_pose_rad: Vec<f64>,
@@ -41,7 +42,7 @@ pub(super) struct Spec {
     pub(super) onnx: PathBuf,
     pub(super) layout: Layout,
     pub(super) action: Action,
-    /// Rates, gains and latency to run it with; all else is that of the paper's configuration.
+    /// Robot, rates, gains and latency to run it with; all else is that of the paper's configuration.
     pub(super) config: Config,
 }
 
@@ -53,6 +54,7 @@ impl Spec {
             .map_err(|error| FileError::of(POLICY, path)(error.without_name()))?;
         let mut config = Config::load("compliant")?;
         config.simulation = raw.simulation.clone();
+        config.robot = raw.robot.clone().unwrap_or(config.robot);
         config.check().map_err(|error| ConfigError::Value { name, error })?;
         Ok(Self::new(raw, config).map_err(FileError::of(POLICY, path))?)
     }
@@ -140,16 +142,37 @@ mod tests {
 
     #[test]
     fn a_network_of_the_training_environment_is_described_as_it_sees_and_acts() {
-        let mut config = Config::load("fast").unwrap();
+        let mut config = Config::load("go2").unwrap();
+        config.robot.damping_n_m_s_per_rad = 0.5;
         config.reward.base_height_m = 0.29;
         config.action.scale_rad = 0.25;
         let text = describe_network("mine", &config, "net.onnx");
         let spec = Spec::parse(Path::new("net.yaml"), &text).unwrap();
         assert_eq!(spec.layout, config.layout().unwrap());
-        assert_eq!(spec.config.simulation, config.simulation);
+        assert_eq!((&spec.config.simulation, &spec.config.robot), (&config.simulation, &config.robot));
         let Action { nominal_pose, meaning, scale_rad, clip } = spec.action;
         assert_eq!((nominal_pose[..3].to_vec(), meaning), (vec![0.0, 0.72, -1.44], Meaning::OffsetFromNominal));
         assert_eq!((scale_rad, clip), ([0.25; JOINTS], f64::INFINITY));
+    }
+
+    #[test]
+    fn a_file_names_its_robot_which_is_the_go1_without() {
+        const PLAYGROUND: &str = include_str!("../../../examples/policies/playground.yaml");
+        let robot = |line: &str| {
+            let text = format!("{line}\n{PLAYGROUND}");
+            Spec::parse(Path::new("test"), &text).map(|spec| spec.config.robot)
+        };
+        assert_eq!(robot("").unwrap(), Config::load("compliant").unwrap().robot);
+        assert_eq!(robot("robot: {model: go2}").unwrap().model, "go2");
+        let error = robot("robot: {model: go2, damping_n_m_s_per_rad: -1.0}").unwrap_err();
+        assert!(error.to_string().contains("damping_n_m_s_per_rad"), "{error}");
+    }
+
+    #[test]
+    fn a_description_is_yaml_whatever_the_names_in_it() {
+        let text = describe_network("a\nb", &Config::load("fast").unwrap(), "x\ny.onnx");
+        let spec = Spec::parse(Path::new("net.yaml"), &text).unwrap();
+        assert_eq!(spec.onnx, Path::new("x\ny.onnx"));
     }
 
     #[test]

@@ -6,6 +6,8 @@ its parameters, what they make of the script, and the numbers it is about; a lin
 programs.
 */
 
+use std::collections::BTreeMap;
+
 use clap::{Args, Subcommand};
 use rand::RngExt;
 use rand_distr::StandardNormal;
@@ -22,7 +24,7 @@ use crate::task::Command;
 use crate::task::episode::GRAVITY;
 use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
-use crate::util::yaml::{Text, YamlError, flat_parameters, layered};
+use crate::util::yaml::{Text, YamlError, flat_parameters, layered, to_text};
 
 /// Makes a struct of parameters: each field is a flag of the `scenario` program and a key of the YAML file, beside what every
 /// scenario asks of the policy.
@@ -126,7 +128,20 @@ fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Res
         let known: Vec<&str> = known.iter().map(|(name, _)| name.as_str()).collect();
         return Err(YamlError::new(scenario, format!("it has no parameter '{unknown}'; it has: {}", known.join(", "))));
     }
-    layered(&texts)
+    layered(&texts).map_err(|error| {
+        // Those that all scenarios have are flattened, and then serde does not know their names: the one that does not fit
+        // alone is to blame.
+        let fits = |name: &str| {
+            let alone = texts[1].parse().map(|given| to_text(&BTreeMap::from([(name, &given[name])])));
+            alone.is_ok_and(|alone| layered::<T>(&[texts[0].clone(), Text::new(scenario, &alone)]).is_ok())
+        };
+        match given.iter().find(|(name, _)| !fits(name)) {
+            Some((name, _)) if !error.message.starts_with(name.as_str()) => {
+                YamlError { message: format!("{name}: {}", error.message), ..error }
+            }
+            _ => error,
+        }
+    })
 }
 
 /// Length still shown after a fall \[s\].
