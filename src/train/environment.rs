@@ -262,6 +262,11 @@ impl LocomotionEnv {
         p.observer.measure(&self.layout, &now);
     }
 
+    /// Its index in the run.
+    pub fn index(&self) -> u64 {
+        self.index
+    }
+
     /// Memory that its simulation takes \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
         self.sim.data().bytes()

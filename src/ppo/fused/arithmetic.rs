@@ -3,6 +3,7 @@ What the three phases of an update compute with.
 */
 
 use std::fmt::Debug;
+use std::ops::Range;
 
 use super::losses::Pass;
 use super::optimizer::{AdamStep, Parameters};
@@ -20,6 +21,40 @@ pub struct Chunk {
     pub blocks: usize,
     /// Whether the minibatch ends with it.
     pub is_last: bool,
+    /// Blocks of each shard.
+    pub shard_blocks: usize,
+    /// Shards of the minibatch on this rank.
+    pub shards: usize,
+}
+
+/// Blocks of a chunk that belong to one shard.
+#[derive(Debug, Clone)]
+pub struct Piece {
+    /// Counted from the start of the chunk.
+    pub blocks: Range<usize>,
+    /// Counted from zero.
+    pub shard: usize,
+    /// Whether the shard begins with it.
+    pub is_first: bool,
+    /// Whether the shard ends with it.
+    pub is_last: bool,
+}
+
+impl Chunk {
+    /// Its blocks, shard by shard.
+    pub fn pieces(self) -> impl Iterator<Item = Piece> {
+        let (first, end) = (self.start, self.start + self.blocks);
+        (first / self.shard_blocks..end.div_ceil(self.shard_blocks)).map(move |shard| {
+            let of_shard = shard * self.shard_blocks..(shard + 1) * self.shard_blocks;
+            let (from, to) = (first.max(of_shard.start), end.min(of_shard.end));
+            Piece {
+                blocks: from - first..to - first,
+                shard,
+                is_first: from == of_shard.start,
+                is_last: to == of_shard.end,
+            }
+        })
+    }
 }
 
 /// Both networks, their gradients and Adam's moments in one arithmetic. Every phase is called by all threads of a team.
@@ -49,8 +84,8 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
         loss: impl Fn(Pass<'_>),
     );
 
-    /// Phase 2: the gradient of all weights, added to that of the chunks before; after the last chunk its sum of squares
-    /// goes to `conclude`, on one thread.
+    /// Phase 2: the gradient of all weights, added to that of the chunks before, in order within shards and over the tree of
+    /// them; after the last chunk its sum of squares goes to `conclude`, on one thread.
     fn gradients(&self, team: Member<'_>, workspace: &mut Self::Workspace, chunk: Chunk, conclude: impl FnOnce(f64));
 
     /// Phase 3: a step of all weights.
@@ -58,4 +93,20 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
 
     /// Writes a part of all weights and biases into `networks`, as plain numbers.
     fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_are_cut_where_shards_end() {
+        let pieces = |start, blocks| {
+            let chunk = Chunk { start, blocks, is_last: false, shard_blocks: 3, shards: 4 };
+            chunk.pieces().map(|piece| (piece.blocks, piece.shard, piece.is_first, piece.is_last)).collect::<Vec<_>>()
+        };
+        assert_eq!(pieces(0, 4), [(0..3, 0, true, true), (3..4, 1, true, false)]);
+        assert_eq!(pieces(4, 4), [(0..2, 1, false, true), (2..4, 2, true, false)]);
+        assert_eq!(pieces(4, 1), [(0..1, 1, false, false)]);
+    }
 }

@@ -4,7 +4,7 @@ The fused learner: one PPO update on all cores.
 Each minibatch goes through three phases, each a list of independent tasks:
 
 1. forward pass, loss and backward pass of one network over one block of rows;
-2. gradient of one panel of weights, summed over all rows in order;
+2. gradient of one panel of weights, summed over the rows of each shard in order, and over the tree of [shards](crate::ranks);
 3. Adam for one panel.
 
 Phases 1 and 2 are repeated for each [`Chunk`] of the minibatch, so that what the one leaves for the other is still in the
@@ -14,7 +14,7 @@ Each list has the policy's tasks first and then the value function's, so that th
 they need in their own caches (see [`Team`]). Parameters have the same bits for any number of threads.
 */
 
-use std::sync::{Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use pulp::Arch;
 
@@ -28,6 +28,7 @@ use crate::network::kernels::{Buffer, SumOfSquares};
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{Progress, check};
 use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
+use crate::ranks::{Ranks, tree_sum};
 
 /// Rows of a chunk for two threads.
 const CHUNK_ROWS: usize = 256;
@@ -37,6 +38,7 @@ const CHUNK_ROWS: usize = 256;
 pub struct FusedLearner<A> {
     settings: Ppo,
     threads: usize,
+    ranks: Arc<dyn Ranks>,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<Parameters>,
     /// Of a chunk.
@@ -54,11 +56,12 @@ impl<A: Arithmetic> FusedLearner<A> {
     ///
     /// # Panics
     /// When the minibatch size is zero, or the moments do not have the shapes of the parameters.
-    pub fn new(state: &LearnerState, settings: Ppo, threads: usize) -> Self {
+    pub fn new(state: &LearnerState, settings: Ppo, threads: usize, ranks: Arc<dyn Ranks>) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
         let threads = threads.max(1);
-        let blocks = settings.minibatch_size.div_ceil(A::BLOCK);
+        let shards = settings.shards / ranks.count();
+        let blocks = shards * (settings.minibatch_size / settings.shards).div_ceil(A::BLOCK);
         let chunk_blocks = (CHUNK_ROWS * threads.div_ceil(2) / A::BLOCK).min(blocks);
         Self {
             arithmetic: A::new(parts, chunk_blocks),
@@ -66,6 +69,7 @@ impl<A: Arithmetic> FusedLearner<A> {
             log_std: RwLock::new(Parameters::new(parts.map(|part| Buffer::from(&*part.log_std)))),
             sums: std::array::from_fn(|_| (0..blocks).map(|_| Mutex::default()).collect()),
             threads,
+            ranks,
             steps: state.steps,
             learning_rate: state.learning_rate,
             shapes: state.parameters.zeros_like(),
@@ -99,11 +103,12 @@ impl<A: Arithmetic> FusedLearner<A> {
                 pass.value_loss(minibatch, rows)
             };
         };
-        let blocks = minibatch.rows.len().div_ceil(A::BLOCK);
+        let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(A::BLOCK));
+        let blocks = shards * shard_blocks;
         let mut conclude = Some(|squares| conclude(self.summary(minibatch, squares)));
         for start in (0..blocks).step_by(self.chunk_blocks) {
             let end = blocks.min(start + self.chunk_blocks);
-            let chunk = Chunk { start, blocks: end - start, is_last: end == blocks };
+            let chunk = Chunk { start, blocks: end - start, is_last: end == blocks, shard_blocks, shards };
             self.arithmetic.passes(team, workspace, minibatch, chunk, loss);
             self.arithmetic.gradients(team, workspace, chunk, |squares| {
                 if let Some(conclude) = conclude.take_if(|_| chunk.is_last) {
@@ -115,11 +120,12 @@ impl<A: Arithmetic> FusedLearner<A> {
 
     /// The gradient of `ln σ`, the losses and the gradient norm, `squares` being that of all weights.
     fn summary(&self, minibatch: &Minibatch<'_>, squares: f64) -> UpdateStatistics {
-        let count = minibatch.rows.chunks(A::BLOCK).len();
+        let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(A::BLOCK));
         let sum = |network: usize, part: &dyn Fn(&Sums) -> f64| {
-            self.sums[network][..count].iter().map(|sums| part(&lock(sums))).sum::<f64>()
+            let of_shard = |shard: usize| &self.sums[network][shard * shard_blocks..][..shard_blocks];
+            tree_sum(shards, |shard| of_shard(shard).iter().map(|sums| part(&lock(sums))).sum())
         };
-        let mean = |network, part: fn(&Sums) -> f64| sum(network, &part) / minibatch.rows.len() as f64;
+        let mean = |network, part: fn(&Sums) -> f64| sum(network, &part) / minibatch.samples as f64;
         let mut log_std = write(&self.log_std);
         for (i, gradient) in log_std.gradient.iter_mut().enumerate() {
             let sum = sum(0, &|sums| sums.log_std_gradient[i]);
@@ -133,7 +139,7 @@ impl<A: Arithmetic> FusedLearner<A> {
             entropy: DiagonalGaussian::new(&log_std.values).entropy(),
             kl: if kl.abs() < A::KL_ROUNDING { 0.0 } else { kl },
             clip_fraction: mean(0, |sums| sums.clipped),
-            max_ratio: self.sums[0][..count].iter().map(|sums| lock(sums).max_ratio).fold(0.0, f64::max),
+            max_ratio: self.sums[0][..shards * shard_blocks].iter().map(|sums| lock(sums).max_ratio).fold(0.0, f64::max),
             gradient_norm,
             max_gradient_norm: gradient_norm,
             learning_rate: 0.0,
@@ -151,14 +157,16 @@ impl<A: Arithmetic> FusedLearner<A> {
 
 impl<A: Arithmetic> Learner for FusedLearner<A> {
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
-        check(batch, permutations, self.shapes.policy.inputs(), self.shapes.policy.outputs())?;
-        let progress = Mutex::new(Progress::new(self.steps, self.learning_rate, &self.settings, permutations));
+        let policy = &self.shapes.policy;
+        check(batch, permutations, [policy.inputs(), policy.outputs()], &self.settings, &*self.ranks)?;
+        let minibatches = Minibatch::all(batch, &self.settings, permutations, &*self.ranks);
+        let progress = Mutex::new(Progress::new(self.steps, self.learning_rate, minibatches.len()));
         Team::run(self.threads, |team| {
             let workspace = &mut self.arithmetic.workspace();
-            for minibatch in Minibatch::all(batch, &self.settings, permutations) {
-                self.differentiate(team, workspace, &minibatch, |summary| {
+            for minibatch in &minibatches {
+                self.differentiate(team, workspace, minibatch, |summary| {
                     let mut progress = lock(&progress);
-                    progress.conclude(&minibatch, summary);
+                    progress.conclude(minibatch, summary);
                     if let Some(step) = progress.step {
                         self.step_log_std(&AdamStep::new(&self.settings, &step));
                     }

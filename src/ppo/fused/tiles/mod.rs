@@ -109,14 +109,20 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
             let (depth, index) = (panel.depth, panel.index);
             let operands: Vec<_> =
                 blocks.iter().map(|block| (&block.deltas[depth][index], &*block.inputs[depth])).collect();
-            let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
-            let add = chunk.start > 0;
-            self.simd.vectorize(Gradient { unit: &workspace.unit, operands: &operands, add, weights });
-            if !add {
-                biases.fill(0.0);
-            }
-            for block in &blocks {
-                biases.iter_mut().zip(&block.bias[depth][32 * index..]).for_each(|(sum, bias)| *sum += bias);
+            for piece in chunk.pieces() {
+                let (blocks, operands) = (&blocks[piece.blocks.clone()], &operands[piece.blocks]);
+                let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
+                let add = !piece.is_first;
+                self.simd.vectorize(Gradient { unit: &workspace.unit, operands, add, weights });
+                if !add {
+                    biases.fill(0.0);
+                }
+                for block in blocks {
+                    biases.iter_mut().zip(&block.bias[depth][32 * index..]).for_each(|(sum, bias)| *sum += bias);
+                }
+                if piece.is_last {
+                    panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
+                }
             }
             if chunk.is_last {
                 panel.squares = pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient));
