@@ -7,12 +7,22 @@ is summed over samples is summed within each shard in order, then over shards by
 that its sum is a node of that tree: the result depends on the number of shards, but neither on that of ranks nor on that
 of threads.
 
-[`Alone`] is a program by itself.
+[`Alone`] is a program by itself; with the feature `mpi`, `Mpi` is one of those that `mpirun` has started.
 */
 
-use std::fmt::Debug;
+#[cfg(feature = "mpi")]
+mod mpi;
+
+#[cfg(feature = "mpi")]
+pub use self::mpi::Mpi;
+
+
+use std::fmt::{Debug, Display};
 use std::ops::Range;
 use std::sync::Arc;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 
 /// This process among those that train together. Whatever is done together is called by all of them, in the same order.
 pub trait Ranks: Debug + Send + Sync {
@@ -22,8 +32,16 @@ pub trait Ranks: Debug + Send + Sync {
     /// How many there are, a power of two.
     fn count(&self) -> usize;
 
+    /// Whether it is a program by itself, and not even a single rank.
+    fn is_alone(&self) -> bool {
+        false
+    }
+
+    /// What it is called, with the machine that it is on.
+    fn name(&self, rank: usize) -> String;
+
     /// Replaces numbers by their sums over all ranks, over a fixed tree.
-    fn sum(&self, singles: &mut [f32], doubles: &mut [f64]);
+    fn sum(&self, singles: &mut Vec<f32>, doubles: &mut Vec<f64>);
 
     /// What every rank has to say, rank by rank.
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>>;
@@ -47,6 +65,10 @@ impl Alone {
 }
 
 impl Ranks for Alone {
+    fn is_alone(&self) -> bool {
+        true
+    }
+
     fn index(&self) -> usize {
         0
     }
@@ -55,7 +77,11 @@ impl Ranks for Alone {
         1
     }
 
-    fn sum(&self, _: &mut [f32], _: &mut [f64]) {}
+    fn name(&self, _: usize) -> String {
+        "this process".into()
+    }
+
+    fn sum(&self, _: &mut Vec<f32>, _: &mut Vec<f64>) {}
 
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>> {
         vec![own]
@@ -77,9 +103,64 @@ pub fn tree_sum(shards: usize, part: impl Fn(usize) -> f64) -> f64 {
 /// The sum of `of` over the samples of all ranks, of which `samples` in `shards` shards are here.
 pub fn sum_over_samples(ranks: &dyn Ranks, shards: usize, samples: usize, of: impl Fn(usize) -> f64) -> f64 {
     let size = samples / shards;
-    let mut sum = [tree_sum(shards, |shard| (shard * size..(shard + 1) * size).map(&of).sum())];
-    ranks.sum(&mut [], &mut sum);
+    let mut sum = vec![tree_sum(shards, |shard| (shard * size..(shard + 1) * size).map(&of).sum())];
+    ranks.sum(&mut Vec::new(), &mut sum);
     sum[0]
+}
+
+/// Whether it is so on any rank.
+pub fn any(ranks: &dyn Ranks, own: bool) -> bool {
+    let mut count = vec![f64::from(u8::from(own))];
+    ranks.sum(&mut Vec::new(), &mut count);
+    count[0] > 0.0
+}
+
+/// What went wrong on one of several ranks, known to all.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{name}: {problem}")]
+pub struct RankError {
+    /// Rank and host.
+    pub name: String,
+    /// In its own words.
+    pub problem: String,
+}
+
+/// What every rank has come to, rank by rank, or what the first one that failed says.
+///
+/// # Errors
+/// A single rank's own error; of several ranks, a [`RankError`] on all of them.
+pub fn agree<T, E>(ranks: &dyn Ranks, own: Result<T, E>) -> Result<Vec<T>, E>
+where
+    T: Serialize + DeserializeOwned,
+    E: Display + From<RankError>,
+{
+    if ranks.count() == 1 {
+        return own.map(|own| vec![own]);
+    }
+    let told = own.map_err(|error| error.to_string());
+    let bytes = serde_json::to_vec(&told).or_else(|error| serde_json::to_vec(&Err::<T, _>(error.to_string())));
+    let told = ranks.gather(bytes.unwrap_or_default());
+    let read = |(rank, bytes): (usize, &Vec<u8>)| {
+        let told = serde_json::from_slice::<Result<T, String>>(bytes).map_err(|error| error.to_string());
+        told.flatten().map_err(|problem| RankError { name: ranks.name(rank), problem }.into())
+    };
+    told.iter().enumerate().map(read).collect()
+}
+
+/// Checks that something is the same on all ranks as on the first.
+///
+/// # Errors
+/// A [`RankError`] that names one on which it is not, the same on all of them.
+pub fn check_alike(ranks: &dyn Ranks, facts: &[(&str, String)]) -> Result<(), RankError> {
+    let facts = facts.iter().map(|(what, value)| ((*what).to_owned(), value.clone())).collect::<Vec<_>>();
+    let all = agree::<_, RankError>(ranks, Ok(facts))?;
+    for (rank, facts) in all.iter().enumerate() {
+        if let Some(((what, own), (_, first))) = facts.iter().zip(&all[0]).find(|(own, first)| own != first) {
+            let problem = format!("its {what} is {own}, but that of {} is {first}", ranks.name(0));
+            return Err(RankError { name: ranks.name(rank), problem });
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 A [`Trainer`] is a run in memory; [`RunFolder`](crate::train::run::RunFolder) is its place on disk.
 */
 
+use std::mem;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -10,7 +11,7 @@ use rand::seq::SliceRandom;
 
 use super::checkpoint::{Checkpoint, RunState};
 use super::collection::{Collection, Rollout};
-use super::environment::{End, Fault, LocomotionEnv};
+use super::environment::{End, EpisodeReport, Fault, LocomotionEnv};
 use super::memory::{Memory, MemoryError};
 use super::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
 use super::symmetry::{self, Mirror};
@@ -20,7 +21,7 @@ use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
 use crate::ppo::{Batch, Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
-use crate::ranks::{Alone, Ranks, sum_over_samples};
+use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
 use crate::robot::{JOINTS, Robot};
 use crate::task::Curriculum;
 use crate::util::files::FileError;
@@ -60,6 +61,9 @@ pub enum TrainError {
         /// What the update and the rollout before it were like, as JSON.
         circumstances: String,
     },
+    /// What went wrong on one of several ranks.
+    #[error(transparent)]
+    Rank(#[from] RankError),
     /// A checkpoint that does not fit its own configuration.
     #[error("the checkpoint does not fit its configuration: {0}")]
     Checkpoint(String),
@@ -195,8 +199,15 @@ impl Trainer {
             curriculum: self.run.curriculum,
             threads: self.threads,
         };
-        let rollout = collection.collect(&mut self.environments)?;
-        self.faults = rollout.episodes.iter().filter_map(|episode| episode.fault.as_deref().cloned()).collect();
+        let (rollout, episodes) = match collection.collect(&mut self.environments) {
+            Ok(mut rollout) => {
+                let episodes = mem::take(&mut rollout.episodes);
+                (rollout, Ok(episodes))
+            }
+            Err(error) => (Rollout::default(), Err(TrainError::from(error))),
+        };
+        let episodes = agree(&*self.ranks, episodes)?.concat();
+        self.faults = episodes.iter().filter_map(|episode| episode.fault.as_deref().cloned()).collect();
         let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
         let collected = started.elapsed();
 
@@ -204,14 +215,29 @@ impl Trainer {
         let permutations = self.permutations(rollout.len());
         let images = self.mirror.as_ref().map(|mirror| mirror.doubled(&batch, &network.policy, self.threads));
         let batch = images.as_ref().map_or(batch, Samples::batch);
-        let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
-            iteration: self.run.iteration,
-            minibatch: minibatch_csv(&fault, &rollout, &batch),
-            circumstances: circumstances(&fault, &rollout, &returns, &network.log_std, ppo.shards / self.ranks.count()),
-            fault: Box::new(fault),
-        })?;
+        let statistics = match self.learner.update(&batch, &permutations) {
+            Ok(statistics) => statistics,
+            Err(fault) => {
+                let shards = ppo.shards / self.ranks.count();
+                let csv = minibatch_csv(&fault, &rollout, &batch, &*self.ranks);
+                let told = circumstances(&fault, &rollout, &episodes, &returns, &network.log_std, shards);
+                // Sums over all ranks are what it has met, so all of them have met it.
+                let told = agree(&*self.ranks, Ok::<_, TrainError>((csv, told)))?;
+                let (minibatch, mut circumstances): (String, Vec<_>) = told.into_iter().unzip();
+                let circumstances = match circumstances.len() {
+                    1 => circumstances.remove(0),
+                    _ => serde_json::Value::Array(circumstances),
+                };
+                return Err(TrainError::Learner {
+                    iteration: self.run.iteration,
+                    minibatch,
+                    circumstances: format!("{circumstances:#}\n"),
+                    fault: Box::new(fault),
+                });
+            }
+        };
 
-        let means = EpisodeMeans::new(&rollout.episodes);
+        let means = EpisodeMeans::new(&episodes);
         means.advance(&mut self.run.curriculum, &self.run.config);
         self.run.iteration += 1;
         let (ranks, shards) = (&*self.ranks, self.run.config.ppo.shards / self.ranks.count());
@@ -265,10 +291,14 @@ impl Trainer {
         &self.faults
     }
 
-    /// The state to go on from.
-    pub fn checkpoint(&self) -> Checkpoint {
-        let environments = self.environments.iter().map(LocomotionEnv::save).collect();
-        Checkpoint { run: RunState { environments, ..self.run.clone() }, learner: self.learner.state() }
+    /// The state to go on from, on every rank.
+    ///
+    /// # Errors
+    /// What went wrong on one of several ranks.
+    pub fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
+        let own = self.environments.iter().map(LocomotionEnv::save).collect::<Vec<_>>();
+        let environments = agree(&*self.ranks, Ok::<_, TrainError>(own))?.concat();
+        Ok(Checkpoint { run: RunState { environments, ..self.run.clone() }, learner: self.learner.state() })
     }
 
     /// The policy as it is now, to be deployed.
@@ -282,6 +312,11 @@ impl Trainer {
             mujoco_version: provenance::MUJOCO_VERSION.to_owned(),
         };
         Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)
+    }
+
+    /// The processes that train it together.
+    pub fn ranks(&self) -> &dyn Ranks {
+        &*self.ranks
     }
 
     /// What was asked for and how far it is, without the environments.
@@ -326,16 +361,17 @@ fn environments(
     ranks.share(config.ppo.environments).map(environment).collect()
 }
 
-/// The samples of the minibatch in which an update failed.
-fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>) -> String {
+/// This rank's samples of the minibatch in which an update failed.
+fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>, ranks: &dyn Ranks) -> String {
     let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
     let length = batch.observations.len() / batch.returns.len().max(1);
     let columns = |name: &str, count: usize| (0..count).map(|k| format!(",{name}_{k}")).collect::<String>();
-    let mut csv = format!(
+    let header = format!(
         "sample,reward,value,advantage,return,log_prob{}{}\n",
         columns("action", JOINTS),
         columns("observation", length)
     );
+    let mut csv = if ranks.index() == 0 { header } else { String::new() };
     for row in samples.iter().map(|sample| *sample as usize) {
         // A mirror image has the reward and the value of its sample.
         let (reward, value) = (rollout.rewards[row % rollout.len()], rollout.values[row % rollout.len()]);
@@ -344,31 +380,34 @@ fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>) -> S
         let observation = &batch.observations[row * length..(row + 1) * length];
         let numbers: String =
             numbers.iter().chain(action).chain(observation).map(|number| format!(",{number}")).collect();
+        let (image, sample) = (row / rollout.len(), row % rollout.len());
+        let row = (image * ranks.count() + ranks.index()) * rollout.len() + sample;
         csv.push_str(&format!("{row}{numbers}\n"));
     }
     csv
 }
 
-/// The numbers around a failed update, as JSON; numbers that are not finite are `null`.
+/// The numbers of this rank around a failed update; those that are not finite are `null`.
 fn circumstances(
     fault: &UpdateFault,
     rollout: &Rollout,
+    episodes: &[EpisodeReport],
     returns: &[f32],
     log_std: &[f32],
     shards: usize,
-) -> String {
+) -> serde_json::Value {
     let range = |values: &[f32]| {
         let low = values.iter().copied().fold(f32::INFINITY, f32::min);
         let high = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let not_finite = values.iter().filter(|value| !value.is_finite()).count();
         serde_json::json!({ "low": low, "high": high, "not_finite": not_finite })
     };
-    let count = |end: End| rollout.episodes.iter().filter(|episode| episode.end == end).count();
+    let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
     let statistics = match fault {
         UpdateFault::NotFinite { summary, .. } => Some(summary),
         UpdateFault::Shape { .. } | UpdateFault::Shards { .. } | UpdateFault::Sample { .. } | UpdateFault::Candle(_) => None,
     };
-    let told = serde_json::json!({
+    serde_json::json!({
         "message": fault.to_string(),
         "minibatch": statistics,
         "rollout": {
@@ -383,8 +422,7 @@ fn circumstances(
             "explained_variance": explained_variance(&Alone, shards, rollout, returns),
         },
         "log_std": log_std,
-    });
-    format!("{told:#}\n")
+    })
 }
 
 #[cfg(test)]
@@ -410,13 +448,13 @@ mod tests {
             let mut metrics = Vec::new();
             for (index, threads) in threads.into_iter().enumerate() {
                 if index > 0 {
-                    let bytes = trainer.checkpoint().to_bytes().unwrap();
+                    let bytes = trainer.checkpoint().unwrap().to_bytes().unwrap();
                     trainer = Trainer::resume(Checkpoint::from_bytes(&bytes).unwrap(), threads).unwrap();
                 }
                 let of_iteration = trainer.iterate().unwrap();
                 metrics.push(IterationMetrics { time: Timing::default(), ..of_iteration });
             }
-            let mut end = trainer.checkpoint();
+            let mut end = trainer.checkpoint().unwrap();
             end.run.elapsed_s = 0.0;
             (metrics, end)
         };

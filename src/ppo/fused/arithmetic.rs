@@ -88,6 +88,12 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
     /// them; after the last chunk its sum of squares goes to `conclude`, on one thread.
     fn gradients(&self, team: Member<'_>, workspace: &mut Self::Workspace, chunk: Chunk, conclude: impl FnOnce(f64));
 
+    /// Panels of weights, each with its gradient.
+    fn panels(&self) -> usize;
+
+    /// Reads or replaces the gradient of a panel, and returns its sum of squares.
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64;
+
     /// Phase 3: a step of all weights.
     fn steps(&self, team: Member<'_>, workspace: &mut Self::Workspace, step: &AdamStep);
 

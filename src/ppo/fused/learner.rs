@@ -30,8 +30,22 @@ use crate::ppo::update::{Progress, check};
 use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
 use crate::ranks::{Ranks, tree_sum};
 
+/// Sums of [`FusedLearner::totals`] before those of `ln σ`.
+const LOSSES: usize = 4;
+
 /// Rows of a chunk for two threads.
 const CHUNK_ROWS: usize = 256;
+
+/// What several ranks have summed.
+#[derive(Debug, Default)]
+struct Exchanged {
+    /// All panels, one after the other.
+    gradient: Vec<f32>,
+    /// See [`FusedLearner::totals`].
+    totals: Vec<f64>,
+    /// Of the squares of each panel's gradient.
+    squares: Vec<f64>,
+}
 
 /// Trains an [`ActorCritic`] by PPO, as fast as we know how.
 #[derive(Debug)]
@@ -45,6 +59,7 @@ pub struct FusedLearner<A> {
     chunk_blocks: usize,
     /// Of each block of the policy and of the value function.
     sums: [Vec<Mutex<Sums>>; 2],
+    exchanged: Mutex<Exchanged>,
     steps: u64,
     learning_rate: f64,
     /// Zeros, for their shapes.
@@ -68,6 +83,7 @@ impl<A: Arithmetic> FusedLearner<A> {
             chunk_blocks,
             log_std: RwLock::new(Parameters::new(parts.map(|part| Buffer::from(&*part.log_std)))),
             sums: std::array::from_fn(|_| (0..blocks).map(|_| Mutex::default()).collect()),
+            exchanged: Mutex::default(),
             threads,
             ranks,
             steps: state.steps,
@@ -105,41 +121,78 @@ impl<A: Arithmetic> FusedLearner<A> {
         };
         let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(A::BLOCK));
         let blocks = shards * shard_blocks;
-        let mut conclude = Some(|squares| conclude(self.summary(minibatch, squares)));
+        let (mut conclude, is_alone) = (Some(conclude), self.ranks.count() == 1);
         for start in (0..blocks).step_by(self.chunk_blocks) {
             let end = blocks.min(start + self.chunk_blocks);
             let chunk = Chunk { start, blocks: end - start, is_last: end == blocks, shard_blocks, shards };
             self.arithmetic.passes(team, workspace, minibatch, chunk, loss);
             self.arithmetic.gradients(team, workspace, chunk, |squares| {
-                if let Some(conclude) = conclude.take_if(|_| chunk.is_last) {
-                    conclude(squares);
+                if let Some(conclude) = conclude.take_if(|_| chunk.is_last && is_alone) {
+                    conclude(self.summary(minibatch, &self.totals(minibatch), squares));
                 }
             });
         }
+        if let Some(conclude) = conclude.filter(|_| !is_alone) {
+            self.exchange(team, minibatch, conclude);
+        }
     }
 
-    /// The gradient of `ln σ`, the losses and the gradient norm, `squares` being that of all weights.
-    fn summary(&self, minibatch: &Minibatch<'_>, squares: f64) -> UpdateStatistics {
-        let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(A::BLOCK));
+    /// Sums gradients and losses over all ranks.
+    fn exchange(&self, team: Member<'_>, minibatch: &Minibatch<'_>, conclude: impl FnOnce(UpdateStatistics)) {
+        let arithmetic = &self.arithmetic;
+        let sum = || {
+            let Exchanged { gradient, totals, squares } = &mut *lock(&self.exchanged);
+            gradient.clear();
+            for panel in 0..arithmetic.panels() {
+                arithmetic.gradient(panel, |own| gradient.extend_from_slice(own));
+            }
+            *totals = self.totals(minibatch);
+            self.ranks.sum(gradient, totals);
+            let mut rest = &gradient[..];
+            squares.clear();
+            squares.extend((0..arithmetic.panels()).map(|panel| {
+                arithmetic.gradient(panel, |own| {
+                    let (summed, others) = rest.split_at(own.len());
+                    own.copy_from_slice(summed);
+                    rest = others;
+                })
+            }));
+            conclude(self.summary(minibatch, totals, squares.iter().sum()));
+        };
+        team.phase(0, |_| (), sum);
+    }
+
+    /// Of this rank's shards, over their tree: policy loss, divergence, clipped samples, value loss and the gradient of the
+    /// policy loss by `ln σ`.
+    fn totals(&self, minibatch: &Minibatch<'_>) -> Vec<f64> {
+        let shard_blocks = minibatch.shard_blocks(A::BLOCK);
         let sum = |network: usize, part: &dyn Fn(&Sums) -> f64| {
             let of_shard = |shard: usize| &self.sums[network][shard * shard_blocks..][..shard_blocks];
-            tree_sum(shards, |shard| of_shard(shard).iter().map(|sums| part(&lock(sums))).sum())
+            tree_sum(minibatch.shards, |shard| of_shard(shard).iter().map(|sums| part(&lock(sums))).sum())
         };
-        let mean = |network, part: fn(&Sums) -> f64| sum(network, &part) / minibatch.samples as f64;
+        let losses =
+            [sum(0, &|sums| sums.policy_loss), sum(0, &|sums| sums.kl), sum(0, &|sums| sums.clipped), sum(1, &|sums| sums.value_loss)];
+        let log_std = (0..minibatch.batch.log_std.len()).map(|i| sum(0, &|sums| sums.log_std_gradient[i]));
+        losses.into_iter().chain(log_std).collect()
+    }
+
+    /// The gradient of `ln σ`, the losses and the gradient norm, `totals` and `squares` being those of all ranks and weights.
+    fn summary(&self, minibatch: &Minibatch<'_>, totals: &[f64], squares: f64) -> UpdateStatistics {
+        let mean = |index: usize| totals[index] / minibatch.samples as f64;
         let mut log_std = write(&self.log_std);
-        for (i, gradient) in log_std.gradient.iter_mut().enumerate() {
-            let sum = sum(0, &|sums| sums.log_std_gradient[i]);
+        for (gradient, sum) in log_std.gradient.iter_mut().zip(&totals[LOSSES..]) {
             *gradient = (sum - minibatch.settings.entropy_coefficient) as f32;
         }
+        let blocks = minibatch.shards * minibatch.shard_blocks(A::BLOCK);
         let gradient_norm = (squares + Arch::new().dispatch(SumOfSquares(&log_std.gradient))).sqrt();
-        let kl = mean(0, |sums| sums.kl);
+        let kl = mean(1);
         UpdateStatistics {
-            policy_loss: mean(0, |sums| sums.policy_loss),
-            value_loss: mean(1, |sums| sums.value_loss),
+            policy_loss: mean(0),
+            value_loss: mean(3),
             entropy: DiagonalGaussian::new(&log_std.values).entropy(),
             kl: if kl.abs() < A::KL_ROUNDING { 0.0 } else { kl },
-            clip_fraction: mean(0, |sums| sums.clipped),
-            max_ratio: self.sums[0][..shards * shard_blocks].iter().map(|sums| lock(sums).max_ratio).fold(0.0, f64::max),
+            clip_fraction: mean(2),
+            max_ratio: self.sums[0][..blocks].iter().map(|sums| lock(sums).max_ratio).fold(0.0, f64::max),
             gradient_norm,
             max_gradient_norm: gradient_norm,
             learning_rate: 0.0,
@@ -179,7 +232,13 @@ impl<A: Arithmetic> Learner for FusedLearner<A> {
         let progress = progress.into_inner().unwrap_or_else(PoisonError::into_inner);
         self.steps = progress.steps;
         self.learning_rate = progress.learning_rate;
-        progress.fault.map_or(Ok(progress.statistics), Err)
+        let mut statistics = progress.statistics;
+        // The largest over all ranks; the rest are sums over them already.
+        for other in self.ranks.gather(statistics.max_ratio.to_le_bytes().to_vec()) {
+            let other = other.first_chunk().map_or(0.0, |bytes| f64::from_le_bytes(*bytes));
+            statistics.max_ratio = statistics.max_ratio.max(other);
+        }
+        progress.fault.map_or(Ok(statistics), Err)
     }
 
     fn state(&self) -> LearnerState {

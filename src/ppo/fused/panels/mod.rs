@@ -118,6 +118,16 @@ impl Arithmetic for Panels {
         team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
     }
 
+    fn panels(&self) -> usize {
+        self.panels.len()
+    }
+
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64 {
+        let panel = &mut *write(&self.panels[panel]);
+        with(&mut panel.parameters.gradient);
+        self.arch.dispatch(SumOfSquares(&panel.parameters.gradient))
+    }
+
     fn steps(&self, team: Member<'_>, (): &mut (), step: &AdamStep) {
         let task = |task: usize| {
             let mut panel = write(&self.panels[task]);

@@ -131,6 +131,16 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
         team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
     }
 
+    fn panels(&self) -> usize {
+        self.panels.len()
+    }
+
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64 {
+        let panel = &mut *write(&self.panels[panel]);
+        with(&mut panel.parameters.gradient);
+        pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient))
+    }
+
     fn steps(&self, team: Member<'_>, _: &mut Self::Workspace, step: &AdamStep) {
         let task = |task: usize| {
             let mut panel = write(&self.panels[task]);
