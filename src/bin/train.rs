@@ -261,7 +261,9 @@ fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar)
 
 /// Keeps what led to a failure of the learner beside the last good checkpoint.
 fn explain(error: TrainError, folder: Option<&RunFolder>) -> anyhow::Error {
-    let (TrainError::Learner { minibatch, circumstances, .. }, Some(folder)) = (&error, folder) else { return error.into() };
+    let (TrainError::Learner { minibatch, circumstances, .. }, Some(folder)) = (&error, folder) else {
+        return error.into();
+    };
     let kept = match folder.keep_learner_fault(minibatch, circumstances) {
         Ok(file) => format!("what led there is in {} and fault-minibatch.csv beside it", file.display()),
         Err(problem) => format!("and so did keeping why: {problem}"),
@@ -318,7 +320,7 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{name}-seed{seed}")));
     if !ranks.is_alone() && config.ppo.shards == 1 {
-        config.ppo.shards = ranks.count().max(SHARDS);
+        config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
     }
     let memory = Memory::of(&config)?;
     memory.check()?;
@@ -336,15 +338,17 @@ fn resume(
 ) -> anyhow::Result<(Trainer, Option<RunFolder>)> {
     let opened = (ranks.index() == 0).then(|| read(path, args)).transpose();
     let opened = together(&**ranks, opened)?;
-    let bytes = opened.as_ref().map(|(_, checkpoint)| checkpoint.to_bytes()).transpose().map_err(anyhow::Error::msg);
-    // Only the first rank has any.
+    // The first rank has read it, the others hear of it.
+    let bytes = opened.as_ref().filter(|_| ranks.count() > 1).map(|(_, checkpoint)| checkpoint.to_bytes());
+    let bytes = bytes.transpose().map_err(anyhow::Error::msg);
     let bytes = ranks.gather(together(&**ranks, bytes)?.unwrap_or_default()).concat();
     let (folder, checkpoint) = match opened {
         Some((folder, checkpoint)) => (Some(folder), Ok(checkpoint)),
         None => (None, Checkpoint::from_bytes(&bytes).map_err(anyhow::Error::msg)),
     };
     let checkpoint = together(&**ranks, checkpoint)?;
-    let trainer = together(&**ranks, Trainer::resume_among(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
+    let trainer =
+        together(&**ranks, Trainer::resume_among(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
     check_alike(&trainer)?;
     let written = folder.as_ref().map_or(Ok(()), |folder| {
         folder.save_config(&trainer)?;

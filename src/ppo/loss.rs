@@ -104,12 +104,7 @@ pub struct Minibatch<'a> {
 impl<'a> Minibatch<'a> {
     /// Those of an update: for each of `permutations` an epoch over the batch in that order, the last minibatch of each
     /// with what remains. A single sample is not normalised, as in Stable-Baselines3.
-    pub fn all(
-        batch: &'a Batch<'a>,
-        settings: &'a Ppo,
-        permutations: &'a [Vec<u32>],
-        ranks: &dyn Ranks,
-    ) -> Vec<Self> {
+    pub fn all(batch: &'a Batch<'a>, settings: &'a Ppo, permutations: &'a [Vec<u32>], ranks: &dyn Ranks) -> Vec<Self> {
         let count = ranks.count();
         let of_epoch = |(epoch, order): (usize, &'a Vec<u32>)| {
             order.chunks(settings.minibatch_size / count).enumerate().map(move |(index, rows)| Self {

@@ -16,7 +16,6 @@ mod mpi;
 #[cfg(feature = "mpi")]
 pub use self::mpi::Mpi;
 
-
 use std::fmt::{Debug, Display};
 use std::ops::Range;
 use std::sync::Arc;
@@ -29,7 +28,7 @@ pub trait Ranks: Debug + Send + Sync {
     /// Which of them it is, counted from zero.
     fn index(&self) -> usize;
 
-    /// How many there are, a power of two.
+    /// How many there are; a power of two wherever a run is trained.
     fn count(&self) -> usize;
 
     /// Whether it is a program by itself, and not even a single rank.

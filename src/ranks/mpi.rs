@@ -15,13 +15,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use ::mpi::collective::CommunicatorCollectives;
-use ::mpi::datatype::{Equivalence, PartitionMut};
+use ::mpi::Threading;
+use ::mpi::datatype::Equivalence;
 use ::mpi::environment::{Universe, processor_name};
 use ::mpi::point_to_point::send_receive_into;
 use ::mpi::topology::Communicator;
 use ::mpi::traits::{Buffer, BufferMut};
-use ::mpi::{Count, Threading};
 
 use super::Ranks;
 use crate::util::terminal;
@@ -60,7 +59,7 @@ impl Mpi {
     /// Joins the others. No rank waits longer than `timeout` for another: then it ends the program, and with it all of them.
     ///
     /// # Errors
-    /// In words: MPI cannot be used, or the number of processes is not a power of two.
+    /// In words: MPI cannot be used.
     pub fn join(timeout: Duration) -> Result<Self, String> {
         let (calls, to_do) = channel();
         let (done, answers) = channel();
@@ -95,9 +94,6 @@ impl Mpi {
         });
         let (index, hosts) = start.recv().map_err(|_| "MPI could not be started with threads")?;
         let hosts: Vec<String> = hosts.into_iter().map(|host| String::from_utf8_lossy(&host).into_owned()).collect();
-        if !hosts.len().is_power_of_two() {
-            return Err(format!("there are {} ranks, expected a power of two: change mpirun's -n", hosts.len()));
-        }
         let messenger = Mutex::new(Messenger { calls, answers, thread: Some(thread) });
         Ok(Self { index, hosts, timeout, awaited, messenger })
     }
@@ -151,7 +147,8 @@ impl Ranks for Mpi {
     }
 
     fn sum(&self, singles: &mut Vec<f32>, doubles: &mut Vec<f64>) {
-        if let Call::Sum(summed, summed_doubles) = self.ask(Call::Sum(std::mem::take(singles), std::mem::take(doubles))) {
+        if let Call::Sum(summed, summed_doubles) = self.ask(Call::Sum(std::mem::take(singles), std::mem::take(doubles)))
+        {
             (*singles, *doubles) = (summed, summed_doubles);
         }
     }
@@ -196,14 +193,23 @@ impl World<'_> {
         self.waiting_for.store(EVERYBODY, Ordering::Relaxed);
     }
 
+    /// Every rank hands its own to each of the others, the next one first, so that it is known who is waited for.
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>> {
         let world = self.universe.world();
-        let mut counts = vec![0; world.size() as usize];
-        world.all_gather_into(&(own.len() as Count), &mut counts[..]);
-        let starts: Vec<Count> = counts.iter().scan(0, |end, count| Some(std::mem::replace(end, *end + count))).collect();
-        let mut all = vec![0_u8; counts.iter().map(|count| *count as usize).sum()];
-        world.all_gather_varcount_into(&own[..], &mut PartitionMut::new(&mut all[..], &counts[..], &starts[..]));
-        let part = |(start, count): (&Count, &Count)| all[*start as usize..][..*count as usize].to_vec();
-        starts.iter().zip(&counts).map(part).collect()
+        let (rank, count) = (world.rank(), world.size());
+        let mut all = vec![Vec::new(); count as usize];
+        for distance in 1..count {
+            let (to, from) = ((rank + distance) % count, (rank - distance + count) % count);
+            self.waiting_for.store(from as usize, Ordering::Relaxed);
+            let (to, source) = (world.process_at_rank(to), world.process_at_rank(from));
+            let mut length = 0_u64;
+            send_receive_into(&(own.len() as u64), &to, &mut length, &source);
+            let mut others = vec![0_u8; length as usize];
+            send_receive_into(&own[..], &to, &mut others[..], &source);
+            all[from as usize] = others;
+        }
+        self.waiting_for.store(EVERYBODY, Ordering::Relaxed);
+        all[rank as usize] = own;
+        all
     }
 }

@@ -61,6 +61,9 @@ pub enum TrainError {
         /// What the update and the rollout before it were like, as JSON.
         circumstances: String,
     },
+    /// More or fewer ranks than sums over a tree can be shared among.
+    #[error("there are {0} ranks, expected a power of two: change mpirun's -n")]
+    Count(usize),
     /// What went wrong on one of several ranks.
     #[error(transparent)]
     Rank(#[from] RankError),
@@ -278,8 +281,7 @@ impl Trainer {
             order
         };
         let of_epoch = |epoch: usize| {
-            let orders: Vec<_> =
-                shards.clone().enumerate().map(|(place, shard)| order(epoch, place, shard)).collect();
+            let orders: Vec<_> = shards.clone().enumerate().map(|(place, shard)| order(epoch, place, shard)).collect();
             let minibatch = |start: usize| orders.iter().flat_map(move |order| &order[start..start + part]).copied();
             (0..size).step_by(part).flat_map(minibatch).collect()
         };
@@ -340,10 +342,13 @@ fn parts(config: &Config) -> Result<Parts, TrainError> {
 /// Checks that every rank can have as many shards as any other.
 fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
     let (shards, count) = (config.ppo.shards, ranks.count());
+    if !count.is_power_of_two() {
+        return Err(TrainError::Count(count));
+    }
     if shards.is_multiple_of(count) {
         return Ok(());
     }
-    let expected = format!("a multiple of the number of ranks ({count}), which both are powers of two");
+    let expected = format!("a multiple of the number of ranks ({count})");
     Err(ValueError::Range { key: "ppo.shards", found: shards.to_string(), expected }.into())
 }
 
@@ -405,7 +410,10 @@ fn circumstances(
     let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
     let statistics = match fault {
         UpdateFault::NotFinite { summary, .. } => Some(summary),
-        UpdateFault::Shape { .. } | UpdateFault::Shards { .. } | UpdateFault::Sample { .. } | UpdateFault::Candle(_) => None,
+        UpdateFault::Shape { .. }
+        | UpdateFault::Shards { .. }
+        | UpdateFault::Sample { .. }
+        | UpdateFault::Candle(_) => None,
     };
     serde_json::json!({
         "message": fault.to_string(),
