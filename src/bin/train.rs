@@ -106,7 +106,7 @@ fn joined(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
 #[cfg(not(feature = "mpi"))]
 fn joined(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     anyhow::bail!(
-        "this program was started by mpirun, but cannot take part: build it with scripts/setup libopenmpi-dev && \
+        "this program was started by mpirun, but cannot take part: build it with scripts/setup mpi && \
          cargo build --release --features mpi --bin train"
     )
 }
