@@ -25,7 +25,12 @@ use supple::util::{files, paths, yaml};
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 /// Variables of a process that was started as a rank: by Open MPI, MPICH and Intel MPI, and Slurm with PMIx.
+#[cfg(feature = "mpi")]
 const STARTED_BY_MPI: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"];
+
+/// Variables that say how many processes were started together.
+#[cfg(not(feature = "mpi"))]
+const PROCESSES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
 
 /// Shards of a run on up to so many ranks.
 const SHARDS: usize = 8;
@@ -90,25 +95,27 @@ fn main() -> ExitCode {
 }
 
 /// The ranks of the run: those that mpirun has started, or this program alone.
+#[cfg(feature = "mpi")]
 fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     if !STARTED_BY_MPI.iter().any(|name| std::env::var_os(name).is_some()) {
         return Ok(Alone::shared());
     }
-    joined(args)
-}
-
-#[cfg(feature = "mpi")]
-fn joined(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     let ranks = supple::ranks::Mpi::join(Duration::from_secs(args.rank_timeout)).map_err(anyhow::Error::msg)?;
     Ok(Arc::new(ranks))
 }
 
+/// This program alone: it was not built to be one of several ranks.
 #[cfg(not(feature = "mpi"))]
-fn joined(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
-    anyhow::bail!(
-        "this program was started by mpirun, but cannot take part: build it with scripts/setup mpi && \
-         cargo build --release --features mpi --bin train"
-    )
+fn join(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
+    let several =
+        |name: &&str| std::env::var(name).is_ok_and(|count| count.parse::<u32>().is_ok_and(|count| count > 1));
+    if let Some(name) = PROCESSES.iter().find(several) {
+        anyhow::bail!(
+            "this program was started as one of several ({name}), but cannot take part: build it with scripts/setup mpi && \
+             cargo build --release --features mpi --bin train"
+        );
+    }
+    Ok(Alone::shared())
 }
 
 /// Whether all ranks have met an error alike, and one of them is to tell it.
