@@ -107,9 +107,8 @@ fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
 /// This program alone: it was not built to be one of several ranks.
 #[cfg(not(feature = "mpi"))]
 fn join(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
-    let several =
-        |name: &&str| std::env::var(name).is_ok_and(|count| count.parse::<u32>().is_ok_and(|count| count > 1));
-    if let Some(name) = PROCESSES.iter().find(several) {
+    let is_several = |name: &str| std::env::var(name).ok().and_then(|count| count.parse::<u32>().ok()) > Some(1);
+    if let Some(name) = PROCESSES.into_iter().find(|name| is_several(name)) {
         anyhow::bail!(
             "this program was started as one of several ({name}), but cannot take part: build it with scripts/setup mpi && \
              cargo build --release --features mpi --bin train"
