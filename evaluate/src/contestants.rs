@@ -1,8 +1,14 @@
-//! The sets of policies that are compared, read from folders.
+/*! The sets of policies that are compared, read from folders.
+
+The path of a set is a folder (all policies in it), a run's folder, a policy's file, or a folder and the name that is common to
+files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. Behind an `@` it may say
+which compliance they are told: `policies/baseline@0.03`.
+*/
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use supple::policy::compliance::ComplianceError;
 use supple::policy::{Agent, AgentError, shipped};
 use supple::robot::Losses;
 use supple::util::{files, paths};
@@ -44,6 +50,16 @@ pub enum ContestantError {
     /// A file is no good.
     #[error(transparent)]
     Agent(#[from] AgentError),
+    /// A policy cannot yield as it is to be told.
+    #[error("{} at @{compliance}: {source}", file.display())]
+    Compliance {
+        /// The policy.
+        file: PathBuf,
+        /// [m/s/N]
+        compliance: f64,
+        /// Why.
+        source: ComplianceError,
+    },
 }
 
 /// A policy that is measured.
@@ -55,6 +71,8 @@ pub struct Contestant {
     pub file: PathBuf,
     /// The policy.
     pub agent: Agent,
+    /// What it is told in every trial whose condition tells it none; 0 for its own compliance [m/s/N].
+    pub compliance: f64,
 }
 
 /// One of the sets.
@@ -103,21 +121,19 @@ impl Contest {
     ) -> Result<Self, ContestantError> {
         let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
         for file in all {
-            let stem = file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            let seed_of = |name: &String| stem.strip_prefix(name.as_str())?.strip_prefix("-seed")?.parse::<u64>().ok();
-            match names.iter().enumerate().find_map(|(side, name)| Some((side, seed_of(name)?))) {
+            match names.iter().enumerate().find_map(|(side, name)| Some((side, seed_of(name, &file)?))) {
                 Some((side, seed)) => files[side].push((Some(seed), file)),
                 None => notes.push(format!("{} was left out: its name is not that of either set", name_of(&file))),
             }
         }
         let side = |(name, files): (&String, _)| {
-            Side::load(name, folder, files, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+            Side::load(name, folder, files, 0.0, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
         let further = also.iter().map(|(name, path)| Side::of_path(name, path));
         Ok(Self::new(names.iter().zip(files).map(side).chain(further).collect::<Result<_, _>>()?, notes))
     }
 
-    /// All policies of sets by name and path: a folder, one policy file, or a run's folder.
+    /// All policies of sets by name and path.
     ///
     /// # Errors
     /// [`ContestantError`]
@@ -144,6 +160,10 @@ impl Contest {
             }
         }
         for side in &sides {
+            if let Some(compliance) = side.members.iter().map(|member| member.compliance).find(|told| *told > 0.0) {
+                let name = &side.name;
+                notes.push(format!("{name} is told to yield by {compliance} m/s/N wherever a trial says nothing else"));
+            }
             for (index, member) in side.members.iter().enumerate() {
                 let is_same = |other: &&Contestant| other.agent.sha256 == member.agent.sha256;
                 if let Some(twin) = side.members[..index].iter().find(is_same) {
@@ -191,25 +211,32 @@ impl Contest {
 }
 
 impl Side {
-    /// All policies of a folder; the path may also be one policy file, or a run's folder.
+    /// All policies that a path stands for.
     fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
-        let files = if path.is_file() || !path.exists() {
-            // A file, or the name of a policy inside the program.
+        let (path, compliance) = told(path);
+        let files = if path.is_file() {
             vec![path.to_owned()]
         } else if path.join("run.json").exists() {
             // A run's folder: its checkpoint is not a policy.
             vec![path.join("policy.safetensors")]
-        } else {
+        } else if path.is_dir() {
             policy_files(path)?
+        } else {
+            match of_seeds(path) {
+                // The name of a policy inside the program.
+                files if files.is_empty() => vec![path.to_owned()],
+                files => files,
+            }
         };
         let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-        Side::load(name, path, files, || "*.safetensors or *.yaml".into())
+        Side::load(name, path, files, compliance, || "*.safetensors or *.yaml".into())
     }
 
     fn load(
         name: &str,
         folder: &Path,
         files: Vec<(Option<u64>, PathBuf)>,
+        compliance: f64,
         wanted: impl Fn() -> String,
     ) -> Result<Self, ContestantError> {
         if files.is_empty() {
@@ -218,12 +245,15 @@ impl Side {
         let mut members: Vec<Contestant> = Vec::new();
         for (seed, file) in files {
             let agent = shipped::find(&paths::as_text(&file))?;
+            if let Err(source) = agent.check_compliance(compliance) {
+                return Err(ContestantError::Compliance { file, compliance, source });
+            }
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());
                 return Err(ContestantError::Twice { first, second: file, seed, set });
             }
-            members.push(Contestant { seed, file, agent });
+            members.push(Contestant { seed, file, agent, compliance });
         }
         members.sort_by_key(|member| member.seed);
         Ok(Side { name: name.to_owned(), members })
@@ -264,6 +294,27 @@ fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
+/// The path of a set without the compliance behind its `@`, and that; 0 without.
+fn told(path: &Path) -> (&Path, f64) {
+    let split = path.to_str().and_then(|text| text.rsplit_once('@'));
+    let split = split.and_then(|(path, number)| Some((Path::new(path), number.parse().ok()?)));
+    split.unwrap_or((path, 0.0))
+}
+
+/// Files `NAME-seedN` of a path `FOLDER/NAME` that is no folder itself.
+fn of_seeds(path: &Path) -> Vec<PathBuf> {
+    let (Some(folder), Some(name), false) = (path.parent(), path.file_name(), path.is_dir()) else { return Vec::new() };
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let name = name.to_string_lossy();
+    let files = policy_files(folder).unwrap_or_default();
+    files.into_iter().filter(|file| seed_of(&name, file).is_some()).collect()
+}
+
+/// The seed of a policy of that name: N in `NAME-seedN`.
+fn seed_of(name: &str, file: &Path) -> Option<u64> {
+    file.file_stem()?.to_string_lossy().strip_prefix(name)?.strip_prefix("-seed")?.parse().ok()
+}
+
 /// The number after the last `-seed` of a file's name.
 fn seed_in_name(file: &Path) -> Option<u64> {
     file.file_stem()?.to_str()?.rsplit_once("-seed")?.1.parse().ok()
@@ -278,4 +329,28 @@ fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
     files.retain(|file| files::is_yaml(file) || file.extension().is_some_and(|extension| extension == "safetensors"));
     files.sort();
     Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_says_behind_an_at_which_compliance_its_policies_are_told() {
+        let of = |text: &'static str| told(Path::new(text));
+        assert_eq!(of("policies/baseline@0.03"), (Path::new("policies/baseline"), 0.03));
+        assert_eq!(of("runs@home/mine@0.005"), (Path::new("runs@home/mine"), 0.005));
+        for no_compliance in ["policies/baseline", "runs@home/mine", "mine@"] {
+            assert_eq!(of(no_compliance), (Path::new(no_compliance), 0.0));
+        }
+    }
+
+    #[test]
+    fn the_seed_of_a_policy_follows_its_whole_name() {
+        let of = |name, file: &str| seed_of(name, Path::new(file));
+        assert_eq!(of("soft", "policies/soft-seed12.safetensors"), Some(12));
+        assert_eq!(of("soft", "policies/soft-seed3.yaml"), Some(3));
+        assert_eq!(of("soft", "policies/softer-seed3.yaml"), None);
+        assert_eq!(of("soft", "policies/soft.safetensors"), None);
+    }
 }

@@ -35,7 +35,7 @@ use trial::Trial;
 /// What an experiment is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Info {
-    /// `E0` to `E11b`.
+    /// `E0` to `E14c`.
     pub id: &'static str,
     /// Tells its trials' seeds apart from other experiments'.
     pub number: u32,

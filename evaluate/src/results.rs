@@ -25,12 +25,20 @@ pub struct Results {
 /// How the trials of a set ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
 pub struct Ends {
-    /// All.
+    /// All that were played.
     pub trials: usize,
     /// With a fall.
     pub falls: usize,
     /// With a failure of the physics.
     pub faults: usize,
+    /// Not played, for their compliance is out of the policy's reach: beside the others.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub out_of_reach: usize,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 impl Results {
@@ -51,7 +59,12 @@ impl Results {
 
     /// For each seed of a set, the mean over a condition's trials.
     pub fn per_seed(&self, set: usize, condition: usize, quantity: &str) -> PerSeed {
-        self.means(set, &[condition], self.index(quantity))
+        self.per_seed_over(set, &[condition], quantity)
+    }
+
+    /// The same, the mean over conditions.
+    pub fn per_seed_over(&self, set: usize, conditions: &[usize], quantity: &str) -> PerSeed {
+        self.means(set, conditions, self.index(quantity))
     }
 
     /// All sets in one condition.
@@ -125,7 +138,8 @@ impl Results {
     pub fn ends(&self, set: usize) -> Ends {
         let mut ends = Ends::default();
         for sample in self.sets[set].values().flatten().flatten() {
-            ends.trials += 1;
+            ends.trials += usize::from(sample.end != End::OutOfReach);
+            ends.out_of_reach += usize::from(sample.end == End::OutOfReach);
             ends.falls += usize::from(sample.end == End::Fell);
             ends.faults += usize::from(sample.end == End::Fault);
         }

@@ -112,12 +112,19 @@ impl<'a> Show<'a> {
 
     /// A figure of quantities by condition, a panel each.
     pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], caption: &str) {
+        let conditions = Group::all(self.labels().into_iter(), self.results);
+        self.dots_of(part, title, &conditions, quantities, caption);
+    }
+
+    /// A figure of quantities by group of conditions, a panel each.
+    pub fn dots_of(&mut self, part: &str, title: &str, groups: &[Group], quantities: &[&str], caption: &str) {
         let panel = |name: &&str| {
-            let rows = self.all().into_iter().map(|condition| self.per_seed(condition, name));
-            Dots { quantity: self.results.quantity(name), rows: rows.collect() }
+            let row = |group: &Group| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
+            Dots { quantity: self.results.quantity(name), rows: groups.iter().map(row).collect() }
         };
         let panels: Vec<Dots> = quantities.iter().map(panel).collect();
-        let svg = dots::draw(title, &panels, &self.labels(), &self.results.names);
+        let labels: Vec<String> = groups.iter().map(|group| group.name.clone()).collect();
+        let svg = dots::draw(title, &panels, &labels, &self.results.names);
         self.figure(part, caption, svg);
     }
 

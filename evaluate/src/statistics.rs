@@ -50,6 +50,11 @@ impl Spread {
         });
         Some(Spread { mean, sd, seeds })
     }
+
+    /// In another unit.
+    pub fn times(self, factor: f64) -> Self {
+        Spread { mean: factor * self.mean, sd: self.sd.map(|sd| factor * sd), ..self }
+    }
 }
 
 /// A number and its 95 % interval.
@@ -90,10 +95,9 @@ impl Numbers {
     }
 
     fn scaled(&self, factor: f64) -> Self {
-        let spread = |Spread { mean, sd, seeds }| Spread { mean: factor * mean, sd: sd.map(|sd| factor * sd), seeds };
         Numbers {
             by_seed: self.by_seed.iter().map(|(seed, value)| (*seed, factor * value)).collect(),
-            spread: self.spread.map(spread),
+            spread: self.spread.map(|spread| spread.times(factor)),
             members: self.members,
         }
     }

@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{Condition, Experiment, Measured};
+use super::{Condition, Experiment, FELL, Measured, Quantity};
 use supple::mujoco;
 use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
@@ -39,6 +39,8 @@ pub enum End {
     Fell,
     /// The physics or the sensors failed; counted apart, and as no success.
     Fault,
+    /// It was not played: its condition commands a compliance that the policy cannot give.
+    OutOfReach,
 }
 
 impl End {
@@ -52,12 +54,12 @@ impl End {
         }
     }
 
-    /// 1 for a fall, 0 for none; a failure is neither.
+    /// 1 for a fall, 0 for none; a failure is neither, nor is what was not played.
     pub fn fell(self) -> Option<f64> {
         match self {
             End::Fell => Some(1.0),
             End::Upright => Some(0.0),
-            End::Fault => None,
+            End::Fault | End::OutOfReach => None,
         }
     }
 }
@@ -113,6 +115,15 @@ impl<'a> Trial<'a> {
         self.is_upright().then(|| self.metric(name))?
     }
 
+    /// Quantities by name, as [`Trial::upright_metric`], and whether the robot fell.
+    pub fn upright_metrics(&self, quantities: &[Quantity]) -> Measured {
+        let value = |quantity: &Quantity| match *quantity {
+            FELL => self.end.fell(),
+            quantity => self.upright_metric(quantity.name),
+        };
+        quantities.iter().map(value).collect::<Vec<_>>().into()
+    }
+
     /// Length of mean velocity minus command in the horizontal plane, from 2 s to the end; none if the robot fell
     /// \[m/s\].
     pub fn velocity_error(&self) -> Option<f64> {
@@ -135,7 +146,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment.
+/// Plays a trial of an experiment, commanding `compliance` [m/s/N] where the condition commands none.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -144,10 +155,16 @@ pub fn play(
     condition: &Condition,
     seed: u64,
     agent: &Agent,
+    compliance: f64,
     sensing: Sensing,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
+    command(&mut script, compliance);
+    if agent.check_compliance(script.command.compliance).is_err() {
+        let values = vec![None; experiment.info().quantities.len()];
+        return Ok(Sample { end: End::OutOfReach, values, series: Vec::new(), estimation: None });
+    }
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
     let rollout = Rollout::new(&script, &agent.config, agent.controller())?;
@@ -157,9 +174,18 @@ pub fn play(
     Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
 }
 
+/// Commands the compliance of a set where the script commands none.
+fn command(script: &mut Script, compliance: f64) {
+    if script.command.compliance == 0.0 {
+        script.command.compliance = compliance;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::protocol::Protocol;
+    use supple::policy::compliance::{Calibration, Point};
     use supple::scenario::catalog::{Leash, defaults};
 
     #[test]
@@ -169,6 +195,37 @@ mod tests {
         all.sort_unstable();
         all.dedup();
         assert_eq!(all.len(), 5);
+    }
+
+    #[test]
+    fn a_trial_that_commands_what_the_policy_cannot_give_is_not_played_and_has_no_value() {
+        let protocol = Protocol::quick().unwrap();
+        let mut condition = protocol.leash.conditions().unwrap().remove(0);
+        let Scenario::Leash(leash) = &mut condition.scenario else { panic!("{condition:?}") };
+        leash.task.compliance = 0.03;
+        let mut agent = supple::policy::shipped::find("compliant").unwrap();
+        let mut play = |low: f64| {
+            let point = |measured| Point { setting: measured, measured };
+            let calibration = Calibration::unmeasured(&agent.sha256);
+            agent.calibration = Some(Calibration { points: vec![point(low), point(0.05)], ..calibration });
+            play(&protocol.leash, &condition, 1, &agent, 0.0, Sensing::True).unwrap()
+        };
+        let refused = play(0.04);
+        assert_eq!((refused.end, &refused.values[..]), (End::OutOfReach, &[None, None, None][..]));
+        assert!(play(0.01).values[1].is_some());
+    }
+
+    #[test]
+    fn a_set_commands_its_compliance_where_the_condition_commands_none() {
+        let config = supple::config::Config::load("compliant").unwrap();
+        let commanded = |compliance, of_set| {
+            let mut leash: Leash = defaults("leash").unwrap();
+            leash.task.compliance = compliance;
+            let mut script = Scenario::Leash(leash).script(0, &config).unwrap();
+            command(&mut script, of_set);
+            script.command.compliance
+        };
+        assert_eq!([commanded(0.0, 0.0), commanded(0.0, 0.03), commanded(0.01, 0.03)], [0.0, 0.03, 0.01]);
     }
 
     #[test]

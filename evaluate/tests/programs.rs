@@ -10,6 +10,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 use supple::config::Config;
 use supple::policy::Policy;
+use supple::policy::compliance::{Calibration, Point};
 use supple_evaluate::experiments::Protocol;
 use support::{complaint, example, run, standing_policy, zero_policy};
 
@@ -28,14 +29,31 @@ pulley: {commands_m_s: [0.0], directions_deg: [90.0], trials: 1}
 pendulum: {commands_m_s: [0.0], heights_m: [0.2], trials: 1}
 rubble: {heights_m: [0.03], trials: 1}
 outdoor: {steepest: [0.1], trials: 1}
+pull: {forces_n: [20.0], directions: 3, trials: 1}
+wall: {trials: 1}
+lead: {commands_m_s: [0.0], directions: 3, trials: 1}
 ";
 
 /// Everything but what takes seconds even when nothing moves: many loose bodies.
-const CHEAP: [&str; 11] =
-    ["walk", "push-grid", "decay", "table4", "directions", "leash", "box", "terrain", "pulley", "pendulum", "outdoor"];
+const CHEAP: [&str; 14] = [
+    "walk",
+    "push-grid",
+    "decay",
+    "table4",
+    "directions",
+    "leash",
+    "box",
+    "terrain",
+    "pulley",
+    "pendulum",
+    "outdoor",
+    "pull",
+    "wall",
+    "lead",
+];
 
 /// Figures of the experiments that there are; one that is added has others, under its name.
-const FIGURES: [&str; 16] = [
+const FIGURES: [&str; 20] = [
     "walk",
     "push-grid",
     "decay",
@@ -52,6 +70,10 @@ const FIGURES: [&str; 16] = [
     "pendulum-velocity",
     "rubble",
     "outdoor",
+    "pull",
+    "pull-directions",
+    "wall",
+    "lead",
 ];
 
 /// A policy that folds its legs and lies down at once.
@@ -427,6 +449,57 @@ fn a_further_set_has_its_column_and_its_colour_and_changes_nothing_of_the_two_th
     ] {
         let output = evaluate(folder, &["walk", "--also", also]);
         assert!(output.status.code() == Some(2) && complaint(&output).contains(expected), "{}", complaint(&output));
+    }
+}
+
+#[test]
+fn a_set_that_is_told_a_compliance_is_measured_apart_and_refused_where_it_cannot_be_given() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", falling_policy()),
+        ("baseline-seed1.safetensors", falling_policy()),
+    ]);
+    let folder = folder.path();
+    let calibrate = |own_m_s_per_n: f64| {
+        let calibration = Calibration { own_m_s_per_n, ..Calibration::unmeasured(standing_policy().sha256()) };
+        let points = [0.01, 0.05].map(|c| Point { setting: c, measured: c }).to_vec();
+        let text = serde_json::to_string(&Calibration { points, ..calibration }).unwrap();
+        std::fs::write(folder.join("policies/compliant-seed0.calibration.json"), text).unwrap();
+    };
+    calibrate(0.02);
+    let soft = ["leash", "--also", "soft=policies/compliant@0.03", "--out", "report"];
+    let output = evaluate(folder, &soft);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let found = summary(folder, "report");
+    let notes = found["notes"].to_string();
+    assert!(notes.contains("soft is told to yield by 0.03 m/s/N") && !notes.contains("left out"), "{notes}");
+    let offset = &row(experiment(&found, "leash"), "leash", "20 N", "offset_m_s")["sets"];
+    assert_eq!(offset["soft"]["by_seed"], offset["compliant"]["by_seed"], "a policy that heeds nothing is not led");
+    // One policy, with and without: of the four sets' measurements none is another's.
+    let before = kept(&folder.join("report"));
+    assert_eq!(before.len(), 4);
+    assert!(evaluate(folder, &soft).status.success() && kept(&folder.join("report")) == before);
+    // Calibrated anew, it is measured anew where it is told something.
+    calibrate(0.021);
+    assert!(evaluate(folder, &soft).status.success());
+    assert_eq!(kept(&folder.join("report")).len(), 5);
+
+    for (path, expected) in [
+        (
+            "policies/compliant@0.06",
+            "policies/compliant-seed0.safetensors at @0.06: a compliance of 0.06 m/s/N is beyond it",
+        ),
+        (
+            "policies/baseline@0.03",
+            "policies/baseline-seed0.safetensors at @0.03: how far it yields has not been measured",
+        ),
+        ("policies/nobody@0.03", "there is no policy 'policies/nobody'"),
+    ] {
+        for sets in [&["--also", &format!("soft={path}")][..], &["--a", path, "--b", "policies/baseline"]] {
+            let output = evaluate(folder, &[&["leash", "--out", "x"], sets].concat());
+            assert!(output.status.code() == Some(2) && complaint(&output).contains(expected), "{}", complaint(&output));
+            assert!(!folder.join("x").exists());
+        }
     }
 }
 

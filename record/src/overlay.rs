@@ -25,6 +25,8 @@ const ABOVE_GROUND_M: f32 = 0.003;
 const LABEL_HEIGHT_M: f32 = 0.28;
 /// From the trunk's origin to its side \[m\].
 const TRUNK_RADIUS_M: f64 = 0.13;
+/// From the trunk's origin to its front \[m\].
+const TRUNK_FRONT_M: f64 = 0.3;
 
 /// What is drawn now, and until when.
 #[derive(Debug)]
@@ -99,7 +101,7 @@ impl Overlay {
             .with_colors([opaque(colour)])
             .with_labels([event.text.as_str()])
             .with_show_labels(true);
-        stream.log(&self.entity("label"), &label)
+        stream.replace(&self.entity("label"), &label)
     }
 
     /// Takes away labels and trails.
@@ -198,7 +200,8 @@ impl Overlay {
         stream.log(&self.entity("foot forces"), &arrows)
     }
 
-    /// A push is an arrow that ends at the trunk, a pull a rope that begins there with the force at its far end.
+    /// A push is an arrow that ends at the trunk, and so is what presses it; a pull is a rope that begins there with the force at
+    /// its far end.
     fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
         let trunk = trunk.map(f64::from);
         let path = self.entity("push");
@@ -221,19 +224,30 @@ impl Overlay {
             None => {}
         }
         let (rope, pull) = (self.entity("rope"), self.entity("pull"));
-        if let Some(Disturbance::Pull { force }) = frame.disturbance {
-            let size = force.iter().map(|f| f * f).sum::<f64>().sqrt().max(1e-9);
-            let end: [f64; 3] = std::array::from_fn(|k| trunk[k] + force[k] / size * ROPE_LENGTH_M);
-            let strip = LineStrips3D::new([[trunk, end].map(|point| point.map(|x| x as f32))])
-                .with_radii([Radius::new_scene_units(0.005)])
-                .with_colors([opaque(YELLOW)]);
-            stream.log(&rope, &strip)?;
-            stream.log(&pull, &arrow(end, force.map(|f| f * METRES_PER_NEWTON), VERMILLION))?;
-            self.is_pulled = true;
-        } else if self.is_pulled {
-            stream.clear(&rope, &LineStrips3D::clear_fields())?;
-            stream.clear(&pull, &Arrows3D::clear_fields())?;
-            self.is_pulled = false;
+        let size = |force: [f64; 3]| force.iter().map(|f| f * f).sum::<f64>().sqrt().max(1e-9);
+        match frame.disturbance {
+            Some(Disturbance::Pull { force }) => {
+                let size = size(force);
+                let end: [f64; 3] = std::array::from_fn(|k| trunk[k] + force[k] / size * ROPE_LENGTH_M);
+                let strip = LineStrips3D::new([[trunk, end].map(|point| point.map(|x| x as f32))])
+                    .with_radii([Radius::new_scene_units(0.005)])
+                    .with_colors([opaque(YELLOW)]);
+                stream.log(&rope, &strip)?;
+                stream.log(&pull, &arrow(end, force.map(|f| f * METRES_PER_NEWTON), VERMILLION))?;
+                self.is_pulled = true;
+            }
+            Some(Disturbance::Press { force }) => {
+                let reach = METRES_PER_NEWTON + TRUNK_FRONT_M / size(force);
+                let origin: [f64; 3] = std::array::from_fn(|k| trunk[k] - force[k] * reach);
+                stream.log(&pull, &arrow(origin, force.map(|f| f * METRES_PER_NEWTON), VERMILLION))?;
+                self.is_pulled = true;
+            }
+            _ if self.is_pulled => {
+                stream.clear(&rope, &LineStrips3D::clear_fields())?;
+                stream.clear(&pull, &Arrows3D::clear_fields())?;
+                self.is_pulled = false;
+            }
+            _ => {}
         }
         Ok(())
     }

@@ -222,9 +222,18 @@ impl Stream {
         }
     }
 
+    /// Logs all of an entity anew. What one flush holds of an entity arrives in any order, and of a live stream an update that
+    /// arrives after what replaces it stays for ever: so that goes ahead.
+    pub(super) fn replace(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
+        if self.is_live {
+            self.recording()?.flush_with_timeout(PATIENCE).map_err(|error| self.unwritten(&error))?;
+        }
+        self.log(path, data)
+    }
+
     /// Logs that an entity is there no longer; `nothing` is what it was, without anything in it.
     pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<(), RecordError> {
-        if self.is_live { self.log_static(path, nothing) } else { self.log(path, &Clear::flat()) }
+        if self.is_live { self.replace(path, nothing) } else { self.log(path, &Clear::flat()) }
     }
 
     /// Logs something that holds at all times.
@@ -248,9 +257,13 @@ impl Stream {
             if let Some(broken) = self.recording.take() {
                 drop_in_background(broken);
             }
-            let hint = if self.file.is_some() { "; is the disk full?" } else { "" };
-            RecordError::Write { target: self.target.clone(), reason: format!("{error}{hint}") }
+            self.unwritten(&error)
         })
+    }
+
+    fn unwritten(&self, error: &impl std::fmt::Display) -> RecordError {
+        let hint = if self.file.is_some() { "; is the disk full?" } else { "" };
+        RecordError::Write { target: self.target.clone(), reason: format!("{error}{hint}") }
     }
 
     /// Writes out everything and closes the file or the connection.

@@ -316,7 +316,7 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     let mut name = stem(name);
     if let Some(model) = &args.robot {
         let robot = Robot::load(model)?;
-        let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {model}: {reason}"))?;
+        let fitted = config.fitted_to(&robot)?;
         if ranks.index() == 0 {
             terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
         }

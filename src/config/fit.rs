@@ -19,27 +19,31 @@ use std::path::Path;
 
 use super::{Config, LegPose, robot_in};
 use crate::robot::{JOINTS, Joints, Robot, joint_name};
+use crate::util::files::FileError;
+use crate::util::paths;
 
 impl Config {
     /// This configuration for another robot.
     ///
     /// # Errors
-    /// In words: this configuration's robot cannot be read, or the other one cannot stand in its nominal pose.
-    pub fn fitted_to(&self, robot: &Robot) -> Result<Config, String> {
+    /// [`FileError`]: this configuration's robot cannot be read, or the other one cannot stand in its nominal pose.
+    pub fn fitted_to(&self, robot: &Robot) -> Result<Config, FileError> {
         if robot.name == self.robot.model {
             return Ok(self.clone());
         }
-        let own = self.robot.load().map_err(|error| error.to_string())?;
+        let own = self.robot.load()?;
+        let path = paths::as_path(&robot.name);
+        let fail = FileError::of("robot", &path);
         let pose = symmetric(robot);
-        check_pose(robot, &pose)?;
+        check_pose(robot, &pose).map_err(fail)?;
         let height = robot.standing_height_m(&pose) / own.standing_height_m(&self.action.nominal_pose_rad.joints());
         let mass = robot.mass_kg / own.mass_kg;
         if !(height > 0.0 && height.is_finite()) {
-            return Err(format!(
+            return Err(fail(format!(
                 "its feet are not below its trunk in its nominal pose {}: write nominal_pose_rad into a YAML file, as \
                  examples/robots/quadruped.yaml does",
                 LegPose::from(pose)
-            ));
+            )));
         }
         let mut config = self.clone();
         config.robot.model = robot_in(Path::new(""), &robot.name);
@@ -157,7 +161,7 @@ mod tests {
     fn a_pose_beyond_the_limits_is_refused_by_name() {
         let mut robot = Robot::clone(&Robot::load("go2").unwrap());
         (robot.nominal_pose[2], robot.nominal_pose[5]) = (-3.0, -3.0);
-        let error = Config::load("fast").unwrap().fitted_to(&robot).unwrap_err();
+        let error = Config::load("fast").unwrap().fitted_to(&robot).unwrap_err().to_string();
         assert!(error.contains("FR_calf") && error.contains("-3") && error.contains("-2.7227"), "{error}");
     }
 }

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::Policy;
 use super::controller::Controller;
 use crate::config::Config;
 use crate::observation::Command;
@@ -53,6 +54,12 @@ pub enum ComplianceError {
         low: f64,
         /// The largest.
         high: f64,
+    },
+    /// Its observation lacks what the outer loop needs.
+    #[error("its observation has no '{name}': lead it from outside, where that is known")]
+    NotSeen {
+        /// The number.
+        name: String,
     },
     /// Nobody knows how far it yields.
     #[error("how far it yields has not been measured: run `policy calibrate` with it first")]
@@ -161,24 +168,87 @@ impl Calibration {
     }
 }
 
-/// A calibrated policy, which yields as it is commanded to.
-pub struct Compliant<'a> {
-    policy: Box<dyn Controller + 'a>,
+/// The outer loop around a calibrated policy, with its state.
+#[derive(Debug)]
+struct Calibrated {
     calibration: Calibration,
     outer_loop: OuterLoop,
     /// State of the loop's low-pass.
     led: [f64; 2],
 }
 
-impl<'a> Compliant<'a> {
-    /// With an outer loop around a policy, for the rates and the commands that it was trained with.
-    pub fn new(policy: Box<dyn Controller + 'a>, calibration: Calibration, config: &Config) -> Self {
+impl Calibrated {
+    /// For the rates and the commands that the policy was trained with.
+    fn new(calibration: Calibration, config: &Config) -> Self {
         let outer_loop = OuterLoop {
             own_m_s_per_n: calibration.own_m_s_per_n,
             limits_m_s: config.led_limits_m_s(),
             period_s: config.simulation.policy_period_s(),
         };
-        Compliant { policy, calibration, outer_loop, led: [0.0; 2] }
+        Calibrated { calibration, outer_loop, led: [0.0; 2] }
+    }
+
+    /// What to command of a policy that walks at `velocity`, forward and left [m/s], so that it yields as `command` says.
+    fn asked(&mut self, velocity: [f64; 2], command: &Command) -> Command {
+        let setting = self.calibration.nearest_setting(command.compliance);
+        self.outer_loop.command(velocity, command, setting, self.calibration.bias(command), &mut self.led)
+    }
+}
+
+/// The outer loop on raw observations, for whoever runs a policy outside of here: it puts what is to be asked of the policy in
+/// the place of the command.
+#[derive(Debug)]
+pub struct Led {
+    around: Calibrated,
+    compliance: f64,
+    /// Where velocity (forward, left) and command (forward, left, yaw) are.
+    velocity: [usize; 2],
+    command: [usize; 3],
+}
+
+impl Led {
+    /// For a policy that is to yield by `compliance` [m/s/N]; its observations come one after another at its own rate.
+    ///
+    /// # Errors
+    /// [`ComplianceError`]
+    pub fn new(policy: &Policy, calibration: Calibration, compliance: f64) -> Result<Self, ComplianceError> {
+        calibration.check(compliance)?;
+        let names = policy.layout().names();
+        let place = |name: &str| {
+            let wanted = names.iter().position(|known| known == name);
+            wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
+        };
+        Ok(Led {
+            around: Calibrated::new(calibration, &policy.provenance.config),
+            compliance,
+            velocity: [place("velocity forward [m/s]")?, place("velocity left [m/s]")?],
+            command: [
+                place("commanded forward [m/s]")?,
+                place("commanded left [m/s]")?,
+                place("commanded yaw rate [rad/s]")?,
+            ],
+        })
+    }
+
+    /// Changes what the next observation commands.
+    pub fn lead(&mut self, observation: &mut [f64]) {
+        let [forward, left, yaw] = self.command.map(|place| observation[place]);
+        let command = Command { compliance: self.compliance, ..Command::velocity(forward, left, yaw) };
+        let asked = self.around.asked(self.velocity.map(|place| observation[place]), &command);
+        (observation[self.command[0]], observation[self.command[1]]) = (asked.forward, asked.left);
+    }
+}
+
+/// A calibrated policy, which yields as it is commanded to.
+pub struct Compliant<'a> {
+    policy: Box<dyn Controller + 'a>,
+    around: Calibrated,
+}
+
+impl<'a> Compliant<'a> {
+    /// With an outer loop around a policy, for the rates and the commands that it was trained with.
+    pub fn new(policy: Box<dyn Controller + 'a>, calibration: Calibration, config: &Config) -> Self {
+        Compliant { policy, around: Calibrated::new(calibration, config) }
     }
 }
 
@@ -188,7 +258,7 @@ impl Controller for Compliant<'_> {
     }
 
     fn begin(&mut self, state: &RobotState) {
-        self.led = [0.0; 2];
+        self.around.led = [0.0; 2];
         self.policy.begin(state);
     }
 
@@ -196,8 +266,7 @@ impl Controller for Compliant<'_> {
         if command.compliance <= 0.0 {
             return self.policy.joint_targets(state, command);
         }
-        let (setting, bias) = (self.calibration.nearest_setting(command.compliance), self.calibration.bias(command));
-        let command = self.outer_loop.command(state, command, setting, bias, &mut self.led);
+        let command = self.around.asked([state.velocity_in_base.x, state.velocity_in_base.y], command);
         self.policy.joint_targets(state, &command)
     }
 }
@@ -224,6 +293,32 @@ mod tests {
         assert_eq!(calibration.check(0.019), Err(beyond));
         let bias = calibration.bias(&Command::velocity(0.4, 0.0, 0.25));
         assert!((bias[0] - 0.3).abs() < 1e-12 && (bias[1] - 0.5).abs() < 1e-12);
+    }
+
+    #[test]
+    fn who_runs_a_policy_on_observations_leads_it_as_the_controller_does() {
+        let policy = crate::policy::shipped::find_ours("compliant").unwrap();
+        // C₀ is half of what is commanded; off by 0.1 m/s forward as always, and −0.2 m/s to the left by a hand.
+        let calibration = Calibration { bias: [[0.1, 0.0, 0.0, 0.0], [0.0; 4]], ..parsed(TEXT).unwrap() };
+        let point = |c| Point { setting: c, measured: c };
+        let calibration = Calibration { points: vec![point(0.005), point(0.03)], ..calibration };
+        let mut led = Led::new(&policy, calibration.clone(), 0.02).unwrap();
+        let mut observation = vec![0.0; policy.layout().length()];
+        // As `policy show` has them: velocity left, up, forward; commanded left, forward, yaw rate.
+        (observation[62], observation[64]) = (-0.2, 0.6);
+        (observation[80], observation[81], observation[82]) = (0.0, 0.5, 0.25);
+        let before = observation.clone();
+        led.lead(&mut observation);
+        // A 60th of a second of a low-pass of 0.1 s: 1 − e^(−1/6).
+        let asked = -0.5 * (1.0 - (-1.0_f64 / 6.0).exp()) * 0.2;
+        assert!(
+            (observation[80] - asked).abs() < 1e-12 && (observation[81] - 0.5).abs() < 1e-12,
+            "{}",
+            observation[80]
+        );
+        observation[80..82].copy_from_slice(&before[80..82]);
+        assert_eq!(observation, before);
+        assert!(Led::new(&policy, calibration, 0.04).is_err());
     }
 
     #[test]

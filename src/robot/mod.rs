@@ -18,6 +18,7 @@ use nalgebra::Vector3;
 
 pub use describe::joint_table;
 pub use extent::Extent;
+use import::Imported;
 pub use import::isolate_imports;
 pub use kinematics::{Foot, Leg};
 pub use legs::{JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, of_leg, opposite, same_in_every_leg};
@@ -25,6 +26,7 @@ pub use state::{FootState, Foothold, RobotState};
 
 use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
+use crate::util::numbers::maximum;
 use crate::util::paths;
 
 /// The robots inside the program: name and MJCF.
@@ -81,8 +83,6 @@ pub struct Robot {
     pub losses: Losses,
     /// What the robot starts from: the trunk's position and quaternion, then the joint angles in the model's order.
     pub stand: Vec<f64>,
-    /// Places of the joint angles in `stand`.
-    places: [usize; JOINTS],
     /// Joint angles that the robot stands on, the middle of what a policy does \[rad\].
     pub nominal_pose: Joints,
     /// Geometry of the legs, in the order of [`LEGS`].
@@ -100,7 +100,10 @@ pub struct Robot {
 }
 
 static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::new(|| {
-    let robot = |(name, mjcf): &(&str, &str)| Robot::new(name, (*mjcf).to_owned(), Vec::new(), None).map(Arc::new);
+    let robot = |(name, mjcf): &(&str, &str)| {
+        let ours = Imported { mjcf: (*mjcf).to_owned(), report: Vec::new(), has_pose: true, fall_height_m: None };
+        Robot::new(name, ours).map(Arc::new)
+    };
     SHIPPED.iter().map(robot).collect()
 });
 
@@ -128,18 +131,13 @@ impl Robot {
         if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
             return Ok(Arc::clone(robot));
         }
-        let import::Imported { mjcf, report, has_pose, fall_height_m } = import::import(&source, path).map_err(fail)?;
-        let mut robot = Self::new(name, mjcf, report, fall_height_m)?;
-        if !has_pose {
-            robot.bend_knees();
-        }
-        let robot = Arc::new(robot);
+        let robot = Arc::new(Self::new(name, import::import(&source, path).map_err(fail)?)?);
         known.push((key, Arc::clone(&robot)));
         Ok(robot)
     }
 
-    /// Bends knees that are straight only because nobody has said otherwise.
-    fn bend_knees(&mut self) {
+    /// Bends knees that are straight only because nobody has said otherwise. `places` are those of the joint angles in `stand`.
+    fn bend_knees(&mut self, places: &[usize; JOINTS]) {
         let straight = |leg: usize| self.legs[leg].is_straight(of_leg(&self.nominal_pose, leg));
         if !(0..LEGS.len()).all(straight) {
             return;
@@ -148,7 +146,7 @@ impl Robot {
         let bent = |joint: usize| self.legs[joint / PARTS.len()].bent()[joint % PARTS.len()];
         self.nominal_pose = std::array::from_fn(|joint| (1e3 * bent(joint)).round() / 1e3);
         self.stand[2] = self.standing_height_m(&self.nominal_pose);
-        for (place, angle) in self.places.iter().zip(self.nominal_pose) {
+        for (place, angle) in places.iter().zip(self.nominal_pose) {
             self.stand[*place] = angle;
         }
         self.report.push(format!(
@@ -169,7 +167,8 @@ impl Robot {
     }
 
     /// Reads everything from an MJCF document that has our names.
-    fn new(name: &str, mjcf: String, report: Vec<String>, fall_height_m: Option<f64>) -> Result<Self, FileError> {
+    fn new(name: &str, imported: Imported) -> Result<Self, FileError> {
+        let Imported { mjcf, report, has_pose, fall_height_m } = imported;
         let path = &paths::as_path(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
@@ -196,14 +195,13 @@ impl Robot {
         let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
         let collides = |geom: &usize| model.geom_contact(*geom).collides();
         let colliding = (0..model.count(Kind::Geom)).filter(collides);
-        Ok(Robot {
+        let mut robot = Robot {
             name: name.to_owned(),
             report,
             joint_limits,
             torque_limits,
             losses: Losses::default(),
             stand,
-            places,
             nominal_pose,
             legs,
             imu_in_base: imu.map_or_else(Vector3::zeros, |site| model.site_position(site).into()),
@@ -212,7 +210,11 @@ impl Robot {
             fall_height_m,
             colliding: colliding.map(|geom| model.name(Kind::Geom, geom).to_owned()).collect(),
             mjcf,
-        })
+        };
+        if !has_pose {
+            robot.bend_knees(&places);
+        }
+        Ok(robot)
     }
 
     /// The MJCF document that scenes include.
@@ -228,7 +230,7 @@ impl Robot {
     /// How far the trunk's origin is above the ground on the lowest foot, the trunk level \[m\].
     pub fn standing_height_m(&self, pose: &Joints) -> f64 {
         let depth = |leg: usize| self.legs[leg].foot_radius_m - self.legs[leg].foot_position(of_leg(pose, leg)).z;
-        (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, f64::max)
+        (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, maximum)
     }
 
     /// What becomes of a joint's angle in a mirror between the left and the right legs: the joint that takes it over, and

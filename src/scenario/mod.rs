@@ -14,6 +14,7 @@ mod play;
 pub mod rig;
 pub mod senses;
 pub mod session;
+pub mod spring;
 pub mod terrain;
 pub mod trace;
 
@@ -26,6 +27,7 @@ use crate::task::Command;
 pub use play::{Played, Rollout};
 pub use rig::Rig;
 pub use senses::{Sensing, SensingError};
+pub use spring::Spring;
 
 /// A push at an instant.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -51,8 +53,10 @@ pub struct Script {
     pub after_fall_s: f64,
     /// In order of time.
     pub pushes: Vec<TimedPush>,
-    /// A leash.
+    /// A leash that pulls with a constant force.
     pub pull: Option<Pull>,
+    /// A leash in the hand of somebody who walks, or a wall that gives.
+    pub spring: Option<Spring>,
     /// A load on a rope.
     pub rig: Option<Rig>,
     /// What there is to be reached.
@@ -64,8 +68,10 @@ impl Script {
     pub fn too_late(&self) -> Option<String> {
         let push = self.pushes.first().map(|push| ("push", push.time_s));
         let pull = self.pull.map(|pull| ("pull", pull.from_s));
+        let spring = self.spring.as_ref().map(|spring| ("start of the leash", spring.from_s));
         let release = self.rig.as_ref().map(|rig| ("release of the load", rig.release_s));
-        let (what, at_s) = [push, pull, release].into_iter().flatten().find(|(_, at_s)| *at_s >= self.duration_s)?;
+        let (what, at_s) =
+            [push, pull, spring, release].into_iter().flatten().find(|(_, at_s)| *at_s >= self.duration_s)?;
         Some(format!(
             "the {what} at {at_s:.2} s would come after the end at {:.2} s: it does not happen",
             self.duration_s

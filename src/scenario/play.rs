@@ -6,14 +6,15 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::rig::{RigState, RopeForces};
 use super::senses::Senses;
-use super::{Goal, Script, Sensing, SensingError, TimedPush};
+use super::spring::SpringState;
+use super::{Goal, Script, Sensing, SensingError, Spring, TimedPush};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
 use crate::robot::{Foothold, Joints, RobotState};
-use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Trace};
+use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
 use crate::sim::{Parts, Push, Sim, StepObserver};
 use crate::task::episode::GRAVITY;
 use crate::task::{Command, Stages, SwingTracker, Terms, reward};
@@ -59,6 +60,7 @@ pub struct Rollout<'a> {
     held: Option<Vector3<f64>>,
     fallen_since: Option<usize>,
     failed: bool,
+    spring: Option<SpringState>,
     rig: Option<RigState>,
     /// The body from which the way to the goal is measured.
     goal_from: Option<usize>,
@@ -109,6 +111,7 @@ impl<'a> Rollout<'a> {
             held: None,
             fallen_since: None,
             failed: false,
+            spring: script.spring.as_ref().map(|_| SpringState::new(&sim)).transpose()?,
             rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
             goal_from: goal_body(&script, &sim)?,
             passed_goal: false,
@@ -179,9 +182,17 @@ impl<'a> Rollout<'a> {
             senses.act(&target);
         }
         let rope = self.rig.as_ref().map(RigState::tendon);
-        let mut meter = Meter { swings: self.swings, senses: self.senses.as_mut(), rope, ..Meter::default() };
+        let pull = self.steady_force();
+        let mut meter = Meter {
+            swings: self.swings,
+            senses: self.senses.as_mut(),
+            pull,
+            spring: self.script.spring.as_ref().zip(self.spring.as_mut()),
+            rope,
+            ..Meter::default()
+        };
         let summary = self.sim.step(&target, &mut meter)?;
-        let meter = Meter { senses: None, ..meter };
+        let meter = Meter { senses: None, spring: None, ..meter };
         self.step += 1;
         let time_s = self.step as f64 * period_s;
         if let Some(fault) = self.senses.as_mut().map_or(Ok(None), Senses::fault)? {
@@ -191,6 +202,13 @@ impl<'a> Rollout<'a> {
                 text: format!("sensors: {fault}; the others bridge it"),
             });
         }
+
+        let stretch = self.spring.as_mut().zip(self.script.spring.as_ref()).and_then(|(state, spring)| {
+            let (stretch, text) = state.after_step(spring)?;
+            let event = |text: &str| Event { time_s, kind: EventKind::Disturbance, text: text.to_owned() };
+            events.extend(text.map(event));
+            Some(stretch)
+        });
 
         let state = self.sim.state();
         let mut swings = meter.swings;
@@ -255,8 +273,9 @@ impl<'a> Rollout<'a> {
             obstacle_impulse_n_s: meter.obstacle_force_sum_n * period_s / substeps,
             obstacle_contact_s: f64::from(meter.obstacle_substeps) * period_s / substeps,
             rope,
+            spring: stretch,
             sensed: self.senses.as_ref().map(|senses| senses.sensed(&state)),
-            disturbance: self.disturbance(time_s),
+            disturbance: self.disturbance(time_s, stretch),
             stage: is_training_episode.then(|| {
                 let since_push = time_s - self.script.pushes[0].time_s;
                 let step = (since_push / period_s).round() as i64 + stages.recovery_start as i64 - 1;
@@ -281,9 +300,9 @@ impl<'a> Rollout<'a> {
         if let Some(pull) = self.script.pull {
             let active = (pull.from_s..pull.until_s).contains(&(time_s + 1e-9));
             if active != self.pulling {
-                let force = if active { pull.force } else { [0.0; 2] };
-                self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
                 self.pulling = active;
+                let force = self.steady_force();
+                self.sim.set_trunk_force(force);
                 let text = match active {
                     true => format!("pull: {:+.1} N forward, {:+.1} N left", pull.force[0], pull.force[1]),
                     false => "pull ends".to_owned(),
@@ -339,12 +358,20 @@ impl<'a> Rollout<'a> {
         }
     }
 
-    fn disturbance(&self, time_s: f64) -> Option<Disturbance> {
-        if let (true, Some(pull)) = (self.pulling, self.script.pull) {
-            return Some(Disturbance::Pull { force: [pull.force[0], pull.force[1], 0.0] });
+    /// The force on the trunk now that is not a spring's, world frame \[N\].
+    fn steady_force(&self) -> Vector3<f64> {
+        let pull = self.script.pull.filter(|_| self.pulling);
+        let pull = pull.map(|pull| Vector3::new(pull.force[0], pull.force[1], 0.0));
+        pull.or(self.held).unwrap_or_default()
+    }
+
+    fn disturbance(&self, time_s: f64, stretch: Option<Stretch>) -> Option<Disturbance> {
+        if self.pulling || self.held.is_some() {
+            return Some(Disturbance::Pull { force: self.steady_force().into() });
         }
-        if let Some(force) = self.held {
-            return Some(Disturbance::Pull { force: force.into() });
+        if let Some(acting) = self.script.spring.as_ref().zip(stretch).and_then(|(it, now)| it.disturbance(now.force_n))
+        {
+            return Some(acting);
         }
         let (until_s, velocity) = self.shown_push?;
         (time_s <= until_s).then(|| Disturbance::Push { velocity: velocity.into() })
@@ -458,6 +485,10 @@ enum Fault {
 #[derive(Default)]
 struct Meter<'a> {
     senses: Option<&'a mut Senses>,
+    /// The constant force on the trunk, world frame \[N\].
+    pull: Vector3<f64>,
+    /// What pulls besides, by how far it is stretched.
+    spring: Option<(&'a Spring, &'a mut SpringState)>,
     swings: SwingTracker,
     substeps: u32,
     torques: Joints,
@@ -475,6 +506,11 @@ struct Meter<'a> {
 }
 
 impl StepObserver for Meter<'_> {
+    fn trunk_force(&mut self, data: &Data) -> Option<Vector3<f64>> {
+        let (spring, state) = self.spring.as_mut()?;
+        Some(self.pull + state.force(spring, data))
+    }
+
     fn feet(&mut self, feet: &[Foothold; 4]) {
         self.swings.feet(feet);
     }

@@ -315,7 +315,7 @@ fn aim(state: &RobotState, command: &Command, lead_s: f64) -> (Vector2<f64>, Rot
     (state.position.xy() + walked, heading)
 }
 
-/// Forces of a rope over the physics steps of a policy step.
+/// Forces of a rope or a spring over the physics steps of a policy step.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct RopeForces {
     sum_n: f64,
@@ -333,7 +333,12 @@ impl RopeForces {
         self.count += 1;
     }
 
-    fn mean_n(&self) -> f64 {
+    /// Of the largest one.
+    pub(super) fn peak_n(&self) -> f64 {
+        self.peak_n
+    }
+
+    pub(super) fn mean_n(&self) -> f64 {
         self.sum_n / f64::from(self.count.max(1))
     }
 }

@@ -31,6 +31,11 @@ pub enum Disturbance {
         /// World frame \[N\].
         force: [f64; 3],
     },
+    /// A force on the trunk of something that is in its way; drawn as an arrow that ends there.
+    Press {
+        /// World frame \[N\].
+        force: [f64; 3],
+    },
 }
 
 /// A rope with a load, at the end of a step.
@@ -44,6 +49,17 @@ pub struct Rope {
     pub peak_force_n: f64,
     /// Least force in them; a rope cannot push, so that it is never below zero \[N\].
     pub least_force_n: f64,
+}
+
+/// A spring between the trunk and a point, in a step.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Stretch {
+    /// By how much it is stretched in the last physics step; below zero, how far it is from that \[m\].
+    pub stretch_m: f64,
+    /// Force on the trunk, mean over the step's physics steps \[N\].
+    pub force_n: f64,
+    /// Largest force in them \[N\].
+    pub peak_force_n: f64,
 }
 
 /// What the robot knows of its state at the end of a policy step, if it acts on its sensors.
@@ -114,6 +130,8 @@ pub struct Frame {
     pub obstacle_contact_s: f64,
     /// A rope, if the scene has one.
     pub rope: Option<Rope>,
+    /// A leash in somebody's hand, or a wall that gives, if the script has one and it has begun.
+    pub spring: Option<Stretch>,
     /// What the robot knew of it; none if it acts on the true state.
     pub sensed: Option<Sensed>,
     /// What acted from outside in this step.

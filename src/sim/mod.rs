@@ -85,8 +85,14 @@ pub struct Pull {
     pub force: [f64; 2],
 }
 
-/// Looks at every physics step of a policy step.
+/// Looks at every physics step of a policy step, and may pull the trunk in it.
 pub trait StepObserver {
+    /// Called before each, with the positions that it starts from: the force on the trunk's centre of mass in it, world frame
+    /// \[N\]. None leaves the force as it is.
+    fn trunk_force(&mut self, _data: &Data) -> Option<Vector3<f64>> {
+        None
+    }
+
     /// Called between the two halves, when contact forces exist: with the state after integration, and contacts and
     /// forces that led to it.
     fn forces(&mut self, _data: &Data, _parts: &Parts, _torques: &Joints) {}
@@ -95,7 +101,7 @@ pub trait StepObserver {
     fn feet(&mut self, _feet: &[Foothold; 4]) {}
 }
 
-/// Sees nothing.
+/// Sees nothing, does nothing.
 impl StepObserver for () {}
 
 /// Everything that a resumed simulation needs to give the same bits.
@@ -242,6 +248,9 @@ impl Sim {
             let rates = self.parts.joint_rates(&self.data);
             let torques = self.gains.torques(&acting, &self.measured_angles(), &rates, &limits);
             self.parts.set_torques(&mut self.data, &torques);
+            if let Some(force) = observer.trunk_force(&self.data) {
+                self.set_trunk_force(force);
+            }
             self.data.step2()?;
             observer.forces(&self.data, &self.parts, &torques);
             self.refresh()?;

@@ -37,11 +37,11 @@ pub struct OuterLoop {
 }
 
 impl OuterLoop {
-    /// What to command of a policy that is to walk at `command` and yield by `c` [m/s/N]. `led` is the state of the
-    /// low-pass, zero at first, forward and left; so is the bias [m/s].
+    /// What to command of a policy that walks at `velocity`, is to walk at `command` and to yield by `c` [m/s/N]. `led` is the
+    /// state of the low-pass, zero at first. All of them are forward and left, base frame, and so is the bias [m/s].
     pub fn command(
         &self,
-        state: &RobotState,
+        velocity: [f64; 2],
         command: &Command,
         c: f64,
         bias: [f64; 2],
@@ -50,13 +50,13 @@ impl OuterLoop {
         let step = 1.0 - (-self.period_s / SMOOTHING_S).exp();
         let gain = 1.0 - self.own_m_s_per_n / c;
         let asked = [command.forward, command.left];
-        let velocity: [f64; 2] = std::array::from_fn(|axis| {
-            let off = state.velocity_in_base[axis] - asked[axis] - bias[axis];
+        let [forward, left]: [f64; 2] = std::array::from_fn(|axis| {
+            let off = velocity[axis] - asked[axis] - bias[axis];
             led[axis] += step * (off - led[axis]);
             let limit = self.limits_m_s[axis].max(asked[axis].abs());
             (asked[axis] + gain * led[axis]).clamp(-limit, limit)
         });
-        Command { forward: velocity[0], left: velocity[1], ..*command }
+        Command { forward, left, ..*command }
     }
 }
 
@@ -159,7 +159,13 @@ mod tests {
         let (command, mut mass, mut low_pass) = (Command::velocity(0.5, 0.0, 0.0), VirtualMass::default(), [0.0; 2]);
         let mut state = turned(0.0);
         for _ in 0..600 {
-            let mut asked = outer_loop.command(&state, &command, c, [0.0, bias[1]], &mut low_pass);
+            let mut asked = outer_loop.command(
+                [state.velocity_in_base.x, state.velocity_in_base.y],
+                &command,
+                c,
+                [0.0, bias[1]],
+                &mut low_pass,
+            );
             asked.left += bias[0];
             mass.step(&state, &asked, outer_loop.own_m_s_per_n, pulled([0.0, force_n]), 2.0);
             state.velocity_in_base = Vector3::new(mass.velocity[0], mass.velocity[1], 0.0);

@@ -249,7 +249,8 @@ impl LocomotionEnv {
         let p = &mut self.progress;
         if let (Some(outer_loop), Some(yielding)) = (&self.outer_loop, &mut p.yielding) {
             let command = &p.plan.command;
-            yielding.asked = outer_loop.command(state, command, command.compliance, [0.0; 2], &mut yielding.led);
+            let velocity = [state.velocity_in_base.x, state.velocity_in_base.y];
+            yielding.asked = outer_loop.command(velocity, command, command.compliance, [0.0; 2], &mut yielding.led);
         }
         let now = Moment {
             state,

@@ -221,7 +221,11 @@ pub fn differences(first: &impl serde::Serialize, second: &impl serde::Serialize
 
 fn compare(key: &str, first: &Value, second: &Value, found: &mut Vec<(String, [String; 2])>) {
     let (Some(ours), Some(theirs)) = (first.as_mapping(), second.as_mapping()) else {
-        let text = |value: &Value| to_text(value).trim().replace('\n', " ");
+        let text = |value: &Value| match value {
+            // On one line, which is YAML, too.
+            Value::Sequence(_) => serde_json::to_string(value).unwrap_or_default(),
+            value => to_text(value).trim().replace('\n', " "),
+        };
         if first != second {
             found.push((key.to_owned(), [text(first), text(second)]));
         }
@@ -238,25 +242,33 @@ fn compare(key: &str, first: &Value, second: &Value, found: &mut Vec<(String, [S
 mod tests {
     use super::*;
 
-    #[derive(Debug, serde::Deserialize)]
+    #[derive(Debug, PartialEq, serde::Deserialize)]
     #[serde(deny_unknown_fields)]
-    #[allow(dead_code)]
     struct Outer {
         name: String,
         inner: Inner,
     }
 
-    #[derive(Debug, serde::Deserialize)]
+    #[derive(Debug, PartialEq, serde::Deserialize)]
     #[serde(deny_unknown_fields)]
-    #[allow(dead_code)]
     struct Inner {
         count: u64,
         sizes: Vec<f64>,
     }
 
-    fn complaint(texts: &[&str]) -> String {
+    fn read(texts: &[&str]) -> Result<Outer, YamlError> {
         let texts: Vec<Text> = texts.iter().zip(["a", "b"]).map(|(text, name)| Text::new(name, text)).collect();
-        layered::<Outer>(&texts).unwrap_err().to_string()
+        layered(&texts)
+    }
+
+    fn complaint(texts: &[&str]) -> String {
+        read(texts).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn a_later_text_changes_what_it_names_and_leaves_the_rest() {
+        let found = read(&["name: x\ninner:\n  count: 1\n  sizes: [1.0]\n", "inner: {count: 2}"]).unwrap();
+        assert_eq!(found, Outer { name: "x".into(), inner: Inner { count: 2, sizes: vec![1.0] } });
     }
 
     #[test]

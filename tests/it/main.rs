@@ -11,6 +11,7 @@ mod provenance;
 #[cfg(feature = "mpi")]
 mod ranks;
 mod readme;
+mod robots;
 mod scenarios;
 mod support;
 mod travel;

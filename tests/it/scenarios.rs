@@ -4,7 +4,7 @@ use clap::{FromArgMatches, Subcommand};
 use supple::mujoco::Kind;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
-use supple::scenario::trace::{EventKind, Trace};
+use supple::scenario::trace::{Disturbance, EventKind, Trace};
 use supple::scenario::{Rollout, Sensing};
 use supple::util::yaml::{Text, flat_parameters};
 
@@ -61,7 +61,7 @@ pub fn all() -> Vec<Scenario> {
     DEFAULTS
         .iter()
         .map(|(name, _)| match *name {
-            "push" | "leash" | "pulley" | "pendulum" => scenario(name, &["--duration-s=2", "--at-s=0.5"]),
+            "push" | "leash" | "lead" | "pulley" | "pendulum" => scenario(name, &["--duration-s=2", "--at-s=0.5"]),
             _ => scenario(name, &["--duration-s=1"]),
         })
         .collect()
@@ -72,6 +72,8 @@ fn what_would_come_after_the_end_is_told() {
     for (name, change, what) in [
         ("push", "--at-s=100", Some("the push at 100.")),
         ("leash", "--at-s=100", Some("the pull at 100.00 s")),
+        ("lead", "--at-s=100", Some("the start of the leash at 100.00 s")),
+        ("wall", "--duration-s=1", None),
         ("pulley", "--duration-s=0.5", Some("the release of the load at 2.00 s")),
         ("push", "--at-s=1", None),
         ("walk", "--duration-s=1", None),
@@ -222,6 +224,43 @@ fn odd_numbers_of_balls_and_strong_leashes_do_not_crash() {
         let trace = trace(&scenario("leash", &["--duration-s=4", "--at-s=0.5", force]), 0);
         assert!(!trace.frames.is_empty() && trace.events.iter().all(|event| !event.text.contains("unstable")));
     }
+}
+
+#[test]
+fn a_leash_that_is_led_away_gets_taut_and_pulls_where_it_leads() {
+    let lead = scenario("lead", &["--duration-s=1", "--at-s=0.5", "--slack-m=0.1", "--direction-deg=90"]);
+    let trace = trace(&lead, 0);
+    // 0.1 m at 0.5 m/s: taut after 0.2 s, by what a robot that stands gives way at first.
+    let taut = trace.events.iter().find(|event| event.text == "the leash is taut").unwrap();
+    assert!((taut.time_s - 0.7).abs() < 2.5 / 60.0, "{taut:?}");
+    for frame in &trace.frames {
+        let force_n = frame.spring.map_or(0.0, |spring| spring.force_n);
+        assert!(force_n == 0.0 || frame.time_s + 1e-9 >= taut.time_s, "{}", frame.time_s);
+        let pull = Disturbance::Pull { force: [force_n * 90.0_f64.to_radians().cos(), force_n, 0.0] };
+        assert_eq!(frame.disturbance, (force_n > 0.0).then_some(pull));
+    }
+    // At the end 200 N/m · 0.15 m + 20 N·s/m · 0.5 m/s, less what the robot gives way.
+    let last = trace.frames.last().unwrap().spring.unwrap();
+    assert!((10.0..40.0).contains(&last.force_n) && last.peak_force_n >= last.force_n, "{last:?}");
+}
+
+#[test]
+fn a_wall_stops_a_robot_that_walks_into_it_where_it_stands() {
+    let agent = supple::policy::shipped::find("compliant").unwrap();
+    let wall = scenario("wall", &["--duration-s=4", "--distance-m=1"]);
+    let script = wall.script(0, &agent.config).unwrap();
+    let trace = Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace();
+    let met = trace.events.iter().find(|event| event.text == "meets the wall").unwrap();
+    let first = trace.frames.iter().find(|frame| frame.time_s > met.time_s - 1e-9).unwrap();
+    assert!((first.position[0] - 1.0).abs() < 0.03, "{first:?}");
+    let Some(Disturbance::Press { force }) = first.disturbance else { panic!("{:?}", first.disturbance) };
+    assert!(force[0] < 0.0 && force[1].abs() < 1e-9 && force[2] == 0.0, "{force:?}");
+    let metrics = wall.metrics(&script, &trace);
+    let of = |name: &str| metrics.iter().find(|metric| metric.name == name).unwrap().value.unwrap();
+    // Where it is deepest its speed is zero: what presses it is the stiffness alone, and damping before.
+    let (peak, depth) = (of("peak_force_n"), of("depth_m"));
+    assert!((700.0 * depth - 1e-9..700.0 * depth + 4.0).contains(&peak), "{peak} N, {depth} m");
+    assert!(of("blow_n_s") > 5.0 && of("impulse_n_s") > of("blow_n_s") && of("blow_n_s") < peak, "{metrics:?}");
 }
 
 #[test]

@@ -171,7 +171,7 @@ impl Experiment for Calibration {
     fn check(&self) -> Result<(), ParameterError> {
         in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
         in_range("average_s", self.average_s, 0.1, self.for_s, "0.1 s to calibration.for_s")?;
-        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+        check_directions(self.directions)
     }
 
     fn measure(&self, trial: &Trial) -> Measured {

@@ -51,7 +51,7 @@ impl Experiment for Directions {
     }
 
     fn check(&self) -> Result<(), ParameterError> {
-        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+        check_directions(self.directions)
     }
 
     fn measure(&self, trial: &Trial) -> Measured {

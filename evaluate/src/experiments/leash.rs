@@ -40,27 +40,31 @@ pub struct Leash {
     pub average_s: f64,
 }
 
+/// Constant pulls with each of the forces \[N\] in so many directions all around, from when on and for how long \[s\].
+pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) -> Result<Vec<Condition>, ConfigError> {
+    let base: Pulled = defaults("leash")?;
+    let condition = |force_n: f64, direction_deg: f64| Condition {
+        label: format!("{force_n} N, {direction_deg:.1}°"),
+        scenario: Scenario::Leash(Pulled {
+            force_n,
+            direction_deg,
+            at_s,
+            for_s,
+            task: Task { duration_s: at_s + for_s, ..base.task.clone() },
+        }),
+    };
+    Ok(forces_n.iter().flat_map(|force| evenly(directions).map(|d| condition(*force, d))).collect())
+}
+
 impl Experiment for Leash {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Pulled = defaults("leash")?;
-        let condition = |force_n: f64, direction_deg: f64| Condition {
-            label: format!("{force_n} N, {direction_deg:.1}°"),
-            scenario: Scenario::Leash(Pulled {
-                force_n,
-                direction_deg,
-                at_s: self.at_s,
-                for_s: self.for_s,
-                task: Task { duration_s: self.at_s + self.for_s, ..base.task.clone() },
-            }),
-        };
-        let forces = self.forces_n.iter();
-        Ok(forces.flat_map(|force| evenly(self.directions).map(|d| condition(*force, d))).collect())
+        pulls(&self.forces_n, self.directions, [self.at_s, self.for_s])
     }
 
     fn check(&self) -> Result<(), ParameterError> {
         in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
         in_range("average_s", self.average_s, 0.1, self.for_s, "0.1 s to leash.for_s")?;
-        in_range("directions", f64::from(self.directions), 3.0, 360.0, "3 to 360")
+        check_directions(self.directions)
     }
 
     fn measure(&self, trial: &Trial) -> Measured {

@@ -1,4 +1,4 @@
-//! The experiments E0 to E11, one file each: what is varied, what is measured, what is shown.
+//! The experiments E0 to E14, one file each: what is varied, what is measured, what is shown.
 
 mod push;
 mod velocity;
@@ -6,12 +6,13 @@ mod velocity;
 use serde::{Deserialize, Serialize};
 
 use super::{Experiment, Info, Parameters};
+use supple::scenario::catalog::{ParameterError, in_range};
 
 /// What every experiment needs.
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
-    pub(super) use super::{gait, truth};
+    pub(super) use super::{check_directions, gait, truth};
     pub use crate::show::{Group, Show};
     pub use crate::statistics::Expected;
     pub use crate::trial::Trial;
@@ -74,11 +75,19 @@ experiments! {
     rubble: rubble::Rubble,
     outdoor: outdoor::Outdoor,
     calibration: calibration::Calibration,
+    pull: pull::Pull,
+    wall: wall::Wall,
+    lead: lead::Lead,
 }
 
 /// What a robot does at a forward command \[m/s\].
 fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
+}
+
+/// Checks directions that divide the circle evenly: enough to tell sides apart.
+fn check_directions(count: u32) -> Result<(), ParameterError> {
+    in_range("directions", f64::from(count), 3.0, 360.0, "3 to 360")
 }
 
 /// 1 for yes, 0 for no.

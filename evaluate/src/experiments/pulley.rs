@@ -54,11 +54,7 @@ impl Experiment for Pulley {
     }
 
     fn measure(&self, trial: &Trial) -> Measured {
-        let values = QUANTITIES.iter().map(|quantity| match *quantity {
-            FELL => trial.end.fell(),
-            quantity => trial.upright_metric(quantity.name),
-        });
-        values.collect::<Vec<_>>().into()
+        trial.upright_metrics(QUANTITIES)
     }
 
     fn show(&self, show: &mut Show) {

@@ -113,6 +113,13 @@ impl Section {
                     .notes
                     .push(format!("{name} fell in every trial: quantities that a fall leaves undefined are –."));
             }
+            if ends.out_of_reach > 0 {
+                findings.notes.push(format!(
+                    "{} of {} trials of {name} were not played: not all of its policies can yield as far as they ask for.",
+                    ends.out_of_reach,
+                    ends.out_of_reach + ends.trials
+                ));
+            }
             if ends.faults > 0 {
                 findings.notes.push(format!(
                     "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no other \

@@ -11,7 +11,7 @@ from . import _supple
 from .policy import Function, Policy, resolve
 from .scenario import estimated
 
-ENDS = ("upright", "fell", "fault")
+ENDS = ("upright", "fell", "fault", "out_of_reach")
 
 
 class Experiment(NamedTuple):
@@ -24,7 +24,7 @@ class Experiment(NamedTuple):
     values: NDArray[np.float64]
     """Shape (conditions, trials, quantities); NaN where a trial does not define one."""
     ends: NDArray[np.str_]
-    """How each trial ended, shape (conditions, trials): upright, fell or fault."""
+    """How each trial ended, shape (conditions, trials): upright, fell, fault, or out_of_reach of what the policy can be told."""
 
     def mean(self, quantity: str) -> NDArray[np.float64]:
         """Mean over the trials that define the quantity, for each condition; NaN if there are none."""

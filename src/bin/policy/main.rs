@@ -8,8 +8,8 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
-use supple::policy::compliance::Calibration;
-use supple::policy::{Buffers, Policy, Provenance};
+use supple::policy::compliance::{Calibration, ComplianceError, Led};
+use supple::policy::{AgentError, Buffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{Robot, joint_names, joint_table};
 use supple::scenario::calibration::calibrate;
@@ -54,6 +54,9 @@ enum Command {
         /// Policy file, run folder, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
         policy: String,
+        /// How far it is to yield (m/s/N), of observations that follow one another at the policy's rate; 0: as it does by itself
+        #[arg(long, value_name = "C", default_value_t = 0.0)]
+        compliance: f64,
     },
     /// Print a policy's card: where it came from, how it learned if that is in its run's folder, how it walks (Markdown)
     Card {
@@ -147,10 +150,21 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
         Command::Robot { robot: name, config } => {
             let (robot, config) = (Robot::load(&name)?, Config::load(&config)?);
-            let fitted = config.fitted_to(&robot).map_err(|reason| anyhow::anyhow!("robot {name}: {reason}"))?;
+            let fitted = config.fitted_to(&robot)?;
             terminal::print(format_args!("{}\n{}", robot.description(), config.changes(&fitted)))?;
         }
-        Command::Run { policy } => answer(&shipped::find_ours(&policy)?)?,
+        Command::Run { policy: name, compliance } => {
+            let agent = shipped::find(&name)?;
+            let calibration = agent.calibration.clone();
+            let policy = agent.into_policy().ok_or_else(|| AgentError::External { name: name.clone() })?;
+            let led = match (compliance, calibration) {
+                (0.0, _) => None,
+                (_, None) => Some(Err(ComplianceError::NotCalibrated)),
+                (_, Some(calibration)) => Some(Led::new(&policy, calibration, compliance)),
+            };
+            let led = led.transpose().with_context(|| format!("--compliance {compliance} with {name}"))?;
+            answer(&policy, led)?;
+        }
         Command::List => list()?,
         Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
@@ -207,14 +221,17 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
 }
 
 /// One line of joint targets for each line of observations.
-fn answer(policy: &Policy) -> anyhow::Result<()> {
+fn answer(policy: &Policy, mut led: Option<Led>) -> anyhow::Result<()> {
     let (mut buffers, length) = (Buffers::default(), policy.layout().length());
     for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {
         let line = line.with_context(|| format!("standard input, line {}", index + 1))?;
         let at = || format!("line {}: expected a JSON array of numbers", index + 1);
-        let observation: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
+        let mut observation: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
         let found = observation.len();
         anyhow::ensure!(found == length, "line {}: {found} numbers, expected {length}; see `policy show`", index + 1);
+        if let Some(led) = &mut led {
+            led.lead(&mut observation);
+        }
         let targets = policy.joint_targets(&observation, &mut buffers);
         if let Some(joint) = targets.iter().position(|target| !target.is_finite()) {
             let (name, target) = (&joint_names()[joint], targets[joint]);

@@ -98,6 +98,8 @@ scenarios! {
     "walk" => Walk(walk::Walk): "Walk without disturbance (E0)",
     "push" => Push(push::PushAway): "Push the trunk once or again and again (E1 to E4)",
     "leash" => Leash(leash::Leash): "Pull the trunk with a constant force (E5)",
+    "lead" => Lead(lead::Lead): "Walk away with the leash (E14)",
+    "wall" => Wall(wall::Wall): "Walk into a wall that gives (E14)",
     "box" => Box(free_box::FreeBox): "Walk into a free box (E6)",
     "ball-pit" => BallPit(ball_pit::BallPit): "Cross a field of loose balls (E7)",
     "terrain" => Terrain(terrain::Terrain): "Walk over Perlin terrain, steps or a slope (E8)",
@@ -243,6 +245,7 @@ impl Scenario {
             after_fall_s: AFTER_FALL_S,
             pushes: Vec::new(),
             pull: None,
+            spring: None,
             rig: None,
             goal: None,
         };

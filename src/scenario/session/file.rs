@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Input, Played, Setup, Shelf, ShelfError, World, WorldError};
 use crate::policy::compliance::Calibration;
-use crate::util::files::FileError;
+use crate::util::files::{self, FileError};
 
 /// Version of the format; what is only added does not change it.
 const FORMAT: u32 = 1;
@@ -132,23 +132,23 @@ impl Writer {
             |setups: &VecDeque<(u64, u64)>| setups.iter().rev().find(|(tick, _)| *tick <= from_tick).copied();
         let (_, begin) = at_or_before(&self.setups).unwrap_or((0, 0));
         let begin = if from.is_some() { begin } else { 0 };
-        let mut out = BufWriter::new(File::create(to)?);
         let program = crate::util::provenance::GIT_REVISION.to_owned();
-        let mut write = |line: &Line| writeln!(out, "{}", serde_json::to_string(line)?);
-        write(&Line::Session { format: FORMAT, program, from_tick })?;
+        let first = serde_json::to_string(&Line::Session { format: FORMAT, program, from_tick })?;
+        let last = serde_json::to_string(&Line::End { tick: end, state })?;
+        let mut parts: Vec<(u64, u64)> = self.policies.values().copied().filter(|(at, _)| *at < begin).collect();
+        parts.sort_unstable();
+        parts.push((begin, self.length));
         let source = self.file.get_mut();
-        let mut copy = |from: u64, until: u64| -> io::Result<()> {
-            source.seek(SeekFrom::Start(from))?;
-            io::copy(&mut Read::by_ref(source).take(until - from), &mut out).map(drop)
-        };
-        let mut earlier: Vec<(u64, u64)> = self.policies.values().copied().filter(|(at, _)| *at < begin).collect();
-        earlier.sort_unstable();
-        let copied = earlier.into_iter().try_for_each(|(at, until)| copy(at, until));
-        let copied = copied.and_then(|()| copy(begin, self.length));
+        let kept = files::write_with(to, |out| {
+            writeln!(out, "{first}")?;
+            for (from, until) in parts {
+                source.seek(SeekFrom::Start(from))?;
+                io::copy(&mut Read::by_ref(source).take(until - from), out)?;
+            }
+            writeln!(out, "{last}")
+        });
         source.seek(SeekFrom::End(0))?;
-        copied?;
-        writeln!(out, "{}", serde_json::to_string(&Line::End { tick: end, state })?)?;
-        out.into_inner()?.sync_all()
+        kept
     }
 
     /// Forgets where set-ups begin that are no longer needed to show the session from a tick on.

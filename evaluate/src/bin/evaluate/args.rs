@@ -24,18 +24,18 @@ pub struct Args {
     /// Folder with policies NAME-seedN.safetensors of both sets [default: policies, or those that ship where there is none]
     #[arg(long, value_name = "DIR")]
     pub policies: Option<PathBuf>,
-    /// Folder (or file, or name of a shipped policy) with the first set, instead of --policies
-    #[arg(long, value_name = "DIR", requires = "b", conflicts_with = "policies")]
+    /// First set, instead of --policies: a folder, a file, FOLDER/NAME for its files NAME-seedN, or a shipped policy's name;
+    /// with @C behind it, every trial commands it the compliance C (m/s/N)
+    #[arg(long, value_name = "PATH[@C]", requires = "b", conflicts_with = "policies")]
     pub a: Option<PathBuf>,
-    /// Folder (or file, or name of a shipped policy) with the second set
-    #[arg(long, value_name = "DIR", requires = "a")]
+    /// Second set, likewise
+    #[arg(long, value_name = "PATH[@C]", requires = "a")]
     pub b: Option<PathBuf>,
     /// Names of the two sets; the paper's claims are about the first
     #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1, default_value = "compliant,baseline")]
     pub names: Vec<String>,
-    /// A further set, shown beside the two that are compared: its name, and its folder (or file, or a shipped policy's name); may be
-    /// repeated
-    #[arg(long, value_name = "NAME=PATH", value_parser = path_as_text().try_map(name_and_path))]
+    /// A further set, shown beside the two that are compared: its name, and where it is; may be repeated
+    #[arg(long, value_name = "NAME=PATH[@C]", value_parser = path_as_text().try_map(name_and_path))]
     pub also: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]

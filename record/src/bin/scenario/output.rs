@@ -158,7 +158,7 @@ const COLUMNS: [Column; 26] = [
     ("reward", |frame| frame.reward),
     ("peak_foot_force_n", |frame| frame.peak_foot_force_n),
     ("peak_obstacle_force_n", |frame| frame.peak_obstacle_force_n),
-    ("rope_force_n", |frame| frame.rope.as_ref().map_or(0.0, |rope| rope.force_n)),
+    ("rope_force_n", rope_force_n),
     ("foot_fr_up_n", |frame| frame.foot_forces[0][2]),
     ("foot_fl_up_n", |frame| frame.foot_forces[1][2]),
     ("foot_rr_up_n", |frame| frame.foot_forces[2][2]),
@@ -167,6 +167,12 @@ const COLUMNS: [Column; 26] = [
     ("base_y_m_s", |frame| frame.velocity[1]),
     ("base_z_m_s", |frame| frame.velocity[2]),
 ];
+
+/// Of a rope with a load, a leash in somebody's hand, or a wall that gives.
+fn rope_force_n(frame: &Frame) -> f64 {
+    let of_spring = frame.spring.map_or(0.0, |spring| spring.force_n);
+    frame.rope.as_ref().map_or(of_spring, |rope| rope.force_n)
+}
 
 /// Columns of what the robot knows; empty where it acts on its true state.
 const ESTIMATED: &str = "estimated_x_m,estimated_y_m,estimated_height_m,estimated_base_x_m_s,estimated_base_y_m_s,\

@@ -1,0 +1,84 @@
+//! E14c: somebody walks away with the leash.
+
+use super::prelude::*;
+use crate::plot::polar::{Scales, evenly};
+use supple::scenario::catalog::Lead as Led;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("mean_tension_n", "mean tension", "N", 1),
+    Quantity::new("peak_tension_n", "peak tension", "N", 1),
+    Quantity::new("led_m", "led beside its course by", "m", 2),
+    FELL,
+];
+
+pub(super) const INFO: Info = Info {
+    id: "E14c",
+    number: 17,
+    name: "lead",
+    title: "Led by the leash",
+    paper: "not in the paper",
+    method: "Somebody goes along with the commanded walk, holding the leash, and after 2 s walks away from it at 0.5 m/s, in \
+             directions of the world all around. Leash, hand and arm are a spring of 200 N/m with 20 N·s/m that pulls the \
+             trunk's centre of mass along that direction, and never pushes. A robot that yields by c goes along once the \
+             tension is 0.5/c. Tensions are of the last 3 of 6 s. A fall leaves all but the falls undefined.",
+    quantities: QUANTITIES,
+};
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Lead {
+    /// Forward commands \[m/s\]; 0 is standing.
+    pub commands_m_s: Vec<f64>,
+    /// Directions that divide the circle evenly.
+    pub directions: u32,
+    /// Runs of each policy in each direction at each command.
+    pub trials: u32,
+}
+
+impl Experiment for Lead {
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Led = defaults("lead")?;
+        let condition = |command: f64, direction_deg: f64| Condition {
+            label: format!("{}, {direction_deg:.1}°", gait(command)),
+            scenario: Scenario::Lead(Led {
+                direction_deg,
+                task: Task { forward_m_s: command, ..base.task.clone() },
+                ..base
+            }),
+        };
+        let commands = self.commands_m_s.iter();
+        Ok(commands.flat_map(|command| evenly(self.directions).map(|d| condition(*command, d))).collect())
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        check_directions(self.directions)
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        trial.upright_metrics(QUANTITIES)
+    }
+
+    fn show(&self, show: &mut Show) {
+        let groups = Group::all(self.commands_m_s.iter().map(|command| gait(*command).to_owned()), show.results);
+        for Group { name, conditions } in &groups {
+            for (quantity, words) in
+                [("mean_tension_n", "go along with less tension (mean over directions)"), ("fell", "fall less often")]
+            {
+                let text = format!("Led by the leash while {name}, compliant policies {words}");
+                show.claim(&text, "", quantity, Expected::Lower, conditions);
+            }
+        }
+        show.table_of("Led by the leash at 0.5 m/s, mean over all directions.", show.rows(&groups));
+        show.table_in_file("all", "Led by the leash at 0.5 m/s, by direction.");
+        show.polar(
+            "",
+            "Tension of a leash that somebody walks away with, by direction",
+            ("mean_tension_n", "mean tension [N]"),
+            &groups,
+            Scales::Shared,
+            "Mean tension of a leash that somebody walks away with at 0.5 m/s, by the direction they walk to: mean and ± \
+             standard deviation over seeds. Trials with a fall have none.",
+        );
+    }
+}

@@ -1,0 +1,85 @@
+//! E14a: which sustained pulls the robot stays on its feet under.
+
+use super::leash::pulls;
+use super::prelude::*;
+use crate::plot::polar::{self, Polar, Scales};
+use crate::statistics::Spread;
+
+const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
+const QUANTITIES: &[Quantity] = &[SURVIVED];
+
+pub(super) const INFO: Info = Info {
+    id: "E14a",
+    number: 15,
+    name: "pull",
+    title: "Sustained pulls",
+    paper: "not in the paper",
+    method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk for some seconds, in \
+             directions all around; the force keeps its direction in the world. It survives if it has not fallen by the \
+             end of the pull.",
+    quantities: QUANTITIES,
+};
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pull {
+    /// Directions that divide the circle evenly.
+    pub directions: u32,
+    /// Runs of each policy in each direction with each force.
+    pub trials: u32,
+    /// Pulling forces \[N\].
+    pub forces_n: Vec<f64>,
+    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    pub at_s: f64,
+    /// Length of the pull \[s\].
+    pub for_s: f64,
+}
+
+impl Experiment for Pull {
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        pulls(&self.forces_n, self.directions, [self.at_s, self.for_s])
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("for_s", self.for_s, 0.1, 60.0, "0.1 to 60 s")?;
+        check_directions(self.directions)
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        vec![truth(trial.is_upright())].into()
+    }
+
+    fn show(&self, show: &mut Show) {
+        let names = self.forces_n.iter().map(|force| format!("{force} N"));
+        let forces = Group::all(names, show.results);
+        let text =
+            format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
+        show.claim(&text, "", SURVIVED.name, Expected::Higher, &show.all());
+        show.table_of("Sustained pulls survived, by force: mean over all directions.", show.rows(&forces));
+        show.table_in_file("all", "Sustained pulls survived, by force and direction.");
+        show.dots_of(
+            "",
+            "Sustained pulls survived, by force",
+            &forces,
+            &[SURVIVED.name],
+            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions: mean ± standard deviation \
+             over seeds, single seeds as hollow marks.",
+        );
+        let directions = self.directions as usize;
+        let spread = |set: usize, direction: usize| {
+            let conditions: Vec<usize> = forces.iter().map(|force| force.conditions[direction]).collect();
+            Spread::of(&show.results.per_seed_over(set, &conditions, SURVIVED.name))
+                .map(|spread| spread.times(SURVIVED.scale()))
+        };
+        let panel = Polar {
+            title: String::new(),
+            sets: show.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
+        };
+        let title = "Sustained pulls survived, by direction";
+        let svg = polar::draw(title, &[panel], &show.results.names, "survived [%], mean over all forces", Scales::Own);
+        let caption = "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to, over all forces: mean \
+                       and ± standard deviation over seeds.";
+        show.figure("directions", caption, svg);
+    }
+}

@@ -1,0 +1,69 @@
+//! E14b: walking into a wall that gives.
+
+use super::prelude::*;
+use supple::scenario::catalog::Wall as Across;
+
+const QUANTITIES: &[Quantity] = &[
+    Quantity::new("peak_force_n", "peak force", "N", 0),
+    Quantity::new("blow_n_s", "impulse in the first second", "N·s", 1),
+    Quantity::new("impulse_n_s", "impulse to the end", "N·s", 0),
+    Quantity::new("depth_m", "depth", "m", 2),
+    FELL,
+];
+
+pub(super) const INFO: Info = Info {
+    id: "E14b",
+    number: 16,
+    name: "wall",
+    title: "A wall that gives",
+    paper: "not in the paper",
+    method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, and presses on \
+             until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves all but the falls undefined.",
+    quantities: QUANTITIES,
+};
+
+/// Its numbers in the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wall {
+    /// Forward commands \[m/s\].
+    pub commands_m_s: Vec<f64>,
+    /// Runs of each policy at each command.
+    pub trials: u32,
+}
+
+impl Experiment for Wall {
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        let base: Across = defaults("wall")?;
+        let condition = |command: &f64| Condition {
+            label: format!("{command} m/s"),
+            scenario: Scenario::Wall(Across { task: Task { forward_m_s: *command, ..base.task.clone() }, ..base }),
+        };
+        Ok(self.commands_m_s.iter().map(condition).collect())
+    }
+
+    fn measure(&self, trial: &Trial) -> Measured {
+        trial.upright_metrics(QUANTITIES)
+    }
+
+    fn show(&self, show: &mut Show) {
+        show.table("Walking into a wall of 700 N/m and 4 N·s/m, by command.");
+        show.dots(
+            "",
+            "Force, impulse and depth at a wall that gives",
+            &["peak_force_n", "blow_n_s", "depth_m"],
+            "Walking into a wall of 700 N/m and 4 N·s/m: largest force, impulse in the first second, largest depth. Mean ± \
+             standard deviation over seeds, single seeds as hollow marks; trials with a fall have none.",
+        );
+        let all = show.all();
+        for (quantity, words) in [
+            ("peak_force_n", "press less hard at the most"),
+            ("blow_n_s", "press less in the first second"),
+            ("impulse_n_s", "press less to the end"),
+            ("fell", "fall less often"),
+        ] {
+            let text = format!("Walking into a wall that gives, compliant policies {words}");
+            show.claim(&text, "", quantity, Expected::Lower, &all);
+        }
+    }
+}

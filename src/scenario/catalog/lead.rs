@@ -1,0 +1,73 @@
+//! Somebody walks away with the leash (E14).
+
+use super::{ParameterError, Parameters, in_range, metric, towards};
+use crate::scenario::Script;
+use crate::scenario::metrics::{self, Metric};
+use crate::scenario::spring::{Spring, SpringEnd};
+use crate::scenario::trace::{Frame, Trace};
+
+/// At the end of the rollout, when the robot goes along as it will \[s\].
+const LAST_S: f64 = 3.0;
+
+parameters! {
+    /// Lead: somebody walks away with the leash.
+    pub struct Lead {
+        /// How fast the hand walks away, beside the commanded walk (m/s)
+        pub speed_m_s: f64,
+        /// Where to, in the world: 0 ahead, 90 left (deg)
+        pub direction_deg: f64,
+        /// Stiffness of the leash, with the hand and the arm at its end (N/m)
+        pub stiffness_n_per_m: f64,
+        /// Damping of the same (N s/m)
+        pub damping_n_s_per_m: f64,
+        /// How far the hand walks until the leash is taut (m)
+        pub slack_m: f64,
+        /// When it sets off (s)
+        pub at_s: f64,
+    }
+}
+
+impl Parameters for Lead {
+    fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        in_range("speed-m-s", self.speed_m_s, 0.0, 5.0, "0 to 5 m/s")?;
+        in_range("direction-deg", self.direction_deg, -360.0, 360.0, "-360 to 360 degrees")?;
+        in_range("stiffness-n-per-m", self.stiffness_n_per_m, 1.0, 20_000.0, "1 to 20000 N/m")?;
+        in_range("damping-n-s-per-m", self.damping_n_s_per_m, 0.0, 500.0, "0 to 500 N s/m")?;
+        in_range("slack-m", self.slack_m, 0.0, 10.0, "0 to 10 m")?;
+        in_range("at-s", self.at_s, 0.0, 3600.0, "0 to 3600 s")?;
+        let direction = towards(self.direction_deg);
+        // The hand goes along with the commanded walk.
+        let walk_m_s = self.task.forward_m_s * direction[0] + self.task.left_m_s * direction[1];
+        script.spring = Some(Spring {
+            end: SpringEnd::Hand,
+            from_s: self.at_s,
+            direction,
+            speed_m_s: walk_m_s + self.speed_m_s,
+            gap_m: self.slack_m,
+            stiffness_n_per_m: self.stiffness_n_per_m,
+            damping_n_s_per_m: self.damping_n_s_per_m,
+        });
+        Ok(())
+    }
+
+    fn metrics(&self, script: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let end_s = script.duration_s;
+        let last = metrics::window(trace, self.at_s.max(end_s - LAST_S), end_s).filter(|_| trace.fall().is_none());
+        let tension = |frame: &Frame| frame.spring.map_or(0.0, |spring| spring.force_n);
+        let peak = |frame: &Frame| frame.spring.map_or(0.0, |spring| spring.peak_force_n);
+        let led = last.clone().last().and_then(|frame| {
+            let hand_m = self.speed_m_s * (frame.time_s - self.at_s);
+            Some(hand_m - self.slack_m - frame.spring?.stretch_m)
+        });
+        found.extend([
+            metric("mean_tension_n", "mean tension, last 3 s", metrics::mean(last.clone(), tension), "N"),
+            metric("peak_tension_n", "peak tension, last 3 s", metrics::largest(last, peak), "N"),
+            metric("led_m", "led beside its course by", led, "m"),
+        ]);
+    }
+
+    fn delay(&mut self, phase_s: f64) {
+        self.at_s += phase_s;
+        self.task.duration_s += phase_s;
+    }
+}

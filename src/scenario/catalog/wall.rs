@@ -1,0 +1,70 @@
+//! A wall that gives, across the way (E14).
+
+use super::{ParameterError, Parameters, in_range, metric};
+use crate::scenario::Script;
+use crate::scenario::metrics::{self, Metric};
+use crate::scenario::spring::{Spring, SpringEnd};
+use crate::scenario::trace::{Frame, Stretch, Trace};
+
+/// What counts as the blow \[s\].
+const BLOW_S: f64 = 1.0;
+
+parameters! {
+    /// Wall: walk into a wall that gives.
+    pub struct Wall {
+        /// From the start to where the wall begins to press the trunk's centre of mass (m)
+        pub distance_m: f64,
+        /// Stiffness of the wall (N/m)
+        pub stiffness_n_per_m: f64,
+        /// Damping of the wall (N s/m)
+        pub damping_n_s_per_m: f64,
+    }
+}
+
+impl Parameters for Wall {
+    fn prepare(&self, script: &mut Script, _: u64) -> Result<(), ParameterError> {
+        in_range("distance-m", self.distance_m, 0.0, 100.0, "0 to 100 m")?;
+        in_range("stiffness-n-per-m", self.stiffness_n_per_m, 1.0, 20_000.0, "1 to 20000 N/m")?;
+        in_range("damping-n-s-per-m", self.damping_n_s_per_m, 0.0, 500.0, "0 to 500 N s/m")?;
+        script.spring = Some(Spring {
+            end: SpringEnd::Wall,
+            from_s: 0.0,
+            direction: [-1.0, 0.0],
+            speed_m_s: 0.0,
+            gap_m: self.distance_m,
+            stiffness_n_per_m: self.stiffness_n_per_m,
+            damping_n_s_per_m: self.damping_n_s_per_m,
+        });
+        Ok(())
+    }
+
+    fn metrics(&self, _: &Script, trace: &Trace, found: &mut Vec<Metric>) {
+        let spring = |frame: &Frame| frame.spring.unwrap_or_default();
+        let met = trace.frames.iter().find(|frame| spring(frame).peak_force_n > 0.0);
+        let met_s = met.map(|frame| frame.time_s - trace.period_s);
+        let last_s = trace.frames.last().map_or(0.0, |frame| frame.time_s);
+        // What presses a robot that lies there is nobody's number.
+        let end_s = trace.fall().map_or(last_s, |fall| fall.time_s);
+        let pressed = |until_s: f64| metrics::window(trace, met_s.unwrap_or(f64::INFINITY), until_s);
+        let impulse = |until_s: f64| {
+            let sum: f64 = pressed(until_s).map(|frame| spring(frame).force_n * trace.period_s).sum();
+            (met_s.is_some() && until_s < end_s + 1e-9).then_some(sum)
+        };
+        let largest = |of: fn(&Stretch) -> f64| metrics::largest(pressed(end_s), |frame| of(&spring(frame)));
+        let whole = impulse(last_s).filter(|_| trace.fall().is_none());
+        let blow = met_s.and_then(|met_s| impulse(met_s + BLOW_S));
+        found.extend([
+            metric("met_s", "meets the wall at", met_s, "s"),
+            metric("peak_force_n", "peak force", largest(|spring| spring.peak_force_n), "N"),
+            metric("blow_n_s", "impulse, first second", blow, "N s"),
+            metric("impulse_n_s", "impulse to the end", whole, "N s"),
+            metric("depth_m", "depth", largest(|spring| spring.stretch_m), "m"),
+        ]);
+    }
+
+    /// The wall is farther away by what the robot walks in that time.
+    fn delay(&mut self, phase_s: f64) {
+        self.distance_m += phase_s * self.task.forward_m_s;
+        self.task.duration_s += phase_s;
+    }
+}

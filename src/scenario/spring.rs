@@ -1,0 +1,197 @@
+/*! A spring between the trunk and a point beside it: a leash in the hand of somebody who walks away, a wall that gives.
+
+It acts along one horizontal direction of the world, that of its force, and only one way: it does nothing where it is slack.
+From its beginning on, the point goes along the direction with a constant speed v, and the trunk's centre of mass by x,
+
+`s = v t − x − gap,   F = max(0, k s + d ṡ) where s > 0, else 0`
+
+with the stiffness k and the damping d. It is formed anew in every physics step: at 700 N/m a robot of 12 kg would swing
+once in 0.8 s, 200 of them.
+*/
+
+use nalgebra::Vector3;
+
+use super::rig::RopeForces;
+use crate::mujoco::{self, Data, Kind};
+use crate::robot::HARNESS;
+use crate::scenario::trace::{Disturbance, Stretch};
+use crate::sim::Sim;
+
+/// A spring, and when it begins to act.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Spring {
+    /// What is at its other end.
+    pub end: SpringEnd,
+    /// When the point sets off \[s\].
+    pub from_s: f64,
+    /// Where the force goes, and the point: horizontal, world frame, a unit vector.
+    pub direction: [f64; 2],
+    /// Of the point [m/s].
+    pub speed_m_s: f64,
+    /// How far the point and the trunk can part before the spring is stretched \[m\].
+    pub gap_m: f64,
+    /// k [N/m].
+    pub stiffness_n_per_m: f64,
+    /// d [N·s/m].
+    pub damping_n_s_per_m: f64,
+}
+
+/// What a spring leads to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SpringEnd {
+    /// The hand of somebody who holds the leash.
+    Hand,
+    /// A wall.
+    Wall,
+}
+
+impl SpringEnd {
+    /// What to say when the spring acts for the first time.
+    fn text(self) -> &'static str {
+        match self {
+            SpringEnd::Hand => "the leash is taut",
+            SpringEnd::Wall => "meets the wall",
+        }
+    }
+}
+
+impl Spring {
+    /// A force of this size \[N\], to be shown.
+    pub(super) fn disturbance(&self, force_n: f64) -> Option<Disturbance> {
+        let force = [force_n * self.direction[0], force_n * self.direction[1], 0.0];
+        (force_n > 0.0).then_some(match self.end {
+            SpringEnd::Hand => Disturbance::Pull { force },
+            SpringEnd::Wall => Disturbance::Press { force },
+        })
+    }
+
+    /// Its force when it is stretched by `stretch_m` \[m\], and that grows by `rate_m_s` [m/s] \[N\].
+    fn force_n(&self, stretch_m: f64, rate_m_s: f64) -> f64 {
+        let force_n = self.stiffness_n_per_m * stretch_m + self.damping_n_s_per_m * rate_m_s;
+        if stretch_m > 0.0 { force_n.max(0.0) } else { 0.0 }
+    }
+}
+
+/// A spring being played.
+#[derive(Debug)]
+pub(super) struct SpringState {
+    /// Site of the trunk's centre of mass.
+    harness: usize,
+    /// Where the trunk was along the direction when the point set off \[m\].
+    start_m: Option<f64>,
+    /// In the last physics step \[m\].
+    stretch_m: Option<f64>,
+    forces: RopeForces,
+    has_acted: bool,
+}
+
+impl SpringState {
+    /// Looks up the trunk's centre of mass.
+    pub(super) fn new(sim: &Sim) -> mujoco::Result<Self> {
+        let harness = sim.data().model().id(Kind::Site, HARNESS)?;
+        Ok(SpringState { harness, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false })
+    }
+
+    /// The force on the trunk in the physics step that is about to be taken, world frame \[N\].
+    pub(super) fn force(&mut self, spring: &Spring, data: &Data) -> Vector3<f64> {
+        let place = &data.site_positions()[3 * self.harness..];
+        let along_m = spring.direction[0] * place[0] + spring.direction[1] * place[1];
+        let force_n = self.force_n(spring, data.time_s() - spring.from_s, along_m, data.model().timestep_s());
+        Vector3::new(spring.direction[0], spring.direction[1], 0.0) * force_n
+    }
+
+    /// The force when the point has been under way for `time_s`, the trunk is at `along_m` in its direction, and the last
+    /// physics step was `step_s` ago \[N\].
+    fn force_n(&mut self, spring: &Spring, time_s: f64, along_m: f64, step_s: f64) -> f64 {
+        // Times of physics steps are sums of many small ones.
+        if time_s < -1e-9 {
+            return 0.0;
+        }
+        let walked_m = along_m - *self.start_m.get_or_insert(along_m);
+        let stretch_m = spring.speed_m_s * time_s - walked_m - spring.gap_m;
+        let rate_m_s = self.stretch_m.map_or(0.0, |before_m| (stretch_m - before_m) / step_s);
+        let force_n = spring.force_n(stretch_m, rate_m_s);
+        self.stretch_m = Some(stretch_m);
+        self.forces.add(force_n);
+        force_n
+    }
+
+    /// What it was like in the policy step that is over, and what to say if it acted for the first time. None before the point
+    /// has set off.
+    pub(super) fn after_step(&mut self, spring: &Spring) -> Option<(Stretch, Option<&'static str>)> {
+        let forces = std::mem::take(&mut self.forces);
+        let stretch = Stretch { stretch_m: self.stretch_m?, force_n: forces.mean_n(), peak_force_n: forces.peak_n() };
+        let acts_first = stretch.peak_force_n > 0.0 && !std::mem::replace(&mut self.has_acted, true);
+        Some((stretch, acts_first.then(|| spring.end.text())))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP_S: f64 = 1.0 / 240.0;
+
+    /// A leash of 0.2 m that is led to the left at 0.5 m/s from 0 s on.
+    fn leash() -> Spring {
+        Spring {
+            end: SpringEnd::Hand,
+            from_s: 0.0,
+            direction: [0.0, 1.0],
+            speed_m_s: 0.5,
+            gap_m: 0.2,
+            stiffness_n_per_m: 200.0,
+            damping_n_s_per_m: 20.0,
+        }
+    }
+
+    fn state() -> SpringState {
+        SpringState { harness: 0, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false }
+    }
+
+    #[test]
+    fn a_leash_pulls_a_robot_that_stands_by_its_stretch_and_the_speed_of_the_hand() {
+        let (leash, mut state) = (leash(), state());
+        // Before the hand sets off, and while the leash is slack: 0.5 · 0.3 = 0.15 m of 0.2 m.
+        assert_eq!(state.force_n(&leash, -0.5, 1.0, STEP_S), 0.0);
+        assert_eq!(state.after_step(&leash), None);
+        assert_eq!(state.force_n(&leash, 0.0, 1.0, STEP_S), 0.0);
+        assert_eq!(state.force_n(&leash, 0.3, 1.0, STEP_S), 0.0);
+        let (slack, text) = state.after_step(&leash).unwrap();
+        assert!((slack.stretch_m + 0.05).abs() < 1e-12 && slack.force_n == 0.0 && text.is_none(), "{slack:?}");
+        let mut state = self::state();
+        // 0.5 · 0.6 − 0.2 = 0.1 m, growing by 0.5 m/s: 200 · 0.1 + 20 · 0.5 = 30 N.
+        state.force_n(&leash, 0.6 - STEP_S, 1.0, STEP_S);
+        assert!((state.force_n(&leash, 0.6, 1.0, STEP_S) - 30.0).abs() < 1e-9);
+        let (taut, text) = state.after_step(&leash).unwrap();
+        assert!((taut.stretch_m - 0.1).abs() < 1e-12 && (taut.peak_force_n - 30.0).abs() < 1e-9, "{taut:?}");
+        assert_eq!(text, Some("the leash is taut"));
+        // A robot that goes along as fast as the hand keeps the stretch: 200 · 0.1 = 20 N; that is told once.
+        assert!((state.force_n(&leash, 0.6 + STEP_S, 1.0 + 0.5 * STEP_S, STEP_S) - 20.0).abs() < 1e-9);
+        assert_eq!(state.after_step(&leash).unwrap().1, None);
+    }
+
+    #[test]
+    fn a_wall_presses_who_walks_into_it_and_does_not_hold_who_leaves() {
+        let wall = Spring {
+            end: SpringEnd::Wall,
+            direction: [-1.0, 0.0],
+            speed_m_s: 0.0,
+            gap_m: 2.0,
+            stiffness_n_per_m: 700.0,
+            damping_n_s_per_m: 4.0,
+            ..leash()
+        };
+        // Its direction is back: a robot at x is at −x along it.
+        let mut state = state();
+        let mut at = |time_s: f64, x: f64| state.force_n(&wall, time_s, -x, STEP_S);
+        assert_eq!(at(0.0, 0.0), 0.0);
+        assert_eq!(at(2.5, 2.0), 0.0);
+        // 5 cm deep and going deeper at 0.8 m/s: 700 · 0.05 + 4 · 0.8 = 38.2 N.
+        at(2.6 - STEP_S, 2.05 - 0.8 * STEP_S);
+        assert!((at(2.6, 2.05) - 38.2).abs() < 1e-9);
+        // 1 mm deep and leaving at 2 m/s: 700 · 0.001 − 4 · 2 is below zero.
+        at(3.0 - STEP_S, 2.001 + 2.0 * STEP_S);
+        assert_eq!(at(3.0, 2.001), 0.0);
+    }
+}
