@@ -19,7 +19,7 @@ use supple::train::{Memory, TrainError, Trainer};
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::provenance::GIT_REVISION;
 use supple::util::terminal::{self, shell_word};
-use supple::util::{files, paths, yaml};
+use supple::util::{files, paths};
 
 /// Signals that follow one another faster are one.
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
@@ -298,14 +298,11 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     let program = std::env::current_exe().and_then(std::fs::read);
     let program = program.map_or_else(|error| error.to_string(), |bytes| files::sha256(&[&bytes]));
     let run = trainer.run();
-    let facts = [
-        ("program", format!("revision {GIT_REVISION} with the checksum {program}")),
-        ("arithmetic", format!("ppo.precision: {}", yaml::to_text(&run.config.ppo.precision).trim_end())),
-        ("robot", format!("one with the checksum {}", run.robot_sha256)),
-        ("seed", run.seed.to_string()),
-        ("configuration", format!("one with the checksum {}", files::sha256(&[run.config.to_yaml().as_bytes()]))),
-    ];
-    Ok(supple::ranks::check_alike(trainer.ranks(), &facts)?)
+    let mut facts = serde_json::to_value(&run.config)?;
+    facts["seed"] = run.seed.into();
+    facts["robot's checksum"] = run.robot_sha256.clone().into();
+    facts["program"] = format!("revision {GIT_REVISION} with the checksum {program}").into();
+    Ok(supple::ranks::check_alike(trainer.ranks(), facts)?)
 }
 
 /// That of a new run, and the folder that the run shall have.

@@ -22,6 +22,9 @@ use std::sync::Arc;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::util::yaml;
 
 /// This process among those that train together. Whatever is done together is called by all of them, in the same order.
 pub trait Ranks: Debug + Send + Sync {
@@ -146,16 +149,17 @@ where
     told.iter().enumerate().map(read).collect()
 }
 
-/// Checks that something is the same on all ranks as on the first.
+/// Checks that facts, by name, are the same on all ranks as on the first.
 ///
 /// # Errors
-/// A [`RankError`] that names one on which it is not, the same on all of them.
-pub fn check_alike(ranks: &dyn Ranks, facts: &[(&str, String)]) -> Result<(), RankError> {
-    let facts = facts.iter().map(|(what, value)| ((*what).to_owned(), value.clone())).collect::<Vec<_>>();
+/// A [`RankError`] that names a rank on which they are not, and which ones; the same on all of them.
+pub fn check_alike(ranks: &dyn Ranks, facts: Value) -> Result<(), RankError> {
     let all = agree::<_, RankError>(ranks, Ok(facts))?;
-    for (rank, facts) in all.iter().enumerate() {
-        if let Some(((what, own), (_, first))) = facts.iter().zip(&all[0]).find(|(own, first)| own != first) {
-            let problem = format!("its {what} is {own}, but that of {} is {first}", ranks.name(0));
+    for (rank, own) in all.iter().enumerate() {
+        let differences = yaml::differences(own, &all[0]).into_iter();
+        let differences: Vec<_> = differences.map(|(fact, [own, first])| format!("{fact} is {own}, not {first}")).collect();
+        if !differences.is_empty() {
+            let problem = format!("not like {}: {}", ranks.name(0), differences.join("; "));
             return Err(RankError { name: ranks.name(rank), problem });
         }
     }

@@ -1,43 +1,56 @@
 /*! Ranks over MPI.
 
-All calls of MPI are made by one thread, which does nothing else. Whoever wants something hands its numbers over and waits
-for them to come back, but no longer than a time limit: a rank that hangs does not take the others with it, and it is known
-which one they waited for.
+All calls of MPI are made by one thread, which does nothing else: whoever wants something hands its numbers over and waits
+for them to come back.
 
 Sums go by recursive doubling: with 8 ranks, each first exchanges numbers with its neighbour, then with the rank two places
-away, then four. Both sides compute `a + b`, which has the same bits as `b + a`.
+away, then four. Both sides compute `a + b`, which has the same bits as `b + a`. Of many numbers, each side of an exchange
+sums one half only, and half of that in the next; the sums then go back the same way. So a rank sends less than twice
+what it sums, however many ranks there are, and the tree is the same.
+
+A rank that hangs does not take the others with it. Whoever has waited too long tells all others that it waits; those that wait
+too say the same; and whoever is not heard of is to blame.
 */
 
-use std::process;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::ops::Range;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
+use std::{hint, mem, process};
 
-use ::mpi::Threading;
 use ::mpi::datatype::Equivalence;
 use ::mpi::environment::{Universe, processor_name};
-use ::mpi::point_to_point::send_receive_into;
-use ::mpi::topology::Communicator;
+use ::mpi::point_to_point::{Destination, Source};
+use ::mpi::request::{StaticScope, scope};
+use ::mpi::topology::{Communicator, SimpleCommunicator};
 use ::mpi::traits::{Buffer, BufferMut};
+use ::mpi::{Tag, Threading};
 
 use super::Ranks;
 use crate::util::terminal;
 
-/// Whom a rank waits for that waits for all of them.
-const EVERYBODY: usize = usize::MAX;
+/// What numbers travel under.
+const NUMBERS: Tag = 0;
+
+/// What a rank tells others under that has waited too long.
+const WAITING: Tag = 1;
+
+/// Longest time that the others may take to say that they wait, too.
+const HEARING: Duration = Duration::from_secs(2);
+
+/// Fewer numbers are not halved: their way takes no longer than that of half of them.
+const MANY: usize = 8192;
+
+/// Looks for an answer before a waiting rank offers its core to others: see [`Team`](crate::ppo).
+const SPINS: u32 = 100;
 
 /// One of the processes that `mpirun` has started.
 #[derive(Debug)]
 pub struct Mpi {
     index: usize,
-    /// Of all hosts, by rank.
-    hosts: Vec<String>,
-    /// Longest wait for another rank.
-    timeout: Duration,
-    /// The rank that is waited for.
-    awaited: Arc<AtomicUsize>,
+    /// Rank and host of all of them.
+    names: Vec<String>,
     messenger: Mutex<Messenger>,
 }
 
@@ -64,8 +77,6 @@ impl Mpi {
         let (calls, to_do) = channel();
         let (done, answers) = channel();
         let (joined, start) = channel();
-        let awaited = Arc::new(AtomicUsize::new(EVERYBODY));
-        let waiting_for = Arc::clone(&awaited);
         let thread = thread::spawn(move || {
             let Some((universe, Threading::Serialized | Threading::Multiple | Threading::Funneled)) =
                 ::mpi::initialize_with_threading(Threading::Funneled)
@@ -73,9 +84,8 @@ impl Mpi {
                 // `joined` is dropped, which says as much.
                 return;
             };
-            let world = World { universe: &universe, waiting_for: &waiting_for };
-            let hosts = world.gather(processor_name().unwrap_or_default().into_bytes());
-            if joined.send((world.rank(), hosts)).is_err() {
+            let world = World::new(&universe, timeout);
+            if joined.send((world.rank, world.names.clone())).is_err() {
                 return;
             }
             for call in to_do {
@@ -92,32 +102,17 @@ impl Mpi {
                 }
             }
         });
-        let (index, hosts) = start.recv().map_err(|_| "MPI could not be started with threads")?;
-        let hosts: Vec<String> = hosts.into_iter().map(|host| String::from_utf8_lossy(&host).into_owned()).collect();
-        let messenger = Mutex::new(Messenger { calls, answers, thread: Some(thread) });
-        Ok(Self { index, hosts, timeout, awaited, messenger })
+        let (index, names) = start.recv().map_err(|_| "MPI could not be started with threads")?;
+        Ok(Self { index, names, messenger: Mutex::new(Messenger { calls, answers, thread: Some(thread) }) })
     }
 
     fn ask(&self, call: Call) -> Call {
         let messenger = self.messenger.lock().unwrap_or_else(PoisonError::into_inner);
-        let sent = messenger.calls.send(call);
-        let answer = sent.map_err(|_| RecvTimeoutError::Disconnected);
-        match answer.and_then(|()| messenger.answers.recv_timeout(self.timeout)) {
-            Ok(answer) => answer,
-            Err(RecvTimeoutError::Timeout) => {
-                let awaited = match self.awaited.load(Ordering::Relaxed) {
-                    EVERYBODY => "the other ranks".to_owned(),
-                    rank => self.name(rank),
-                };
-                let (own, seconds) = (self.name(self.index), self.timeout.as_secs());
-                terminal::note(format_args!("error: {own} has waited {seconds} s for {awaited}; all ranks end"));
-                process::exit(1);
-            }
-            Err(RecvTimeoutError::Disconnected) => {
-                terminal::note(format_args!("error: MPI has failed on {}; all ranks end", self.name(self.index)));
-                process::exit(1);
-            }
-        }
+        let answer = messenger.calls.send(call).ok().and_then(|()| messenger.answers.recv().ok());
+        answer.unwrap_or_else(|| {
+            terminal::note(format_args!("error: MPI has failed on {}; all ranks end", self.name(self.index)));
+            process::exit(1);
+        })
     }
 }
 
@@ -139,16 +134,15 @@ impl Ranks for Mpi {
     }
 
     fn count(&self) -> usize {
-        self.hosts.len()
+        self.names.len()
     }
 
     fn name(&self, rank: usize) -> String {
-        format!("rank {rank} on {}", self.hosts.get(rank).map_or("?", String::as_str))
+        self.names[rank].clone()
     }
 
     fn sum(&self, singles: &mut Vec<f32>, doubles: &mut Vec<f64>) {
-        if let Call::Sum(summed, summed_doubles) = self.ask(Call::Sum(std::mem::take(singles), std::mem::take(doubles)))
-        {
+        if let Call::Sum(summed, summed_doubles) = self.ask(Call::Sum(mem::take(singles), mem::take(doubles))) {
             (*singles, *doubles) = (summed, summed_doubles);
         }
     }
@@ -162,54 +156,133 @@ impl Ranks for Mpi {
 }
 
 /// All ranks, as the thread that calls MPI knows them.
-struct World<'a> {
-    universe: &'a Universe,
-    waiting_for: &'a AtomicUsize,
+struct World {
+    ranks: SimpleCommunicator,
+    rank: usize,
+    count: usize,
+    /// Rank and host of all of them.
+    names: Vec<String>,
+    timeout: Duration,
 }
 
-impl World<'_> {
-    fn rank(&self) -> usize {
-        self.universe.world().rank() as usize
+impl World {
+    fn new(universe: &Universe, timeout: Duration) -> Self {
+        let ranks = universe.world();
+        let (rank, count) = (ranks.rank() as usize, ranks.size() as usize);
+        let names = (0..count).map(|rank| format!("rank {rank}")).collect();
+        let mut world = Self { ranks, rank, count, names, timeout };
+        let hosts = world.gather(processor_name().unwrap_or_default().into_bytes());
+        for (name, host) in world.names.iter_mut().zip(hosts) {
+            *name = format!("{name} on {}", String::from_utf8_lossy(&host));
+        }
+        world
     }
 
     fn sum<T: Copy + Default + std::ops::AddAssign + Equivalence>(&self, values: &mut [T])
     where
         [T]: Buffer + BufferMut,
     {
-        let world = self.universe.world();
-        if values.is_empty() {
-            return;
-        }
         let mut others = vec![T::default(); values.len()];
-        let mut distance = 1;
-        while distance < world.size() {
-            let partner = world.rank() ^ distance;
-            self.waiting_for.store(partner as usize, Ordering::Relaxed);
-            let process = world.process_at_rank(partner);
-            send_receive_into(values, &process, &mut others[..], &process);
-            values.iter_mut().zip(&others).for_each(|(value, other)| *value += *other);
-            distance *= 2;
+        let mut part = 0..values.len();
+        // Halves that others sum, beside those that are summed here.
+        let mut halves: Vec<(usize, [Range<usize>; 2])> = Vec::new();
+        for level in 0..self.count.trailing_zeros() {
+            let partner = self.rank ^ (1 << level);
+            let mut theirs = part.clone();
+            if part.len() >= MANY {
+                let middle = part.start + part.len() / 2;
+                (part, theirs) = (part.start..middle, middle..part.end);
+                if partner < self.rank {
+                    mem::swap(&mut part, &mut theirs);
+                }
+                halves.push((partner, [part.clone(), theirs.clone()]));
+            }
+            let others = &mut others[..part.len()];
+            self.exchange(&values[theirs], partner, others, partner);
+            values[part.clone()].iter_mut().zip(others).for_each(|(value, other)| *value += *other);
         }
-        self.waiting_for.store(EVERYBODY, Ordering::Relaxed);
+        for (partner, [part, theirs]) in halves.into_iter().rev() {
+            let (low, high) = values.split_at_mut(part.start.max(theirs.start));
+            if part.start < theirs.start {
+                self.exchange(&low[part], partner, &mut high[..theirs.len()], partner);
+            } else {
+                self.exchange(&high[..part.len()], partner, &mut low[theirs], partner);
+            }
+        }
     }
 
-    /// Every rank hands its own to each of the others, the next one first, so that it is known who is waited for.
+    /// Every rank hands its own to each of the others, the next one first.
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>> {
-        let world = self.universe.world();
-        let (rank, count) = (world.rank(), world.size());
-        let mut all = vec![Vec::new(); count as usize];
-        for distance in 1..count {
-            let (to, from) = ((rank + distance) % count, (rank - distance + count) % count);
-            self.waiting_for.store(from as usize, Ordering::Relaxed);
-            let (to, source) = (world.process_at_rank(to), world.process_at_rank(from));
-            let mut length = 0_u64;
-            send_receive_into(&(own.len() as u64), &to, &mut length, &source);
-            let mut others = vec![0_u8; length as usize];
-            send_receive_into(&own[..], &to, &mut others[..], &source);
-            all[from as usize] = others;
+        let mut all = vec![Vec::new(); self.count];
+        for distance in 1..self.count {
+            let (to, from) = ((self.rank + distance) % self.count, (self.rank + self.count - distance) % self.count);
+            let mut length = [0_u64];
+            self.exchange(&[own.len() as u64], to, &mut length, from);
+            all[from] = vec![0; length[0] as usize];
+            self.exchange(&own, to, &mut all[from], from);
         }
-        self.waiting_for.store(EVERYBODY, Ordering::Relaxed);
-        all[rank as usize] = own;
+        all[self.rank] = own;
         all
+    }
+
+    /// Hands `own` to one rank and takes `others` from one.
+    fn exchange<T>(&self, own: &[T], to: usize, others: &mut [T], from: usize)
+    where
+        [T]: Buffer + BufferMut,
+    {
+        let process = |rank: usize| self.ranks.process_at_rank(rank as i32);
+        let (since, mut looks) = (Instant::now(), 0);
+        scope(|scope| {
+            let mut taken = Some(process(from).immediate_receive_into_with_tag(scope, others, NUMBERS));
+            let mut given = Some(process(to).immediate_send_with_tag(scope, own, NUMBERS));
+            loop {
+                taken = taken.and_then(|request| request.test().err());
+                given = given.and_then(|request| request.test().err());
+                if taken.is_none() && given.is_none() {
+                    return;
+                }
+                if looks < SPINS {
+                    looks += 1;
+                    hint::spin_loop();
+                    continue;
+                }
+                thread::yield_now();
+                if since.elapsed() > self.timeout || self.ranks.any_process().immediate_probe_with_tag(WAITING).is_some()
+                {
+                    self.end_waiting(from);
+                }
+            }
+        });
+    }
+
+    /// Ends this rank, which has waited too long for an answer `from` another, and names who is to blame.
+    fn end_waiting(&self, from: usize) -> ! {
+        for rank in (0..self.count).filter(|rank| *rank != self.rank) {
+            let process = self.ranks.process_at_rank(rank as i32);
+            mem::forget(process.immediate_send_with_tag(StaticScope, &[0_u8; 0][..], WAITING));
+        }
+        let mut waiting = vec![false; self.count];
+        waiting[self.rank] = true;
+        let until = Instant::now() + HEARING;
+        while Instant::now() < until {
+            if let Some(heard) = self.ranks.any_process().immediate_probe_with_tag(WAITING) {
+                waiting[heard.source_rank() as usize] = true;
+                let from = self.ranks.process_at_rank(heard.source_rank());
+                from.receive_into_with_tag(&mut [0_u8; 0][..], WAITING);
+            } else {
+                thread::sleep(Duration::from_millis(1));
+            }
+        }
+        // One speaks for all of them.
+        if waiting.iter().position(|waits| *waits) == Some(self.rank) {
+            let silent: Vec<&str> =
+                (0..self.count).filter(|rank| !waiting[*rank]).map(|rank| &*self.names[rank]).collect();
+            let silent = if silent.is_empty() { self.names[from].clone() } else { silent.join(", ") };
+            let seconds = self.timeout.as_secs();
+            terminal::note(format_args!("error: no answer for {seconds} s from {silent}; all ranks end"));
+        } else {
+            thread::sleep(HEARING);
+        }
+        process::exit(1)
     }
 }

@@ -73,12 +73,13 @@ fn ranks_that_do_not_fit_are_told_once_and_leave_nothing_behind() {
     let folder = folder();
     let train_with = |arguments: &[&'static str]| [&START[..], &["--out", "run"], arguments].concat();
     let mut unlike = mpirun(1, folder.path(), &train_with(&[]));
-    unlike.args([":", "-n", "1", program("train")]).args(train_with(&["--seed", "1"]));
+    let other = ["--seed", "1", "--set", "ppo.discount=0.5"];
+    unlike.args([":", "-n", "1", program("train")]).args(train_with(&other));
     let cases = [
         (train(3, folder.path(), &train_with(&[])), "there are 3 ranks"),
         (train(2, folder.path(), &train_with(&["--set", "ppo.learner=candle"])), "ppo.shards is 8"),
         (train(16, folder.path(), &train_with(&[])), "ppo.shards is 16"),
-        (unlike.output().unwrap(), "its seed is 1"),
+        (unlike.output().unwrap(), "ppo.discount is 0.5, not 0.99; seed is 1, not 0"),
     ];
     for (output, expected) in cases {
         let told = complaint(&output);
@@ -88,10 +89,10 @@ fn ranks_that_do_not_fit_are_told_once_and_leave_nothing_behind() {
     assert!(!folder.path().join("run").exists());
 }
 
-/// A run on two ranks that has written its first checkpoint, and the ranks' processes.
-fn started(folder: &Path) -> (Child, Vec<u32>) {
+/// A run that has written its first checkpoint, and the ranks' processes.
+fn started(ranks: usize, folder: &Path) -> (Child, Vec<u32>) {
     let arguments = [&START[..], &["--samples", "2000000", "--rank-timeout", "3", "--out", "run"]].concat();
-    let child = mpirun(2, folder, &arguments).stderr(Stdio::piped()).spawn().unwrap();
+    let child = mpirun(ranks, folder, &arguments).stderr(Stdio::piped()).spawn().unwrap();
     let deadline = Instant::now() + Duration::from_secs(60);
     while !std::fs::read_to_string(folder.join("run/metrics.jsonl")).is_ok_and(|text| text.lines().count() > 2) {
         assert!(Instant::now() < deadline, "the run does not start");
@@ -113,11 +114,11 @@ fn signal(name: &str, process: u32) {
 
 #[test]
 fn a_rank_that_is_killed_or_hangs_ends_all_and_the_run_goes_on_from_its_checkpoint() {
-    for (name, expected) in [("-KILL", "rank 1"), ("-STOP", "for rank 1 on ")] {
+    for (name, expected) in [("-KILL", "rank 3"), ("-STOP", "from rank 3 on ")] {
         let folder = folder();
-        let (child, ranks) = started(folder.path());
+        let (child, ranks) = started(4, folder.path());
         let from = Instant::now();
-        signal(name, ranks[1]);
+        signal(name, ranks[3]);
         let output = child.wait_with_output().unwrap();
         let told = complaint(&output);
         assert!(!output.status.success() && told.contains(expected), "{name}: {told}");
@@ -138,7 +139,7 @@ fn a_rank_that_is_killed_or_hangs_ends_all_and_the_run_goes_on_from_its_checkpoi
 #[test]
 fn a_signal_to_one_rank_stops_all_after_the_same_iteration() {
     let folder = folder();
-    let (child, ranks) = started(folder.path());
+    let (child, ranks) = started(2, folder.path());
     signal("-TERM", ranks[1]);
     let output = child.wait_with_output().unwrap();
     succeeds(output);
