@@ -157,7 +157,8 @@ pub fn check_alike(ranks: &dyn Ranks, facts: Value) -> Result<(), RankError> {
     let all = agree::<_, RankError>(ranks, Ok(facts))?;
     for (rank, own) in all.iter().enumerate() {
         let differences = yaml::differences(own, &all[0]).into_iter();
-        let differences: Vec<_> = differences.map(|(fact, [own, first])| format!("{fact} is {own}, not {first}")).collect();
+        let differences: Vec<_> =
+            differences.map(|(fact, [own, first])| format!("{fact} is {own}, not {first}")).collect();
         if !differences.is_empty() {
             let problem = format!("not like {}: {}", ranks.name(0), differences.join("; "));
             return Err(RankError { name: ranks.name(rank), problem });

@@ -247,7 +247,8 @@ impl World {
                     continue;
                 }
                 thread::yield_now();
-                if since.elapsed() > self.timeout || self.ranks.any_process().immediate_probe_with_tag(WAITING).is_some()
+                if since.elapsed() > self.timeout
+                    || self.ranks.any_process().immediate_probe_with_tag(WAITING).is_some()
                 {
                     self.end_waiting(from);
                 }

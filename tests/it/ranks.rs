@@ -10,11 +10,13 @@ use crate::support::{assert_same, complaint, metrics, program, run, small_config
 
 const START: [&str; 2] = ["--config", "small.yaml"];
 
-/// A folder with a configuration of 8 environments, which 8 shards can share.
+/// A folder with a configuration of 8 environments, which 8 shards can share, and of networks whose gradients are halved
+/// on their way.
 fn folder() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small_config();
     config.run.checkpoint_every = 1;
+    config.ppo.hidden_layers = vec![96, 48];
     std::fs::write(folder.path().join("small.yaml"), config.to_yaml()).unwrap();
     folder
 }
