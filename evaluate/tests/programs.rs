@@ -213,6 +213,16 @@ fn two_processes_share_a_folder_and_lose_nothing_and_measure_nothing_twice() {
 }
 
 #[test]
+fn the_recipe_for_slurm_has_a_task_for_every_experiment() {
+    let recipe = std::fs::read_to_string(support::repository("examples/slurm/evaluate.sbatch")).unwrap();
+    let (_, names) = recipe.split_once("experiments=(").unwrap();
+    let names: Vec<&str> = names.split_once(')').unwrap().0.split_whitespace().collect();
+    let protocol = Protocol::full().unwrap();
+    assert_eq!(names, protocol.experiments().iter().map(|experiment| experiment.info().name).collect::<Vec<_>>());
+    assert!(recipe.contains(&format!("--array=0-{}\n", names.len() - 1)));
+}
+
+#[test]
 fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browsers_open() {
     let folder = folder_with(&[("standing.safetensors", standing_policy()), ("falling.safetensors", falling_policy())]);
     let folder = folder.path();
