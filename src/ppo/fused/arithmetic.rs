@@ -19,8 +19,8 @@ pub struct Chunk {
     pub start: usize,
     /// Number of blocks.
     pub blocks: usize,
-    /// Whether the minibatch ends with it.
-    pub is_last: bool,
+    /// Whether the gradient is whole with it: the minibatch ends, and no other rank adds to it.
+    pub completes: bool,
     /// Blocks of each shard.
     pub shard_blocks: usize,
     /// Shards of the minibatch on this rank.
@@ -108,7 +108,7 @@ mod tests {
     #[test]
     fn chunks_are_cut_where_shards_end() {
         let pieces = |start, blocks| {
-            let chunk = Chunk { start, blocks, is_last: false, shard_blocks: 3, shards: 4 };
+            let chunk = Chunk { start, blocks, completes: false, shard_blocks: 3, shards: 4 };
             chunk.pieces().map(|piece| (piece.blocks, piece.shard, piece.is_first, piece.is_last)).collect::<Vec<_>>()
         };
         assert_eq!(pieces(0, 4), [(0..3, 0, true, true), (3..4, 1, true, false)]);

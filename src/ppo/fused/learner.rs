@@ -124,10 +124,11 @@ impl<A: Arithmetic> FusedLearner<A> {
         let (mut conclude, is_alone) = (Some(conclude), self.ranks.count() == 1);
         for start in (0..blocks).step_by(self.chunk_blocks) {
             let end = blocks.min(start + self.chunk_blocks);
-            let chunk = Chunk { start, blocks: end - start, is_last: end == blocks, shard_blocks, shards };
+            let completes = end == blocks && is_alone;
+            let chunk = Chunk { start, blocks: end - start, completes, shard_blocks, shards };
             self.arithmetic.passes(team, workspace, minibatch, chunk, loss);
             self.arithmetic.gradients(team, workspace, chunk, |squares| {
-                if let Some(conclude) = conclude.take_if(|_| chunk.is_last && is_alone) {
+                if let Some(conclude) = conclude.take_if(|_| completes) {
                     conclude(self.summary(minibatch, &self.totals(minibatch), squares));
                 }
             });

@@ -111,7 +111,7 @@ impl Arithmetic for Panels {
                     panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
                 }
             }
-            if chunk.is_last {
+            if chunk.completes {
                 panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
             }
         };

@@ -124,7 +124,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
                     panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
                 }
             }
-            if chunk.is_last {
+            if chunk.completes {
                 panel.squares = pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient));
             }
         };
