@@ -8,7 +8,7 @@ which compliance they are told: `policies/baseline@0.03`.
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use supple::policy::compliance::ComplianceError;
+use supple::policy::compliance::{ComplianceError, told};
 use supple::policy::{Agent, AgentError, shipped};
 use supple::robot::Losses;
 use supple::util::{files, paths};
@@ -71,8 +71,6 @@ pub struct Contestant {
     pub file: PathBuf,
     /// The policy.
     pub agent: Agent,
-    /// What it is told in every trial whose condition tells it none; 0 for its own compliance [m/s/N].
-    pub compliance: f64,
 }
 
 /// One of the sets.
@@ -160,7 +158,7 @@ impl Contest {
             }
         }
         for side in &sides {
-            if let Some(compliance) = side.members.iter().map(|member| member.compliance).find(|told| *told > 0.0) {
+            if let Some(compliance) = side.members.iter().map(|member| member.agent.told).find(|told| *told > 0.0) {
                 let name = &side.name;
                 notes.push(format!("{name} is told to yield by {compliance} m/s/N wherever a trial says nothing else"));
             }
@@ -213,7 +211,8 @@ impl Contest {
 impl Side {
     /// All policies that a path stands for.
     fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
-        let (path, compliance) = told(path);
+        let (text, compliance) = path.to_str().map_or(("", 0.0), told);
+        let path = if compliance > 0.0 { Path::new(text) } else { path };
         let files = if path.is_file() {
             vec![path.to_owned()]
         } else if path.join("run.json").exists() {
@@ -244,16 +243,17 @@ impl Side {
         }
         let mut members: Vec<Contestant> = Vec::new();
         for (seed, file) in files {
-            let agent = shipped::find(&paths::as_text(&file))?;
+            let mut agent = shipped::find(&paths::as_text(&file))?;
             if let Err(source) = agent.check_compliance(compliance) {
                 return Err(ContestantError::Compliance { file, compliance, source });
             }
+            agent.told = compliance;
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());
                 return Err(ContestantError::Twice { first, second: file, seed, set });
             }
-            members.push(Contestant { seed, file, agent, compliance });
+            members.push(Contestant { seed, file, agent });
         }
         members.sort_by_key(|member| member.seed);
         Ok(Side { name: name.to_owned(), members })
@@ -294,13 +294,6 @@ fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The path of a set without the compliance behind its `@`, and that; 0 without.
-fn told(path: &Path) -> (&Path, f64) {
-    let split = path.to_str().and_then(|text| text.rsplit_once('@'));
-    let split = split.and_then(|(path, number)| Some((Path::new(path), number.parse().ok()?)));
-    split.unwrap_or((path, 0.0))
-}
-
 /// Files `NAME-seedN` of a path `FOLDER/NAME` that is no folder itself.
 fn of_seeds(path: &Path) -> Vec<PathBuf> {
     let (Some(folder), Some(name), false) = (path.parent(), path.file_name(), path.is_dir()) else { return Vec::new() };
@@ -334,16 +327,6 @@ fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_path_says_behind_an_at_which_compliance_its_policies_are_told() {
-        let of = |text: &'static str| told(Path::new(text));
-        assert_eq!(of("policies/baseline@0.03"), (Path::new("policies/baseline"), 0.03));
-        assert_eq!(of("runs@home/mine@0.005"), (Path::new("runs@home/mine"), 0.005));
-        for no_compliance in ["policies/baseline", "runs@home/mine", "mine@"] {
-            assert_eq!(of(no_compliance), (Path::new(no_compliance), 0.0));
-        }
-    }
 
     #[test]
     fn the_seed_of_a_policy_follows_its_whole_name() {

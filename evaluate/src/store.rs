@@ -146,8 +146,8 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "seed": contestant.seed,
     });
     // How far it yields by itself says nothing of one that is told nothing.
-    if contestant.compliance > 0.0 || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0) {
-        parts["compliance"] = serde_json::json!([contestant.compliance, contestant.agent.calibration]);
+    if contestant.agent.told > 0.0 || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0) {
+        parts["compliance"] = serde_json::json!([contestant.agent.told, contestant.agent.calibration]);
     }
     if sensing == Sensing::Estimated {
         parts["sensing"] = serde_json::json!({

@@ -146,7 +146,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment, commanding `compliance` [m/s/N] where the condition commands none.
+/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -155,12 +155,11 @@ pub fn play(
     condition: &Condition,
     seed: u64,
     agent: &Agent,
-    compliance: f64,
     sensing: Sensing,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
-    command(&mut script, compliance);
+    script.tell(agent.told);
     if agent.check_compliance(script.command.compliance).is_err() {
         let values = vec![None; experiment.info().quantities.len()];
         return Ok(Sample { end: End::OutOfReach, values, series: Vec::new(), estimation: None });
@@ -172,13 +171,6 @@ pub fn play(
     let trial = Trial::new(&scenario, &script, &trace);
     let Measured { values, series } = experiment.measure(&trial);
     Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
-}
-
-/// Commands the compliance of a set where the script commands none.
-fn command(script: &mut Script, compliance: f64) {
-    if script.command.compliance == 0.0 {
-        script.command.compliance = compliance;
-    }
 }
 
 #[cfg(test)]
@@ -208,7 +200,7 @@ mod tests {
             let point = |measured| Point { setting: measured, measured };
             let calibration = Calibration::unmeasured(&agent.sha256);
             agent.calibration = Some(Calibration { points: vec![point(low), point(0.05)], ..calibration });
-            play(&protocol.leash, &condition, 1, &agent, 0.0, Sensing::True).unwrap()
+            play(&protocol.leash, &condition, 1, &agent, Sensing::True).unwrap()
         };
         let refused = play(0.04);
         assert_eq!((refused.end, &refused.values[..]), (End::OutOfReach, &[None, None, None][..]));
@@ -222,7 +214,7 @@ mod tests {
             let mut leash: Leash = defaults("leash").unwrap();
             leash.task.compliance = compliance;
             let mut script = Scenario::Leash(leash).script(0, &config).unwrap();
-            command(&mut script, of_set);
+            script.tell(of_set);
             script.command.compliance
         };
         assert_eq!([commanded(0.0, 0.0), commanded(0.0, 0.03), commanded(0.01, 0.03)], [0.0, 0.03, 0.01]);

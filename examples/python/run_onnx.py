@@ -3,7 +3,9 @@
 
     cargo run --release --bin policy -- export compliant --format onnx --out policy.onnx
     pip install mujoco onnxruntime numpy
-    python3 examples/python/run_onnx.py policy.onnx 0.5
+    python3 examples/python/run_onnx.py policy.onnx 0.5 [ROBOT.xml]
+
+Another robot has a free joint, joints FR_hip, FR_thigh, … or FR_hip_joint, …, and motors.
 """
 import json
 import pathlib
@@ -16,20 +18,38 @@ import onnxruntime
 session = onnxruntime.InferenceSession(sys.argv[1], providers=["CPUExecutionProvider"])
 about = json.loads(session.get_modelmeta().custom_metadata_map["supple"])
 forward = float(sys.argv[2]) if len(sys.argv) > 2 else 0.5
+robot = about["provenance"]["config"].get("robot", {}).get("model", "go1")
+file = sys.argv[3] if len(sys.argv) > 3 else str(pathlib.Path(__file__).parents[2] / f"models/{robot}.xml")
 simulation, nominal = about["simulation"], np.array(about["nominal_pose_rad"])
-model = mujoco.MjModel.from_xml_path(str(pathlib.Path(__file__).parents[2] / "models/scene_flat.xml"))
+
+spec = mujoco.MjSpec.from_file(file)
+if not any(geom.type == mujoco.mjtGeom.mjGEOM_PLANE for geom in spec.geoms):
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], friction=[1, 0.005, 0.0001])
+spec.option.timestep = 1 / simulation["physics_rate_hz"]
+model = spec.compile()
 data = mujoco.MjData(model)
-mujoco.mj_resetDataKeyframe(model, data, model.keyframe("stand").id)
+names = {model.joint(index).name.removesuffix("_joint"): index for index in range(model.njnt)}
+joints = [names[name] for name in about["joints"]]
+angles, rates = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+motors = [list(model.actuator_trnid[:, 0]).index(joint) for joint in joints]
+limits = model.actuator_ctrlrange[motors, 1]
+trunk = data.body(model.jnt_bodyid[list(model.jnt_type).index(mujoco.mjtJoint.mjJNT_FREE)])
 paper_axes = [1, 2, 0]  # the paper's x, y, z are left, up, forward
-limits = model.actuator_ctrlrange[:, 1]
+
+# On its feet, which are spheres.
+data.qpos[:7] = [0, 0, 1, 1, 0, 0, 0]
+data.qpos[angles] = nominal
+mujoco.mj_kinematics(model, data)
+spheres = (model.geom_type == mujoco.mjtGeom.mjGEOM_SPHERE) & (model.geom_contype > 0)
+data.qpos[2] -= (data.geom_xpos[:, 2] - model.geom_size[:, 0])[spheres].min()
 
 
 def reduced():
     """Table I: height, gravity, joint angles, velocity, angular velocity, joint rates, vectors in the base frame."""
-    base_from_world = data.body("trunk").xmat.reshape(3, 3).T
+    base_from_world = trunk.xmat.reshape(3, 3).T
     return np.concatenate([
-        [data.qpos[2]], (base_from_world @ model.opt.gravity)[paper_axes], data.qpos[7:],
-        (base_from_world @ data.qvel[:3])[paper_axes], data.qvel[3:6][paper_axes], data.qvel[6:]])
+        [data.qpos[2]], (base_from_world @ model.opt.gravity)[paper_axes], data.qpos[angles],
+        (base_from_world @ data.qvel[:3])[paper_axes], data.qvel[3:6][paper_axes], data.qvel[rates]])
 
 
 mujoco.mj_forward(model, data)
@@ -43,8 +63,8 @@ for step in range(5 * simulation["policy_rate_hz"]):
     for _ in range(simulation["physics_rate_hz"] // simulation["policy_rate_hz"]):
         issued = issued[1:] + [target]
         acting = (delay % 1) * issued[0] + (1 - delay % 1) * issued[1]
-        torque = simulation["kp_n_m_per_rad"] * (acting - data.qpos[7:]) - simulation["kd_n_m_s_per_rad"] * data.qvel[6:]
-        data.ctrl = np.clip(torque, -limits, limits)
+        torque = simulation["kp_n_m_per_rad"] * (acting - data.qpos[angles]) - simulation["kd_n_m_s_per_rad"] * data.qvel[rates]
+        data.ctrl[motors] = np.clip(torque, -limits, limits)
         mujoco.mj_step(model, data)
     mujoco.mj_kinematics(model, data)
     previous, current = current, reduced()

@@ -126,7 +126,7 @@ impl Work<'_> {
     fn trial(&self, condition: usize, trial: usize) -> PyResult<Sample> {
         let seed = trial::trial_seed(self.seed, self.experiment.info().number, condition, trial as u32);
         let condition = &self.conditions[condition];
-        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, 0.0, self.sensing);
+        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing);
         self.policy.check()?;
         sample.map_err(failed)
     }

@@ -60,6 +60,8 @@ pub struct Agent {
     pub sha256: String,
     /// How far it yields, where that has been measured.
     pub calibration: Option<Calibration>,
+    /// The compliance that it is told wherever nothing else is commanded; 0 leaves it to itself [m/s/N].
+    pub told: f64,
     mind: Mind,
 }
 
@@ -88,7 +90,7 @@ impl Agent {
 
     /// A policy that is in no file of ours, with what it runs with. Its identity is for what keeps results by policy.
     pub fn external(inference: Inference, config: Config, sha256: String) -> Self {
-        Agent { config, sha256, calibration: None, mind: Mind::External(Box::new(inference)) }
+        Agent { config, sha256, calibration: None, told: 0.0, mind: Mind::External(Box::new(inference)) }
     }
 
     /// The file of a robot that does not ship goes by its name alone: it lies where the run had it, or beside the policy.
@@ -176,6 +178,6 @@ impl Borrow<Inference> for Shared {
 impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
         let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
-        Agent { config, sha256, calibration: None, mind: Mind::Ours(Box::new(policy)) }
+        Agent { config, sha256, calibration: None, told: 0.0, mind: Mind::Ours(Box::new(policy)) }
     }
 }

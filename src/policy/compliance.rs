@@ -66,6 +66,12 @@ pub enum ComplianceError {
     NotCalibrated,
 }
 
+/// A policy as it is asked for, without the compliance [m/s/N] behind its `@`, and that; 0 without: `baseline@0.03`.
+pub fn told(name: &str) -> (&str, f64) {
+    let split = name.rsplit_once('@').and_then(|(name, number)| Some((name, number.parse().ok()?)));
+    split.unwrap_or((name, 0.0))
+}
+
 /// What errors call the file.
 const WHAT: &str = "calibration";
 
@@ -274,6 +280,15 @@ impl Controller for Compliant<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_policy_may_say_behind_an_at_which_compliance_it_is_told() {
+        assert_eq!(told("policies/baseline@0.03"), ("policies/baseline", 0.03));
+        assert_eq!(told("runs@home/mine@0.005"), ("runs@home/mine", 0.005));
+        for no_compliance in ["policies/baseline", "runs@home/mine", "mine@"] {
+            assert_eq!(told(no_compliance), (no_compliance, 0.0));
+        }
+    }
 
     const TEXT: &str = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0.1, 0.5, 0, 0], [0, 0, 0, 2]],
         "points": [{"setting": 0.005, "measured": 0.006}, {"setting": 0.02, "measured": 0.018}]}"#;

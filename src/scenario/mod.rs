@@ -64,6 +64,13 @@ pub struct Script {
 }
 
 impl Script {
+    /// Commands a compliance where none is commanded [m/s/N].
+    pub fn tell(&mut self, compliance: f64) {
+        if self.command.compliance == 0.0 {
+            self.command.compliance = compliance;
+        }
+    }
+
     /// What was asked for and comes after the end, in words.
     pub fn too_late(&self) -> Option<String> {
         let push = self.pushes.first().map(|push| ("push", push.time_s));

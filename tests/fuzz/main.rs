@@ -20,6 +20,9 @@ mod targets;
 
 use std::process::ExitCode;
 
+/// The repository.
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
 fn main() -> ExitCode {
     match std::env::var("SUPPLE_FUZZ_CHILD") {
         Ok(order) => parent::child(&order),

@@ -4,6 +4,7 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 use clap::{FromArgMatches, Subcommand};
+use rand_chacha::ChaCha8Rng;
 use supple::config::Config;
 use supple::estimate::contact::{ContactNetwork, INPUTS};
 use supple::mujoco::{self, Data, Model};
@@ -12,13 +13,16 @@ use supple::policy::Policy;
 use supple::policy::onnx;
 use supple::robot::Robot;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
+use supple::scenario::session::{Input, SceneKind, Session, Setup, Shelf, Unit, Writer};
 use supple::sim::Scene;
 use supple::sim::Sim;
+use supple::task::Command;
 use supple::train::Trainer;
 use supple::train::checkpoint::{Checkpoint, RunState};
 use supple::util::random::{Purpose, stream};
 use supple::util::yaml::{Text, flat_parameters};
 
+use crate::ROOT;
 use crate::mutate::mutate;
 
 /// A reader of files.
@@ -27,7 +31,8 @@ pub struct Target {
     pub name: &'static str,
     corpus: fn() -> Vec<Vec<u8>>,
     cache: OnceLock<Vec<Vec<u8>>>,
-    words: &'static [&'static str],
+    /// What such files are full of.
+    pub words: &'static [&'static str],
     /// Whether inputs are safetensors files, of which some are mutated within their header only.
     framed: bool,
     /// Whether the input was accepted. Must not panic, abort, hang or take much memory.
@@ -35,18 +40,31 @@ pub struct Target {
 }
 
 impl Target {
+    /// What its inputs are made from.
+    pub fn seeds(&self) -> &[Vec<u8>] {
+        self.cache.get_or_init(self.corpus)
+    }
+
     /// The input of a number.
+    #[allow(dead_code)] // fuzz/ has inputs of its own
     pub fn input(&self, index: u64) -> Vec<u8> {
-        let corpus = self.cache.get_or_init(self.corpus);
+        let seeds = self.seeds();
         let mut rng = stream(index, Purpose::Scenario, self.name.len() as u64, 1);
-        let whole = &corpus[index as usize % corpus.len()];
-        match header(whole).filter(|_| self.framed && !index.is_multiple_of(4)) {
+        if self.framed {
+            self.mutated(&seeds[index as usize % seeds.len()], !index.is_multiple_of(4), &mut rng)
+        } else {
+            mutate(seeds, self.words, &mut rng)
+        }
+    }
+
+    /// An input changed somewhere, or within the header that it has.
+    pub fn mutated(&self, whole: &[u8], in_header: bool, rng: &mut ChaCha8Rng) -> Vec<u8> {
+        match header(whole).filter(|_| self.framed && in_header) {
             Some((header, tensors)) => {
-                let header = mutate(&[header.to_vec()], self.words, &mut rng);
+                let header = mutate(&[header.to_vec()], self.words, rng);
                 [&(header.len() as u64).to_le_bytes()[..], &header, tensors].concat()
             }
-            None if self.framed => mutate(std::slice::from_ref(whole), self.words, &mut rng),
-            None => mutate(corpus, self.words, &mut rng),
+            None => mutate(&[whole.to_vec()], self.words, rng),
         }
     }
 }
@@ -135,8 +153,60 @@ const XML_WORDS: &[&str] = &[
     "=",
 ];
 
+const ONNX_WORDS: &[&str] = &[
+    "Gemm",
+    "MatMul",
+    "Add",
+    "Elu",
+    "Tanh",
+    "Relu",
+    "Reshape",
+    "Concat",
+    "Slice",
+    "Gather",
+    "Split",
+    "Shape",
+    "Cast",
+    "axis",
+    "transB",
+    "alpha",
+    "obs",
+    "actions",
+    "\u{1}",
+    "\u{7f}",
+    "\u{0}\u{0}",
+];
+const ROBOT_WORDS: &[&str] = &[
+    "<body>",
+    "</body>",
+    "<geom type=\"sphere\" size=\"0.02\"/>",
+    "<joint axis=\"0 1 0\"/>",
+    "<freejoint/>",
+    "type=\"slide\"",
+    "type=\"ball\"",
+    "name=\"FR_foot\"",
+    "<motor joint=\"FR_hip\"/>",
+    "<position joint=\"FR_hip\" kp=\"1\"/>",
+    "<default class=\"x\"/>",
+    "class=\"x\"",
+    "<key name=\"home\" qpos=\"0 0 1\"/>",
+    "<tendon><fixed/></tendon>",
+    "<include file=\"r.xml\"/>",
+    "angle=\"degree\"",
+    "autolimits=\"true\"",
+    "range=\"1 -1\"",
+    "mjcf: r.xml\n",
+    "feet:\n",
+    "joints:\n",
+    "nominal_pose_rad: [0, 0, 0]\n",
+    "torque_limits_n_m: [1, 1, 1]\n",
+    "[",
+    "]",
+    "null",
+];
+
 /// All of them.
-pub static TARGETS: [Target; 6] = [
+pub static TARGETS: [Target; 9] = [
     Target { name: "config", corpus: configs, cache: OnceLock::new(), words: YAML_WORDS, framed: false, run: config },
     Target {
         name: "checkpoint",
@@ -155,6 +225,16 @@ pub static TARGETS: [Target; 6] = [
         words: YAML_WORDS,
         framed: false,
         run: scenario,
+    },
+    Target { name: "onnx", corpus: networks, cache: OnceLock::new(), words: ONNX_WORDS, framed: false, run: onnx_file },
+    Target { name: "robot", corpus: robots, cache: OnceLock::new(), words: ROBOT_WORDS, framed: false, run: robot },
+    Target {
+        name: "session",
+        corpus: sessions,
+        cache: OnceLock::new(),
+        words: JSON_WORDS,
+        framed: false,
+        run: session,
     },
     Target { name: "mjcf", corpus: fragments, cache: OnceLock::new(), words: XML_WORDS, framed: false, run: mjcf },
 ];
@@ -277,6 +357,86 @@ fn scenario(input: &[u8]) -> bool {
     if input.len().is_multiple_of(64) && script.scene.buffers.contacts < 1000 {
         let sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m);
         sim.expect("a scene within the ranges compiles");
+    }
+    true
+}
+
+fn networks() -> Vec<Vec<u8>> {
+    let ours = onnx::export(&tiny_trainer().policy());
+    let theirs = ["operators", "playground", "rsl_rl"].map(|name| fixture(&format!("onnx/{name}.onnx")));
+    theirs.into_iter().chain([ours]).collect()
+}
+
+fn fixture(name: &str) -> Vec<u8> {
+    std::fs::read(Path::new(ROOT).join("tests/fixtures").join(name)).expect("a fixture")
+}
+
+fn onnx_file(input: &[u8]) -> bool {
+    let Ok(network) = onnx::Network::from_bytes(input, Path::new("fuzz")) else { return false };
+    let outputs = network.forward(&vec![0.5; network.inputs()], &mut onnx::Scratch::default()).len();
+    assert_eq!(outputs, network.outputs());
+    true
+}
+
+/// An MJCF fixture, to be read from wherever the child is.
+fn mjcf_fixture(name: &str) -> Vec<u8> {
+    let text = String::from_utf8(fixture(&format!("robot/{name}"))).expect("text");
+    text.replace("meshdir=\"assets\"", &format!("meshdir=\"{ROOT}/tests/fixtures/robot/assets\"")).into_bytes()
+}
+
+fn robots() -> Vec<Vec<u8>> {
+    vec![mjcf_fixture("quadruped.xml"), mjcf_fixture("renamed.xml"), fixture("robot/renamed.yaml")]
+}
+
+fn robot(input: &[u8]) -> bool {
+    let name = if input.trim_ascii_start().starts_with(b"<") { "r.xml" } else { "r.yaml" };
+    if !Path::new("renamed.xml").exists() {
+        std::fs::write("renamed.xml", mjcf_fixture("renamed.xml")).expect("a file");
+    }
+    std::fs::write(name, input).expect("a file");
+    let Ok(robot) = Robot::load(name) else { return false };
+    let fast = Config::load("fast").expect("an embedded configuration");
+    if fast.fitted_to(&robot).is_ok() && input.len().is_multiple_of(16) {
+        // May be refused or a fault, which are results.
+        let _ = Scene::flat(robot, 1.0 / 240.0).compile().and_then(Data::new).and_then(|mut data| data.step());
+    }
+    true
+}
+
+fn sessions() -> Vec<Vec<u8>> {
+    let mut shelf = Shelf::default();
+    let robots = ["compliant", "baseline"].map(|name| shelf.find(name, None).expect("it ships")).to_vec();
+    let setup = |scene| Setup { scene, seed: 1, robots: robots.clone() };
+    let inputs = [
+        Input::Setup(setup(SceneKind::Flat)),
+        Input::Command(Command::velocity(0.5, 0.0, 0.1)),
+        Input::Push { size: [0.1, 0.3], unit: Unit::Momentum },
+        Input::Pull(Some([5.0, -10.0])),
+        Input::Comply { robot: 1, compliance: 0.02 },
+        Input::Reset,
+        Input::Setup(setup(SceneKind::Box)),
+    ];
+    let mut writer = Writer::new(tempfile::tempfile().expect("a file"));
+    for (tick, input) in (0..).step_by(4).zip(&inputs) {
+        writer.input(tick, input, &shelf).expect("a line");
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("session.jsonl");
+    writer.keep(&path, None, 40, "state".to_owned()).expect("a session");
+    vec![std::fs::read(path).expect("a session")]
+}
+
+fn session(input: &[u8]) -> bool {
+    std::fs::write("s.jsonl", input).expect("a file");
+    let Ok(session) = Session::load(Path::new("s.jsonl")) else { return false };
+    if input.len().is_multiple_of(16)
+        && let Ok(mut playback) = session.play()
+    {
+        for _ in 0..4 {
+            if !matches!(playback.step(), Ok(Some(_))) {
+                break;
+            }
+        }
     }
     true
 }

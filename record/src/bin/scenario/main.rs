@@ -17,6 +17,7 @@ use recording::Recording;
 use seeds::OfSeeds;
 use supple::estimate::contact::ContactNetwork;
 use supple::policy::Agent;
+use supple::policy::compliance::told;
 use supple::policy::shipped;
 use supple::robot::Robot;
 use supple::scenario::catalog::Scenario;
@@ -62,9 +63,11 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     if let Some(joints) = args.joints {
         robots.iter_mut().for_each(|(_, agent)| agent.config.robot.set_losses(joints.into()));
     }
-    for (name, agent) in &robots {
-        let compliance = scenario.task().compliance;
-        agent.check_compliance(compliance).with_context(|| format!("--compliance {compliance} with {name}"))?;
+    for (name, agent) in &mut robots {
+        let asked = scenario.task().compliance;
+        agent.told = if agent.told > 0.0 { agent.told } else { asked };
+        let told = agent.told;
+        agent.check_compliance(told).with_context(|| format!("{name} with a compliance of {told}"))?;
     }
     let scripts = scripts(args, scenario, &robots, args.seed)?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
@@ -110,8 +113,12 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
 
 /// The script of each robot.
 fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u64) -> anyhow::Result<Vec<Script>> {
-    let scripts = robots.iter().map(|(_, agent)| Ok(scenario.script(seed, &agent.config)?));
-    scripts.collect::<anyhow::Result<_>>().map_err(|error| match &args.params {
+    let script = |(_, agent): &(String, Agent)| -> anyhow::Result<Script> {
+        let mut script = scenario.script(seed, &agent.config)?;
+        script.command.compliance = agent.told;
+        Ok(script)
+    };
+    robots.iter().map(script).collect::<anyhow::Result<_>>().map_err(|error| match &args.params {
         Some(file) => error.context(format!("with the parameters of {}", file.display())),
         None => error,
     })
@@ -173,9 +180,13 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 
 /// The policies to play, by name.
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
-    let label = |name: &str| {
-        let path = paths::as_path(name);
-        path.file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
+    let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
+        let (file, compliance) = told(asked);
+        let stem = paths::as_path(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let label = stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..];
+        let mut agent = shipped::find(file)?;
+        agent.told = compliance;
+        Ok((label, agent))
     };
     let first = args.policy.as_deref().unwrap_or("compliant");
     let ships_both = || ["compliant", "baseline"].iter().all(|name| shipped::find(name).is_ok());
@@ -184,10 +195,11 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
         Some(name) => Some(name),
         None => (args.policy.is_none() && ships_both()).then_some("baseline"),
     };
-    let mut robots = vec![(label(first), shipped::find(first)?)];
+    let mut robots = vec![robot(first)?];
     if let Some(second) = second {
-        let name = if label(second) == robots[0].0 { format!("{} (2)", label(second)) } else { label(second) };
-        robots.push((name, shipped::find(second)?));
+        let (label, agent) = robot(second)?;
+        let label = if label == robots[0].0 { label + " (2)" } else { label };
+        robots.push((label, agent));
     }
     Ok(robots)
 }
