@@ -26,7 +26,7 @@ fn main() {
         let mut numbers = vec![0.0_f32; size];
         let mut sums = || {
             let started = Instant::now();
-            (0..SUMS).for_each(|_| ranks.sum(&mut numbers, &mut [0.0; 16]));
+            (0..SUMS).for_each(|_| ranks.sum(&mut numbers, &mut vec![0.0; 16]));
             1e6 * started.elapsed().as_secs_f64() / f64::from(SUMS)
         };
         sums();

@@ -122,7 +122,7 @@ impl<'a> Minibatch<'a> {
         let mut all: Vec<Self> = permutations.iter().enumerate().flat_map(of_epoch).collect();
         let sums = |all: &[Self], of: fn(&Self, f64) -> f64| {
             let mut sums: Vec<f64> = all.iter().map(|minibatch| minibatch.sum_of_advantages(of)).collect();
-            ranks.sum(&mut [], &mut sums);
+            ranks.sum(&mut Vec::new(), &mut sums);
             sums
         };
         let means = sums(&all, |_, advantage| advantage);

@@ -43,7 +43,7 @@ pub trait Ranks: Debug + Send + Sync {
     fn name(&self, rank: usize) -> String;
 
     /// Replaces numbers by their sums over all ranks, over a fixed tree.
-    fn sum(&self, singles: &mut [f32], doubles: &mut [f64]);
+    fn sum(&self, singles: &mut Vec<f32>, doubles: &mut Vec<f64>);
 
     /// What every rank has to say, rank by rank.
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>>;
@@ -83,7 +83,7 @@ impl Ranks for Alone {
         "this process".into()
     }
 
-    fn sum(&self, _: &mut [f32], _: &mut [f64]) {}
+    fn sum(&self, _: &mut Vec<f32>, _: &mut Vec<f64>) {}
 
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>> {
         vec![own]
@@ -105,15 +105,15 @@ pub fn tree_sum(shards: usize, part: impl Fn(usize) -> f64) -> f64 {
 /// The sum of `of` over the samples of all ranks, of which `samples` in `shards` shards are here.
 pub fn sum_over_samples(ranks: &dyn Ranks, shards: usize, samples: usize, of: impl Fn(usize) -> f64) -> f64 {
     let size = samples / shards;
-    let mut sum = [tree_sum(shards, |shard| (shard * size..(shard + 1) * size).map(&of).sum())];
-    ranks.sum(&mut [], &mut sum);
+    let mut sum = vec![tree_sum(shards, |shard| (shard * size..(shard + 1) * size).map(&of).sum())];
+    ranks.sum(&mut Vec::new(), &mut sum);
     sum[0]
 }
 
 /// Whether it is so on any rank.
 pub fn any(ranks: &dyn Ranks, own: bool) -> bool {
-    let mut count = [f64::from(u8::from(own))];
-    ranks.sum(&mut [], &mut count);
+    let mut count = vec![f64::from(u8::from(own))];
+    ranks.sum(&mut Vec::new(), &mut count);
     count[0] > 0.0
 }
 
