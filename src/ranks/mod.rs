@@ -34,12 +34,12 @@ pub trait Ranks: Debug + Send + Sync {
     /// How many there are; a power of two wherever a run is trained.
     fn count(&self) -> usize;
 
-    /// Whether it is a program by itself, and not even a single rank.
+    /// Whether nobody started it as a rank, not even as the only one.
     fn is_alone(&self) -> bool {
         false
     }
 
-    /// What it is called, with the machine that it is on.
+    /// What a rank below [`count`](Ranks::count) is called, with the machine that it is on.
     fn name(&self, rank: usize) -> String;
 
     /// Replaces numbers by their sums over all ranks, over a fixed tree.

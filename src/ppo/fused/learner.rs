@@ -121,10 +121,10 @@ impl<A: Arithmetic> FusedLearner<A> {
         };
         let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(A::BLOCK));
         let blocks = shards * shard_blocks;
-        let (mut conclude, is_alone) = (Some(conclude), self.ranks.count() == 1);
+        let (mut conclude, are_several) = (Some(conclude), self.ranks.count() > 1);
         for start in (0..blocks).step_by(self.chunk_blocks) {
             let end = blocks.min(start + self.chunk_blocks);
-            let completes = end == blocks && is_alone;
+            let completes = end == blocks && !are_several;
             let chunk = Chunk { start, blocks: end - start, completes, shard_blocks, shards };
             self.arithmetic.passes(team, workspace, minibatch, chunk, loss);
             self.arithmetic.gradients(team, workspace, chunk, |squares| {
@@ -133,7 +133,7 @@ impl<A: Arithmetic> FusedLearner<A> {
                 }
             });
         }
-        if let Some(conclude) = conclude.filter(|_| !is_alone) {
+        if let Some(conclude) = conclude.filter(|_| are_several) {
             self.exchange(team, minibatch, conclude);
         }
     }
