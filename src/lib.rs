@@ -4,7 +4,8 @@ It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2
 [`robot`] make a [`sim`]ulation on [`mujoco`]; an [`observation`] says what a policy sees of it, the [`task`] what it is
 paid; [`train`] collects both, learns [`network`]s with [`ppo`] and leaves a [`policy`] behind. A [`scenario`] puts a policy
 to the test, on the true state or on what it can [`estimate`] from its sensors, and leaves a [`trace`](scenario::trace),
-which the packages `supple-evaluate` and `supple-record` read. [`util`] has what all of them need.
+which the packages `supple-evaluate` and `supple-record` read. Several processes train as
+[`ranks`] of one run. [`util`] has what all of them need.
 */
 
 pub mod config;
@@ -15,6 +16,7 @@ pub mod network;
 pub mod observation;
 pub mod policy;
 pub mod ppo;
+pub mod ranks;
 pub mod robot;
 pub mod scenario;
 pub mod sim;

@@ -11,6 +11,7 @@ use serde::Serialize;
 use supple::config::{Config, LearnerKind, Ppo, Precision};
 use supple::network::{ActorCritic, Mlp};
 use supple::ppo::{LearnerState, learner, resolved};
+use supple::ranks::Alone;
 use supple::robot::JOINTS;
 use supple::task::Curriculum;
 use supple::train::collection::{Collection, Rollout};
@@ -94,7 +95,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
         .collect();
     let start = LearnerState::new(network.clone(), ppo);
     let sample_passes_per_s = |ppo: &Ppo, threads, permutations: &[Vec<u32>]| -> anyhow::Result<f64> {
-        let mut learner = learner(ppo, start.clone(), threads)?;
+        let mut learner = learner(ppo, start.clone(), threads, Alone::shared())?;
         let (elapsed_s, statistics) = timed(|| learner.update(&batch, permutations));
         statistics?;
         Ok((permutations.len() * rollout.len()) as f64 / elapsed_s)
@@ -104,7 +105,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     let by_candle = Ppo { learner: LearnerKind::Candle, precision: Precision::F32, ..ppo.clone() };
     let precision = resolved(&with(Precision::Auto));
     let mut precisions = vec![Precision::F32, Precision::Bf16x3, Precision::Mixed, Precision::Bf16];
-    precisions.retain(|precision| learner(&with(*precision), start.clone(), 1).is_ok());
+    precisions.retain(|precision| learner(&with(*precision), start.clone(), 1, Alone::shared()).is_ok());
 
     let flop = flop_per_sample_pass(&network);
     let (mut one, mut all, mut candle, mut peaks) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());

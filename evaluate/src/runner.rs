@@ -93,7 +93,8 @@ pub fn finished(
     Ok(stored.map(|stored| Measurement::new(experiment, conditions, contest, stored)))
 }
 
-/// Measures an experiment with every policy, or takes what is there. `progress` is told the work of every trial played.
+/// Measures an experiment with every policy with which that has not been done. `progress` is told the work of every trial
+/// played.
 ///
 /// # Errors
 /// [`RunError`]
@@ -102,35 +103,28 @@ pub fn measure(
     contest: &Contest,
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
-) -> Result<Measurement, RunError> {
-    let conditions = experiment.conditions()?;
-    let get = |contestant: &Contestant| {
+) -> Result<(), RunError> {
+    let (name, conditions) = (experiment.info().name, experiment.conditions()?);
+    let store = |source| RunError::Store { experiment: name, source };
+    for contestant in contest.sides.iter().flat_map(|side| &side.members) {
         let key = store::key(experiment, &conditions, contestant, settings.sensing);
-        match settings.store.read(experiment, &key).filter(|_| !settings.again) {
-            Some(stored) => Ok(stored),
-            None => measure_policy(experiment, &conditions, contestant, &key, settings, progress),
+        let is_there = || !settings.again && settings.store.read(experiment, &key).is_some();
+        if is_there() {
+            continue;
         }
-    };
-    let of_side = |side: &Side| side.members.iter().map(get).collect::<Result<Vec<Stored>, RunError>>();
-    let stored = contest.sides.iter().map(of_side).collect::<Result<Vec<_>, RunError>>()?;
-    Ok(Measurement::new(experiment, conditions, contest, stored))
-}
-
-fn measure_policy(
-    experiment: &dyn Experiment,
-    conditions: &[Condition],
-    contestant: &Contestant,
-    key: &str,
-    settings: &Settings,
-    progress: &(dyn Fn(f64) + Sync),
-) -> Result<Stored, RunError> {
-    let name = experiment.info().name;
-    let start = Instant::now();
-    let samples = play_all(experiment, conditions, contestant, settings, progress).map_err(|source| {
-        RunError::Trial { experiment: name, policy: contestant.file.display().to_string(), source }
-    })?;
-    let stored = settings.store.write(experiment, key, contestant, start.elapsed().as_secs_f64(), samples);
-    stored.map_err(|source| RunError::Store { experiment: name, source })
+        let _claim = settings.store.claim(experiment).map_err(store)?;
+        // The process that had claimed it may have measured it.
+        if is_there() {
+            continue;
+        }
+        let start = Instant::now();
+        let samples = play_all(experiment, &conditions, contestant, settings, progress).map_err(|source| {
+            RunError::Trial { experiment: name, policy: contestant.file.display().to_string(), source }
+        })?;
+        let wall_s = start.elapsed().as_secs_f64();
+        settings.store.write(experiment, &key, contestant, wall_s, samples).map_err(store)?;
+    }
+    Ok(())
 }
 
 impl Measurement {

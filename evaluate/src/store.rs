@@ -4,8 +4,13 @@ A file holds all trials of one policy in one experiment. Its name is a hash of e
 policy, its seed, what it acts on, the compliance it is told and how it was calibrated, the robot, the experiment's parameters and scenarios, and the sources of this program
 (but for those that only show what was measured). A new policy or a changed protocol therefore measures only what is
 new, and a report never mixes what different programs measured.
+
+Several processes, on several machines too, may share a folder: an experiment is measured by one of them at a time, and the
+others find what it has measured.
 */
 
+use std::fs::{self, File};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -66,6 +71,22 @@ impl Store {
         (stored.key == key && stored.checksum == checksum(&stored.samples)).then_some(stored)
     }
 
+    /// Waits until no other process measures an experiment here: none does while the file is open.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn claim(&self, experiment: &dyn Experiment) -> io::Result<File> {
+        claim(&self.folder.join(experiment.info().name))
+    }
+
+    /// Waits until no other process writes a report about what is here: none does while the file is open.
+    ///
+    /// # Errors
+    /// The system's.
+    pub fn claim_report(&self) -> io::Result<File> {
+        claim(&self.folder)
+    }
+
     /// Keeps a finished measurement.
     ///
     /// # Errors
@@ -77,7 +98,7 @@ impl Store {
         contestant: &Contestant,
         wall_s: f64,
         samples: PolicyResult,
-    ) -> std::io::Result<Stored> {
+    ) -> io::Result<()> {
         let stored = Stored {
             key: key.to_owned(),
             experiment: experiment.info().name.to_owned(),
@@ -90,11 +111,18 @@ impl Store {
         };
         let path = self.path(experiment, key);
         if let Some(folder) = path.parent() {
-            std::fs::create_dir_all(folder)?;
+            fs::create_dir_all(folder)?;
         }
-        files::write_atomically(&path, &serde_json::to_vec(&stored)?)?;
-        Ok(stored)
+        files::write_atomically(&path, &serde_json::to_vec(&stored)?)
     }
+}
+
+fn claim(folder: &Path) -> io::Result<File> {
+    fs::create_dir_all(folder)?;
+    let file = File::options().create(true).append(true).open(folder.join(".lock"))?;
+    // Where the file system knows no locks, two may measure the same: that costs time and does no harm.
+    let _ = file.lock();
+    Ok(file)
 }
 
 fn checksum(samples: &PolicyResult) -> String {

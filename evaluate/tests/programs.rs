@@ -5,7 +5,7 @@ mod support;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 use supple::config::Config;
@@ -116,7 +116,9 @@ fn row<'a>(of: &'a Value, table: &str, condition: &str, quantity: &str) -> &'a V
 fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
     let entries = |folder: &Path| std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let mut files: Vec<(PathBuf, std::time::SystemTime)> = entries(&out.join("results"))
+        .filter(|entry| entry.is_dir())
         .flat_map(|folder| entries(&folder).collect::<Vec<_>>())
+        .filter(|file| file.extension().is_some_and(|extension| extension == "json"))
         .map(|file| (file.clone(), std::fs::metadata(&file).unwrap().modified().unwrap()))
         .collect();
     files.sort();
@@ -169,6 +171,55 @@ fn two_evaluations_give_the_same_summary_and_a_third_runs_nothing_again() {
     std::fs::write(damaged, &whole[..whole.len() / 2]).unwrap();
     let output = evaluate(folder, &[&CHEAP[..], &["--out", "one"]].concat());
     assert!(output.status.success() && bytes("one") == first);
+}
+
+#[test]
+fn two_processes_share_a_folder_and_lose_nothing_and_measure_nothing_twice() {
+    let folder = folder_with(&[
+        ("compliant-seed0.safetensors", standing_policy()),
+        ("baseline-seed0.safetensors", falling_policy()),
+    ]);
+    let folder = folder.path();
+    let spawn = |arguments: &[&str]| {
+        let arguments = [&["--protocol", "tiny.yaml", "--out", "shared"], arguments].concat();
+        let mut command = Command::new(support::program("evaluate"));
+        command.args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+    };
+    // An array over experiments: whoever ends last reports what all have measured.
+    assert!(evaluate(folder, &["walk", "decay", "leash", "box", "--out", "alone"]).status.success());
+    let mut both = [spawn(&["walk", "box"]), spawn(&["decay", "leash"])];
+    assert!(both.iter_mut().all(|process| process.wait().unwrap().success()));
+    assert!(summary(folder, "shared") == summary(folder, "alone"));
+
+    // Who is about to measure what another process is measuring waits for it, and takes what it finds.
+    let [measured, place] = ["alone", "shared"].map(|out| folder.join(out).join("results/walk"));
+    std::fs::remove_dir_all(&place).unwrap();
+    std::fs::create_dir(&place).unwrap();
+    let lock = std::fs::File::create(place.join(".lock")).unwrap();
+    lock.lock().unwrap();
+    let mut waiting = spawn(&["walk"]);
+    let is_waiting =
+        |text: String| text.lines().any(|line| line.contains("->") && line.contains(&format!(" {} ", waiting.id())));
+    while !is_waiting(std::fs::read_to_string("/proc/locks").unwrap()) {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    for (file, _) in kept(&folder.join("alone")).iter().filter(|(file, _)| file.starts_with(&measured)) {
+        std::fs::copy(file, place.join(file.file_name().unwrap())).unwrap();
+    }
+    let before = kept(&folder.join("shared"));
+    drop(lock);
+    assert!(waiting.wait().unwrap().success() && kept(&folder.join("shared")) == before);
+    assert!(summary(folder, "shared") == summary(folder, "alone"));
+}
+
+#[test]
+fn the_recipe_for_slurm_has_a_task_for_every_experiment() {
+    let recipe = std::fs::read_to_string(support::repository("examples/slurm/evaluate.sbatch")).unwrap();
+    let (_, names) = recipe.split_once("experiments=(").unwrap();
+    let names: Vec<&str> = names.split_once(')').unwrap().0.split_whitespace().collect();
+    let protocol = Protocol::full().unwrap();
+    assert_eq!(names, protocol.experiments().iter().map(|experiment| experiment.info().name).collect::<Vec<_>>());
+    assert!(recipe.contains(&format!("--array=0-{}\n", names.len() - 1)));
 }
 
 #[test]

@@ -9,18 +9,31 @@ use std::time::{Duration, Instant};
 use anyhow::Context;
 use clap::Parser;
 use supple::config::Config;
+use supple::ranks::{Alone, RankError, Ranks, agree, any};
 use supple::robot::Robot;
+use supple::train::checkpoint::Checkpoint;
 use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
 use supple::train::{Memory, TrainError, Trainer};
-use supple::util::paths;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::provenance::GIT_REVISION;
 use supple::util::terminal::{self, shell_word};
+use supple::util::{files, paths};
 
 /// Signals that follow one another faster are one.
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
+
+/// Variables of a process that was started as a rank: by Open MPI, MPICH and Intel MPI, and Slurm with PMIx.
+#[cfg(feature = "mpi")]
+const STARTED_BY_MPI: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"];
+
+/// Variables that say how many processes were started together.
+#[cfg(not(feature = "mpi"))]
+const PROCESSES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
+
+/// Shards of a run on up to so many ranks.
+const SHARDS: usize = 8;
 
 /// What takes less memory is not worth a word.
 const WORTH_TELLING_BYTES: u64 = 1 << 30;
@@ -57,27 +70,82 @@ struct Args {
     /// Worker threads; the result does not depend on them [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     threads: Option<u16>,
+    /// Under mpirun: end all ranks when one has kept another waiting for so long (s)
+    #[cfg(feature = "mpi")]
+    #[arg(long, value_name = "S", default_value_t = 60, value_parser = clap::value_parser!(u64).range(1..))]
+    rank_timeout: u64,
 }
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
-    terminal::conclude(run(Args::parse()))
+    let args = Args::parse();
+    let ranks = match join(&args) {
+        Ok(ranks) => ranks,
+        Err(error) => return terminal::conclude(Err::<(), _>(error)),
+    };
+    match run(args, &ranks) {
+        Err(error) if ranks.count() > 1 && !is_common(&error) => {
+            // The others do not know. That this process ends is what ends them.
+            terminal::conclude(Err::<(), _>(error.context(ranks.name(ranks.index()))));
+            std::process::exit(2)
+        }
+        Err(_) if ranks.index() > 0 => ExitCode::from(2),
+        outcome => terminal::conclude(outcome),
+    }
 }
 
-fn run(args: Args) -> anyhow::Result<()> {
+/// The ranks of the run: those that mpirun has started, or this program alone.
+#[cfg(feature = "mpi")]
+fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
+    if !STARTED_BY_MPI.iter().any(|name| std::env::var_os(name).is_some()) {
+        return Ok(Alone::shared());
+    }
+    let ranks = supple::ranks::Mpi::join(Duration::from_secs(args.rank_timeout)).map_err(anyhow::Error::msg)?;
+    Ok(Arc::new(ranks))
+}
+
+/// This program alone: it was not built to be one of several ranks.
+#[cfg(not(feature = "mpi"))]
+fn join(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
+    let is_several = |name: &str| std::env::var(name).ok().and_then(|count| count.parse::<u32>().ok()) > Some(1);
+    if let Some(name) = PROCESSES.into_iter().find(|name| is_several(name)) {
+        anyhow::bail!(
+            "this program was started as one of several ({name}), but cannot take part: build it with scripts/setup mpi && \
+             cargo build --release --features mpi --bin train"
+        );
+    }
+    Ok(Alone::shared())
+}
+
+/// Whether all ranks have met an error alike, and one of them is to tell it.
+fn is_common(error: &anyhow::Error) -> bool {
+    error.is::<RankError>() || matches!(error.downcast_ref(), Some(TrainError::Rank(_) | TrainError::Learner { .. }))
+}
+
+/// What this rank has come to, if all have come as far.
+fn together<T>(ranks: &dyn Ranks, own: anyhow::Result<T>) -> anyhow::Result<T> {
+    if ranks.count() > 1 {
+        let told = own.as_ref().map(|_| ()).map_err(|error| anyhow::anyhow!(terminal::complaint(error.as_ref())));
+        agree(ranks, told)?;
+    }
+    own
+}
+
+fn run(args: Args, ranks: &Arc<dyn Ranks>) -> anyhow::Result<()> {
     let (stop, training) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
-    stop_on_signals(Arc::clone(&stop), Arc::clone(&training))?;
+    stop_on_signals(Arc::clone(&stop), Arc::clone(&training), ranks.index() == 0)?;
 
     let cores = std::thread::available_parallelism().map_or(1, |cores| cores.get());
     let threads = args.threads.map_or(cores, usize::from);
     let (mut trainer, mut folder) = match &args.resume {
-        Some(path) => resume(path, &args, threads)?,
-        None => start(&args, threads, &training)?,
+        Some(path) => resume(path, &args, threads, ranks)?,
+        None => start(&args, threads, &training, ranks)?,
     };
     let total = trainer.run().config.run.samples;
     let mut saved = trainer.run().iteration;
     training.store(true, Ordering::Relaxed);
     let outcome = train(&mut trainer, &mut folder, total, &stop, &mut saved);
+    let Some(folder) = &folder else { return outcome };
     let path = folder.path().display();
     if let Err(error) = outcome {
         let way_on = if !folder.path().exists() {
@@ -112,24 +180,28 @@ fn resuming(folder: &Path) -> String {
 /// Iterates until `total` samples are collected or `stop` is set; `saved` is the iteration of the newest checkpoint.
 fn train(
     trainer: &mut Trainer,
-    folder: &mut RunFolder,
+    folder: &mut Option<RunFolder>,
     total: u64,
     stop: &AtomicBool,
     saved: &mut u64,
 ) -> anyhow::Result<()> {
     let every = trainer.run().config.run.checkpoint_every;
-    let bar = progress(total).with_position(trainer.run().samples);
+    let bar = if folder.is_some() { progress(total) } else { ProgressBar::hidden() };
+    let bar = bar.with_position(trainer.run().samples);
     bar.reset_eta();
-    while trainer.run().samples < total && !stop.load(Ordering::Relaxed) {
-        let metrics = trainer.iterate().map_err(|error| explain(error, folder))?;
-        folder.log(&metrics)?;
-        keep_physics_faults(trainer, folder, &bar);
+    while trainer.run().samples < total && !any(trainer.ranks(), stop.load(Ordering::Relaxed)) {
+        let metrics = trainer.iterate().map_err(|error| explain(error, folder.as_ref()))?;
+        let logged = folder.as_mut().map_or(Ok(()), |folder| folder.log(&metrics));
+        together(trainer.ranks(), logged.map_err(anyhow::Error::from))?;
+        if let Some(folder) = folder {
+            keep_physics_faults(trainer, folder, &bar);
+        }
         bar.set_position(metrics.samples);
         bar.set_message(summary(&metrics));
         if metrics.iteration % every == 0 {
-            folder.save(trainer)?;
+            save(trainer, folder.as_ref())?;
             *saved = metrics.iteration;
-            if bar.is_hidden() {
+            if bar.is_hidden() && folder.is_some() {
                 // No terminal, as in a batch job's log.
                 terminal::note(format_args!("{} of {total} samples: {}", metrics.samples, summary(&metrics)));
             }
@@ -137,15 +209,22 @@ fn train(
     }
     bar.abandon();
     if *saved != trainer.run().iteration {
-        folder.save(trainer)?;
+        save(trainer, folder.as_ref())?;
         *saved = trainer.run().iteration;
     }
     Ok(())
 }
 
+/// Writes checkpoint and policy, where the run's folder is.
+fn save(trainer: &Trainer, folder: Option<&RunFolder>) -> anyhow::Result<()> {
+    let checkpoint = trainer.checkpoint()?;
+    let saved = folder.map_or(Ok(()), |folder| folder.save(trainer, &checkpoint));
+    together(trainer.ranks(), saved.map_err(anyhow::Error::from))
+}
+
 /// The first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one does not wait: checkpoints are whole at every
 /// moment. Nor does the first one before training has begun. Programs that pass signals on, such as timeout, send the same one twice: that counts once.
-fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>) -> anyhow::Result<()> {
+fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>, speaks: bool) -> anyhow::Result<()> {
     let mut first: Option<Instant> = None;
     let handler = move || match first {
         None if !training.load(Ordering::Relaxed) => {
@@ -155,7 +234,9 @@ fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>) -> anyhow::
         None => {
             first = Some(Instant::now());
             stop.store(true, Ordering::Relaxed);
-            terminal::note("stopping after this iteration; once more to stop at once");
+            if speaks {
+                terminal::note("stopping after this iteration; once more to stop at once");
+            }
         }
         Some(first) if first.elapsed() < SAME_SIGNAL => {}
         Some(_) => {
@@ -185,8 +266,10 @@ fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar)
 }
 
 /// Keeps what led to a failure of the learner beside the last good checkpoint.
-fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
-    let TrainError::Learner { minibatch, circumstances, .. } = &error else { return error.into() };
+fn explain(error: TrainError, folder: Option<&RunFolder>) -> anyhow::Error {
+    let (TrainError::Learner { minibatch, circumstances, .. }, Some(folder)) = (&error, folder) else {
+        return error.into();
+    };
     let kept = match folder.keep_learner_fault(minibatch, circumstances) {
         Ok(file) => format!("what led there is in {} and fault-minibatch.csv beside it", file.display()),
         Err(problem) => format!("and so did keeping why: {problem}"),
@@ -195,7 +278,38 @@ fn explain(error: TrainError, folder: &RunFolder) -> anyhow::Error {
 }
 
 /// `training` becomes true as soon as there is something to stop and to go on with.
-fn start(args: &Args, threads: usize, training: &AtomicBool) -> anyhow::Result<(Trainer, RunFolder)> {
+fn start(
+    args: &Args,
+    threads: usize,
+    training: &AtomicBool,
+    ranks: &Arc<dyn Ranks>,
+) -> anyhow::Result<(Trainer, Option<RunFolder>)> {
+    let (trainer, out) = together(&**ranks, new_trainer(args, threads, ranks))?;
+    check_alike(&trainer)?;
+    training.store(true, Ordering::Relaxed);
+    let checkpoint = trainer.checkpoint()?;
+    let folder = (ranks.index() == 0).then(|| RunFolder::create(&out, &trainer, &checkpoint)).transpose();
+    let folder = together(&**ranks, folder.map_err(anyhow::Error::from))?;
+    Ok((trainer, folder))
+}
+
+/// Checks that all ranks are about to do the same.
+fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
+    if trainer.ranks().count() == 1 {
+        return Ok(());
+    }
+    let program = std::env::current_exe().and_then(std::fs::read);
+    let program = program.map_or_else(|error| error.to_string(), |bytes| files::sha256(&[&bytes]));
+    let run = trainer.run();
+    let mut facts = serde_json::to_value(&run.config)?;
+    facts["seed"] = run.seed.into();
+    facts["robot's checksum"] = run.robot_sha256.clone().into();
+    facts["program"] = format!("revision {GIT_REVISION} with the checksum {program}").into();
+    Ok(supple::ranks::check_alike(trainer.ranks(), facts)?)
+}
+
+/// That of a new run, and the folder that the run shall have.
+fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::Result<(Trainer, PathBuf)> {
     let name = args.config.as_deref().unwrap_or("fast");
     let mut config = Config::load_with(name, &args.set)?;
     let stem = |name: &str| paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
@@ -203,24 +317,55 @@ fn start(args: &Args, threads: usize, training: &AtomicBool) -> anyhow::Result<(
     if let Some(model) = &args.robot {
         let robot = Robot::load(model)?;
         let fitted = config.fitted_to(&robot)?;
-        terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
+        if ranks.index() == 0 {
+            terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
+        }
         (config, name) = (fitted.with(&args.set)?, format!("{name}-{}", stem(model)));
     }
     config.run.samples = args.samples.unwrap_or(config.run.samples);
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{name}-seed{seed}")));
+    if !ranks.is_alone() && config.ppo.shards == 1 {
+        config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
+    }
     let memory = Memory::of(&config)?;
     memory.check()?;
-    if memory.total() > WORTH_TELLING_BYTES {
+    if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
         terminal::note(format_args!("note: this run takes {memory}"));
     }
-    let trainer = Trainer::new(&name, config, seed, threads)?;
-    training.store(true, Ordering::Relaxed);
-    let folder = RunFolder::create(&out, &trainer)?;
+    Ok((Trainer::among(Arc::clone(ranks), &name, config, seed, threads)?, out))
+}
+
+fn resume(
+    path: &Path,
+    args: &Args,
+    threads: usize,
+    ranks: &Arc<dyn Ranks>,
+) -> anyhow::Result<(Trainer, Option<RunFolder>)> {
+    let opened = (ranks.index() == 0).then(|| read(path, args)).transpose();
+    let opened = together(&**ranks, opened)?;
+    // The first rank has read it, the others hear of it.
+    let bytes = opened.as_ref().filter(|_| ranks.count() > 1).map(|(_, checkpoint)| checkpoint.to_bytes());
+    let bytes = bytes.transpose().map_err(anyhow::Error::msg);
+    let bytes = ranks.gather(together(&**ranks, bytes)?.unwrap_or_default()).concat();
+    let (folder, checkpoint) = match opened {
+        Some((folder, checkpoint)) => (Some(folder), Ok(checkpoint)),
+        None => (None, Checkpoint::from_bytes(&bytes).map_err(anyhow::Error::msg)),
+    };
+    let checkpoint = together(&**ranks, checkpoint)?;
+    let trainer =
+        together(&**ranks, Trainer::resume_among(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
+    check_alike(&trainer)?;
+    let written = folder.as_ref().map_or(Ok(()), |folder| {
+        folder.save_config(&trainer)?;
+        folder.save_policy(&trainer)
+    });
+    together(&**ranks, written.map_err(anyhow::Error::from))?;
     Ok((trainer, folder))
 }
 
-fn resume(path: &Path, args: &Args, threads: usize) -> anyhow::Result<(Trainer, RunFolder)> {
+/// Opens the folder of a run, which one rank does.
+fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
     let (folder, mut checkpoint, notes) = RunFolder::resume(path)?;
     notes.iter().for_each(|note| terminal::note(format_args!("warning: {note}")));
     if let Some(name) = &args.config {
@@ -237,10 +382,7 @@ fn resume(path: &Path, args: &Args, threads: usize) -> anyhow::Result<(Trainer, 
              differ from what that one would have done"
         ));
     }
-    let trainer = Trainer::resume(checkpoint, threads)?;
-    folder.save_config(&trainer)?;
-    folder.save_policy(&trainer)?;
-    Ok((trainer, folder))
+    Ok((folder, checkpoint))
 }
 
 fn summary(metrics: &IterationMetrics) -> String {

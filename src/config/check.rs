@@ -150,6 +150,17 @@ impl Config {
             p.minibatch_size,
             &format!("a divisor of ppo.batch_size ({}) above 1", p.batch_size),
         )?;
+        require(p.shards.is_power_of_two(), "ppo.shards", p.shards, "a power of two")?;
+        for (what, count) in [("environments", p.environments), ("minibatch_size", p.minibatch_size)] {
+            let expected = format!("a divisor of ppo.{what} ({count})");
+            require(count.is_multiple_of(p.shards), "ppo.shards", p.shards, &expected)?;
+        }
+        require(
+            p.learner == LearnerKind::Fused || p.shards == 1,
+            "ppo.shards",
+            p.shards,
+            "1 with ppo.learner: candle",
+        )?;
         let has = p.learner == LearnerKind::Fused || matches!(p.precision, Precision::Auto | Precision::F32);
         require(has, "ppo.precision", yaml::to_text(&p.precision).trim_end(), "auto or f32 with ppo.learner: candle")?;
         within("ppo.epochs", p.epochs, 1..=MAX_EPOCHS, &format!("1 to {MAX_EPOCHS}"))?;

@@ -287,6 +287,10 @@ pub struct Ppo {
     pub minibatch_size: usize,
     /// Passes over the batch.
     pub epochs: usize,
+    /// Parts that a run is divided into, a power of two; a run on several [`ranks`](crate::ranks) has at least one for each.
+    /// Sums run within each and then over a tree of them: the result depends on it.
+    #[serde(default = "one")]
+    pub shards: usize,
     /// What computes the updates.
     #[serde(default)]
     pub learner: LearnerKind,
@@ -324,6 +328,10 @@ pub struct Ppo {
     pub min_learning_rate: f64,
     /// Upper bound of the adaptive rate.
     pub max_learning_rate: f64,
+}
+
+fn one() -> usize {
+    1
 }
 
 /// What computes PPO's updates: see [`crate::ppo`].

@@ -3,6 +3,7 @@ What trains: two learners behind one trait.
 */
 
 use std::fmt::Debug;
+use std::sync::Arc;
 
 #[cfg(tiles)]
 use super::fused::Tiles;
@@ -10,12 +11,14 @@ use super::fused::{Panels, tiles_available};
 use super::{Batch, CandleLearner, FusedLearner, UpdateFault, UpdateStatistics};
 use crate::config::{LearnerKind, Ppo, Precision};
 use crate::network::ActorCritic;
+use crate::ranks::Ranks;
 use crate::util::yaml;
 
 /// Trains an [`ActorCritic`] by PPO.
 pub trait Learner: Debug + Send {
     /// One PPO update: for each of `permutations` one epoch over the batch in that order, a gradient step for each
-    /// `minibatch_size` samples (and one for what remains).
+    /// `minibatch_size` samples (and one for what remains). With several shards, batch and permutations are those of the
+    /// shards of this rank, each minibatch shard by shard.
     ///
     /// # Errors
     /// When the batch or a permutation does not fit, or the loss or its gradient is not finite. Steps before the fault
@@ -35,25 +38,30 @@ pub trait Learner: Debug + Send {
 /// When this machine does not have the arithmetic.
 ///
 /// # Panics
-/// When the minibatch size is zero, or the moments do not have the shapes of the parameters.
-pub fn learner(ppo: &Ppo, state: LearnerState, threads: usize) -> Result<Box<dyn Learner>, PrecisionError> {
+/// When the minibatch size is zero, the moments do not have the shapes of the parameters, or candle is to have shards.
+pub fn learner(
+    ppo: &Ppo,
+    state: LearnerState,
+    threads: usize,
+    ranks: Arc<dyn Ranks>,
+) -> Result<Box<dyn Learner>, PrecisionError> {
     let settings = ppo.clone();
     Ok(match (ppo.learner, resolved(ppo)) {
         (LearnerKind::Candle, _) => Box::new(CandleLearner::new(state, settings)),
         (LearnerKind::Fused, Precision::Auto | Precision::F32) => {
-            Box::new(FusedLearner::<Panels>::new(&state, settings, threads))
+            Box::new(FusedLearner::<Panels>::new(&state, settings, threads, ranks))
         }
         #[cfg(tiles)]
         (LearnerKind::Fused, Precision::Mixed) if tiles_available() => {
-            Box::new(FusedLearner::<Tiles<2, 1>>::new(&state, settings, threads))
+            Box::new(FusedLearner::<Tiles<2, 1>>::new(&state, settings, threads, ranks))
         }
         #[cfg(tiles)]
         (LearnerKind::Fused, Precision::Bf16x3) if tiles_available() => {
-            Box::new(FusedLearner::<Tiles<2, 2>>::new(&state, settings, threads))
+            Box::new(FusedLearner::<Tiles<2, 2>>::new(&state, settings, threads, ranks))
         }
         #[cfg(tiles)]
         (LearnerKind::Fused, Precision::Bf16) if tiles_available() => {
-            Box::new(FusedLearner::<Tiles<1, 1>>::new(&state, settings, threads))
+            Box::new(FusedLearner::<Tiles<1, 1>>::new(&state, settings, threads, ranks))
         }
         (LearnerKind::Fused, precision) => return Err(PrecisionError(precision)),
     })

@@ -5,6 +5,7 @@ Settings are those of the configuration; the number of epochs is that of the per
 */
 
 use crate::config::Ppo;
+use crate::ranks::{Ranks, tree_sum};
 
 impl Ppo {
     /// The learning rate for a step at which the policy is `kl` away from the rollout's (Rudin et al., 2021): lower by
@@ -80,7 +81,7 @@ impl Samples {
     }
 }
 
-/// One minibatch of an update, and what its samples share.
+/// One minibatch of an update, and what its samples share. Of several ranks each has the rows of its own shards.
 #[derive(Debug, Clone, Copy)]
 pub struct Minibatch<'a> {
     pub batch: &'a Batch<'a>,
@@ -89,8 +90,12 @@ pub struct Minibatch<'a> {
     pub epoch: usize,
     /// Within the epoch, counted from zero.
     pub index: usize,
-    /// Its samples.
+    /// Its samples on this rank, shard by shard.
     pub rows: &'a [u32],
+    /// Shards on this rank, with equally many rows.
+    pub shards: usize,
+    /// Samples on all ranks.
+    pub samples: usize,
     advantage_mean: f64,
     /// 1 / (unbiased standard deviation + 1e-8)
     advantage_scale: f64,
@@ -98,30 +103,57 @@ pub struct Minibatch<'a> {
 
 impl<'a> Minibatch<'a> {
     /// Those of an update: for each of `permutations` an epoch over the batch in that order, the last minibatch of each
-    /// with what remains.
-    pub fn all(batch: &'a Batch<'a>, settings: &'a Ppo, permutations: &'a [Vec<u32>]) -> impl Iterator<Item = Self> {
-        permutations.iter().enumerate().flat_map(move |(epoch, permutation)| {
-            let minibatches = permutation.chunks(settings.minibatch_size).enumerate();
-            minibatches.map(move |(index, rows)| Self::new(batch, settings, epoch, index, rows))
+    /// with what remains. A single sample is not normalised, as in Stable-Baselines3.
+    pub fn all(batch: &'a Batch<'a>, settings: &'a Ppo, permutations: &'a [Vec<u32>], ranks: &dyn Ranks) -> Vec<Self> {
+        let count = ranks.count();
+        let of_epoch = |(epoch, order): (usize, &'a Vec<u32>)| {
+            order.chunks(settings.minibatch_size / count).enumerate().map(move |(index, rows)| Self {
+                batch,
+                settings,
+                epoch,
+                index,
+                rows,
+                shards: settings.shards / count,
+                samples: rows.len() * count,
+                advantage_mean: 0.0,
+                advantage_scale: 1.0,
+            })
+        };
+        let mut all: Vec<Self> = permutations.iter().enumerate().flat_map(of_epoch).collect();
+        let sums = |all: &[Self], of: fn(&Self, f64) -> f64| {
+            let mut sums: Vec<f64> = all.iter().map(|minibatch| minibatch.sum_of_advantages(of)).collect();
+            ranks.sum(&mut Vec::new(), &mut sums);
+            sums
+        };
+        let means = sums(&all, |_, advantage| advantage);
+        for (minibatch, sum) in all.iter_mut().zip(means).filter(|(minibatch, _)| minibatch.samples > 1) {
+            minibatch.advantage_mean = sum / minibatch.samples as f64;
+        }
+        let squares = sums(&all, |minibatch, advantage| (advantage - minibatch.advantage_mean).powi(2));
+        for (minibatch, squares) in all.iter_mut().zip(squares).filter(|(minibatch, _)| minibatch.samples > 1) {
+            minibatch.advantage_scale = 1.0 / ((squares / (minibatch.samples as f64 - 1.0)).sqrt() + 1e-8);
+        }
+        all
+    }
+
+    fn sum_of_advantages(&self, of: fn(&Self, f64) -> f64) -> f64 {
+        let size = self.rows.len() / self.shards;
+        tree_sum(self.shards, |shard| {
+            let rows = &self.rows[shard * size..][..size];
+            rows.iter().map(|row| of(self, f64::from(self.batch.advantages[*row as usize]))).sum()
         })
     }
 
-    /// A single sample is not normalised, as in Stable-Baselines3.
-    pub fn new(batch: &'a Batch<'a>, settings: &'a Ppo, epoch: usize, index: usize, rows: &'a [u32]) -> Self {
-        let (advantage_mean, advantage_scale) = if rows.len() < 2 {
-            (0.0, 1.0)
-        } else {
-            let at = |&row: &u32| f64::from(batch.advantages[row as usize]);
-            let mean = rows.iter().map(at).sum::<f64>() / rows.len() as f64;
-            let squares: f64 = rows.iter().map(|row| (at(row) - mean).powi(2)).sum();
-            (mean, 1.0 / ((squares / (rows.len() as f64 - 1.0)).sqrt() + 1e-8))
-        };
-        Self { batch, settings, epoch, index, rows, advantage_mean, advantage_scale }
+    /// Blocks of `size` rows in each shard, of which the last may have fewer.
+    pub fn shard_blocks(&self, size: usize) -> usize {
+        (self.rows.len() / self.shards).div_ceil(size)
     }
 
-    /// Its samples of a block of `size`.
+    /// Its samples of a block of `size`, counted through all shards.
     pub fn block(&self, size: usize, index: usize) -> &'a [u32] {
-        &self.rows[index * size..self.rows.len().min((index + 1) * size)]
+        let (rows, blocks) = (self.rows.len() / self.shards, self.shard_blocks(size));
+        let (shard, start) = (index / blocks, index % blocks * size);
+        &self.rows[shard * rows..][start..rows.min(start + size)]
     }
 
     /// Normalised advantage of a sample.
@@ -156,6 +188,7 @@ impl Surrogate {
 pub(in crate::ppo) mod tests {
     use super::*;
     use crate::config::Config;
+    use crate::ranks::Alone;
 
     /// The paper's.
     pub fn settings() -> Ppo {
@@ -195,10 +228,28 @@ pub(in crate::ppo) mod tests {
             returns: none,
         };
         // Rows 3, 0, 2: 8, 1, 3; mean 4; variance (16 + 9 + 1)/2 = 13.
-        let settings = &settings();
-        let minibatch = Minibatch::new(batch, settings, 0, 0, &[3, 0, 2]);
-        assert!((minibatch.advantage(3) - 4.0 / (13.0_f64.sqrt() + 1e-8)).abs() < 1e-15);
-        assert_eq!(Minibatch::new(batch, settings, 0, 0, &[3]).advantage(3), 8.0);
+        let (settings, orders) = (&settings(), [vec![3, 0, 2], vec![3]]);
+        let minibatches = Minibatch::all(batch, settings, &orders, &Alone);
+        assert!((minibatches[0].advantage(3) - 4.0 / (13.0_f64.sqrt() + 1e-8)).abs() < 1e-15);
+        assert_eq!(minibatches[1].advantage(3), 8.0);
+    }
+
+    #[test]
+    fn blocks_do_not_reach_across_shards() {
+        let none: &[f32] = &[];
+        let batch = &Batch {
+            observations: none,
+            actions: none,
+            means: none,
+            log_std: none,
+            log_probs: none,
+            advantages: &[0.0; 10],
+            returns: none,
+        };
+        let (settings, orders) = (Ppo { shards: 2, ..settings() }, [(0..10).collect::<Vec<u32>>()]);
+        let minibatch = Minibatch::all(batch, &settings, &orders, &Alone)[0];
+        let blocks: Vec<&[u32]> = (0..2 * minibatch.shard_blocks(3)).map(|block| minibatch.block(3, block)).collect();
+        assert_eq!(blocks, [&[0, 1, 2][..], &[3, 4], &[5, 6, 7], &[8, 9]]);
     }
 
     #[test]

@@ -17,6 +17,7 @@ use super::update::ADAM_BETAS;
 use super::*;
 use crate::config::{Config, LOG_STD_RANGE, LearnerKind, Ppo, Precision};
 use crate::network::{ActorCritic, Layer, PackedMlp, Scratch};
+use crate::ranks::Alone;
 
 impl Samples {
     /// From a policy somewhat away from the one to be trained.
@@ -75,20 +76,20 @@ fn settings(minibatch_size: usize) -> Ppo {
 }
 
 fn fused<A: Arithmetic>(network: &ActorCritic, settings: Ppo, threads: usize) -> FusedLearner<A> {
-    FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads)
+    FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads, Alone::shared())
 }
 
 /// Every learner that this machine has, going on from `state`, and how far an update of it may be off.
 fn resumed(state: &LearnerState, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64)> {
     let mut learners: Vec<(Box<dyn Learner>, f64)> = vec![
-        (Box::new(FusedLearner::<Panels>::new(state, settings.clone(), 2)), 1e-4),
+        (Box::new(FusedLearner::<Panels>::new(state, settings.clone(), 2, Alone::shared())), 1e-4),
         (Box::new(CandleLearner::new(state.clone(), settings.clone())), 1e-4),
     ];
     #[cfg(tiles)]
     if tiles_available() {
-        learners.push((Box::new(FusedLearner::<Tiles<2, 2>>::new(state, settings.clone(), 2)), 5e-4));
-        learners.push((Box::new(FusedLearner::<Tiles<2, 1>>::new(state, settings.clone(), 2)), 0.1));
-        learners.push((Box::new(FusedLearner::<Tiles<1, 1>>::new(state, settings.clone(), 2)), 0.2));
+        learners.push((Box::new(FusedLearner::<Tiles<2, 2>>::new(state, settings.clone(), 2, Alone::shared())), 5e-4));
+        learners.push((Box::new(FusedLearner::<Tiles<2, 1>>::new(state, settings.clone(), 2, Alone::shared())), 0.1));
+        learners.push((Box::new(FusedLearner::<Tiles<1, 1>>::new(state, settings.clone(), 2, Alone::shared())), 0.2));
     }
     if !tiles_available() {
         eprintln!("this processor has no tile units: their arithmetic is not tested");
@@ -130,7 +131,8 @@ fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64, log_std_e
         let settings = settings(rows);
 
         let networks = Networks::new(&network, DType::F64).unwrap();
-        let loss = Loss::new(&networks, &Minibatch::new(&samples.batch(), &settings, 0, 0, order)).unwrap();
+        let orders = [order.to_vec()];
+        let loss = Loss::new(&networks, &Minibatch::all(&samples.batch(), &settings, &orders, &Alone)[0]).unwrap();
         let expected = candle_gradient(&networks, &loss);
 
         let fused = fused::<A>(&network, settings.clone(), 1).gradient(&samples.batch(), &settings, order);
@@ -179,8 +181,8 @@ fn reference_update(
         network.tensors().iter().map(|(.., x)| (vec![0.0; x.len()], vec![0.0; x.len()])).collect();
     let scalar = |x: &Tensor| x.to_scalar::<f64>().unwrap();
     let (mut rate, mut count, mut statistics) = (settings.initial_learning_rate, 0, UpdateStatistics::default());
-    for rows in permutations.iter().flat_map(|rows| rows.chunks(settings.minibatch_size)) {
-        let loss = Loss::new(&networks, &Minibatch::new(batch, settings, 0, 0, rows)).unwrap();
+    for minibatch in Minibatch::all(batch, settings, permutations, &Alone) {
+        let loss = Loss::new(&networks, &minibatch).unwrap();
         let gradients = candle_gradient(&networks, &loss);
 
         let kl = scalar(&loss.kl);
@@ -289,6 +291,48 @@ fn check_threads<A: Arithmetic>() {
     for threads in [2, 3, 64] {
         assert!(state(threads) == one, "{threads} threads");
     }
+}
+
+#[test]
+fn shards_are_summed_alike_by_any_number_of_threads_and_teach_what_one_shard_does() {
+    check_shards::<Panels>(1e-4);
+    #[cfg(tiles)]
+    if tiles_available() {
+        check_shards::<Tiles<2, 1>>(1e-4);
+    }
+}
+
+/// An update of minibatches of 8 · 88 rows, 88 being a block and a part of one.
+fn check_shards<A: Arithmetic>(tolerance: f64) {
+    let network = network();
+    let samples = Samples::new(&network, 1408, 1);
+    let order = permutations(1408, 2, 2);
+    let state = |shards, threads| {
+        let mut learner = fused::<A>(&network, Ppo { shards, ..settings(704) }, threads);
+        let statistics = learner.update(&samples.batch(), &order).unwrap();
+        (learner.state(), statistics)
+    };
+    let (one, eight) = (state(1, 1), state(8, 1));
+    assert!(one.0 != eight.0, "sums in another order are rounded otherwise");
+    for threads in [2, 3, 64] {
+        assert!(state(8, threads) == eight, "{threads} threads");
+    }
+    let numbers = |state: &LearnerState| -> Vec<f64> {
+        state.parameters.tensors().iter().flat_map(|(.., x)| x.iter().map(|x| f64::from(*x))).collect()
+    };
+    let [before, one, eight] = [&LearnerState::new(network.clone(), &settings(704)), &one.0, &eight.0].map(numbers);
+    let distance = |a: &[f64], b: &[f64]| norm(a.iter().zip(b).map(|(a, b)| a - b));
+    let (way, apart) = (distance(&one, &before), distance(&one, &eight));
+    assert!(way > 1e-2 && apart < tolerance * way, "{apart:e} apart after {way:e}");
+}
+
+#[test]
+fn a_minibatch_that_the_shards_do_not_divide_is_refused() {
+    let network = network();
+    let samples = Samples::new(&network, 64, 1);
+    let mut learner = fused::<Panels>(&network, Ppo { shards: 4, ..settings(32) }, 1);
+    let fault = learner.update(&samples.batch(), &permutations(42, 1, 1)).unwrap_err();
+    assert_eq!(fault, UpdateFault::Shards { epoch: 0, rows: 10, shards: 4 });
 }
 
 #[test]
@@ -471,9 +515,10 @@ fn a_batch_that_does_not_fit_is_refused() {
 impl<A: Arithmetic> FusedLearner<A> {
     /// Gradient over one minibatch, without a step.
     fn gradient(&self, batch: &Batch<'_>, settings: &Ppo, rows: &[u32]) -> ActorCritic {
+        let orders = [rows.to_vec()];
+        let minibatch = &Minibatch::all(batch, settings, &orders, &Alone)[0];
         Team::run(1, |team| {
-            let minibatch = Minibatch::new(batch, settings, 0, 0, rows);
-            self.differentiate(team, &mut self.arithmetic.workspace(), &minibatch, |_| ());
+            self.differentiate(team, &mut self.arithmetic.workspace(), minibatch, |_| ());
         });
         self.unpacked(|parameters| &parameters.gradient)
     }
@@ -486,7 +531,7 @@ fn a_precision_that_the_machine_does_not_have_is_refused_by_name() {
     for (name, precision) in [("mixed", Precision::Mixed), ("bf16x3", Precision::Bf16x3), ("bf16", Precision::Bf16)] {
         let ppo = Ppo { precision, ..Config::load("fast").unwrap().ppo };
         assert_eq!(resolved(&ppo), precision);
-        match learner(&ppo, state.clone(), 1) {
+        match learner(&ppo, state.clone(), 1, Alone::shared()) {
             Ok(_) => assert!(tiles_available()),
             Err(error) => assert!(!tiles_available() && error.to_string().contains(name), "{error}"),
         }

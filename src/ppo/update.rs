@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::Batch;
 use super::loss::Minibatch;
 use crate::config::Ppo;
+use crate::ranks::Ranks;
 
 /// What an update did; means over its minibatches unless said otherwise.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -44,6 +45,16 @@ pub enum UpdateFault {
         expected: usize,
         /// Length given.
         actual: usize,
+    },
+    /// A minibatch cannot be divided among the shards.
+    #[error("the permutation of epoch {epoch} leaves {rows} samples for {shards} shards, which do not divide them")]
+    Shards {
+        /// Counted from zero.
+        epoch: usize,
+        /// Samples of a minibatch.
+        rows: usize,
+        /// Shards on this rank.
+        shards: usize,
     },
     /// A permutation names a sample that is not in the batch.
     #[error("the permutation of epoch {epoch} names sample {sample} of only {samples}")]
@@ -113,9 +124,8 @@ impl Step {
 }
 
 impl Progress {
-    /// At the start of an update.
-    pub fn new(steps: u64, learning_rate: f64, settings: &Ppo, permutations: &[Vec<u32>]) -> Self {
-        let count = permutations.iter().map(|rows| rows.chunks(settings.minibatch_size).len()).sum();
+    /// At the start of an update of `count` minibatches.
+    pub fn new(steps: u64, learning_rate: f64, count: usize) -> Self {
         Self { steps, learning_rate, statistics: UpdateStatistics::default(), count, step: None, fault: None }
     }
 
@@ -154,12 +164,13 @@ impl UpdateStatistics {
     }
 }
 
-/// Checks that slices have fitting lengths and that permutations stay within the batch.
+/// Checks that slices have fitting lengths, and that permutations stay within the batch and can be divided among the shards.
 pub fn check(
     batch: &Batch<'_>,
     permutations: &[Vec<u32>],
-    observations: usize,
-    actions: usize,
+    [observations, actions]: [usize; 2],
+    settings: &Ppo,
+    ranks: &dyn Ranks,
 ) -> Result<(), UpdateFault> {
     let samples = batch.returns.len();
     for (name, slice, expected) in [
@@ -177,6 +188,11 @@ pub fn check(
     for (epoch, rows) in permutations.iter().enumerate() {
         if let Some(&sample) = rows.iter().find(|&&row| row as usize >= samples) {
             return Err(UpdateFault::Sample { epoch, sample, samples });
+        }
+        let shards = settings.shards / ranks.count();
+        let mut sizes = rows.chunks(settings.minibatch_size / ranks.count()).map(<[u32]>::len);
+        if let Some(rows) = sizes.find(|rows| rows % shards != 0) {
+            return Err(UpdateFault::Shards { epoch, rows, shards });
         }
     }
     Ok(())

@@ -74,10 +74,9 @@ impl Collection<'_> {
         let parts: mujoco::Result<Vec<Rollout>> = std::thread::scope(|scope| {
             let workers: Vec<_> = envs
                 .chunks_mut(chunk)
-                .enumerate()
-                .map(|(k, envs)| {
+                .map(|envs| {
                     let networks = &networks;
-                    scope.spawn(move || self.collect_chunk(envs, k * chunk, networks))
+                    scope.spawn(move || self.collect_chunk(envs, networks))
                 })
                 .collect();
             // A worker that panicked has broken an invariant: pass the panic on.
@@ -98,7 +97,7 @@ impl Collection<'_> {
         Ok(whole)
     }
 
-    fn collect_chunk(&self, envs: &mut [LocomotionEnv], first: usize, networks: &Networks) -> mujoco::Result<Rollout> {
+    fn collect_chunk(&self, envs: &mut [LocomotionEnv], networks: &Networks) -> mujoco::Result<Rollout> {
         let (count, steps) = (envs.len(), self.steps);
         let (length, width) = (self.network.policy.inputs(), self.network.log_std.len());
         let rows = count * steps;
@@ -115,7 +114,7 @@ impl Collection<'_> {
             episodes: Vec::new(),
         };
         let mut noise: Vec<_> =
-            (0..count).map(|env| stream(self.seed, Purpose::Action, (first + env) as u64, self.iteration)).collect();
+            envs.iter().map(|env| stream(self.seed, Purpose::Action, env.index(), self.iteration)).collect();
         let mut scratch = Scratch::default();
         let (mut seen, mut means) = (vec![0.0; count * length], vec![0.0; count * width]);
         // Rows after which the return goes on with a value, and the observations that it is the value of.

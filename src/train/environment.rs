@@ -48,7 +48,7 @@ pub struct Step {
 }
 
 /// Summary of a finished episode.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeReport {
     /// How it ended.
     pub end: End,
@@ -69,10 +69,10 @@ pub struct EpisodeReport {
 }
 
 /// A physics fault, to be inspected.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Fault {
-    /// What MuJoCo reported.
-    pub error: mujoco::Error,
+    /// What MuJoCo reported, in words.
+    pub error: String,
     /// Index of the environment in its run.
     pub environment: u64,
     /// Episodes of this environment before this one.
@@ -274,6 +274,11 @@ impl LocomotionEnv {
         p.observer.measure(&self.layout, &now);
     }
 
+    /// Its index in the run.
+    pub fn index(&self) -> u64 {
+        self.index
+    }
+
     /// Memory that its simulation takes \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
         self.sim.data().bytes()
@@ -313,7 +318,7 @@ impl LocomotionEnv {
             Ok((step, report)) => (step, report),
             Err(error) => {
                 let fault = Fault {
-                    error,
+                    error: error.to_string(),
                     environment: self.index,
                     episode: self.progress.episode,
                     step: self.progress.step,

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::Config;
 use crate::ppo::UpdateStatistics;
+use crate::ranks::{Ranks, sum_over_samples};
 use crate::task::{Curriculum, Terms};
 use crate::train::collection::Rollout;
 use crate::train::environment::{End, EpisodeReport};
@@ -134,16 +135,17 @@ impl EpisodeMeans {
     }
 }
 
-/// `1 − Var(returns − values) / Var(returns)`, 0 if the returns do not vary.
-pub fn explained_variance(rollout: &Rollout, returns: &[f32]) -> f64 {
-    let variance = |values: &mut dyn Iterator<Item = f64>| {
-        let values: Vec<f64> = values.collect();
-        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
-        values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len().max(1) as f64
+/// `1 − Var(returns − values) / Var(returns)` over the samples of all ranks, of which those in `shards` shards are here; 0 if
+/// the returns do not vary.
+pub fn explained_variance(ranks: &dyn Ranks, shards: usize, rollout: &Rollout, returns: &[f32]) -> f64 {
+    let all = (returns.len() * ranks.count()).max(1) as f64;
+    let mean = |of: &dyn Fn(usize) -> f64| sum_over_samples(ranks, shards, returns.len(), of) / all;
+    let variance = |of: &dyn Fn(usize) -> f64| {
+        let center = mean(of);
+        mean(&|row| (of(row) - center).powi(2))
     };
-    let total = variance(&mut returns.iter().map(|value| f64::from(*value)));
-    let errors = returns.iter().zip(&rollout.values).map(|(a, b)| f64::from(*a) - f64::from(*b));
-    let unexplained = variance(&mut { errors });
+    let total = variance(&|row| f64::from(returns[row]));
+    let unexplained = variance(&|row| f64::from(returns[row]) - f64::from(rollout.values[row]));
     if total > 0.0 { 1.0 - unexplained / total } else { 0.0 }
 }
 

@@ -111,11 +111,11 @@ pub struct RunFolder {
 }
 
 impl RunFolder {
-    /// Creates the folder of a new run.
+    /// Creates the folder of a new run, with its first checkpoint.
     ///
     /// # Errors
     /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or the system's reason.
-    pub fn create(path: &Path, trainer: &Trainer) -> Result<Self, RunError> {
+    pub fn create(path: &Path, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<Self, RunError> {
         if is_run(path) {
             return Err(RunError::Exists(path.to_owned()));
         }
@@ -134,7 +134,7 @@ impl RunFolder {
             let (run, config) = (staged.join(ABOUT), staged.join(CONFIG));
             files::write_atomically(&run, format!("{about:#}\n").as_bytes()).map_err(at(&run))?;
             files::write_atomically(&config, trainer.run().config.to_yaml().as_bytes()).map_err(at(&config))?;
-            trainer.checkpoint().save(&staged)?;
+            checkpoint.save(&staged)?;
             trainer.policy().save(&staged.join(POLICY))?;
             fs::rename(&staged, path).map_err(at(path))?;
             Ok(files::sync_folder(path).map_err(at(path))?)
@@ -249,13 +249,13 @@ impl RunFolder {
         Ok(kept.then_some(path))
     }
 
-    /// Writes checkpoint and policy, after making sure that the metrics which the checkpoint stands behind are on disk.
+    /// Writes a trainer's checkpoint and policy, after making sure that the metrics which the checkpoint stands behind are on disk.
     ///
     /// # Errors
     /// The system's reason, such as a full disk; older files are untouched then.
-    pub fn save(&self, trainer: &Trainer) -> Result<(), RunError> {
+    pub fn save(&self, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<(), RunError> {
         self.metrics.sync_data().map_err(at(&self.path.join(METRICS)))?;
-        trainer.checkpoint().save(&self.path)?;
+        checkpoint.save(&self.path)?;
         self.save_policy(trainer)
     }
 
@@ -449,7 +449,7 @@ mod tests {
         let mut config = Config::load("fast").unwrap();
         (config.ppo.batch_size, config.ppo.minibatch_size, config.ppo.environments) = (4, 4, 1);
         config.ppo.hidden_layers = vec![2];
-        let mut checkpoint = Trainer::new("test", config, 0, 1).unwrap().checkpoint();
+        let mut checkpoint = Trainer::new("test", config, 0, 1).unwrap().checkpoint().unwrap();
         (checkpoint.run.iteration, checkpoint.run.elapsed_s) = (3, 1.5);
         (folder, checkpoint)
     }

@@ -3,6 +3,7 @@
 A [`Trainer`] is a run in memory; [`RunFolder`](crate::train::run::RunFolder) is its place on disk.
 */
 
+use std::mem;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -10,7 +11,7 @@ use rand::seq::SliceRandom;
 
 use super::checkpoint::{Checkpoint, RunState};
 use super::collection::{Collection, Rollout};
-use super::environment::{End, Fault, LocomotionEnv};
+use super::environment::{End, EpisodeReport, Fault, LocomotionEnv};
 use super::memory::{Memory, MemoryError};
 use super::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
 use super::symmetry::{self, Mirror};
@@ -20,6 +21,7 @@ use crate::network::ActorCritic;
 use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
 use crate::ppo::{Batch, Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
+use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
 use crate::robot::{JOINTS, Robot};
 use crate::task::Curriculum;
 use crate::util::files::FileError;
@@ -59,6 +61,12 @@ pub enum TrainError {
         /// What the update and the rollout before it were like, as JSON.
         circumstances: String,
     },
+    /// More or fewer ranks than sums over a tree can be shared among.
+    #[error("there are {0} ranks, expected a power of two: change mpirun's -n")]
+    Count(usize),
+    /// What went wrong on one of several ranks.
+    #[error(transparent)]
+    Rank(#[from] RankError),
     /// A checkpoint that does not fit its own configuration.
     #[error("the checkpoint does not fit its configuration: {0}")]
     Checkpoint(String),
@@ -74,6 +82,7 @@ pub struct Trainer {
     /// If samples are learnt from in it.
     mirror: Option<Mirror>,
     threads: usize,
+    ranks: Arc<dyn Ranks>,
     learner: Box<dyn Learner>,
     environments: Vec<LocomotionEnv>,
     /// Physics faults of the last iteration.
@@ -85,8 +94,24 @@ impl Trainer {
     ///
     /// # Errors
     /// If a value of the configuration is out of its range, or the robot's model cannot be simulated.
-    pub fn new(config_name: &str, mut config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
+    pub fn new(config_name: &str, config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
+        Self::among(Alone::shared(), config_name, config, seed, threads)
+    }
+
+    /// A new run, this being one of the ranks that train it.
+    ///
+    /// # Errors
+    /// If a value of the configuration is out of its range or does not fit the number of ranks, or the robot's model cannot be
+    /// simulated.
+    pub fn among(
+        ranks: Arc<dyn Ranks>,
+        config_name: &str,
+        mut config: Config,
+        seed: u64,
+        threads: usize,
+    ) -> Result<Self, TrainError> {
         config.check()?;
+        check_ranks(&config, &*ranks)?;
         Memory::of(&config)?.check()?;
         config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
@@ -94,9 +119,9 @@ impl Trainer {
         let ppo = &config.ppo;
         let log_std = ppo.initial_log_std as f32;
         let network = ActorCritic::orthogonal(layout.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
-        let learner = learner(ppo, LearnerState::new(network, ppo), threads)?;
+        let learner = learner(ppo, LearnerState::new(network, ppo), threads, Arc::clone(&ranks))?;
         let curriculum = Curriculum::new(&config.command);
-        let environments = environments(&config, &robot, &layout, seed, curriculum)?;
+        let environments = environments(&config, &robot, &layout, seed, curriculum, &*ranks)?;
         let run = RunState {
             config_name: config_name.to_owned(),
             config,
@@ -109,7 +134,7 @@ impl Trainer {
             curriculum,
             environments: Vec::new(),
         };
-        Ok(Trainer { run, robot, layout, mirror, threads, learner, environments, faults: Vec::new() })
+        Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
 
     /// Goes on from a checkpoint.
@@ -117,11 +142,20 @@ impl Trainer {
     /// # Errors
     /// If the checkpoint does not fit its own configuration, or the model cannot be simulated.
     pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
+        Self::resume_among(Alone::shared(), checkpoint, threads)
+    }
+
+    /// Goes on from a checkpoint of any number of ranks, this being one of the ranks that do.
+    ///
+    /// # Errors
+    /// If the checkpoint does not fit its own configuration or the number of ranks, or the model cannot be simulated.
+    pub fn resume_among(ranks: Arc<dyn Ranks>, checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
         let Checkpoint { mut run, learner: state } = checkpoint;
-        let (found, expected) = (run.environments.len(), run.config.ppo.environments);
-        if found != expected {
-            return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected}")));
+        let (found, expected_environments) = (run.environments.len(), run.config.ppo.environments);
+        if found != expected_environments {
+            return Err(TrainError::Checkpoint(format!("{found} environments instead of {expected_environments}")));
         }
+        check_ranks(&run.config, &*ranks)?;
         let shapes = |networks: &ActorCritic| -> Vec<_> {
             networks.tensors().into_iter().map(|(name, shape, _)| (name, shape)).collect()
         };
@@ -136,19 +170,20 @@ impl Trainer {
             let problem = format!("the robot {} has changed since; put it back, or start anew", robot.name);
             return Err(TrainError::Checkpoint(problem));
         }
-        let mut environments = environments(&run.config, &robot, &layout, run.seed, run.curriculum)?;
+        let mut environments = environments(&run.config, &robot, &layout, run.seed, run.curriculum, &*ranks)?;
         let (inputs, outputs) = (state.parameters.policy.inputs(), state.parameters.policy.outputs());
         if (inputs, outputs) != (layout.length(), JOINTS) {
             let expected = layout.length();
             let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {expected} to {JOINTS}");
             return Err(TrainError::Checkpoint(problem));
         }
-        for (environment, saved) in environments.iter_mut().zip(run.environments.drain(..)) {
-            environment.restore(&saved)?;
+        for (environment, saved) in environments.iter_mut().zip(&run.environments[ranks.share(expected_environments)]) {
+            environment.restore(saved)?;
         }
+        run.environments.clear();
         (run.git_revision, run.robot_sha256) = (provenance::GIT_REVISION.to_owned(), robot.sha256());
-        let learner = learner(&run.config.ppo, state, threads)?;
-        Ok(Trainer { run, robot, layout, mirror, threads, learner, environments, faults: Vec::new() })
+        let learner = learner(&run.config.ppo, state, threads, Arc::clone(&ranks))?;
+        Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
 
     /// One iteration: a batch and the update on it.
@@ -167,47 +202,90 @@ impl Trainer {
             curriculum: self.run.curriculum,
             threads: self.threads,
         };
-        let rollout = collection.collect(&mut self.environments)?;
-        self.faults = rollout.episodes.iter().filter_map(|episode| episode.fault.as_deref().cloned()).collect();
+        let (rollout, episodes) = match collection.collect(&mut self.environments) {
+            Ok(mut rollout) => {
+                let episodes = mem::take(&mut rollout.episodes);
+                (rollout, Ok(episodes))
+            }
+            Err(error) => (Rollout::default(), Err(TrainError::from(error))),
+        };
+        let episodes = agree(&*self.ranks, episodes)?.concat();
+        self.faults = episodes.iter().filter_map(|episode| episode.fault.as_deref().cloned()).collect();
         let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
         let collected = started.elapsed();
 
         let batch = rollout.batch(&network.log_std, &advantages, &returns);
-        let mut permutations = permutations(self.run.seed, self.run.iteration, ppo.epochs, rollout.len());
+        let permutations = self.permutations(rollout.len());
         let images = self.mirror.as_ref().map(|mirror| mirror.doubled(&batch, &network.policy, self.threads));
-        if images.is_some() {
-            for (epoch, order) in permutations.iter_mut().enumerate() {
-                let mut rng = stream(self.run.seed, Purpose::Mirror, self.run.iteration, epoch as u64);
-                symmetry::flip(order, rollout.len(), &mut rng);
-            }
-        }
         let batch = images.as_ref().map_or(batch, Samples::batch);
-        let statistics = self.learner.update(&batch, &permutations).map_err(|fault| TrainError::Learner {
-            iteration: self.run.iteration,
-            minibatch: minibatch_csv(&fault, &rollout, &batch),
-            circumstances: circumstances(&fault, &rollout, &returns, &network.log_std),
-            fault: Box::new(fault),
-        })?;
+        let statistics = match self.learner.update(&batch, &permutations) {
+            Ok(statistics) => statistics,
+            Err(fault) => {
+                let shards = ppo.shards / self.ranks.count();
+                let csv = minibatch_csv(&fault, &rollout, &batch, &*self.ranks);
+                let told = circumstances(&fault, &rollout, &episodes, &returns, &network.log_std, shards);
+                // Sums over all ranks are what it has met, so all of them have met it.
+                let told = agree(&*self.ranks, Ok::<_, TrainError>((csv, told)))?;
+                let (minibatch, mut circumstances): (String, Vec<_>) = told.into_iter().unzip();
+                let circumstances = match circumstances.len() {
+                    1 => circumstances.remove(0),
+                    _ => serde_json::Value::Array(circumstances),
+                };
+                return Err(TrainError::Learner {
+                    iteration: self.run.iteration,
+                    minibatch,
+                    circumstances: format!("{circumstances:#}\n"),
+                    fault: Box::new(fault),
+                });
+            }
+        };
 
-        let means = EpisodeMeans::new(&rollout.episodes);
+        let means = EpisodeMeans::new(&episodes);
         means.advance(&mut self.run.curriculum, &self.run.config);
         self.run.iteration += 1;
-        self.run.samples += rollout.len() as u64;
+        let (ranks, shards) = (&*self.ranks, self.run.config.ppo.shards / self.ranks.count());
+        let samples = rollout.len() * ranks.count();
+        self.run.samples += samples as u64;
+        let rewards = sum_over_samples(ranks, shards, rollout.len(), |row| f64::from(rollout.rewards[row]));
+        let explained_variance = explained_variance(ranks, shards, &rollout, &returns);
         let whole = started.elapsed();
         self.run.elapsed_s += whole.as_secs_f64();
         let log_std = &network.log_std;
         Ok(IterationMetrics {
             iteration: self.run.iteration,
             samples: self.run.samples,
-            step_reward: rollout.rewards.iter().map(|reward| f64::from(*reward)).sum::<f64>() / rollout.len() as f64,
+            step_reward: rewards / samples as f64,
             means,
             command_fraction: self.run.curriculum.command_fraction,
             force_fraction: self.run.config.compliance.as_ref().map(|_| self.run.curriculum.force_fraction),
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
-            explained_variance: explained_variance(&rollout, &returns),
+            explained_variance,
             learner: statistics,
-            time: Timing::new(rollout.len(), collected, whole - collected, whole, self.run.elapsed_s),
+            time: Timing::new(samples, collected, whole - collected, whole, self.run.elapsed_s),
         })
+    }
+
+    /// An order of the samples of each shard on this rank for every epoch; minibatch by minibatch, and in it shard by shard.
+    fn permutations(&self, samples: usize) -> Vec<Vec<u32>> {
+        let (run, ppo) = (&self.run, &self.run.config.ppo);
+        let shards = self.ranks.share(ppo.shards);
+        let (size, part) = (samples / shards.len(), ppo.minibatch_size / ppo.shards);
+        let order = |epoch: usize, place: usize, shard: usize| {
+            // No more than 1000 epochs.
+            let stream = |purpose| stream(run.seed, purpose, run.iteration, epoch as u64 | (shard as u64) << 32);
+            let mut order: Vec<u32> = (place * size..(place + 1) * size).map(|row| row as u32).collect();
+            order.shuffle(&mut stream(Purpose::Shuffle));
+            if self.mirror.is_some() {
+                symmetry::flip(&mut order, samples, &mut stream(Purpose::Mirror));
+            }
+            order
+        };
+        let of_epoch = |epoch: usize| {
+            let orders: Vec<_> = shards.clone().enumerate().map(|(place, shard)| order(epoch, place, shard)).collect();
+            let minibatch = |start: usize| orders.iter().flat_map(move |order| &order[start..start + part]).copied();
+            (0..size).step_by(part).flat_map(minibatch).collect()
+        };
+        (0..ppo.epochs).map(of_epoch).collect()
     }
 
     /// Physics faults of the last iteration, by environment and then time.
@@ -215,10 +293,14 @@ impl Trainer {
         &self.faults
     }
 
-    /// The state to go on from.
-    pub fn checkpoint(&self) -> Checkpoint {
-        let environments = self.environments.iter().map(LocomotionEnv::save).collect();
-        Checkpoint { run: RunState { environments, ..self.run.clone() }, learner: self.learner.state() }
+    /// The state to go on from, on every rank.
+    ///
+    /// # Errors
+    /// What went wrong on one of several ranks.
+    pub fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
+        let own = self.environments.iter().map(LocomotionEnv::save).collect::<Vec<_>>();
+        let environments = agree(&*self.ranks, Ok::<_, TrainError>(own))?.concat();
+        Ok(Checkpoint { run: RunState { environments, ..self.run.clone() }, learner: self.learner.state() })
     }
 
     /// The policy as it is now, to be deployed.
@@ -232,6 +314,11 @@ impl Trainer {
             mujoco_version: provenance::MUJOCO_VERSION.to_owned(),
         };
         Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)
+    }
+
+    /// The processes that train it together.
+    pub fn ranks(&self) -> &dyn Ranks {
+        &*self.ranks
     }
 
     /// What was asked for and how far it is, without the environments.
@@ -252,28 +339,44 @@ fn parts(config: &Config) -> Result<Parts, TrainError> {
     Ok((robot, Arc::new(layout), mirror))
 }
 
+/// Checks that every rank can have as many shards as any other.
+fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
+    let (shards, count) = (config.ppo.shards, ranks.count());
+    if !count.is_power_of_two() {
+        return Err(TrainError::Count(count));
+    }
+    if shards.is_multiple_of(count) {
+        return Ok(());
+    }
+    let expected = format!("a multiple of the number of ranks ({count})");
+    Err(ValueError::Range { key: "ppo.shards", found: shards.to_string(), expected }.into())
+}
+
+/// Those of this rank.
 fn environments(
     config: &Config,
     robot: &Arc<Robot>,
     layout: &Arc<Layout>,
     seed: u64,
     curriculum: Curriculum,
+    ranks: &dyn Ranks,
 ) -> mujoco::Result<Vec<LocomotionEnv>> {
     let environment =
         |index| LocomotionEnv::of(config, Arc::clone(robot), Arc::clone(layout), seed, index as u64, curriculum);
-    (0..config.ppo.environments).map(environment).collect()
+    ranks.share(config.ppo.environments).map(environment).collect()
 }
 
-/// The samples of the minibatch in which an update failed.
-fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>) -> String {
+/// This rank's samples of the minibatch in which an update failed.
+fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>, ranks: &dyn Ranks) -> String {
     let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
     let length = batch.observations.len() / batch.returns.len().max(1);
     let columns = |name: &str, count: usize| (0..count).map(|k| format!(",{name}_{k}")).collect::<String>();
-    let mut csv = format!(
+    let header = format!(
         "sample,reward,value,advantage,return,log_prob{}{}\n",
         columns("action", JOINTS),
         columns("observation", length)
     );
+    let mut csv = if ranks.index() == 0 { header } else { String::new() };
     for row in samples.iter().map(|sample| *sample as usize) {
         // A mirror image has the reward and the value of its sample.
         let (reward, value) = (rollout.rewards[row % rollout.len()], rollout.values[row % rollout.len()]);
@@ -282,25 +385,37 @@ fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>) -> S
         let observation = &batch.observations[row * length..(row + 1) * length];
         let numbers: String =
             numbers.iter().chain(action).chain(observation).map(|number| format!(",{number}")).collect();
+        let (image, sample) = (row / rollout.len(), row % rollout.len());
+        let row = (image * ranks.count() + ranks.index()) * rollout.len() + sample;
         csv.push_str(&format!("{row}{numbers}\n"));
     }
     csv
 }
 
-/// The numbers around a failed update, as JSON; numbers that are not finite are `null`.
-fn circumstances(fault: &UpdateFault, rollout: &Rollout, returns: &[f32], log_std: &[f32]) -> String {
+/// The numbers of this rank around a failed update; those that are not finite are `null`.
+fn circumstances(
+    fault: &UpdateFault,
+    rollout: &Rollout,
+    episodes: &[EpisodeReport],
+    returns: &[f32],
+    log_std: &[f32],
+    shards: usize,
+) -> serde_json::Value {
     let range = |values: &[f32]| {
         let low = values.iter().copied().fold(f32::INFINITY, f32::min);
         let high = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
         let not_finite = values.iter().filter(|value| !value.is_finite()).count();
         serde_json::json!({ "low": low, "high": high, "not_finite": not_finite })
     };
-    let count = |end: End| rollout.episodes.iter().filter(|episode| episode.end == end).count();
+    let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
     let statistics = match fault {
         UpdateFault::NotFinite { summary, .. } => Some(summary),
-        UpdateFault::Shape { .. } | UpdateFault::Sample { .. } | UpdateFault::Candle(_) => None,
+        UpdateFault::Shape { .. }
+        | UpdateFault::Shards { .. }
+        | UpdateFault::Sample { .. }
+        | UpdateFault::Candle(_) => None,
     };
-    let told = serde_json::json!({
+    serde_json::json!({
         "message": fault.to_string(),
         "minibatch": statistics,
         "rollout": {
@@ -312,27 +427,87 @@ fn circumstances(fault: &UpdateFault, rollout: &Rollout, returns: &[f32], log_st
             "returns": range(returns),
             "falls": count(End::Fall),
             "faults": count(End::Fault),
-            "explained_variance": explained_variance(rollout, returns),
+            "explained_variance": explained_variance(&Alone, shards, rollout, returns),
         },
         "log_std": log_std,
-    });
-    format!("{told:#}\n")
-}
-
-/// An order of all samples for every epoch.
-fn permutations(seed: u64, iteration: u64, epochs: usize, samples: usize) -> Vec<Vec<u32>> {
-    (0..epochs)
-        .map(|epoch| {
-            let mut order: Vec<u32> = (0..samples as u32).collect();
-            order.shuffle(&mut stream(seed, Purpose::Shuffle, iteration, epoch as u64));
-            order
-        })
-        .collect()
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::LearnerKind;
+
+    /// A run of 8 shards with the arithmetic of this machine, which learns in the mirror too.
+    fn sharded(shards: usize) -> Config {
+        let mut config = Config::load("fast").unwrap();
+        config.ppo.batch_size = 256;
+        config.ppo.minibatch_size = 64;
+        config.ppo.environments = 16;
+        config.ppo.hidden_layers = vec![40, 8];
+        config.ppo.shards = shards;
+        config
+    }
+
+    #[test]
+    fn a_run_with_shards_has_the_same_bits_with_any_number_of_threads_and_over_a_resumption() {
+        let run = |threads: [usize; 3]| {
+            let mut trainer = Trainer::new("test", sharded(8), 3, threads[0]).unwrap();
+            let mut metrics = Vec::new();
+            for (index, threads) in threads.into_iter().enumerate() {
+                if index > 0 {
+                    let bytes = trainer.checkpoint().unwrap().to_bytes().unwrap();
+                    trainer = Trainer::resume(Checkpoint::from_bytes(&bytes).unwrap(), threads).unwrap();
+                }
+                let of_iteration = trainer.iterate().unwrap();
+                metrics.push(IterationMetrics { time: Timing::default(), ..of_iteration });
+            }
+            let mut end = trainer.checkpoint().unwrap();
+            end.run.elapsed_s = 0.0;
+            (metrics, end)
+        };
+        let one = run([1, 1, 1]);
+        assert!(run([2, 2, 2]) == one && run([3, 1, 2]) == one);
+    }
+
+    #[test]
+    fn each_minibatch_has_as_many_samples_of_every_shard_and_an_epoch_has_each_once() {
+        let trainer = Trainer::new("test", sharded(4), 0, 1).unwrap();
+        let orders = trainer.permutations(256);
+        assert!(orders.len() == 8 && orders[0] != orders[1]);
+        for order in orders {
+            for (index, rows) in order.chunks(16).enumerate() {
+                assert!(rows.iter().all(|row| *row as usize % 256 / 64 == index % 4), "{rows:?}");
+            }
+            let mut samples: Vec<u32> = order.iter().map(|row| row % 256).collect();
+            samples.sort_unstable();
+            assert!(samples.into_iter().eq(0..256));
+        }
+    }
+
+    #[test]
+    fn with_one_shard_an_order_is_a_plain_shuffle_of_all_samples() {
+        let mut config = sharded(1);
+        config.ppo.symmetry = false;
+        let mut expected: Vec<u32> = (0..256).collect();
+        expected.shuffle(&mut stream(5, Purpose::Shuffle, 0, 7));
+        assert_eq!(Trainer::new("test", config, 5, 1).unwrap().permutations(256)[7], expected);
+    }
+
+    #[test]
+    fn shards_that_nothing_divides_by_are_refused_by_name() {
+        for (shards, learner, expected) in [
+            (3, LearnerKind::Fused, "power of two"),
+            (32, LearnerKind::Fused, "ppo.environments (16)"),
+            (128, LearnerKind::Fused, "ppo.environments (16)"),
+            (2, LearnerKind::Candle, "candle"),
+        ] {
+            let mut config = sharded(shards);
+            config.ppo.learner = learner;
+            let error = Trainer::new("test", config, 0, 1).unwrap_err().to_string();
+            assert!(error.contains("ppo.shards") && error.contains(expected), "{error}");
+        }
+    }
 
     #[test]
     fn an_update_that_meets_nan_names_the_iteration_and_hands_over_the_minibatch() {

@@ -270,7 +270,7 @@ fn tiny_checkpoint() -> &'static Checkpoint {
     MADE.get_or_init(|| {
         let mut trainer = tiny_trainer();
         trainer.iterate().expect("an iteration");
-        let mut checkpoint = trainer.checkpoint();
+        let mut checkpoint = trainer.checkpoint().expect("a checkpoint");
         // Else the input of a number would not be the same the next time.
         checkpoint.run.elapsed_s = 1.5;
         checkpoint

@@ -8,6 +8,8 @@ mod licences;
 mod model;
 mod programs;
 mod provenance;
+#[cfg(feature = "mpi")]
+mod ranks;
 mod readme;
 mod robots;
 mod scenarios;

@@ -13,6 +13,7 @@ use crate::network::ActorCritic;
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{Progress, check};
 use crate::ppo::{Batch, Learner, LearnerState, UpdateFault, UpdateStatistics};
+use crate::ranks::Alone;
 
 /// A smaller divergence is zero: candle's means differ from those of the rollout in their last bits, which must not
 /// look like a policy that moves too little (see [`Ppo::adapted_learning_rate`]). One gradient step of the
@@ -32,9 +33,10 @@ impl CandleLearner {
     /// Continues from `state`.
     ///
     /// # Panics
-    /// When the minibatch size is zero.
+    /// When the minibatch size is zero, or there is more than one shard.
     pub fn new(state: LearnerState, settings: Ppo) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
+        assert_eq!(settings.shards, 1, "candle sums over a minibatch as it likes");
         Self { settings, state }
     }
 
@@ -46,9 +48,10 @@ impl CandleLearner {
         adam.first_moment = tensors(&state.first_moment)?;
         adam.second_moment = tensors(&state.second_moment)?;
         adam.steps = state.steps;
-        let mut progress = Progress::new(state.steps, state.learning_rate, settings, permutations);
+        let minibatches = Minibatch::all(batch, settings, permutations, &Alone);
+        let mut progress = Progress::new(state.steps, state.learning_rate, minibatches.len());
 
-        for minibatch in Minibatch::all(batch, settings, permutations) {
+        for minibatch in minibatches {
             let loss = Loss::new(&networks, &minibatch)?;
             let mut gradients = loss.total.backward()?;
             let norm = norm(&gradients, &networks.variables)?;
@@ -75,7 +78,7 @@ impl CandleLearner {
 impl Learner for CandleLearner {
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
         let policy = &self.state.parameters.policy;
-        check(batch, permutations, policy.inputs(), policy.outputs())?;
+        check(batch, permutations, [policy.inputs(), policy.outputs()], &self.settings, &Alone)?;
         // One thread: the products of single layers are so small that waking others costs more than they bring.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
         let pool = pool.map_err(|error| UpdateFault::Candle(error.to_string()))?;

@@ -90,6 +90,7 @@ mod tests {
     use crate::network::{ActorCritic, Layer, Mlp};
     use crate::ppo::Batch;
     use crate::ppo::loss::tests::settings;
+    use crate::ranks::Alone;
 
     /* The expected numbers:
     import numpy as np
@@ -125,7 +126,8 @@ mod tests {
             returns: &[0.5, 2.0, -1.0],
         };
         let networks = Networks::new(&network, DType::F64).unwrap();
-        let loss = Loss::new(&networks, &Minibatch::new(&batch, &settings(), 0, 0, &[0, 1, 2])).unwrap();
+        let (settings, orders) = (settings(), [vec![0, 1, 2]]);
+        let loss = Loss::new(&networks, &Minibatch::all(&batch, &settings, &orders, &Alone)[0]).unwrap();
         for (name, actual, expected) in [
             ("policy", loss.policy, -0.030324988),
             ("value", loss.value, 0.958333333),

@@ -3,6 +3,7 @@ What the three phases of an update compute with.
 */
 
 use std::fmt::Debug;
+use std::ops::Range;
 
 use super::losses::Pass;
 use super::optimizer::{AdamStep, Parameters};
@@ -18,8 +19,42 @@ pub struct Chunk {
     pub start: usize,
     /// Number of blocks.
     pub blocks: usize,
-    /// Whether the minibatch ends with it.
+    /// Whether the gradient is whole with it: the minibatch ends, and no other rank adds to it.
+    pub completes: bool,
+    /// Blocks of each shard.
+    pub shard_blocks: usize,
+    /// Shards of the minibatch on this rank.
+    pub shards: usize,
+}
+
+/// Blocks of a chunk that belong to one shard.
+#[derive(Debug, Clone)]
+pub struct Piece {
+    /// Counted from the start of the chunk.
+    pub blocks: Range<usize>,
+    /// Counted from zero.
+    pub shard: usize,
+    /// Whether the shard begins with it.
+    pub is_first: bool,
+    /// Whether the shard ends with it.
     pub is_last: bool,
+}
+
+impl Chunk {
+    /// Its blocks, shard by shard.
+    pub fn pieces(self) -> impl Iterator<Item = Piece> {
+        let (first, end) = (self.start, self.start + self.blocks);
+        (first / self.shard_blocks..end.div_ceil(self.shard_blocks)).map(move |shard| {
+            let of_shard = shard * self.shard_blocks..(shard + 1) * self.shard_blocks;
+            let (from, to) = (first.max(of_shard.start), end.min(of_shard.end));
+            Piece {
+                blocks: from - first..to - first,
+                shard,
+                is_first: from == of_shard.start,
+                is_last: to == of_shard.end,
+            }
+        })
+    }
 }
 
 /// Both networks, their gradients and Adam's moments in one arithmetic. Every phase is called by all threads of a team.
@@ -49,13 +84,35 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
         loss: impl Fn(Pass<'_>),
     );
 
-    /// Phase 2: the gradient of all weights, added to that of the chunks before; after the last chunk its sum of squares
-    /// goes to `conclude`, on one thread.
+    /// Phase 2: the gradient of all weights, added to that of the chunks before, in order within shards and over the tree of
+    /// them; after the last chunk its sum of squares goes to `conclude`, on one thread.
     fn gradients(&self, team: Member<'_>, workspace: &mut Self::Workspace, chunk: Chunk, conclude: impl FnOnce(f64));
+
+    /// Panels of weights, each with its gradient.
+    fn panels(&self) -> usize;
+
+    /// Reads or replaces the gradient of a panel, and returns its sum of squares.
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64;
 
     /// Phase 3: a step of all weights.
     fn steps(&self, team: Member<'_>, workspace: &mut Self::Workspace, step: &AdamStep);
 
     /// Writes a part of all weights and biases into `networks`, as plain numbers.
     fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn chunks_are_cut_where_shards_end() {
+        let pieces = |start, blocks| {
+            let chunk = Chunk { start, blocks, completes: false, shard_blocks: 3, shards: 4 };
+            chunk.pieces().map(|piece| (piece.blocks, piece.shard, piece.is_first, piece.is_last)).collect::<Vec<_>>()
+        };
+        assert_eq!(pieces(0, 4), [(0..3, 0, true, true), (3..4, 1, true, false)]);
+        assert_eq!(pieces(4, 4), [(0..2, 1, false, true), (2..4, 2, true, false)]);
+        assert_eq!(pieces(4, 1), [(0..1, 1, false, false)]);
+    }
 }

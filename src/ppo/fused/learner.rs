@@ -4,7 +4,7 @@ The fused learner: one PPO update on all cores.
 Each minibatch goes through three phases, each a list of independent tasks:
 
 1. forward pass, loss and backward pass of one network over one block of rows;
-2. gradient of one panel of weights, summed over all rows in order;
+2. gradient of one panel of weights, summed over the rows of each shard in order, and over the tree of [shards](crate::ranks);
 3. Adam for one panel.
 
 Phases 1 and 2 are repeated for each [`Chunk`] of the minibatch, so that what the one leaves for the other is still in the
@@ -14,7 +14,7 @@ Each list has the policy's tasks first and then the value function's, so that th
 they need in their own caches (see [`Team`]). Parameters have the same bits for any number of threads.
 */
 
-use std::sync::{Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use pulp::Arch;
 
@@ -28,21 +28,38 @@ use crate::network::kernels::{Buffer, SumOfSquares};
 use crate::ppo::loss::Minibatch;
 use crate::ppo::update::{Progress, check};
 use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
+use crate::ranks::{Ranks, tree_sum};
+
+/// Sums of [`FusedLearner::totals`] before those of `ln σ`.
+const LOSSES: usize = 4;
 
 /// Rows of a chunk for two threads.
 const CHUNK_ROWS: usize = 256;
+
+/// What several ranks have summed.
+#[derive(Debug, Default)]
+struct Exchanged {
+    /// All panels, one after the other.
+    gradient: Vec<f32>,
+    /// See [`FusedLearner::totals`].
+    totals: Vec<f64>,
+    /// Of the squares of each panel's gradient.
+    squares: Vec<f64>,
+}
 
 /// Trains an [`ActorCritic`] by PPO, as fast as we know how.
 #[derive(Debug)]
 pub struct FusedLearner<A> {
     settings: Ppo,
     threads: usize,
+    ranks: Arc<dyn Ranks>,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<Parameters>,
     /// Of a chunk.
     chunk_blocks: usize,
     /// Of each block of the policy and of the value function.
     sums: [Vec<Mutex<Sums>>; 2],
+    exchanged: Mutex<Exchanged>,
     steps: u64,
     learning_rate: f64,
     /// Zeros, for their shapes.
@@ -54,18 +71,21 @@ impl<A: Arithmetic> FusedLearner<A> {
     ///
     /// # Panics
     /// When the minibatch size is zero, or the moments do not have the shapes of the parameters.
-    pub fn new(state: &LearnerState, settings: Ppo, threads: usize) -> Self {
+    pub fn new(state: &LearnerState, settings: Ppo, threads: usize, ranks: Arc<dyn Ranks>) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
         let threads = threads.max(1);
-        let blocks = settings.minibatch_size.div_ceil(A::BLOCK);
+        let shards = settings.shards / ranks.count();
+        let blocks = shards * (settings.minibatch_size / settings.shards).div_ceil(A::BLOCK);
         let chunk_blocks = (CHUNK_ROWS * threads.div_ceil(2) / A::BLOCK).min(blocks);
         Self {
             arithmetic: A::new(parts, chunk_blocks),
             chunk_blocks,
             log_std: RwLock::new(Parameters::new(parts.map(|part| Buffer::from(&*part.log_std)))),
             sums: std::array::from_fn(|_| (0..blocks).map(|_| Mutex::default()).collect()),
+            exchanged: Mutex::default(),
             threads,
+            ranks,
             steps: state.steps,
             learning_rate: state.learning_rate,
             shapes: state.parameters.zeros_like(),
@@ -99,41 +119,85 @@ impl<A: Arithmetic> FusedLearner<A> {
                 pass.value_loss(minibatch, rows)
             };
         };
-        let blocks = minibatch.rows.len().div_ceil(A::BLOCK);
-        let mut conclude = Some(|squares| conclude(self.summary(minibatch, squares)));
+        let (shards, shard_blocks) = (minibatch.shards, minibatch.shard_blocks(A::BLOCK));
+        let blocks = shards * shard_blocks;
+        let (mut conclude, are_several) = (Some(conclude), self.ranks.count() > 1);
         for start in (0..blocks).step_by(self.chunk_blocks) {
             let end = blocks.min(start + self.chunk_blocks);
-            let chunk = Chunk { start, blocks: end - start, is_last: end == blocks };
+            let completes = end == blocks && !are_several;
+            let chunk = Chunk { start, blocks: end - start, completes, shard_blocks, shards };
             self.arithmetic.passes(team, workspace, minibatch, chunk, loss);
             self.arithmetic.gradients(team, workspace, chunk, |squares| {
-                if let Some(conclude) = conclude.take_if(|_| chunk.is_last) {
-                    conclude(squares);
+                if let Some(conclude) = conclude.take_if(|_| completes) {
+                    conclude(self.summary(minibatch, &self.totals(minibatch), squares));
                 }
             });
         }
+        if let Some(conclude) = conclude.filter(|_| are_several) {
+            self.exchange(team, minibatch, conclude);
+        }
     }
 
-    /// The gradient of `ln σ`, the losses and the gradient norm, `squares` being that of all weights.
-    fn summary(&self, minibatch: &Minibatch<'_>, squares: f64) -> UpdateStatistics {
-        let count = minibatch.rows.chunks(A::BLOCK).len();
-        let sum = |network: usize, part: &dyn Fn(&Sums) -> f64| {
-            self.sums[network][..count].iter().map(|sums| part(&lock(sums))).sum::<f64>()
+    /// Sums gradients and losses over all ranks.
+    fn exchange(&self, team: Member<'_>, minibatch: &Minibatch<'_>, conclude: impl FnOnce(UpdateStatistics)) {
+        let arithmetic = &self.arithmetic;
+        let sum = || {
+            let Exchanged { gradient, totals, squares } = &mut *lock(&self.exchanged);
+            gradient.clear();
+            for panel in 0..arithmetic.panels() {
+                arithmetic.gradient(panel, |own| gradient.extend_from_slice(own));
+            }
+            *totals = self.totals(minibatch);
+            self.ranks.sum(gradient, totals);
+            let mut rest = &gradient[..];
+            squares.clear();
+            squares.extend((0..arithmetic.panels()).map(|panel| {
+                arithmetic.gradient(panel, |own| {
+                    let (summed, others) = rest.split_at(own.len());
+                    own.copy_from_slice(summed);
+                    rest = others;
+                })
+            }));
+            conclude(self.summary(minibatch, totals, squares.iter().sum()));
         };
-        let mean = |network, part: fn(&Sums) -> f64| sum(network, &part) / minibatch.rows.len() as f64;
+        team.phase(0, |_| (), sum);
+    }
+
+    /// Of this rank's shards, over their tree: policy loss, divergence, clipped samples, value loss and the gradient of the
+    /// policy loss by `ln σ`.
+    fn totals(&self, minibatch: &Minibatch<'_>) -> Vec<f64> {
+        let shard_blocks = minibatch.shard_blocks(A::BLOCK);
+        let sum = |network: usize, part: &dyn Fn(&Sums) -> f64| {
+            let of_shard = |shard: usize| &self.sums[network][shard * shard_blocks..][..shard_blocks];
+            tree_sum(minibatch.shards, |shard| of_shard(shard).iter().map(|sums| part(&lock(sums))).sum())
+        };
+        let losses = [
+            sum(0, &|sums| sums.policy_loss),
+            sum(0, &|sums| sums.kl),
+            sum(0, &|sums| sums.clipped),
+            sum(1, &|sums| sums.value_loss),
+        ];
+        let log_std = (0..minibatch.batch.log_std.len()).map(|i| sum(0, &|sums| sums.log_std_gradient[i]));
+        losses.into_iter().chain(log_std).collect()
+    }
+
+    /// The gradient of `ln σ`, the losses and the gradient norm, `totals` and `squares` being those of all ranks and weights.
+    fn summary(&self, minibatch: &Minibatch<'_>, totals: &[f64], squares: f64) -> UpdateStatistics {
+        let mean = |index: usize| totals[index] / minibatch.samples as f64;
         let mut log_std = write(&self.log_std);
-        for (i, gradient) in log_std.gradient.iter_mut().enumerate() {
-            let sum = sum(0, &|sums| sums.log_std_gradient[i]);
+        for (gradient, sum) in log_std.gradient.iter_mut().zip(&totals[LOSSES..]) {
             *gradient = (sum - minibatch.settings.entropy_coefficient) as f32;
         }
+        let blocks = minibatch.shards * minibatch.shard_blocks(A::BLOCK);
         let gradient_norm = (squares + Arch::new().dispatch(SumOfSquares(&log_std.gradient))).sqrt();
-        let kl = mean(0, |sums| sums.kl);
+        let kl = mean(1);
         UpdateStatistics {
-            policy_loss: mean(0, |sums| sums.policy_loss),
-            value_loss: mean(1, |sums| sums.value_loss),
+            policy_loss: mean(0),
+            value_loss: mean(3),
             entropy: DiagonalGaussian::new(&log_std.values).entropy(),
             kl: if kl.abs() < A::KL_ROUNDING { 0.0 } else { kl },
-            clip_fraction: mean(0, |sums| sums.clipped),
-            max_ratio: self.sums[0][..count].iter().map(|sums| lock(sums).max_ratio).fold(0.0, f64::max),
+            clip_fraction: mean(2),
+            max_ratio: self.sums[0][..blocks].iter().map(|sums| lock(sums).max_ratio).fold(0.0, f64::max),
             gradient_norm,
             max_gradient_norm: gradient_norm,
             learning_rate: 0.0,
@@ -151,14 +215,16 @@ impl<A: Arithmetic> FusedLearner<A> {
 
 impl<A: Arithmetic> Learner for FusedLearner<A> {
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
-        check(batch, permutations, self.shapes.policy.inputs(), self.shapes.policy.outputs())?;
-        let progress = Mutex::new(Progress::new(self.steps, self.learning_rate, &self.settings, permutations));
+        let policy = &self.shapes.policy;
+        check(batch, permutations, [policy.inputs(), policy.outputs()], &self.settings, &*self.ranks)?;
+        let minibatches = Minibatch::all(batch, &self.settings, permutations, &*self.ranks);
+        let progress = Mutex::new(Progress::new(self.steps, self.learning_rate, minibatches.len()));
         Team::run(self.threads, |team| {
             let workspace = &mut self.arithmetic.workspace();
-            for minibatch in Minibatch::all(batch, &self.settings, permutations) {
-                self.differentiate(team, workspace, &minibatch, |summary| {
+            for minibatch in &minibatches {
+                self.differentiate(team, workspace, minibatch, |summary| {
                     let mut progress = lock(&progress);
-                    progress.conclude(&minibatch, summary);
+                    progress.conclude(minibatch, summary);
                     if let Some(step) = progress.step {
                         self.step_log_std(&AdamStep::new(&self.settings, &step));
                     }
@@ -171,7 +237,13 @@ impl<A: Arithmetic> Learner for FusedLearner<A> {
         let progress = progress.into_inner().unwrap_or_else(PoisonError::into_inner);
         self.steps = progress.steps;
         self.learning_rate = progress.learning_rate;
-        progress.fault.map_or(Ok(progress.statistics), Err)
+        let mut statistics = progress.statistics;
+        // The largest over all ranks; the rest are sums over them already.
+        for other in self.ranks.gather(statistics.max_ratio.to_le_bytes().to_vec()) {
+            let other = other.first_chunk().map_or(0.0, |bytes| f64::from_le_bytes(*bytes));
+            statistics.max_ratio = statistics.max_ratio.max(other);
+        }
+        progress.fault.map_or(Ok(statistics), Err)
     }
 
     fn state(&self) -> LearnerState {

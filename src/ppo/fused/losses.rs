@@ -57,7 +57,7 @@ impl Pass<'_> {
             sums.max_ratio = sums.max_ratio.max(ratio.min(f64::MAX));
             sums.kl += kl.at(&batch.means[row * actions..][..actions], mean);
 
-            let slope = surrogate.slope / minibatch.rows.len() as f64;
+            let slope = surrogate.slope / minibatch.samples as f64;
             for (i, inverse_std) in new.inverse_std().iter().enumerate() {
                 let z = (f64::from(action[i]) - f64::from(mean[i])) * inverse_std;
                 delta[i] = (slope * z * inverse_std) as f32;
@@ -69,7 +69,7 @@ impl Pass<'_> {
 
     /// The value loss of `rows` and its gradient by the values.
     pub fn value_loss(self, minibatch: &Minibatch<'_>, rows: &[u32]) -> Sums {
-        let scale = 2.0 * minibatch.settings.value_coefficient / minibatch.rows.len() as f64;
+        let scale = 2.0 * minibatch.settings.value_coefficient / minibatch.samples as f64;
         let mut value_loss = 0.0;
         for ((value, delta), &row) in
             self.outputs.chunks(self.stride).zip(self.deltas.chunks_mut(self.stride)).zip(rows)

@@ -14,6 +14,7 @@ mod panels;
 pub(in crate::ppo) mod team;
 #[cfg(tiles)]
 mod tiles;
+mod tree;
 
 pub use arithmetic::{Arithmetic, Chunk};
 pub use learner::FusedLearner;

@@ -14,7 +14,7 @@ use supple::util::terminal;
 use supple_evaluate::contestants::Contest;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::{Command, Report, Section};
-use supple_evaluate::runner::{self, Measurement, Settings};
+use supple_evaluate::runner::{self, Settings};
 use supple_evaluate::store::Store;
 
 fn main() -> ExitCode {
@@ -48,27 +48,28 @@ fn run(args: &Args) -> anyhow::Result<()> {
             progress.expect(runner::work(experiment, &contest, settings)?);
         }
     }
+    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
+        for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
+            progress.begin(&experiment.info());
+            runner::measure(experiment, &contest, settings, &|work| progress.advance(work))?;
+            progress.end(&experiment.info(), settings.sensing);
+        }
+    }
+    progress.finish();
+
+    // What other processes have measured meanwhile belongs to the report, too; the last of them finds everything.
+    let _claim = settings.store.claim_report()?;
     for experiment in protocol.experiments() {
-        let info = experiment.info();
-        let mut measure = |settings: &Settings| -> anyhow::Result<Option<Measurement>> {
-            if !(wanted(info.name) && is_run(settings)) {
-                return Ok(runner::finished(experiment, &contest, &settings.store, settings.sensing)?);
-            }
-            progress.begin(&info);
-            let measurement = runner::measure(experiment, &contest, settings, &|work| progress.advance(work))?;
-            progress.end(&info, settings.sensing);
-            Ok(Some(measurement))
-        };
-        let (truth, estimated) = (measure(&settings)?, measure(&on_sensors)?);
+        let finished = |sensing| runner::finished(experiment, &contest, &settings.store, sensing);
+        let (truth, estimated) = (finished(Sensing::True)?, finished(Sensing::Estimated)?);
         if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
             report.sensing.add(experiment, truth, estimated);
         }
         match truth {
             Some(measurement) => report.add(Section::new(experiment, &measurement)),
-            None => report.missing.push(info),
+            None => report.missing.push(experiment.info()),
         }
     }
-    progress.finish();
     report.write(&args.out)?;
     if let Some(path) = &args.results {
         report.write_document(path)?;

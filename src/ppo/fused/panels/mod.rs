@@ -88,28 +88,44 @@ impl Arithmetic for Panels {
                 .collect();
             let width = padded(panel.outputs());
             let delta_stride = row_stride(panel.layer_outputs);
-            if chunk.start == 0 {
-                panel.parameters.gradient.fill(0.0);
+            for piece in chunk.pieces() {
+                let stretches = &stretches[piece.blocks];
+                if piece.is_first {
+                    panel.parameters.gradient.fill(0.0);
+                }
+                let (weights, bias) = panel.parameters.gradient.split_at_mut(panel.inputs * width);
+                let product = Product {
+                    rows: panel.inputs,
+                    columns: width,
+                    stretches,
+                    a_transposed: true,
+                    a_stride: row_stride(panel.inputs),
+                    b_stride: delta_stride,
+                    ends: Ends::Add,
+                    c: weights,
+                    c_stride: width,
+                };
+                product.compute(self.arch);
+                self.arch.dispatch(ColumnSums { stretches, b_stride: delta_stride, sums: bias });
+                if piece.is_last {
+                    panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
+                }
             }
-            let (weights, bias) = panel.parameters.gradient.split_at_mut(panel.inputs * width);
-            let product = Product {
-                rows: panel.inputs,
-                columns: width,
-                stretches: &stretches,
-                a_transposed: true,
-                a_stride: row_stride(panel.inputs),
-                b_stride: delta_stride,
-                ends: Ends::Add,
-                c: weights,
-                c_stride: width,
-            };
-            product.compute(self.arch);
-            self.arch.dispatch(ColumnSums { stretches: &stretches, b_stride: delta_stride, sums: bias });
-            if chunk.is_last {
+            if chunk.completes {
                 panel.squares = self.arch.dispatch(SumOfSquares(&panel.parameters.gradient));
             }
         };
         team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
+    }
+
+    fn panels(&self) -> usize {
+        self.panels.len()
+    }
+
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64 {
+        let panel = &mut *write(&self.panels[panel]);
+        with(&mut panel.parameters.gradient);
+        self.arch.dispatch(SumOfSquares(&panel.parameters.gradient))
     }
 
     fn steps(&self, team: Member<'_>, (): &mut (), step: &AdamStep) {

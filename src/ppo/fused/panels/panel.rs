@@ -6,6 +6,7 @@ use crate::network::Layer;
 use crate::network::kernels::{Buffer, padded, row_stride};
 use crate::network::panel::{pack, panel_outputs};
 use crate::ppo::fused::optimizer::Parameters;
+use crate::ppo::fused::tree::Tree;
 
 /// A panel in training.
 #[derive(Debug)]
@@ -25,6 +26,8 @@ pub struct Panel {
     /// The weights the other way round, for the backward product; shape (outputs of the panel, inputs). Empty in the
     /// first layer, whose input needs no gradient.
     pub transposed: Buffer,
+    /// Gradients of shards on their way to the sum.
+    pub tree: Tree,
     /// Sum of squares of the gradient.
     pub squares: f64,
 }
@@ -42,6 +45,7 @@ impl Panel {
             first,
             parameters: Parameters::new([values, first_moment, second_moment].map(|layer| pack(layer, first))),
             transposed: Buffer::zeros(transposed_rows * row_stride(inputs)),
+            tree: Tree::default(),
             squares: 0.0,
         };
         panel.transpose();

@@ -109,20 +109,36 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
             let (depth, index) = (panel.depth, panel.index);
             let operands: Vec<_> =
                 blocks.iter().map(|block| (&block.deltas[depth][index], &*block.inputs[depth])).collect();
-            let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
-            let add = chunk.start > 0;
-            self.simd.vectorize(Gradient { unit: &workspace.unit, operands: &operands, add, weights });
-            if !add {
-                biases.fill(0.0);
+            for piece in chunk.pieces() {
+                let (blocks, operands) = (&blocks[piece.blocks.clone()], &operands[piece.blocks]);
+                let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
+                let add = !piece.is_first;
+                self.simd.vectorize(Gradient { unit: &workspace.unit, operands, add, weights });
+                if !add {
+                    biases.fill(0.0);
+                }
+                for block in blocks {
+                    biases.iter_mut().zip(&block.bias[depth][32 * index..]).for_each(|(sum, bias)| *sum += bias);
+                }
+                if piece.is_last {
+                    panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
+                }
             }
-            for block in &blocks {
-                biases.iter_mut().zip(&block.bias[depth][32 * index..]).for_each(|(sum, bias)| *sum += bias);
-            }
-            if chunk.is_last {
+            if chunk.completes {
                 panel.squares = pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient));
             }
         };
         team.phase(self.panels.len(), task, || conclude(self.panels.iter().map(|panel| read(panel).squares).sum()));
+    }
+
+    fn panels(&self) -> usize {
+        self.panels.len()
+    }
+
+    fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64 {
+        let panel = &mut *write(&self.panels[panel]);
+        with(&mut panel.parameters.gradient);
+        pulp::Simd::vectorize(self.simd, SumOfSquares(&panel.parameters.gradient))
     }
 
     fn steps(&self, team: Member<'_>, _: &mut Self::Workspace, step: &AdamStep) {

@@ -13,6 +13,7 @@ use super::unit::{Operand, SQUARE};
 use crate::network::Layer;
 use crate::network::kernels::Buffer;
 use crate::ppo::fused::optimizer::Parameters;
+use crate::ppo::fused::tree::Tree;
 
 /// A panel in training.
 #[derive(Debug)]
@@ -28,6 +29,8 @@ pub struct Panel<const FORWARD: usize, const BACKWARD: usize> {
     pub forward: Vec<Operand<FORWARD>>,
     /// Right operands of the backward product; none in the first layer, whose input needs no gradient.
     pub backward: Vec<Operand<BACKWARD>>,
+    /// Gradients of shards on their way to the sum.
+    pub tree: Tree,
     /// Sum of squares of the gradient.
     pub squares: f64,
 }
@@ -43,6 +46,7 @@ impl<const FORWARD: usize, const BACKWARD: usize> Panel<FORWARD, BACKWARD> {
             parameters: Parameters::new(layers.map(|layer| pack(layer, index))),
             forward: vec![Operand::ZERO; inputs],
             backward: vec![Operand::ZERO; if depth == 0 { 0 } else { inputs }],
+            tree: Tree::default(),
             squares: 0.0,
         };
         panel.refresh(simd);

@@ -1,0 +1,183 @@
+/*! The processes that train one run together, and the order in which they sum.
+
+A run is divided into `ppo.shards` equal parts, a power of two: shard `s` of `S` has environments `s·E/S` to `(s + 1)·E/S`,
+the samples they make, an order of its own in which those are learnt from, and an equal part of every minibatch. Whatever
+is summed over samples is summed within each shard in order, then over shards by a fixed tree,
+`((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7))`. A rank has the same number of shards as every other, one after the other, so
+that its sum is a node of that tree: the result depends on the number of shards, but neither on that of ranks nor on that
+of threads.
+
+[`Alone`] is a program by itself; with the feature `mpi`, `Mpi` is one of those that `mpirun` has started.
+*/
+
+#[cfg(feature = "mpi")]
+mod mpi;
+
+#[cfg(feature = "mpi")]
+pub use self::mpi::Mpi;
+
+use std::fmt::{Debug, Display};
+use std::ops::Range;
+use std::sync::Arc;
+
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use crate::util::yaml;
+
+/// This process among those that train together. Whatever is done together is called by all of them, in the same order.
+pub trait Ranks: Debug + Send + Sync {
+    /// Which of them it is, counted from zero.
+    fn index(&self) -> usize;
+
+    /// How many there are; a power of two wherever a run is trained.
+    fn count(&self) -> usize;
+
+    /// Whether nobody started it as a rank, not even as the only one.
+    fn is_alone(&self) -> bool {
+        false
+    }
+
+    /// What a rank below [`count`](Ranks::count) is called, with the machine that it is on.
+    fn name(&self, rank: usize) -> String;
+
+    /// Replaces numbers by their sums over all ranks, over a fixed tree.
+    fn sum(&self, singles: &mut Vec<f32>, doubles: &mut Vec<f64>);
+
+    /// What every rank has to say, rank by rank.
+    fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>>;
+
+    /// The part of `whole` that is this rank's, `whole` being a multiple of their number.
+    fn share(&self, whole: usize) -> Range<usize> {
+        let each = whole / self.count();
+        self.index() * each..(self.index() + 1) * each
+    }
+}
+
+/// A program by itself.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Alone;
+
+impl Alone {
+    /// As it is passed around.
+    pub fn shared() -> Arc<dyn Ranks> {
+        Arc::new(Alone)
+    }
+}
+
+impl Ranks for Alone {
+    fn is_alone(&self) -> bool {
+        true
+    }
+
+    fn index(&self) -> usize {
+        0
+    }
+
+    fn count(&self) -> usize {
+        1
+    }
+
+    fn name(&self, _: usize) -> String {
+        "this process".into()
+    }
+
+    fn sum(&self, _: &mut Vec<f32>, _: &mut Vec<f64>) {}
+
+    fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>> {
+        vec![own]
+    }
+}
+
+/// The sum of `part` over `shards`, a power of two of them, over their tree.
+pub fn tree_sum(shards: usize, part: impl Fn(usize) -> f64) -> f64 {
+    fn node(shards: Range<usize>, part: &impl Fn(usize) -> f64) -> f64 {
+        if shards.len() < 2 {
+            return part(shards.start);
+        }
+        let middle = shards.start + shards.len() / 2;
+        node(shards.start..middle, part) + node(middle..shards.end, part)
+    }
+    node(0..shards, &part)
+}
+
+/// The sum of `of` over the samples of all ranks, of which `samples` in `shards` shards are here.
+pub fn sum_over_samples(ranks: &dyn Ranks, shards: usize, samples: usize, of: impl Fn(usize) -> f64) -> f64 {
+    let size = samples / shards;
+    let mut sum = vec![tree_sum(shards, |shard| (shard * size..(shard + 1) * size).map(&of).sum())];
+    ranks.sum(&mut Vec::new(), &mut sum);
+    sum[0]
+}
+
+/// Whether it is so on any rank.
+pub fn any(ranks: &dyn Ranks, own: bool) -> bool {
+    let mut count = vec![f64::from(u8::from(own))];
+    ranks.sum(&mut Vec::new(), &mut count);
+    count[0] > 0.0
+}
+
+/// What went wrong on one of several ranks, known to all.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{name}: {problem}")]
+pub struct RankError {
+    /// Rank and host.
+    pub name: String,
+    /// In its own words.
+    pub problem: String,
+}
+
+/// What every rank has come to, rank by rank, or what the first one that failed says.
+///
+/// # Errors
+/// A single rank's own error; of several ranks, a [`RankError`] on all of them.
+pub fn agree<T, E>(ranks: &dyn Ranks, own: Result<T, E>) -> Result<Vec<T>, E>
+where
+    T: Serialize + DeserializeOwned,
+    E: Display + From<RankError>,
+{
+    if ranks.count() == 1 {
+        return own.map(|own| vec![own]);
+    }
+    let told = own.map_err(|error| error.to_string());
+    let bytes = serde_json::to_vec(&told).or_else(|error| serde_json::to_vec(&Err::<T, _>(error.to_string())));
+    let told = ranks.gather(bytes.unwrap_or_default());
+    let read = |(rank, bytes): (usize, &Vec<u8>)| {
+        let told = serde_json::from_slice::<Result<T, String>>(bytes).map_err(|error| error.to_string());
+        told.flatten().map_err(|problem| RankError { name: ranks.name(rank), problem }.into())
+    };
+    told.iter().enumerate().map(read).collect()
+}
+
+/// Checks that facts, by name, are the same on all ranks as on the first.
+///
+/// # Errors
+/// A [`RankError`] that names a rank on which they are not, and which ones; the same on all of them.
+pub fn check_alike(ranks: &dyn Ranks, facts: Value) -> Result<(), RankError> {
+    let all = agree::<_, RankError>(ranks, Ok(facts))?;
+    for (rank, own) in all.iter().enumerate() {
+        let differences = yaml::differences(own, &all[0]).into_iter();
+        let differences: Vec<_> =
+            differences.map(|(fact, [own, first])| format!("{fact} is {own}, not {first}")).collect();
+        if !differences.is_empty() {
+            let problem = format!("not like {}: {}", ranks.name(0), differences.join("; "));
+            return Err(RankError { name: ranks.name(rank), problem });
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_summed_over_a_tree_and_not_in_order() {
+        let parts = [1e16, 1.0, 1.0, 1.0];
+        // (10¹⁶ + 1) + (1 + 1): the first sum loses its 1, as 10¹⁶ has neighbours at a distance of 2. In order all are lost.
+        assert_eq!(tree_sum(4, |shard| parts[shard]), 1e16 + 2.0);
+        assert_eq!(parts.iter().sum::<f64>(), 1e16);
+        assert_eq!(sum_over_samples(&Alone, 4, 4, |row| parts[row]), 1e16 + 2.0);
+        assert_eq!(sum_over_samples(&Alone, 1, 4, |row| parts[row]), 1e16);
+    }
+}
