@@ -66,8 +66,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     for (name, agent) in &mut robots {
         let asked = scenario.task().compliance;
         agent.told = if agent.told > 0.0 { agent.told } else { asked };
-        let told = agent.told;
-        agent.check_compliance(told).with_context(|| format!("{name} with a compliance of {told}"))?;
+        agent.check_compliance(agent.told).with_context(|| name.clone())?;
     }
     let scripts = scripts(args, scenario, &robots, args.seed)?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
