@@ -135,7 +135,7 @@ def test_experiments_have_the_numbers_that_the_program_keeps(programs, tmp_path)
     policy = supple.Policy.load(programs.root / POLICY)
     [kept] = [
         stored
-        for file in (tmp_path / "results/table4").iterdir()
+        for file in (tmp_path / "results/table4").glob("*.json")
         if (stored := json.loads(file.read_text()))["sha256"] == policy.sha256
     ]
     measured = supple.evaluate(policy, ["table4"], threads=2)["table4"]
