@@ -211,8 +211,9 @@ impl Contest {
 impl Side {
     /// All policies that a path stands for.
     fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
-        let (text, compliance) = path.to_str().map_or(("", 0.0), told);
-        let path = if compliance > 0.0 { Path::new(text) } else { path };
+        let text = paths::as_text(path);
+        let (text, compliance) = told(&text);
+        let path = &paths::as_path(text);
         let files = if path.is_file() {
             vec![path.to_owned()]
         } else if path.join("run.json").exists() {
@@ -228,7 +229,7 @@ impl Side {
             }
         };
         let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-        Side::load(name, path, files, compliance, || "*.safetensors or *.yaml".into())
+        Side::load(name, path, files, compliance.unwrap_or(0.0), || "*.safetensors or *.yaml".into())
     }
 
     fn load(

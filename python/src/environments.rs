@@ -127,14 +127,12 @@ type Stepped<'py> = (
 #[pymethods]
 impl Environments {
     #[new]
-    #[allow(clippy::too_many_arguments)]
     fn new(
         py: Python<'_>,
         config: &str,
         num_envs: usize,
         seed: u64,
         threads: usize,
-        curriculum: Option<(f64, bool, f64)>,
         stagger: bool,
         autoreset: &str,
     ) -> PyResult<Self> {
@@ -144,7 +142,7 @@ impl Environments {
         let robot = config.robot.load().map_err(refused)?;
         let layout = config.layout().map_err(ValueError::Observation).map_err(refused)?;
         let layout = Arc::new(layout);
-        let first_curriculum = curriculum.map_or(Ok(Curriculum::new(&config.command)), checked)?;
+        let first_curriculum = Curriculum::new(&config.command);
         let world = apart(py, || {
             let environment = |index| {
                 if index % MADE == 0 {
@@ -167,7 +165,7 @@ impl Environments {
                 seed: Some(seed),
                 curriculum: first_curriculum,
                 first_curriculum,
-                advances: curriculum.is_none(),
+                advances: true,
                 batch_steps: config.ppo.batch_size.div_ceil(num_envs),
                 steps: 0,
                 episodes: vec![Vec::new(); num_envs],

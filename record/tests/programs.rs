@@ -183,7 +183,7 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
     let rows = other.actor.layers[1].weight.len() - other.actor.layers[1].inputs();
     other.actor.layers[1].weight.truncate(8 * 11.min(rows));
     std::fs::write(folder.path().join("other.safetensors"), other.to_bytes().unwrap()).unwrap();
-    let cases: [(&[&str], &str); 12] = [
+    let cases: [(&[&str], &str); 13] = [
         (&["push", "--policy", "nobody"], "there is no policy 'nobody'"),
         (&["push", "--policy", "cut.safetensors"], "was it cut off"),
         (&["push", "--policy", "other.safetensors"], "should have shape [12], but has shape [11]"),
@@ -198,6 +198,7 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
         (&["walk", "--policy", "standing.safetensors", "--compliance", "0.02"], "run `policy calibrate`"),
         (&["walk", "--policy", "baseline", "--compliance", "0.5"], "baseline: a compliance of 0.5"),
         (&["walk", "--policy", "compliant", "--compare", "baseline@0.5"], "baseline@0.5: a compliance of 0.5"),
+        (&["walk", "--policy", "baseline@-1"], "baseline@-1: a compliance of -1"),
         (
             &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],
             "--duration-s is 100, expected a way",

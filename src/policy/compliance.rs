@@ -66,10 +66,10 @@ pub enum ComplianceError {
     NotCalibrated,
 }
 
-/// A policy as it is asked for, without the compliance [m/s/N] behind its `@`, and that; 0 without: `baseline@0.03`.
-pub fn told(name: &str) -> (&str, f64) {
-    let split = name.rsplit_once('@').and_then(|(name, number)| Some((name, number.parse().ok()?)));
-    split.unwrap_or((name, 0.0))
+/// A policy as it is asked for, without the compliance [m/s/N] behind its `@`, and that: `baseline@0.03`.
+pub fn told(name: &str) -> (&str, Option<f64>) {
+    let split = name.rsplit_once('@').and_then(|(name, number)| Some((name, Some(number.parse().ok()?))));
+    split.unwrap_or((name, None))
 }
 
 /// What errors call the file.
@@ -283,10 +283,10 @@ mod tests {
 
     #[test]
     fn a_policy_may_say_behind_an_at_which_compliance_it_is_told() {
-        assert_eq!(told("policies/baseline@0.03"), ("policies/baseline", 0.03));
-        assert_eq!(told("runs@home/mine@0.005"), ("runs@home/mine", 0.005));
+        assert_eq!(told("policies/baseline@0.03"), ("policies/baseline", Some(0.03)));
+        assert_eq!(told("runs@home/mine@-1"), ("runs@home/mine", Some(-1.0)));
         for no_compliance in ["policies/baseline", "runs@home/mine", "mine@"] {
-            assert_eq!(told(no_compliance), (no_compliance, 0.0));
+            assert_eq!(told(no_compliance), (no_compliance, None));
         }
     }
 

@@ -214,19 +214,15 @@ pub(in crate::ppo) mod tests {
         assert!(Surrogate::new(1.0, f64::NAN, 0.2).loss.is_nan());
     }
 
+    /// Samples of which nothing else is known.
+    fn of_advantages(advantages: &[f32]) -> Batch<'_> {
+        let [observations, actions, means, log_std, log_probs, returns] = [&[] as &[f32]; 6];
+        Batch { observations, actions, means, log_std, log_probs, advantages, returns }
+    }
+
     #[test]
     fn advantages_are_normalised_with_the_unbiased_standard_deviation() {
-        let advantages = [1.0, 100.0, 3.0, 8.0];
-        let none: &[f32] = &[];
-        let batch = &Batch {
-            observations: none,
-            actions: none,
-            means: none,
-            log_std: none,
-            log_probs: none,
-            advantages: &advantages,
-            returns: none,
-        };
+        let batch = &of_advantages(&[1.0, 100.0, 3.0, 8.0]);
         // Rows 3, 0, 2: 8, 1, 3; mean 4; variance (16 + 9 + 1)/2 = 13.
         let (settings, orders) = (&settings(), [vec![3, 0, 2], vec![3]]);
         let minibatches = Minibatch::all(batch, settings, &orders, &Alone);
@@ -236,16 +232,7 @@ pub(in crate::ppo) mod tests {
 
     #[test]
     fn blocks_do_not_reach_across_shards() {
-        let none: &[f32] = &[];
-        let batch = &Batch {
-            observations: none,
-            actions: none,
-            means: none,
-            log_std: none,
-            log_probs: none,
-            advantages: &[0.0; 10],
-            returns: none,
-        };
+        let batch = &of_advantages(&[0.0; 10]);
         let (settings, orders) = (Ppo { shards: 2, ..settings() }, [(0..10).collect::<Vec<u32>>()]);
         let minibatch = Minibatch::all(batch, &settings, &orders, &Alone)[0];
         let blocks: Vec<&[u32]> = (0..2 * minibatch.shard_blocks(3)).map(|block| minibatch.block(3, block)).collect();

@@ -6,6 +6,9 @@ use std::path::Path;
 use std::process::{Command, ExitCode, Stdio};
 use std::time::{Duration, Instant};
 
+use supple::util::random::{Purpose, stream};
+
+use crate::mutate::mutate;
 use crate::targets::{TARGETS, Target};
 
 /// Executions of a process before the next one takes over, so that leaks inside MuJoCo do not add up.
@@ -38,7 +41,7 @@ pub fn run_all() -> ExitCode {
     for target in TARGETS.iter().filter(|target| filters.is_empty() || filters.iter().any(|f| target.name.contains(f)))
     {
         if let Some(index) = only {
-            println!("{:?}", String::from_utf8_lossy(&target.input(index)));
+            println!("{:?}", String::from_utf8_lossy(&input(target, index)));
         }
         let (first, last) = only.map_or((0, executions.unwrap_or(u64::MAX)), |index| (index, index + 1));
         let started = Instant::now();
@@ -60,6 +63,17 @@ pub fn run_all() -> ExitCode {
         failed |= !tally.failures.is_empty() || tally.executions == 0;
     }
     ExitCode::from(u8::from(failed))
+}
+
+/// The input of a number.
+fn input(target: &Target, index: u64) -> Vec<u8> {
+    let seeds = target.seeds();
+    let mut rng = stream(index, Purpose::Scenario, target.name.len() as u64, 1);
+    if target.framed {
+        target.mutated(&seeds[index as usize % seeds.len()], !index.is_multiple_of(4), &mut rng)
+    } else {
+        mutate(seeds, target.words, &mut rng)
+    }
 }
 
 fn run(target: &Target, first: u64, last: u64, limit: Option<Duration>) -> Tally {
@@ -144,7 +158,7 @@ pub fn child(order: &str) -> ExitCode {
     let mut at = first;
     while at < last && (limit_ms == 0 || (started.elapsed().as_millis() as u64) < limit_ms) {
         put(at, accepted, slowest, 0);
-        let input = target.input(at);
+        let input = input(target, at);
         let begun = Instant::now();
         accepted += u64::from((target.run)(&input));
         slowest = slowest.max(begun.elapsed().as_millis() as u64);

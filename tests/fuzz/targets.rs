@@ -19,7 +19,6 @@ use supple::sim::Sim;
 use supple::task::Command;
 use supple::train::Trainer;
 use supple::train::checkpoint::{Checkpoint, RunState};
-use supple::util::random::{Purpose, stream};
 use supple::util::yaml::{Text, flat_parameters};
 
 use crate::ROOT;
@@ -34,7 +33,7 @@ pub struct Target {
     /// What such files are full of.
     pub words: &'static [&'static str],
     /// Whether inputs are safetensors files, of which some are mutated within their header only.
-    framed: bool,
+    pub framed: bool,
     /// Whether the input was accepted. Must not panic, abort, hang or take much memory.
     pub run: fn(&[u8]) -> bool,
 }
@@ -43,18 +42,6 @@ impl Target {
     /// What its inputs are made from.
     pub fn seeds(&self) -> &[Vec<u8>] {
         self.cache.get_or_init(self.corpus)
-    }
-
-    /// The input of a number.
-    #[allow(dead_code)] // fuzz/ has inputs of its own
-    pub fn input(&self, index: u64) -> Vec<u8> {
-        let seeds = self.seeds();
-        let mut rng = stream(index, Purpose::Scenario, self.name.len() as u64, 1);
-        if self.framed {
-            self.mutated(&seeds[index as usize % seeds.len()], !index.is_multiple_of(4), &mut rng)
-        } else {
-            mutate(seeds, self.words, &mut rng)
-        }
     }
 
     /// An input changed somewhere, or within the header that it has.

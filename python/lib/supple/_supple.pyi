@@ -32,7 +32,6 @@ class Environments:
         num_envs: int,
         seed: int,
         threads: int,
-        curriculum: tuple[float, bool, float] | None,
         stagger: bool,
         autoreset: str,
     ) -> Environments: ...

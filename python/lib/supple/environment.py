@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _supple
 from .given import cores, numbers, whole
+from .named import Named
 
 STAGES = ("walking", "recovery", "post-recovery")
 """What the numbers in `info["stage"]` stand for."""
@@ -67,7 +68,7 @@ def make(
     return LocomotionEnv(config, seed, curriculum=curriculum)
 
 
-class _Described:
+class _Described(Named):
     """What an environment's numbers are."""
 
     _native: _supple.Environments
@@ -87,16 +88,12 @@ class _Described:
             whole("num_envs", num_envs, 1, 1_000_000),
             secrets.randbits(64) if seed is None else whole("seed", seed),
             cores(threads),
-            None if curriculum is None else Curriculum(*curriculum),
             stagger,
             AutoresetMode(autoreset_mode).value,
         )
+        if curriculum is not None:
+            self.curriculum = curriculum
         self._terms = self._native.term_names()
-
-    @property
-    def observation_names(self) -> list[str]:
-        """Name and unit of every number of an observation, before it is scaled."""
-        return self._native.observation_names()
 
     @property
     def observation_offset(self) -> NDArray[np.float64]:
@@ -107,21 +104,6 @@ class _Described:
     def observation_scale(self) -> NDArray[np.float64]:
         """What each is multiplied with after that, shape (length,)."""
         return self._native.observation_scaling()[1]
-
-    @property
-    def action_names(self) -> list[str]:
-        """Names of the joints."""
-        return self._native.action_names()
-
-    @property
-    def action_offset(self) -> NDArray[np.float64]:
-        """Joint targets of actions of zero, the nominal pose [rad], shape (joints,)."""
-        return self._native.action_scaling()[0]
-
-    @property
-    def action_scale(self) -> NDArray[np.float64]:
-        """What a unit of action adds to them [rad], shape (joints,)."""
-        return self._native.action_scaling()[1]
 
     @property
     def curriculum(self) -> Curriculum:

@@ -10,16 +10,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from . import _supple
 from .given import numbers
+from .named import Named
 
 Function = Callable[[NDArray[np.float32]], Any]
 """From an observation, shape (length,), to an action, shape (joints,)."""
 
 
-class Policy:
+class Policy(Named):
     """A policy that acts on observations as the environment of its configuration gives them.
 
     `Policy.load` finds it: a shipped one by name, a policy file, a run's folder, the YAML file of an external policy.
     """
+
+    _native: _supple.Policy
 
     def __init__(self, native: _supple.Policy) -> None:
         self._native = native
@@ -54,26 +57,6 @@ class Policy:
     def seed(self) -> int | None:
         """Seed of its training, if it is one of ours."""
         return self._native.seed
-
-    @property
-    def observation_names(self) -> list[str]:
-        """Name and unit of every number that it sees, before it is scaled."""
-        return self._native.observation_names()
-
-    @property
-    def action_names(self) -> list[str]:
-        """Names of the joints, in the order of its actions."""
-        return self._native.action_names()
-
-    @property
-    def action_offset(self) -> NDArray[np.float64]:
-        """Joint target = offset + scale * action [rad], shape (joints,)."""
-        return self._native.action_scaling()[0]
-
-    @property
-    def action_scale(self) -> NDArray[np.float64]:
-        """Joint target = offset + scale * action [rad], shape (joints,)."""
-        return self._native.action_scaling()[1]
 
     def __repr__(self) -> str:
         return f"Policy({self.name!r})"

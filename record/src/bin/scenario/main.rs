@@ -53,7 +53,7 @@ fn list() -> anyhow::Result<()> {
 
 fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     output::check(args)?;
-    let mut robots = robots(args)?;
+    let mut robots = robots(args, scenario.task().compliance)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
         let robot = Robot::load(model)?;
@@ -63,9 +63,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     if let Some(joints) = args.joints {
         robots.iter_mut().for_each(|(_, agent)| agent.config.robot.set_losses(joints.into()));
     }
-    for (name, agent) in &mut robots {
-        let asked = scenario.task().compliance;
-        agent.told = if agent.told > 0.0 { agent.told } else { asked };
+    for (name, agent) in &robots {
         agent.check_compliance(agent.told).with_context(|| name.clone())?;
     }
     let scripts = scripts(args, scenario, &robots, args.seed)?;
@@ -177,14 +175,14 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
     found
 }
 
-/// The policies to play, by name.
-fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
+/// The policies to play, by name; told a compliance [m/s/N] unless they say one themselves.
+fn robots(args: &Args, compliance: f64) -> anyhow::Result<Vec<(String, Agent)>> {
     let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
-        let (file, compliance) = told(asked);
+        let (file, own) = told(asked);
         let stem = paths::as_path(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let label = stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..];
         let mut agent = shipped::find(file)?;
-        agent.told = compliance;
+        agent.told = own.unwrap_or(compliance);
         Ok((label, agent))
     };
     let first = args.policy.as_deref().unwrap_or("compliant");
