@@ -3,8 +3,9 @@ The products and activations of the learner, in portable SIMD.
 
 Three matrix products make up a training step of a linear layer: `y = x·Wᵀ + b`, `δx = δy·W` and `δWᵀ = xᵀ·δy`. All
 three are the same sum `c[m, n] = Σ_k a[m, k]·b[k, n]` with `b` contiguous in `n`, so there is one register-tiled
-[`Product`] with two ways to walk `a`. Weights are kept as *panels*: 32 outputs wide, one row per input, the bias as
-last row, which is `b` for the first product and `c` for the third.
+[`Product`] with two ways to walk `a`. Everything is kept in *panels* of 32 columns, one row after the other, so that all
+strides are known to the compiler: activations and gradients as a [`Matrix`], weights with 32 outputs to a panel, a row for
+each input and the bias as last row, which is `b` for the first product and `c` for the third.
 
 Every element is summed sequentially over `k` with fused multiply-adds into one accumulator, whichever tile it falls
 in. Its bits therefore depend neither on the rows beside it nor on the instruction set, and a policy evaluated alone
@@ -19,22 +20,14 @@ use std::ops::{Deref, DerefMut};
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// Outputs per weight panel.
+/// Columns of a panel.
 pub const PANEL: usize = 32;
 
 /// Floats in a cache line, and in the widest vector.
 const LINE: usize = 16;
 
-/// Columns that a matrix of `columns` takes once padded to whole vectors.
-pub fn padded(columns: usize) -> usize {
-    columns.next_multiple_of(LINE)
-}
-
-/// Distance between rows of a matrix of `columns`: an odd number of cache lines, so that a walk down a column does not
-/// fall on a few sets of the cache only.
-pub fn row_stride(columns: usize) -> usize {
-    (columns.div_ceil(LINE) | 1) * LINE
-}
+/// A row of a panel.
+pub type Row = [f32; PANEL];
 
 /// Zeroed floats that start on a cache line: a vector load then never touches two lines.
 #[derive(Debug)]
@@ -50,6 +43,16 @@ impl Buffer {
         let storage = vec![0.0; len + LINE - 1];
         let start = storage.as_ptr().align_offset(LINE * size_of::<f32>()).min(LINE - 1);
         Self { storage, start, len }
+    }
+
+    /// Its rows, if it is panels.
+    pub fn rows(&self) -> &[Row] {
+        self.as_chunks().0
+    }
+
+    /// Its rows, if it is panels.
+    pub fn rows_mut(&mut self) -> &mut [Row] {
+        self.as_chunks_mut().0
     }
 }
 
@@ -75,46 +78,86 @@ impl DerefMut for Buffer {
     }
 }
 
-/// `c[m, n] = finish(start(n) + Σ_k a[m, k]·b[k, n])`
+/// A matrix in panels, one after the other. What is beyond its columns is zero.
+#[derive(Debug)]
+pub struct Matrix {
+    rows: usize,
+    values: Buffer,
+}
+
+impl Matrix {
+    /// Zeros.
+    pub fn zeros(rows: usize, columns: usize) -> Self {
+        Self { rows, values: Buffer::zeros(rows * columns.next_multiple_of(PANEL)) }
+    }
+
+    /// Columns that there is room for.
+    pub fn columns(&self) -> usize {
+        self.values.len() / self.rows
+    }
+
+    /// The panel that starts at column 32 `index`.
+    pub fn panel(&self, index: usize) -> &[Row] {
+        &self.values.rows()[index * self.rows..][..self.rows]
+    }
+
+    /// In order.
+    pub fn panels(&self) -> impl Iterator<Item = &[Row]> {
+        self.values.rows().chunks(self.rows)
+    }
+
+    /// In order.
+    pub fn panels_mut(&mut self) -> impl Iterator<Item = &mut [Row]> {
+        self.values.rows_mut().chunks_mut(self.rows)
+    }
+
+    /// Sets the first columns of a row.
+    pub fn set_row(&mut self, row: usize, values: &[f32]) {
+        for (panel, values) in self.panels_mut().zip(values.chunks(PANEL)) {
+            panel[row][..values.len()].copy_from_slice(values);
+        }
+    }
+
+    /// Reads the first columns of a row.
+    pub fn read_row(&self, row: usize, values: &mut [f32]) {
+        for (panel, values) in self.panels().zip(values.chunks_mut(PANEL)) {
+            values.copy_from_slice(&panel[row][..values.len()]);
+        }
+    }
+}
+
+/// `c[m, n] = finish(start(n) + Σ_k a[m, k]·b[k, n])`, where `b` and `c` are a panel each.
 pub struct Product<'a> {
-    /// Number of `m`.
+    /// Number of `m`. With `a_transposed` up to 32.
     pub rows: usize,
-    /// Number of `n`, a multiple of 16.
+    /// Number of `n` that matter, up to 32.
     pub columns: usize,
     /// The inner dimension, in order.
     pub stretches: &'a [Stretch<'a>],
     /// `a` is stored as (k, m) rather than (m, k).
     pub a_transposed: bool,
-    /// Distance between stored rows of `a`.
-    pub a_stride: usize,
-    /// Distance between rows of `b`.
-    pub b_stride: usize,
     /// What the sums begin and end with.
     pub ends: Ends<'a>,
     /// Shape (m, n).
-    pub c: &'a mut [f32],
-    /// Distance between rows of `c`.
-    pub c_stride: usize,
+    pub c: &'a mut [Row],
 }
 
-/// `depth` consecutive `k` of a product, with the parts of `a` and `b` that belong to them.
+/// Consecutive `k` of a product, with the parts of `a` and `b` that belong to them.
 #[derive(Clone, Copy)]
 pub struct Stretch<'a> {
-    /// Number of `k`.
-    pub depth: usize,
-    /// Left operand.
-    pub a: &'a [f32],
-    /// Right operand, shape (depth, columns).
-    pub b: &'a [f32],
+    /// Left operand, a panel of it: shape (m, k), of up to 32 `k`, or shape (k, m).
+    pub a: &'a [Row],
+    /// Right operand, shape (k, n).
+    pub b: &'a [Row],
 }
 
 /// What a product's sums begin and end with.
 pub enum Ends<'a> {
     /// Begin with the bias and end with ELU, if asked for: a layer's output.
-    Bias { bias: &'a [f32], elu: bool },
+    Bias { bias: &'a Row, elu: bool },
     /// Begin with zero and end with a factor ELU′, where `y`, shaped like `c`, is ELU's output: the loss gradient one
     /// layer further back.
-    EluSlope { y: &'a [f32] },
+    EluSlope { y: &'a [Row] },
     /// Begin with what `c` holds: the loss gradient by the weights.
     Add,
 }
@@ -171,9 +214,9 @@ impl Product<'_> {
             if left >= R || may_overlap {
                 self.tile::<S, A_T, R, V>(simd, row.min(self.rows - R), column);
                 row += R;
-            } else if left >= 4 {
-                self.tile::<S, A_T, 4, V>(simd, row, column);
-                row += 4;
+            } else if left >= 2 {
+                self.tile::<S, A_T, 2, V>(simd, row, column);
+                row += 2;
             } else {
                 self.tile::<S, A_T, 1, V>(simd, row, column);
                 row += 1;
@@ -183,7 +226,6 @@ impl Product<'_> {
 
     /// `R` rows of `V` vectors.
     #[inline(always)]
-    #[expect(clippy::needless_range_loop, reason = "k runs over several slices at once")]
     fn tile<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, row: usize, column: usize) {
         let mut sums = [[simd.splat_f32s(0.0); V]; R];
         for (i, sums) in sums.iter_mut().enumerate() {
@@ -193,25 +235,28 @@ impl Product<'_> {
         }
         for stretch in self.stretches {
             if A_T {
-                for k in 0..stretch.depth {
-                    let a = &stretch.a[k * self.a_stride + row..][..R];
-                    let b = &stretch.b[k * self.b_stride + column..];
-                    add_products::<S, R, V>(simd, &mut sums, array::from_fn(|i| a[i]), b);
+                for (a, b) in stretch.a.iter().zip(stretch.b) {
+                    add_products::<S, R, V>(simd, &mut sums, array::from_fn(|i| a[row + i]), b, column);
                 }
             } else {
-                let a: [&[f32]; R] = array::from_fn(|i| &stretch.a[(row + i) * self.a_stride..][..stretch.depth]);
-                for k in 0..stretch.depth {
-                    let b = &stretch.b[k * self.b_stride + column..];
-                    add_products::<S, R, V>(simd, &mut sums, array::from_fn(|i| a[i][k]), b);
+                let a: &[Row; R] = stretch.a[row..].first_chunk().expect("as many rows as the product");
+                // A whole panel is the rule, and its loop the faster one.
+                if let Some((b, [])) = stretch.b.split_first_chunk::<PANEL>() {
+                    for k in 0..PANEL {
+                        add_products::<S, R, V>(simd, &mut sums, array::from_fn(|i| a[i][k]), &b[k], column);
+                    }
+                } else {
+                    for (k, b) in stretch.b.iter().enumerate() {
+                        add_products::<S, R, V>(simd, &mut sums, array::from_fn(|i| a[i][k]), b, column);
+                    }
                 }
             }
         }
         for (i, sums) in sums.into_iter().enumerate() {
             for (v, sum) in sums.into_iter().enumerate() {
                 let column = column + v * S::F32_LANES;
-                let at = (row + i) * self.c_stride + column;
-                let value = self.finish(simd, at, sum);
-                S::as_mut_simd_f32s(&mut self.c[at..][..S::F32_LANES]).0[0] = value;
+                let value = self.finish(simd, row + i, column, sum);
+                S::as_mut_simd_f32s(&mut self.c[row + i][column..][..S::F32_LANES]).0[0] = value;
             }
         }
     }
@@ -221,29 +266,30 @@ impl Product<'_> {
         match self.ends {
             Ends::Bias { bias, .. } => load::<S>(&bias[column..]),
             Ends::EluSlope { .. } => simd.splat_f32s(0.0),
-            Ends::Add => load::<S>(&self.c[row * self.c_stride + column..]),
+            Ends::Add => load::<S>(&self.c[row][column..]),
         }
     }
 
     #[inline(always)]
-    fn finish<S: Simd>(&self, simd: S, at: usize, sum: S::f32s) -> S::f32s {
+    fn finish<S: Simd>(&self, simd: S, row: usize, column: usize, sum: S::f32s) -> S::f32s {
         match self.ends {
             Ends::Bias { elu: true, .. } => elu(simd, sum),
-            Ends::EluSlope { y } => simd.mul_f32s(sum, elu_slope(simd, load::<S>(&y[at..]))),
+            Ends::EluSlope { y } => simd.mul_f32s(sum, elu_slope(simd, load::<S>(&y[row][column..]))),
             Ends::Bias { elu: false, .. } | Ends::Add => sum,
         }
     }
 }
 
-/// Adds the outer product of `a` and the first vectors of `b`.
+/// Adds the outer product of `a` and the vectors of `b` from `column` on.
 #[inline(always)]
 fn add_products<S: Simd, const R: usize, const V: usize>(
     simd: S,
     sums: &mut [[S::f32s; V]; R],
     a: [f32; R],
-    b: &[f32],
+    b: &Row,
+    column: usize,
 ) {
-    let b = S::as_simd_f32s(&b[..V * S::F32_LANES]).0;
+    let b = S::as_simd_f32s(&b[column..][..V * S::F32_LANES]).0;
     for i in 0..R {
         let a = simd.splat_f32s(a[i]);
         for v in 0..V {
@@ -302,10 +348,8 @@ fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
 pub struct ColumnSums<'a> {
     /// Only their `b` counts.
     pub stretches: &'a [Stretch<'a>],
-    /// Distance between rows of `b`.
-    pub b_stride: usize,
-    /// One for each column, a multiple of 16.
-    pub sums: &'a mut [f32],
+    /// One for each column.
+    pub sums: &'a mut Row,
 }
 
 impl WithSimd for ColumnSums<'_> {
@@ -316,8 +360,8 @@ impl WithSimd for ColumnSums<'_> {
         for (i, total) in S::as_mut_simd_f32s(self.sums).0.iter_mut().enumerate() {
             let mut sum = *total;
             for stretch in self.stretches {
-                for row in 0..stretch.depth {
-                    sum = simd.add_f32s(sum, load::<S>(&stretch.b[row * self.b_stride + i * S::F32_LANES..]));
+                for row in stretch.b {
+                    sum = simd.add_f32s(sum, load::<S>(&row[i * S::F32_LANES..]));
                 }
             }
             *total = sum;
@@ -369,7 +413,7 @@ mod tests {
     }
 
     fn elu_of(x: &[f32], arch: Arch) -> Vec<f32> {
-        let mut y = Buffer::zeros(padded(x.len()));
+        let mut y = Buffer::zeros(x.len().next_multiple_of(LINE));
         y[..x.len()].copy_from_slice(x);
         arch.dispatch(Elu(&mut y));
         y[..x.len()].to_vec()

@@ -4,7 +4,7 @@ Inference, with weights rearranged for the kernels.
 
 use pulp::Arch;
 
-use super::kernels::{Buffer, row_stride};
+use super::kernels::{Buffer, Matrix};
 use super::panel::{self, pack, panel_starts};
 use super::{Layer, Mlp};
 
@@ -29,12 +29,13 @@ struct PackedLayer {
 /// Intermediate activations of [`PackedMlp::forward`]; one for each thread.
 #[derive(Debug)]
 pub struct Scratch {
-    buffers: [Buffer; 2],
+    /// A layer's input and its output.
+    activations: [Matrix; 2],
 }
 
 impl Default for Scratch {
     fn default() -> Self {
-        Self { buffers: [Buffer::zeros(0), Buffer::zeros(0)] }
+        Self { activations: [(); 2].map(|()| Matrix::zeros(BLOCK, 0)) }
     }
 }
 
@@ -58,8 +59,8 @@ impl PackedMlp {
         self.layers.last().map_or(self.inputs, |layer| layer.outputs)
     }
 
-    /// Evaluates `inputs`, shape (rows, inputs), to `outputs`, shape (rows, outputs). Allocates only when `scratch` is
-    /// new or has served narrower networks.
+    /// Evaluates `inputs`, shape (rows, inputs), to `outputs`, shape (rows, outputs). Allocates next to nothing once
+    /// `scratch` has served a network as wide.
     ///
     /// # Panics
     /// When the slices do not have these shapes.
@@ -68,25 +69,20 @@ impl PackedMlp {
         assert_eq!(inputs.len(), rows * self.inputs, "inputs must have shape (rows, inputs)");
         assert_eq!(outputs.len(), rows * output_count, "outputs must have shape (rows, outputs)");
 
-        let widest = self.layers.iter().map(|layer| row_stride(layer.outputs)).max().unwrap_or(0);
-        if scratch.buffers[0].len() < BLOCK * widest {
-            scratch.buffers = [Buffer::zeros(BLOCK * widest), Buffer::zeros(BLOCK * widest)];
+        let widest = self.layers.iter().map(|layer| layer.outputs).fold(self.inputs, usize::max);
+        if scratch.activations[0].columns() < widest {
+            scratch.activations = [(); 2].map(|()| Matrix::zeros(BLOCK, widest));
         }
-        let [mut x, mut y] = scratch.buffers.each_mut();
+        let [mut x, mut y] = scratch.activations.each_mut();
         for (block, out) in inputs.chunks(BLOCK * self.inputs).zip(outputs.chunks_mut(BLOCK * output_count)) {
+            block.chunks(self.inputs).enumerate().for_each(|(row, values)| x.set_row(row, values));
             let rows = block.len() / self.inputs;
-            let mut x_stride = self.inputs;
             for (i, layer) in self.layers.iter().enumerate() {
-                let input = if i == 0 { block } else { &**x };
                 let elu = i + 1 < self.layers.len();
-                let panels = layer.panels.iter().map(|panel| &**panel);
-                panel::forward(self.arch, rows, (input, x_stride), panels, layer.outputs, elu, y);
-                x_stride = row_stride(layer.outputs);
+                panel::forward(self.arch, rows, x, layer.panels.iter(), layer.outputs, elu, y);
                 std::mem::swap(&mut x, &mut y);
             }
-            for (out, row) in out.chunks_mut(output_count).zip(x.chunks(x_stride)) {
-                out.copy_from_slice(&row[..output_count]);
-            }
+            out.chunks_mut(output_count).enumerate().for_each(|(row, values)| x.read_row(row, values));
         }
     }
 }

@@ -62,6 +62,9 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
     /// Rows that go through a network together.
     const BLOCK: usize;
 
+    /// Rows of a chunk for each two threads: as many as stay in the caches beside the weights.
+    const CHUNK: usize;
+
     /// Divergences below this are rounding errors.
     const KL_ROUNDING: f64;
 

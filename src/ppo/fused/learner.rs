@@ -33,9 +33,6 @@ use crate::ranks::{Ranks, tree_sum};
 /// Sums of [`FusedLearner::totals`] before those of `ln σ`.
 const LOSSES: usize = 4;
 
-/// Rows of a chunk for two threads.
-const CHUNK_ROWS: usize = 256;
-
 /// What several ranks have summed.
 #[derive(Debug, Default)]
 struct Exchanged {
@@ -77,7 +74,7 @@ impl<A: Arithmetic> FusedLearner<A> {
         let threads = threads.max(1);
         let shards = settings.shards / ranks.count();
         let blocks = shards * (settings.minibatch_size / settings.shards).div_ceil(A::BLOCK);
-        let chunk_blocks = (CHUNK_ROWS * threads.div_ceil(2) / A::BLOCK).min(blocks);
+        let chunk_blocks = (A::CHUNK * threads.div_ceil(2) / A::BLOCK).min(blocks);
         Self {
             arithmetic: A::new(parts, chunk_blocks),
             chunk_blocks,

@@ -8,7 +8,7 @@ use pulp::Arch;
 
 use super::panel::Panel;
 use crate::network::BLOCK;
-use crate::network::kernels::{Buffer, Ends, Product, Stretch, padded, row_stride};
+use crate::network::kernels::{Buffer, Ends, Matrix, PANEL, Product, Stretch};
 use crate::network::{Mlp, panel};
 use crate::ppo::fused::losses::Pass;
 
@@ -23,70 +23,65 @@ pub struct Block {
     /// Rows in use.
     pub rows: usize,
     /// Input of each layer, then the output of the last; shape (rows, inputs of the layer).
-    pub activations: Vec<Buffer>,
+    pub activations: Vec<Matrix>,
     /// Gradient of the loss by each layer's output, ahead of ELU; shape (rows, outputs of the layer).
-    pub deltas: Vec<Buffer>,
+    pub deltas: Vec<Matrix>,
+    /// Of the last layer, row by row, for the loss; shape (rows, outputs).
+    output: Buffer,
+    output_deltas: Buffer,
 }
 
 impl Block {
     /// Room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
-        let room = |columns: usize| Buffer::zeros(BLOCK * row_stride(columns));
-        let outputs = || mlp.layers.iter().map(|layer| room(layer.outputs()));
-        let activations = std::iter::once(room(mlp.inputs())).chain(outputs()).collect();
-        Self { outputs: mlp.outputs(), rows: 0, activations, deltas: outputs().collect() }
+        let room = |columns: usize| Matrix::zeros(BLOCK, columns);
+        let (outputs, of_layers) = (mlp.outputs(), || mlp.layers.iter().map(|layer| room(layer.outputs())));
+        let activations = std::iter::once(room(mlp.inputs())).chain(of_layers()).collect();
+        let [output, output_deltas] = [(); 2].map(|()| Buffer::zeros(BLOCK * outputs));
+        Self { outputs, rows: 0, activations, deltas: of_layers().collect(), output, output_deltas }
     }
 
     /// Gathers the observations of `rows` and evaluates the network.
     pub fn forward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_>], observations: &[f32], rows: &[u32]) {
         self.rows = rows.len();
         let size = layers[0][0].inputs;
-        for (x, &row) in self.activations[0].chunks_mut(row_stride(size)).zip(rows) {
-            x[..size].copy_from_slice(&observations[row as usize * size..][..size]);
+        for (to, &row) in rows.iter().enumerate() {
+            self.activations[0].set_row(to, &observations[row as usize * size..][..size]);
         }
         for (i, panels) in layers.iter().enumerate() {
-            let (inputs, layer_outputs) = (panels[0].inputs, panels[0].layer_outputs);
             let (before, after) = self.activations.split_at_mut(i + 1);
-            let x = (&*before[i], row_stride(inputs));
             let elu = i + 1 < layers.len();
-            let panels = panels.iter().map(|panel| &*panel.parameters.values);
-            panel::forward(arch, self.rows, x, panels, layer_outputs, elu, &mut after[0]);
+            let values = panels.iter().map(|panel| &panel.parameters.values);
+            panel::forward(arch, self.rows, &before[i], values, panels[0].layer_outputs, elu, &mut after[0]);
         }
     }
 
     /// Between forward and backward pass.
     pub fn pass(&mut self, network: usize, block: usize) -> Pass<'_> {
-        let last = self.deltas.len() - 1;
-        Pass {
-            network,
-            block,
-            stride: row_stride(self.outputs),
-            outputs: &self.activations[last + 1],
-            deltas: &mut self.deltas[last],
-        }
+        let last = &self.activations[self.deltas.len()];
+        let rows = self.output.chunks_mut(self.outputs).take(self.rows).enumerate();
+        rows.for_each(|(row, values)| last.read_row(row, values));
+        Pass { network, block, stride: self.outputs, outputs: &self.output, deltas: &mut self.output_deltas }
     }
 
     /// Carries the loss gradient from the last layer's output back to the first layer's.
     pub fn backward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_>]) {
+        let (last, rows) = (layers.len() - 1, self.output_deltas.chunks(self.outputs).take(self.rows).enumerate());
+        rows.for_each(|(row, values)| self.deltas[last].set_row(row, values));
         for (i, panels) in layers.iter().enumerate().skip(1).rev() {
-            let (inputs, layer_outputs) = (panels[0].inputs, panels[0].layer_outputs);
             let (before, after) = self.deltas.split_at_mut(i);
-            let stretches: Vec<_> = panels
-                .iter()
-                .map(|panel| Stretch { depth: panel.outputs(), a: &after[0][panel.first..], b: &panel.transposed })
-                .collect();
-            let product = Product {
-                rows: self.rows,
-                columns: padded(inputs),
-                stretches: &stretches,
-                a_transposed: false,
-                a_stride: row_stride(layer_outputs),
-                b_stride: row_stride(inputs),
-                ends: Ends::EluSlope { y: &self.activations[i] },
-                c: &mut before[i - 1],
-                c_stride: row_stride(inputs),
-            };
-            product.compute(arch);
+            let mut stretches = Vec::new();
+            let columns = before[i - 1].panels_mut().zip(self.activations[i].panels()).enumerate();
+            for (column, (c, y)) in columns {
+                stretches.clear();
+                stretches.extend(
+                    after[0].panels().zip(panels.iter()).map(|(a, panel)| Stretch { a, b: panel.transposed(column) }),
+                );
+                let (columns, ends) = (panels[0].inputs - column * PANEL, Ends::EluSlope { y });
+                let columns = columns.min(PANEL);
+                let product = Product { rows: self.rows, columns, stretches: &stretches, a_transposed: false, ends, c };
+                product.compute(arch);
+            }
         }
     }
 }

@@ -19,8 +19,8 @@ use super::losses::Pass;
 use super::optimizer::{Adam, AdamStep, Parameters};
 use super::team::{Member, read, write};
 use super::{Arithmetic, Chunk};
-use crate::network::kernels::{Buffer, ColumnSums, Ends, Product, Stretch, SumOfSquares, padded, row_stride};
-use crate::network::panel::{panel_starts, unpack};
+use crate::network::kernels::{Buffer, ColumnSums, Ends, PANEL, Product, Stretch, SumOfSquares};
+use crate::network::panel::{panel_outputs, panel_starts, unpack};
 use crate::network::{ActorCritic, BLOCK};
 use crate::ppo::loss::Minibatch;
 
@@ -38,6 +38,7 @@ pub struct Panels {
 
 impl Arithmetic for Panels {
     const BLOCK: usize = BLOCK;
+    const CHUNK: usize = 128;
     /// The policy of the rollout has the same bits.
     const KL_ROUNDING: f64 = 0.0;
     type Workspace = ();
@@ -78,35 +79,25 @@ impl Arithmetic for Panels {
         let task = |task: usize| {
             let panel = &mut *write(&self.panels[task]);
             let blocks: Vec<_> = self.blocks[panel.network][..chunk.blocks].iter().map(read).collect();
-            let stretches: Vec<_> = blocks
-                .iter()
-                .map(|block| Stretch {
-                    depth: block.rows,
-                    a: &block.activations[panel.depth],
-                    b: &block.deltas[panel.depth][panel.first..],
-                })
-                .collect();
-            let width = padded(panel.outputs());
-            let delta_stride = row_stride(panel.layer_outputs);
+            let (depth, index) = (panel.depth, panel.first / PANEL);
+            let mut stretches = Vec::new();
             for piece in chunk.pieces() {
-                let stretches = &stretches[piece.blocks];
+                let Some((bias, weights)) = panel.parameters.gradient.rows_mut().split_last_mut() else { return };
                 if piece.is_first {
-                    panel.parameters.gradient.fill(0.0);
+                    weights.as_flattened_mut().fill(0.0);
+                    bias.fill(0.0);
                 }
-                let (weights, bias) = panel.parameters.gradient.split_at_mut(panel.inputs * width);
-                let product = Product {
-                    rows: panel.inputs,
-                    columns: width,
-                    stretches,
-                    a_transposed: true,
-                    a_stride: row_stride(panel.inputs),
-                    b_stride: delta_stride,
-                    ends: Ends::Add,
-                    c: weights,
-                    c_stride: width,
-                };
-                product.compute(self.arch);
-                self.arch.dispatch(ColumnSums { stretches, b_stride: delta_stride, sums: bias });
+                for (input, c) in weights.chunks_mut(PANEL).enumerate() {
+                    stretches.clear();
+                    stretches.extend(blocks[piece.blocks.clone()].iter().map(|block| Stretch {
+                        a: &block.activations[depth].panel(input)[..block.rows],
+                        b: &block.deltas[depth].panel(index)[..block.rows],
+                    }));
+                    let (rows, columns) = (c.len(), panel_outputs(panel.layer_outputs, panel.first));
+                    let (stretches, ends) = (&stretches[..], Ends::Add);
+                    Product { rows, columns, stretches, a_transposed: true, ends, c }.compute(self.arch);
+                }
+                self.arch.dispatch(ColumnSums { stretches: &stretches, sums: bias });
                 if piece.is_last {
                     panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
                 }

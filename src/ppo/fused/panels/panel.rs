@@ -3,7 +3,7 @@ A panel of 32 outputs in training: differentiated and stepped as a unit.
 */
 
 use crate::network::Layer;
-use crate::network::kernels::{Buffer, padded, row_stride};
+use crate::network::kernels::{Buffer, PANEL, Row};
 use crate::network::panel::{pack, panel_outputs};
 use crate::ppo::fused::optimizer::Parameters;
 use crate::ppo::fused::tree::Tree;
@@ -21,11 +21,11 @@ pub struct Panel {
     pub layer_outputs: usize,
     /// First output.
     pub first: usize,
-    /// Shape (inputs + 1, padded outputs of the panel), the bias last.
+    /// A row for each input, the bias last.
     pub parameters: Parameters,
-    /// The weights the other way round, for the backward product; shape (outputs of the panel, inputs). Empty in the
+    /// The weights the other way round, for the backward product: panels of 32 inputs, a row for each output. Empty in the
     /// first layer, whose input needs no gradient.
-    pub transposed: Buffer,
+    transposed: Buffer,
     /// Gradients of shards on their way to the sum.
     pub tree: Tree,
     /// Sum of squares of the gradient.
@@ -36,7 +36,8 @@ impl Panel {
     /// The panel that starts at output `first` of a layer and of its moments.
     pub fn new(network: usize, depth: usize, first: usize, [values, first_moment, second_moment]: [&Layer; 3]) -> Self {
         let (inputs, layer_outputs) = (values.inputs(), values.outputs());
-        let transposed_rows = if depth == 0 { 0 } else { panel_outputs(layer_outputs, first) };
+        let transposed =
+            if depth == 0 { 0 } else { inputs.next_multiple_of(PANEL) * panel_outputs(layer_outputs, first) };
         let mut panel = Self {
             network,
             depth,
@@ -44,7 +45,7 @@ impl Panel {
             layer_outputs,
             first,
             parameters: Parameters::new([values, first_moment, second_moment].map(|layer| pack(layer, first))),
-            transposed: Buffer::zeros(transposed_rows * row_stride(inputs)),
+            transposed: Buffer::zeros(transposed),
             tree: Tree::default(),
             squares: 0.0,
         };
@@ -57,12 +58,20 @@ impl Panel {
         panel_outputs(self.layer_outputs, self.first)
     }
 
+    /// Weights by the 32 inputs that start at 32 `column`.
+    pub fn transposed(&self, column: usize) -> &[Row] {
+        let outputs = self.outputs();
+        &self.transposed.rows()[column * outputs..][..outputs]
+    }
+
     /// Refreshes the transposed weights.
     pub fn transpose(&mut self) {
-        let width = padded(self.outputs());
-        for (i, row) in self.transposed.chunks_mut(row_stride(self.inputs)).enumerate() {
-            let column = self.parameters.values[i..].iter().step_by(width);
-            row[..self.inputs].iter_mut().zip(column).for_each(|(x, weight)| *x = *weight);
+        let outputs = self.outputs();
+        let weights = self.parameters.values.rows()[..self.inputs].chunks(PANEL);
+        for (to, from) in self.transposed.rows_mut().chunks_mut(outputs).zip(weights) {
+            for (output, row) in to.iter_mut().enumerate() {
+                row.iter_mut().zip(from).for_each(|(to, from)| *to = from[output]);
+            }
         }
     }
 }

@@ -48,6 +48,7 @@ pub struct Tiles<const FORWARD: usize, const BACKWARD: usize> {
 
 impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
     const BLOCK: usize = ROWS;
+    const CHUNK: usize = 256;
     const KL_ROUNDING: f64 = 1e-6;
     type Workspace = Workspace<F, B>;
 
@@ -93,9 +94,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
             block.forward(workspace, networks[network], (observations, size), rows);
             loss(block.pass(network, chunk.start + index));
             if index + 1 < chunk.blocks {
-                for &row in minibatch.block(ROWS, chunk.start + index + 1) {
-                    minibatch.batch.prefetch(row as usize, prefetch);
-                }
+                minibatch.batch.prefetch(minibatch.block(ROWS, chunk.start + index + 1), prefetch);
             }
             block.backward(workspace, networks[network]);
         };
