@@ -42,13 +42,12 @@ pub struct Batch<'a> {
 }
 
 impl Batch<'_> {
-    /// Asks for all that a pass reads of a sample.
-    #[inline]
-    pub(super) fn prefetch(&self, sample: usize, prefetch: fn(&[f32])) {
-        let samples = self.returns.len();
+    /// Asks for all that a pass reads of these samples.
+    pub(super) fn prefetch(&self, samples: &[u32], prefetch: fn(&[f32])) {
+        let count = self.returns.len();
         for slice in [self.observations, self.actions, self.means, self.log_probs, self.advantages, self.returns] {
-            let width = slice.len() / samples;
-            prefetch(&slice[sample * width..][..width]);
+            let width = slice.len() / count;
+            samples.iter().for_each(|sample| prefetch(&slice[*sample as usize * width..][..width]));
         }
     }
 }
