@@ -13,6 +13,7 @@ pub mod experiments;
 pub mod findings;
 pub mod grid;
 pub mod plot;
+pub mod preludes;
 pub mod protocol;
 pub mod report;
 pub mod results;

@@ -5,6 +5,7 @@ use std::cell::OnceCell;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
+use super::preludes::Preludes;
 use super::{Condition, Experiment, FELL, Measured, Quantity};
 use supple::mujoco;
 use supple::policy::Agent;
@@ -146,7 +147,8 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own.
+/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own. `preludes` are those of
+/// the agent.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -156,6 +158,7 @@ pub fn play(
     seed: u64,
     agent: &Agent,
     sensing: Sensing,
+    preludes: &Preludes,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
@@ -166,8 +169,12 @@ pub fn play(
     }
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
-    let rollout = Rollout::new(&script, &agent.config, agent.controller())?;
-    let trace = rollout.with_sensing(sensing, seed)?.trace();
+    let prelude = if sensing == Sensing::True { preludes.of(&script, agent)? } else { None };
+    let rollout = Rollout::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
+    let trace = match &prelude {
+        Some(prelude) => rollout.after(prelude).trace(),
+        None => rollout.trace(),
+    };
     let trial = Trial::new(&scenario, &script, &trace);
     let Measured { values, series } = experiment.measure(&trial);
     Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
@@ -200,7 +207,7 @@ mod tests {
             let point = |measured| Point { setting: measured, measured };
             let calibration = Calibration::unmeasured(&agent.sha256);
             agent.calibration = Some(Calibration { points: vec![point(low), point(0.05)], ..calibration });
-            play(&protocol.leash, &condition, 1, &agent, Sensing::True).unwrap()
+            play(&protocol.leash, &condition, 1, &agent, Sensing::True, &Preludes::default()).unwrap()
         };
         let refused = play(0.04);
         assert_eq!((refused.end, &refused.values[..]), (End::OutOfReach, &[None, None, None][..]));

@@ -13,6 +13,7 @@ use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use supple::scenario::Sensing;
+use supple_evaluate::preludes::Preludes;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::trial::{self, End, Sample};
 use supple_evaluate::{Condition, Experiment};
@@ -50,7 +51,8 @@ pub fn evaluate<'py>(
     let mut measured = Vec::new();
     for experiment in known.into_iter().filter(|experiment| wanted(experiment.info().name)) {
         let conditions = experiment.conditions().map_err(refused)?;
-        let work = Work { experiment, conditions: &conditions, policy, seed, sensing: sensing(estimated) };
+        let (sensing, preludes) = (sensing(estimated), Preludes::default());
+        let work = Work { experiment, conditions: &conditions, policy, seed, sensing, preludes };
         let samples = apart(py, || work.play(threads))?;
         let info = experiment.info();
         let shape = [conditions.len(), experiment.trials() as usize];
@@ -80,6 +82,7 @@ struct Work<'a> {
     policy: &'a Policy,
     seed: u64,
     sensing: Sensing,
+    preludes: Preludes,
 }
 
 impl Work<'_> {
@@ -127,7 +130,10 @@ impl Work<'_> {
     fn trial(&self, condition: usize, trial: usize) -> PyResult<Sample> {
         let seed = trial::trial_seed(self.seed, self.experiment.info().number, condition, trial as u32);
         let condition = &self.conditions[condition];
-        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing);
+        // A function may act otherwise the next time.
+        let alone = self.policy.is_function().then(Preludes::default);
+        let preludes = alone.as_ref().unwrap_or(&self.preludes);
+        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing, preludes);
         self.policy.check()?;
         sample.map_err(failed)
     }

@@ -11,6 +11,7 @@ pub mod catalog;
 pub mod estimation;
 pub mod metrics;
 mod play;
+mod prelude;
 pub mod rig;
 pub mod senses;
 pub mod session;
@@ -25,6 +26,7 @@ use crate::sim::{Conditions, Pull, Push};
 use crate::task::Command;
 
 pub use play::{Played, Rollout};
+pub use prelude::Prelude;
 pub use rig::Rig;
 pub use senses::{Sensing, SensingError};
 pub use spring::Spring;

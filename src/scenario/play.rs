@@ -7,7 +7,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::rig::{RigState, RopeForces};
 use super::senses::Senses;
 use super::spring::SpringState;
-use super::{Goal, Script, Sensing, SensingError, Spring, TimedPush};
+use super::{Goal, Prelude, Script, Sensing, SensingError, Spring, TimedPush};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
@@ -15,9 +15,9 @@ use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
 use crate::robot::{Foothold, Joints, RobotState};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
-use crate::sim::{Parts, Push, Sim, StepObserver};
+use crate::sim::{Parts, Push, Sim, SimState, StepObserver};
 use crate::task::episode::GRAVITY;
-use crate::task::{Command, Stages, SwingTracker, Terms, reward};
+use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
 const PUSH_SHOWN_S: f64 = 0.3;
@@ -49,6 +49,8 @@ pub struct Rollout<'a> {
     /// None if the controller sees the true state.
     pub(super) senses: Option<Senses>,
     with_bodies: bool,
+    /// With the steps that are taken from it.
+    prelude: Option<(&'a Prelude, usize)>,
     step: usize,
     steps: usize,
     pushes_done: usize,
@@ -103,6 +105,7 @@ impl<'a> Rollout<'a> {
             afresh: true,
             senses: None,
             with_bodies: false,
+            prelude: None,
             step: 0,
             pushes_done: 0,
             shown_push: None,
@@ -146,6 +149,16 @@ impl<'a> Rollout<'a> {
         }
     }
 
+    /// Takes the steps before the first disturbance from a prelude of this script by the same policy. Without effect where
+    /// they would not be the same: on sensors, or if bodies are asked for.
+    pub fn after(mut self, prelude: &'a Prelude) -> Self {
+        if prelude.is_of(&self.script) && self.senses.is_none() && !self.with_bodies {
+            let steps = self.script.calm_steps(&self.config.simulation).min(prelude.steps.len() - 1);
+            self.prelude = Some((prelude, steps));
+        }
+        self
+    }
+
     /// Steps that a rollout without a fall has.
     pub fn steps(&self) -> usize {
         self.steps
@@ -167,7 +180,32 @@ impl<'a> Rollout<'a> {
         trace
     }
 
+    /// What a step starts from.
+    pub(super) fn moment(&self) -> Moment {
+        Moment { state: self.state.clone(), sim: self.sim.save(), swings: self.swings }
+    }
+
+    /// A step that is there already: the controller sees what it saw then. After the last of them the simulation goes on.
+    fn recall(&mut self) -> mujoco::Result<Option<Frame>> {
+        let Some((prelude, steps)) = self.prelude.filter(|(_, steps)| self.step < *steps) else { return Ok(None) };
+        let Recorded { before, frame } = &prelude.steps[self.step];
+        if std::mem::take(&mut self.afresh) {
+            self.controller.begin(&before.state);
+        }
+        self.controller.joint_targets(&before.state, &self.command);
+        self.step += 1;
+        if self.step == steps {
+            let Recorded { before: Moment { state, sim, swings }, .. } = &prelude.steps[self.step];
+            self.sim.restore(sim)?;
+            (self.state, self.swings) = (state.clone(), *swings);
+        }
+        Ok(Some(Frame { stage: self.stage(frame.time_s), ..frame.clone() }))
+    }
+
     fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, Fault> {
+        if let Some(frame) = self.recall()? {
+            return Ok(frame);
+        }
         let period_s = self.sim.policy_period_s();
         let time_s = self.step as f64 * period_s;
         self.disturb(time_s, events)?;
@@ -245,8 +283,6 @@ impl<'a> Rollout<'a> {
         let (roll, pitch, yaw) = state.roll_pitch_yaw();
         let data = self.sim.data();
         let config = &*self.config;
-        let stages = Stages::new(&config.episode, &config.simulation);
-        let is_training_episode = self.script.pushes.len() == 1;
         let frame = Frame {
             time_s,
             bodies: if self.with_bodies { poses(data) } else { Vec::new() },
@@ -276,20 +312,24 @@ impl<'a> Rollout<'a> {
             spring: stretch,
             sensed: self.senses.as_ref().map(|senses| senses.sensed(&state)),
             disturbance: self.disturbance(time_s, stretch),
-            stage: is_training_episode.then(|| {
-                let since_push = time_s - self.script.pushes[0].time_s;
-                let step = (since_push / period_s).round() as i64 + stages.recovery_start as i64 - 1;
-                stages.at(step.max(0) as usize)
-            }),
+            stage: self.stage(time_s),
         };
         self.state = state;
         Ok(frame)
     }
 
+    /// Stage of the training episode that this would be, if it is one.
+    fn stage(&self, time_s: f64) -> Option<Stage> {
+        let [push] = &self.script.pushes[..] else { return None };
+        let stages = Stages::new(&self.config.episode, &self.config.simulation);
+        let since_push = ((time_s - push.time_s) / self.sim.policy_period_s()).round() as i64;
+        Some(stages.at((since_push + stages.recovery_start as i64 - 1).max(0) as usize))
+    }
+
     /// Applies what is due before the step that starts at `time_s`.
     fn disturb(&mut self, time_s: f64, events: &mut Vec<Event>) -> mujoco::Result<()> {
-        let half_a_step_s = 0.5 * self.sim.policy_period_s();
-        let due = |push: &&TimedPush| push.time_s < time_s + half_a_step_s;
+        let period_s = self.sim.policy_period_s();
+        let due = |push: &&TimedPush| push.is_due(time_s, period_s);
         while let Some(push) = self.script.pushes.get(self.pushes_done).filter(due).map(|due| due.push) {
             self.pushes_done += 1;
             self.shove(&push, time_s, events)?;
@@ -298,7 +338,7 @@ impl<'a> Rollout<'a> {
             self.shove(&push, time_s, events)?;
         }
         if let Some(pull) = self.script.pull {
-            let active = (pull.from_s..pull.until_s).contains(&(time_s + 1e-9));
+            let active = pull.acts(time_s);
             if active != self.pulling {
                 self.pulling = active;
                 let force = self.steady_force();
@@ -469,6 +509,27 @@ impl Iterator for Rollout<'_> {
                 Some(Played { frame: None, events })
             }
         }
+    }
+}
+
+/// What a step starts from.
+#[derive(Debug)]
+pub(super) struct Moment {
+    state: RobotState,
+    sim: SimState,
+    swings: SwingTracker,
+}
+
+/// A step, with what it started from.
+#[derive(Debug)]
+pub(super) struct Recorded {
+    before: Moment,
+    frame: Frame,
+}
+
+impl Moment {
+    pub(super) fn followed_by(self, frame: Frame) -> Recorded {
+        Recorded { before: self, frame }
     }
 }
 

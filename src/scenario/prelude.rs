@@ -1,0 +1,135 @@
+//! What comes before the first disturbance, played once for many rollouts.
+
+use super::metrics::PHASE_S;
+use super::play::{Played, Recorded, Rollout};
+use super::{Script, TimedPush};
+use crate::config::{Config, Simulation};
+use crate::mujoco;
+use crate::policy::Controller;
+use crate::sim::{Pull, Scene};
+
+/// The undisturbed steps of scripts that differ in their disturbances only, by one policy on the true state.
+///
+/// A rollout that goes on [after it](Rollout::after) has these steps at once, and all that follows with the same bits.
+#[derive(Debug)]
+pub struct Prelude {
+    calm: Script,
+    pub(super) steps: Vec<Recorded>,
+}
+
+impl Script {
+    /// The same without disturbances and without an end, if they are pushes and pulls of a robot alone on a plane.
+    pub fn calm(&self) -> Option<Script> {
+        let is_alone = self.scene == Scene::flat(self.scene.robot.clone(), self.scene.timestep_s);
+        let only_pushed = self.spring.is_none() && self.rig.is_none();
+        let calm = || Script { pushes: Vec::new(), pull: None, duration_s: 0.0, after_fall_s: 0.0, ..self.clone() };
+        (is_alone && only_pushed).then(calm)
+    }
+
+    /// Steps before the first disturbance, or all.
+    pub(super) fn calm_steps(&self, simulation: &Simulation) -> usize {
+        let period_s = simulation.policy_period_s();
+        let begins = |step: &usize| {
+            let time_s = *step as f64 * period_s;
+            self.pushes.iter().any(|push| push.is_due(time_s, period_s))
+                || self.pull.is_some_and(|pull| pull.acts(time_s))
+        };
+        let steps = simulation.policy_steps(self.duration_s);
+        (0..steps).find(begins).unwrap_or(steps)
+    }
+}
+
+impl TimedPush {
+    /// Whether it comes no later than the step that starts at `time_s`.
+    pub(super) fn is_due(&self, time_s: f64, period_s: f64) -> bool {
+        self.time_s < time_s + 0.5 * period_s
+    }
+}
+
+impl Pull {
+    /// Whether it acts in the step that starts at `time_s`.
+    pub(super) fn acts(&self, time_s: f64) -> bool {
+        (self.from_s..self.until_s).contains(&(time_s + 1e-9))
+    }
+}
+
+impl Prelude {
+    /// Plays the calm of a script, long enough for those whose disturbance comes at another phase of the gait. None if no other
+    /// script could share it.
+    ///
+    /// # Errors
+    /// As [`Rollout::new`].
+    pub fn new(script: &Script, config: &Config, controller: Box<dyn Controller + '_>) -> mujoco::Result<Option<Self>> {
+        let Some(calm) = script.calm() else { return Ok(None) };
+        let simulation = &config.simulation;
+        let calm_s = script.calm_steps(simulation) as f64 * simulation.policy_period_s();
+        let played = Script { duration_s: script.duration_s.min(calm_s + PHASE_S), ..calm.clone() };
+        let mut rollout = Rollout::new(&played, config, controller)?;
+        let mut steps = Vec::new();
+        loop {
+            let before = rollout.moment();
+            match rollout.next() {
+                // A fall, or whatever else is told of, is left to the rollouts themselves.
+                Some(Played { frame: Some(frame), events }) if events.is_empty() => {
+                    steps.push(before.followed_by(frame))
+                }
+                _ => return Ok((!steps.is_empty()).then_some(Prelude { calm, steps })),
+            }
+        }
+    }
+
+    /// Whether it is that of a script.
+    pub fn is_of(&self, script: &Script) -> bool {
+        script.calm().is_some_and(|calm| calm == self.calm)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::{Agent, shipped};
+    use crate::scenario::catalog::Scenario;
+    use crate::scenario::trace::Trace;
+
+    fn script(name: &str, later_s: f64, agent: &Agent) -> Script {
+        Scenario::named(name, "{}").unwrap().later(later_s).script(3, &agent.config).unwrap()
+    }
+
+    fn trace(script: &Script, agent: &Agent, prelude: Option<&Prelude>) -> Trace {
+        let rollout = Rollout::new(script, &agent.config, agent.controller()).unwrap();
+        prelude.into_iter().fold(rollout, Rollout::after).trace()
+    }
+
+    #[test]
+    fn rollouts_have_the_same_frames_with_and_without_a_prelude() {
+        let mut agent = shipped::find("compliant").unwrap();
+        agent.told = 0.03;
+        for name in ["push", "leash", "walk"] {
+            let tell = |later_s| {
+                let mut script = script(name, later_s, &agent);
+                script.tell(agent.told);
+                script
+            };
+            let first = tell(0.0);
+            let prelude = Prelude::new(&first, &agent.config, agent.controller()).unwrap().unwrap();
+            // One that is disturbed later than the prelude lasts, too.
+            for script in [first, tell(0.4), tell(1.5)] {
+                let (alone, after) = (trace(&script, &agent, None), trace(&script, &agent, Some(&prelude)));
+                assert!(alone.frames == after.frames && alone.events == after.events, "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_prelude_is_of_scripts_that_differ_in_their_disturbances_only() {
+        let agent = shipped::find("compliant").unwrap();
+        let push = script("push", 0.0, &agent);
+        let prelude = Prelude::new(&push, &agent.config, agent.controller()).unwrap().unwrap();
+        assert!(prelude.is_of(&Script { pushes: Vec::new(), duration_s: 3.0, ..push.clone() }));
+        let mut faster = push.clone();
+        faster.command.forward = 0.9;
+        assert!(!prelude.is_of(&faster));
+        let rigged = script("pulley", 0.0, &agent);
+        assert!(Prelude::new(&rigged, &agent.config, agent.controller()).unwrap().is_none());
+    }
+}
