@@ -11,7 +11,7 @@ enough out, they have the same sign too often by chance, and so there is no inte
 use std::collections::BTreeMap;
 
 use rand::RngExt;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use supple::util::random::{Purpose, stream};
@@ -58,7 +58,7 @@ impl Spread {
 }
 
 /// A number and its 95 % interval.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
     /// From all pairs of seeds.
     pub value: f64,

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::markdown::{cells, claim_cells, claim_columns, columns};
-use super::{Report, Section, duration};
+use super::{Report, Section, beside, duration};
 use crate::findings::{Claim, Table};
 use crate::plot::svg::escaped;
 use crate::statistics::Verdict;
@@ -53,6 +53,9 @@ pub fn page(report: &Report) -> String {
     let words = WORDS.iter().map(|(word, meaning)| format!("<dt>{word}</dt><dd>{}</dd>", escaped(meaning)));
     let _ = writeln!(body, "<details><summary>Definitions</summary><dl>{}</dl></details>", words.collect::<String>());
     body.push_str(&claims(report));
+    if !report.beside.is_empty() {
+        body.push_str(&self::beside(report));
+    }
     body.push_str(&policies(report));
     for section in &report.sections {
         body.push_str(&experiment(section, report));
@@ -129,6 +132,21 @@ fn claim_row(claim: &Claim) -> String {
         _ => format!("<td class=\"number\">{text}</td>"),
     };
     cells.iter().enumerate().map(cell).collect()
+}
+
+fn beside(report: &Report) -> String {
+    let (columns, rows) = beside::table(report);
+    let head: String = columns.iter().map(|column| format!("<th>{}</th>", escaped(column))).collect();
+    let row = |cells: Vec<String>| {
+        let cells = cells.iter().map(|cell| format!("<td>{}</td>", escaped(cell).replace(": ", ":<br>")));
+        format!("<tr>{}</tr>\n", cells.collect::<String>())
+    };
+    format!(
+        "<h2 id=\"beside\">{}</h2>\n<p>{}</p>\n<table><tr>{head}</tr>\n{}</table>\n",
+        beside::TITLE,
+        beside::CAPTION,
+        rows.into_iter().map(row).collect::<String>()
+    )
 }
 
 fn policies(report: &Report) -> String {

@@ -1,6 +1,6 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::{Report, duration};
+use super::{Report, beside, duration};
 use crate::findings::{Claim, Row, Table, difference, percent, spread};
 
 /// Cells of a row: condition, quantity, the paper's numbers, ours of each set, difference, relative change.
@@ -72,6 +72,12 @@ pub fn claims(report: &Report) -> String {
     grid(&columns, rows)
 }
 
+/// The claims here and in other reports.
+pub fn beside(report: &Report) -> String {
+    let (columns, rows) = beside::table(report);
+    grid(&columns, rows.into_iter())
+}
+
 /// `docs/results.md`, which looks for its figures in `images/`.
 pub fn document(report: &Report) -> String {
     let mut text = format!(
@@ -97,6 +103,9 @@ pub fn document(report: &Report) -> String {
     }
     if !notes.is_empty() {
         text.push_str(&format!("\n{notes}"));
+    }
+    if !report.beside.is_empty() {
+        text.push_str(&format!("\n## {}\n\n{}\n\n{}", beside::TITLE, beside::CAPTION, self::beside(report)));
     }
     for figure in report.figures_of_document() {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));

@@ -4,6 +4,7 @@
 numbers to six digits. Durations and the command stand in the page only.
 */
 
+pub mod beside;
 mod html;
 mod markdown;
 mod summary;
@@ -13,6 +14,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use self::beside::Beside;
 use super::contestants::Contest;
 use super::findings::{Figure, Findings, Table};
 use super::plot::png::Renderer;
@@ -160,6 +162,8 @@ pub struct Report {
     pub missing: Vec<Info>,
     /// E12: the experiments that were also run with estimated sensing.
     pub sensing: SensingFindings,
+    /// Other reports whose numbers are shown beside these.
+    pub beside: Vec<Beside>,
 }
 
 /// What a policy file of ours says of where it came from.
@@ -197,6 +201,7 @@ impl Report {
             sections: Vec::new(),
             missing: Vec::new(),
             sensing: SensingFindings::new(contest),
+            beside: Vec::new(),
         }
     }
 
@@ -257,6 +262,9 @@ impl Report {
         }
         write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
         write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
+        if !self.beside.is_empty() {
+            write(&tables.join("beside.md"), markdown::beside(self).as_bytes())?;
+        }
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
         write(&out.join("report.html"), html::page(self).as_bytes())
     }

@@ -37,6 +37,9 @@ pub struct Args {
     /// A further set, shown beside the two that are compared: its name, and where it is; may be repeated
     #[arg(long, value_name = "NAME=PATH[@C]", value_parser = path_as_text().try_map(name_and_path))]
     pub also: Vec<(String, PathBuf)>,
+    /// The folder of another report, whose numbers are shown beside these: what it is called, and where it is; may be repeated
+    #[arg(long, value_name = "NAME=DIR", value_parser = path_as_text().try_map(name_and_path))]
+    pub beside: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]
     pub out: PathBuf,
@@ -80,10 +83,13 @@ impl Args {
             _ => self.folder().iter().map(|folder| ("--policies", path(folder))).collect(),
         };
         let names = (self.names != ["compliant", "baseline"]).then(|| ("--names", shell_word(self.names.join(","))));
-        let also = self
-            .also
-            .iter()
-            .map(|(name, file)| ("--also", shell_word([OsStr::new(name), file.as_os_str()].join(OsStr::new("=")))));
+        let named = |flag| {
+            move |(name, path): &(String, PathBuf)| {
+                (flag, shell_word([OsStr::new(name), path.as_os_str()].join(OsStr::new("="))))
+            }
+        };
+        let also = self.also.iter().map(named("--also"));
+        let beside = self.beside.iter().map(named("--beside"));
         let protocol = self.protocol.iter().map(|file| ("--protocol", path(file)));
         let joints = self
             .joints
@@ -92,7 +98,8 @@ impl Args {
         let sensing = (self.sensing == Sensing::Estimated).then(|| ("--sensing", "estimated".to_owned()));
         let results = self.results.iter().map(|file| ("--results", path(file)));
         let quick = self.quick.then(|| "--quick".to_owned());
-        let pairs = sets.into_iter().chain(names).chain(also).chain(protocol).chain(joints).chain(sensing);
+        let pairs =
+            sets.into_iter().chain(names).chain(also).chain(protocol).chain(joints).chain(sensing).chain(beside);
         let pairs = pairs.chain([("--out", path(&self.out))]).chain(results);
         let words = pairs.flat_map(|(key, value)| [key.to_owned(), value]);
         quick.into_iter().chain(words).collect()

@@ -13,6 +13,7 @@ use supple::scenario::Sensing;
 use supple::util::terminal;
 use supple_evaluate::contestants::Contest;
 use supple_evaluate::protocol::Protocol;
+use supple_evaluate::report::beside::Beside;
 use supple_evaluate::report::{Command, Report, Section};
 use supple_evaluate::runner::{self, Settings};
 use supple_evaluate::store::Store;
@@ -28,8 +29,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
     if let Some(joints) = args.joints {
         contest.set_losses(joints.into());
     }
+    let beside = args.beside.iter().map(|(name, folder)| Beside::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
     let command = Command { experiments: args.experiments.clone(), options: args.options() };
-    let mut report = Report::new(&contest, name, command);
+    let mut report = Report { beside, ..Report::new(&contest, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     contest.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;

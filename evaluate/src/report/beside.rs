@@ -1,0 +1,197 @@
+//! Claims beside those of other reports: on another robot, with other joints, after more samples.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::Report;
+use crate::Quantity;
+use crate::findings::{NOTHING, difference, number, percent};
+use crate::statistics::{Comparison, Estimate, Numbers, PerSeed, Spread};
+use supple::util::files;
+
+/// Of the table.
+pub const TITLE: &str = "Beside other reports";
+
+/// Above the table.
+pub const CAPTION: &str = "Means of both sets, and the first against the second: relative, or in points of a fraction, with the 95 % interval; where \
+     there are fewer than five pairs, in how many of them it lies on that side.";
+
+/// Larger files are not ours.
+const MAX_BYTES: u64 = 1 << 28;
+
+/// Why another report cannot be shown.
+#[derive(Debug, thiserror::Error)]
+pub enum BesideError {
+    /// There is no summary.
+    #[error("cannot read {}: {source}; expected the folder of a finished report", path.display())]
+    Read {
+        /// Where it should be.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// It is something else.
+    #[error("{} is not the summary of a report: {problem}; make the report again with this program", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+}
+
+/// Another report, by what it says of the claims.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Beside {
+    /// What it is called here.
+    pub name: String,
+    /// By experiment, as the summary has them: in their quantities' units.
+    claims: BTreeMap<String, Vec<(String, Comparison)>>,
+}
+
+#[derive(Deserialize)]
+struct Summary {
+    sets: Vec<String>,
+    experiments: Vec<Experiment>,
+}
+
+#[derive(Deserialize)]
+struct Experiment {
+    name: String,
+    claims: Vec<Claim>,
+}
+
+#[derive(Deserialize)]
+struct Claim {
+    quantity: String,
+    ours: Ours,
+}
+
+#[derive(Deserialize)]
+struct Ours {
+    sets: BTreeMap<String, Set>,
+    difference: Option<Estimate>,
+    relative: Option<Estimate>,
+}
+
+#[derive(Deserialize)]
+struct Set {
+    mean: Option<f64>,
+    sd: Option<f64>,
+    by_seed: PerSeed,
+}
+
+impl Set {
+    fn numbers(self) -> Numbers {
+        let seeds = self.by_seed.len();
+        let spread = self.mean.map(|mean| Spread { mean, sd: self.sd, seeds });
+        Numbers { by_seed: self.by_seed, spread, members: seeds }
+    }
+}
+
+impl Beside {
+    /// Reads the summary in the folder of a report.
+    ///
+    /// # Errors
+    /// [`BesideError`]
+    pub fn read(name: &str, folder: &Path) -> Result<Self, BesideError> {
+        let path = folder.join("summary.json");
+        let bytes =
+            files::read_bounded(&path, MAX_BYTES).map_err(|source| BesideError::Read { path: path.clone(), source })?;
+        let content = |problem: String| BesideError::Content { path: path.clone(), problem };
+        let summary: Summary = serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))?;
+        let [first, second, ..] = &summary.sets[..] else { return Err(content("it has no two sets".to_owned())) };
+        let numbers = |Claim { quantity, ours: Ours { mut sets, difference, relative } }: Claim| {
+            let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
+            (quantity, Comparison { sets: pair, difference, relative, trials: None })
+        };
+        let claims = summary.experiments.into_iter().map(|of| (of.name, of.claims.into_iter().map(numbers).collect()));
+        Ok(Beside { name: name.to_owned(), claims: claims.collect() })
+    }
+
+    /// A claim of an experiment, if it is about the same quantity there.
+    fn cell(&self, experiment: &str, index: usize, quantity: Quantity) -> String {
+        let there = self.claims.get(experiment).and_then(|claims| claims.get(index));
+        let same = there.filter(|(name, _)| name == quantity.name);
+        same.map_or(NOTHING.to_owned(), |(_, there)| cell(&there.scaled(1.0 / quantity.scale()), quantity))
+    }
+}
+
+/// Titles and rows of the table: each claim, here and in the reports beside this one.
+pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
+    let columns =
+        ["experiment", "the paper's claim", "here"].into_iter().chain(report.beside.iter().map(|it| &*it.name));
+    let of_section = |section: &super::Section| {
+        let info = section.info;
+        let row = move |(index, claim): (usize, &crate::findings::Claim)| {
+            let there = report.beside.iter().map(|beside| beside.cell(info.name, index, claim.quantity));
+            let here = [info.id.to_owned(), claim.text.clone(), cell(&claim.comparison, claim.quantity)];
+            here.into_iter().chain(there).collect()
+        };
+        section.findings.claims.iter().enumerate().map(row).collect::<Vec<_>>()
+    };
+    (columns.map(ToOwned::to_owned).collect(), report.sections.iter().flat_map(of_section).collect())
+}
+
+/// Means of both sets, how the first lies to the second, and, where there are too few pairs for an interval, how many agree.
+fn cell(comparison: &Comparison, quantity: Quantity) -> String {
+    let mean = |set: &Numbers| set.spread.map_or(NOTHING.to_owned(), |spread| number(spread.mean, quantity));
+    let means = comparison.pair().iter().map(mean).collect::<Vec<_>>().join(" / ");
+    let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
+    let apart = match comparison.relative {
+        Some(_) if quantity.unit != "%" => percent(comparison.relative, " %"),
+        _ => difference(comparison, quantity, &unit.replace('%', "points")),
+    };
+    let agree = comparison.difference.filter(|estimate| estimate.interval.is_none()).and_then(|estimate| {
+        let [a, b] = comparison.pair() else { return None };
+        let pairs = a.by_seed.iter().filter_map(|(seed, value)| Some(value - b.by_seed.get(seed)?));
+        let same = pairs.filter(|apart| apart.signum() == estimate.value.signum()).count();
+        (estimate.pairs > 1).then(|| format!(" ({same} of {} pairs)", estimate.pairs))
+    });
+    format!("{means}{unit}: {apart}{}", agree.unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::statistics::Trials;
+
+    const TIME: Quantity = Quantity::new("decay_10_s", "decay", "s", 2);
+
+    fn numbers(values: &[f64]) -> Numbers {
+        Numbers::new((0..).zip(values.iter().copied()).collect(), values.len())
+    }
+
+    #[test]
+    fn a_cell_has_means_and_the_relative_difference_and_counts_few_pairs() {
+        let few = Comparison::new(vec![numbers(&[0.6, 0.5, 0.4]), numbers(&[0.4, 0.4, 0.5])]);
+        // (1.5 − 1.3) / 1.3 = 15 %; the third pair differs the other way.
+        assert_eq!(cell(&few, TIME), "0.50 / 0.43 s: +15 % (2 of 3 pairs)");
+        let share = Quantity::new("held", "held", "%", 0);
+        let shares = Comparison::new(vec![numbers(&[0.9]), numbers(&[0.8])]);
+        assert_eq!(
+            cell(&shares.with_trials(Trials { used: 4, of: 5 }), share),
+            "90 / 80 %: +10.0 points (4 of 5 trials)"
+        );
+    }
+
+    #[test]
+    fn a_summary_is_read_by_experiment_and_place_and_only_for_the_same_quantity() {
+        let folder = tempfile::tempdir().unwrap();
+        let summary = r#"{"sets": ["soft", "stiff"], "experiments": [{"name": "decay", "claims": [
+            {"quantity": "decay_10_s", "ours": {"sets": {"soft": {"mean": 0.6, "sd": null, "by_seed": {"0": 0.6}},
+             "stiff": {"mean": 0.4, "sd": null, "by_seed": {"0": 0.4}}},
+             "difference": {"value": 0.2, "interval": null, "pairs": 1},
+             "relative": {"value": 0.5, "interval": [0.4, 0.6], "pairs": 1}}}]}]}"#;
+        std::fs::write(folder.path().join("summary.json"), summary).unwrap();
+        let beside = Beside::read("go2", folder.path()).unwrap();
+        assert_eq!(beside.cell("decay", 0, TIME), "0.60 / 0.40 s: +50 [+40, +60] %");
+        assert_eq!(beside.cell("decay", 1, TIME), NOTHING);
+        assert_eq!(beside.cell("decay", 0, Quantity { name: "decay_20_s", ..TIME }), NOTHING);
+        assert!(matches!(Beside::read("x", &folder.path().join("none")), Err(BesideError::Read { .. })));
+        std::fs::write(folder.path().join("summary.json"), "{}").unwrap();
+        assert!(matches!(Beside::read("x", folder.path()), Err(BesideError::Content { .. })));
+    }
+}
