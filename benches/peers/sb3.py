@@ -3,11 +3,13 @@
     sb3.py FOLDER [--environment supple] [--threads N] [--epochs N] [--repetitions N]
 
 FOLDER holds config.json, scene.xml and robot.xml. Prints one JSON object; times are medians over iterations. Threads of
-the environment and of PyTorch's update are whichever is faster here, one or N. Differences from ours, all in its favour
+the environment and of PyTorch's update are whichever is faster here, one or N, and so is the update's precision, f32 or
+autocast to bf16, which the tiles of newer processors multiply. Differences from ours, all in its favour
 or without effect on the time: current MuJoCo (but for our environment, which is the one of `train`), fused Adam, a
 constant learning rate.
 """
 import argparse
+import itertools
 import json
 import pathlib
 import statistics
@@ -34,9 +36,11 @@ class TimedPPO(PPO):
         return result
 
     def train(self):
-        torch.set_num_threads(self.update_threads)
+        threads, bf16 = self.update_choice
+        torch.set_num_threads(threads)
         started = time.perf_counter()
-        super().train()
+        with torch.autocast("cpu", torch.bfloat16, enabled=bf16):
+            super().train()
         self.update_times.append(time.perf_counter() - started)
 
 
@@ -67,7 +71,7 @@ def ppo(env, config, epochs):
             "optimizer_kwargs": {"eps": p["adam_epsilon"], "fused": True},
         },
     )
-    model.rollout_times, model.update_times, model.update_threads = [], [], 1
+    model.rollout_times, model.update_times, model.update_choice = [], [], (1, False)
     return model
 
 
@@ -105,11 +109,11 @@ def main():
     model = ppo(make(env_threads), config, args.epochs)
 
     model.n_epochs, update_trial_s = min(2, args.epochs), {}
-    for threads in choices:
-        model.update_threads = threads
+    for choice in itertools.product(choices, (False, True)):
+        model.update_choice = choice
         model.learn(batch_size, reset_num_timesteps=False)
-        update_trial_s[threads] = model.update_times[-1]
-    model.update_threads = min(update_trial_s, key=update_trial_s.get)
+        update_trial_s[choice] = model.update_times[-1]
+    model.update_choice = min(update_trial_s, key=update_trial_s.get)
 
     model.n_epochs, model.rollout_times, model.update_times = args.epochs, [], []
     started = time.perf_counter()
@@ -123,8 +127,9 @@ def main():
         "rest_s": elapsed_s / args.repetitions - statistics.mean(whole),
         "env_threads": env_threads,
         "env_trial_s_by_threads": env_trial_s,
-        "update_threads": model.update_threads,
-        "update_trial_s_by_threads": update_trial_s,
+        "update_threads": model.update_choice[0],
+        "update_bf16": model.update_choice[1],
+        "update_trial_s": {f"{threads} threads, {'bf16' if bf16 else 'f32'}": s for (threads, bf16), s in update_trial_s.items()},
         "env_samples_per_s": 64 * count / env_trial_s[env_threads],
         "stable_baselines3": stable_baselines3.__version__,
         "torch": torch.__version__,
