@@ -63,7 +63,7 @@ hidden = [256, 128, 64]
 model = PPO(
     "MlpPolicy", env, seed=args.seed, device="cpu", n_steps=128, batch_size=512, n_epochs=8,
     gamma=0.99, gae_lambda=0.95, clip_range=0.2, ent_coef=0.01, vf_coef=0.5, max_grad_norm=0.5,
-    policy_kwargs={"net_arch": {"pi": hidden, "vf": hidden}, "activation_fn": torch.nn.ELU, "log_std_init": -1.0,
+    policy_kwargs={"net_arch": {"pi": hidden, "vf": hidden}, "activation_fn": torch.nn.ELU, "log_std_init": -0.5,
                    "optimizer_kwargs": {"eps": 1e-5}},
 )
 model.learn(args.samples, callback=Watch(args.out / "curve.csv"))

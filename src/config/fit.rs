@@ -134,7 +134,9 @@ mod tests {
         // 0.015 / 10, 0.0015 / 7.352², 10 / 0.7352², 0.1 / 0.7352²
         assert_eq!((config.reward.energy, config.reward.torque), (-0.0015, -2.78e-5));
         assert_eq!((config.reward.height_sharpness, config.reward.foot_clearance), (18.5, -0.185));
-        assert_eq!((own.ppo.initial_log_std, config.ppo.initial_log_std), (-1.0, -0.5));
+        let printed = Config::load("compliant").unwrap();
+        let fitted = printed.fitted_to(&robot).unwrap();
+        assert_eq!((printed.ppo.initial_log_std, fitted.ppo.initial_log_std), (-1.0, -0.5));
         assert_eq!((config.command, config.randomisation), (own.command, own.randomisation));
     }
 
