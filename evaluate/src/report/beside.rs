@@ -144,11 +144,12 @@ fn cell(comparison: &Comparison, quantity: Quantity) -> String {
         Some(_) if quantity.unit != "%" => percent(comparison.relative, " %"),
         _ => difference(comparison, quantity, &unit.replace('%', "points")),
     };
-    let agree = comparison.difference.filter(|estimate| estimate.interval.is_none()).and_then(|estimate| {
+    let few = comparison.difference.filter(|estimate| estimate.interval.is_none() && estimate.value != 0.0);
+    let agree = few.and_then(|estimate| {
         let [a, b] = comparison.pair() else { return None };
-        let pairs = a.by_seed.iter().filter_map(|(seed, value)| Some(value - b.by_seed.get(seed)?));
-        let same = pairs.filter(|apart| apart.signum() == estimate.value.signum()).count();
-        (estimate.pairs > 1).then(|| format!(" ({same} of {} pairs)", estimate.pairs))
+        let pairs: Vec<f64> = a.by_seed.iter().filter_map(|(seed, value)| Some(value - b.by_seed.get(seed)?)).collect();
+        let same = pairs.iter().filter(|apart| *apart * estimate.value > 0.0).count();
+        (pairs.len() > 1).then(|| format!(" ({same} of {} pairs)", pairs.len()))
     });
     format!("{means}{unit}: {apart}{}", agree.unwrap_or_default())
 }
