@@ -138,7 +138,7 @@ fn beside(report: &Report) -> String {
     let (columns, rows) = beside::table(report);
     let head: String = columns.iter().map(|column| format!("<th>{}</th>", escaped(column))).collect();
     let row = |cells: Vec<String>| {
-        let cells = cells.iter().map(|cell| format!("<td>{}</td>", escaped(cell).replace(": ", ":<br>")));
+        let cells = cells.iter().map(|cell| format!("<td>{}</td>", escaped(cell)));
         format!("<tr>{}</tr>\n", cells.collect::<String>())
     };
     format!(
