@@ -2,8 +2,8 @@
 
     torch_update.py FOLDER [--threads N] [--epochs N] [--repetitions N] [--compile]
 
-FOLDER holds config.json. Prints one JSON object; `sample_passes_per_s` is the median at the best number of threads and the faster
-precision, f32 or autocast to bf16, which the tiles of newer processors multiply. The batch is random numbers: it has the sizes of a real one, and the time does not depend on more.
+FOLDER holds config.json. Prints one JSON object; `sample_passes_per_s` is the median at the best number of threads and
+the faster precision, f32 or autocast to bf16, which the tiles of newer processors multiply. The batch is random numbers: it has the sizes of a real one, and the time does not depend on more.
 """
 import argparse
 import itertools

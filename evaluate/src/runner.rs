@@ -158,7 +158,7 @@ fn play_all(
     let play = |index: usize| {
         let condition = &conditions[index / trials];
         let seed = trial::trial_seed(contestant.seed, number, index / trials, (index % trials) as u32);
-        let sample = trial::play(experiment, condition, seed, &contestant.agent, settings.sensing, &preludes)?;
+        let sample = trial::play(experiment, condition, seed, &contestant.agent, settings.sensing, Some(&preludes))?;
         progress(condition.scenario.cost());
         Ok(sample)
     };

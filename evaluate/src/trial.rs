@@ -147,8 +147,8 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own. `preludes` are those of
-/// the agent.
+/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own. With `preludes`, which
+/// are the agent's, trials share what comes before their disturbances.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -158,7 +158,7 @@ pub fn play(
     seed: u64,
     agent: &Agent,
     sensing: Sensing,
-    preludes: &Preludes,
+    preludes: Option<&Preludes>,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
@@ -169,10 +169,11 @@ pub fn play(
     }
     // What a fallen robot does is nobody's result.
     script.after_fall_s = 0.0;
-    let prelude = if sensing == Sensing::True { preludes.of(&script, agent)? } else { None };
+    let preludes = preludes.filter(|_| sensing == Sensing::True);
+    let prelude = preludes.map_or(Ok(None), |preludes| preludes.of(&script, agent))?;
     let rollout = Rollout::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
     let trace = match &prelude {
-        Some(prelude) => rollout.after(prelude).trace(),
+        Some(prelude) => rollout.trace_after(prelude),
         None => rollout.trace(),
     };
     let trial = Trial::new(&scenario, &script, &trace);
@@ -207,7 +208,7 @@ mod tests {
             let point = |measured| Point { setting: measured, measured };
             let calibration = Calibration::unmeasured(&agent.sha256);
             agent.calibration = Some(Calibration { points: vec![point(low), point(0.05)], ..calibration });
-            play(&protocol.leash, &condition, 1, &agent, Sensing::True, &Preludes::default()).unwrap()
+            play(&protocol.leash, &condition, 1, &agent, Sensing::True, None).unwrap()
         };
         let refused = play(0.04);
         assert_eq!((refused.end, &refused.values[..]), (End::OutOfReach, &[None, None, None][..]));

@@ -131,8 +131,7 @@ impl Work<'_> {
         let seed = trial::trial_seed(self.seed, self.experiment.info().number, condition, trial as u32);
         let condition = &self.conditions[condition];
         // A function may act otherwise the next time.
-        let alone = self.policy.is_function().then(Preludes::default);
-        let preludes = alone.as_ref().unwrap_or(&self.preludes);
+        let preludes = (!self.policy.is_function()).then_some(&self.preludes);
         let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing, preludes);
         self.policy.check()?;
         sample.map_err(failed)

@@ -78,7 +78,7 @@ impl DerefMut for Buffer {
     }
 }
 
-/// A matrix in panels, one after the other. What is beyond its columns is zero.
+/// A matrix in panels, one after the other. What lies beyond the columns in use does not count.
 #[derive(Debug)]
 pub struct Matrix {
     rows: usize,

@@ -86,3 +86,26 @@ impl PackedMlp {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    use super::*;
+
+    #[test]
+    fn what_a_wider_network_has_left_in_the_scratch_does_not_count() {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let narrow = PackedMlp::new(&Mlp::orthogonal(&[5, 40, 3], 1.0, &mut rng));
+        let wide = PackedMlp::new(&Mlp::orthogonal(&[70, 100, 50], 1.0, &mut rng));
+        let mut used = Scratch::default();
+        wide.forward(3, &[f32::NAN; 3 * 70], &mut [0.0; 3 * 50], &mut used);
+        let evaluate = |scratch: &mut Scratch| {
+            let mut y = [0.0; 2 * 3];
+            narrow.forward(2, &[0.1, -0.2, 0.3, -0.4, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0], &mut y, scratch);
+            y
+        };
+        assert_eq!(evaluate(&mut used), evaluate(&mut Scratch::default()));
+    }
+}

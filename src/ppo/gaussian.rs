@@ -129,6 +129,14 @@ mod tests {
     }
 
     #[test]
+    fn six_actions_have_twice_the_sums_of_three() {
+        let twice = |values: [f32; 3]| [values, values].concat();
+        let (old, new) = (DiagonalGaussian::new(&twice(OLD)), DiagonalGaussian::new(&twice(NEW)));
+        assert_close(new.log_prob(&twice(NEW_MEAN), &twice(ACTION)), 2.0 * -4.77537299653387);
+        assert_close(KlDivergence::new(&old, &new).at(&twice(OLD_MEAN), &twice(NEW_MEAN)), 2.0 * 0.4160324150920287);
+    }
+
+    #[test]
     fn kl_of_an_unchanged_policy_is_exactly_zero() {
         let policy = DiagonalGaussian::new(&OLD);
         assert_eq!(KlDivergence::new(&policy, &policy).at(&OLD_MEAN, &OLD_MEAN), 0.0);

@@ -149,16 +149,6 @@ impl<'a> Rollout<'a> {
         }
     }
 
-    /// Takes the steps before the first disturbance from a prelude of this script by the same policy. Without effect where
-    /// they would not be the same: on sensors, or if bodies are asked for.
-    pub fn after(mut self, prelude: &'a Prelude) -> Self {
-        if prelude.is_of(&self.script) && self.senses.is_none() && !self.with_bodies {
-            let steps = self.script.calm_steps(&self.config.simulation).min(prelude.steps.len() - 1);
-            self.prelude = Some((prelude, steps));
-        }
-        self
-    }
-
     /// Steps that a rollout without a fall has.
     pub fn steps(&self) -> usize {
         self.steps
@@ -178,6 +168,16 @@ impl<'a> Rollout<'a> {
             trace.frames.extend(played.frame);
         }
         trace
+    }
+
+    /// Plays to the end, from where a prelude by the same policy with the same configuration leaves off; from the start if it
+    /// is of another script, or lacks what is asked for: what sensors read, or poses of bodies.
+    pub fn trace_after(mut self, prelude: &'a Prelude) -> Trace {
+        if prelude.is_of(&self.script) && self.senses.is_none() && !self.with_bodies {
+            let steps = self.script.calm_steps(&self.config.simulation).min(prelude.steps.len() - 1);
+            self.prelude = Some((prelude, steps));
+        }
+        self.trace()
     }
 
     /// What a step starts from.
@@ -525,6 +525,13 @@ pub(super) struct Moment {
 pub(super) struct Recorded {
     before: Moment,
     frame: Frame,
+}
+
+#[cfg(test)]
+impl Recorded {
+    pub(super) fn frame_mut(&mut self) -> &mut Frame {
+        &mut self.frame
+    }
 }
 
 impl Moment {

@@ -8,9 +8,9 @@ use crate::mujoco;
 use crate::policy::Controller;
 use crate::sim::{Pull, Scene};
 
-/// The undisturbed steps of scripts that differ in their disturbances only, by one policy on the true state.
+/// The undisturbed steps of scripts that differ only in their disturbances, by one policy on the true state.
 ///
-/// A rollout that goes on [after it](Rollout::after) has these steps at once, and all that follows with the same bits.
+/// A rollout that goes on [after it](Rollout::trace_after) has these steps at once, and all that follows with the same bits.
 #[derive(Debug)]
 pub struct Prelude {
     calm: Script,
@@ -88,8 +88,19 @@ impl Prelude {
 mod tests {
     use super::*;
     use crate::policy::{Agent, shipped};
+    use crate::scenario::Sensing;
     use crate::scenario::catalog::Scenario;
     use crate::scenario::trace::Trace;
+    use crate::sim::Push;
+
+    impl Prelude {
+        /// Gives a step a power that none has.
+        fn mark(&mut self, step: usize) {
+            self.steps[step].frame_mut().power_w = -1.0;
+        }
+    }
+
+    const SIDEWAYS: Push = Push { linear: [0.0, 0.5], angular: [0.0; 3] };
 
     fn script(name: &str, later_s: f64, agent: &Agent) -> Script {
         Scenario::named(name, "{}").unwrap().later(later_s).script(3, &agent.config).unwrap()
@@ -97,7 +108,10 @@ mod tests {
 
     fn trace(script: &Script, agent: &Agent, prelude: Option<&Prelude>) -> Trace {
         let rollout = Rollout::new(script, &agent.config, agent.controller()).unwrap();
-        prelude.into_iter().fold(rollout, Rollout::after).trace()
+        match prelude {
+            Some(prelude) => rollout.trace_after(prelude),
+            None => rollout.trace(),
+        }
     }
 
     #[test]
@@ -112,8 +126,10 @@ mod tests {
             };
             let first = tell(0.0);
             let prelude = Prelude::new(&first, &agent.config, agent.controller()).unwrap().unwrap();
+            let at_once = Script { pushes: vec![TimedPush { time_s: 0.0, push: SIDEWAYS }], ..first.clone() };
             // One that is disturbed later than the prelude lasts, too.
-            for script in [first, tell(0.4), tell(1.5)] {
+            for script in [first, at_once, tell(0.4), tell(1.5)] {
+                assert!(prelude.is_of(&script), "{name}");
                 let (alone, after) = (trace(&script, &agent, None), trace(&script, &agent, Some(&prelude)));
                 assert!(alone.frames == after.frames && alone.events == after.events, "{name}");
             }
@@ -121,7 +137,19 @@ mod tests {
     }
 
     #[test]
-    fn a_prelude_is_of_scripts_that_differ_in_their_disturbances_only() {
+    fn a_prelude_is_where_its_steps_come_from() {
+        let agent = shipped::find("compliant").unwrap();
+        let push = script("push", 0.0, &agent);
+        let mut prelude = Prelude::new(&push, &agent.config, agent.controller()).unwrap().unwrap();
+        prelude.mark(7);
+        assert_eq!(trace(&push, &agent, Some(&prelude)).frames[7].power_w, -1.0);
+        let rollout = Rollout::new(&push, &agent.config, agent.controller()).unwrap();
+        let sensing = rollout.with_sensing(Sensing::Estimated, 1).unwrap();
+        assert!(sensing.trace_after(&prelude).frames[7].power_w > 0.0, "what is sensed is not in it");
+    }
+
+    #[test]
+    fn a_prelude_is_of_scripts_that_differ_only_in_their_disturbances() {
         let agent = shipped::find("compliant").unwrap();
         let push = script("push", 0.0, &agent);
         let prelude = Prelude::new(&push, &agent.config, agent.controller()).unwrap().unwrap();

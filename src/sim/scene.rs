@@ -59,7 +59,8 @@ pub struct Scene {
 }
 
 thread_local! {
-    /// The scene that this thread has compiled last.
+    /// The scene that this thread has compiled last: evaluations play thousands of trials in one, and compiling it anew was 4 %
+    /// of their time. Of one thread, so that none waits for another.
     static LAST: RefCell<Option<(Scene, Model)>> = const { RefCell::new(None) };
 }
 
@@ -183,5 +184,21 @@ impl Scene {
             Ground::Flat => [0.0, 0.0],
             Ground::Field(field) => field.range(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_that_is_compiled_again_is_neither_another_one_nor_what_was_made_of_a_copy() {
+        let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
+        let other = Scene { timestep_s: 1.0 / 480.0, ..flat.clone() };
+        let mut changed = flat.compile().unwrap();
+        changed.set_gravity([0.0, 0.0, -1.0]);
+        assert_eq!(flat.compile().unwrap().gravity()[2], -9.81);
+        assert_eq!(other.compile().unwrap().timestep_s(), 1.0 / 480.0);
+        assert_eq!(flat.compile().unwrap().timestep_s(), 1.0 / 240.0);
     }
 }

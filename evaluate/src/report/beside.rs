@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use serde_json::Value;
 
-use super::Report;
+use super::{Report, summary};
 use crate::Quantity;
 use crate::findings::{NOTHING, difference, number, percent};
 use crate::statistics::{Comparison, Estimate, Numbers, PerSeed, Spread};
@@ -47,8 +48,16 @@ pub enum BesideError {
 pub struct Beside {
     /// What it is called here.
     pub name: String,
-    /// By experiment, as the summary has them: in their quantities' units.
-    claims: BTreeMap<String, Vec<(String, Comparison)>>,
+    /// By name.
+    experiments: BTreeMap<String, Measured>,
+}
+
+/// An experiment there.
+#[derive(Debug, Clone, PartialEq)]
+struct Measured {
+    parameters: Value,
+    /// Quantity and numbers of each claim, as the summary has them: in the quantity's unit.
+    claims: Vec<(String, Comparison)>,
 }
 
 #[derive(Deserialize)]
@@ -60,6 +69,7 @@ struct Summary {
 #[derive(Deserialize)]
 struct Experiment {
     name: String,
+    parameters: Value,
     claims: Vec<Claim>,
 }
 
@@ -107,26 +117,29 @@ impl Beside {
             let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
             (quantity, Comparison { sets: pair, difference, relative, trials: None })
         };
-        let claims = summary.experiments.into_iter().map(|of| (of.name, of.claims.into_iter().map(numbers).collect()));
-        Ok(Beside { name: name.to_owned(), claims: claims.collect() })
+        let measured = |Experiment { name, parameters, claims }: Experiment| {
+            (name, Measured { parameters, claims: claims.into_iter().map(numbers).collect() })
+        };
+        Ok(Beside { name: name.to_owned(), experiments: summary.experiments.into_iter().map(measured).collect() })
     }
 
-    /// A claim of an experiment, if it is about the same quantity there.
-    fn cell(&self, experiment: &str, index: usize, quantity: Quantity) -> String {
-        let there = self.claims.get(experiment).and_then(|claims| claims.get(index));
-        let same = there.filter(|(name, _)| name == quantity.name);
+    /// A claim of an experiment, if it was measured alike there.
+    fn cell(&self, experiment: &str, parameters: &Value, index: usize, quantity: Quantity) -> String {
+        let alike = self.experiments.get(experiment).filter(|there| there.parameters == *parameters);
+        let same = alike.and_then(|there| there.claims.get(index)).filter(|(name, _)| name == quantity.name);
         same.map_or(NOTHING.to_owned(), |(_, there)| cell(&there.scaled(1.0 / quantity.scale()), quantity))
     }
 }
 
 /// Titles and rows of the table: each claim, here and in the reports beside this one.
 pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
-    let columns =
-        ["experiment", "the paper's claim", "here"].into_iter().chain(report.beside.iter().map(|it| &*it.name));
+    let columns = ["experiment", "claim, with what was found here", "here"]
+        .into_iter()
+        .chain(report.beside.iter().map(|it| &*it.name));
     let of_section = |section: &super::Section| {
-        let info = section.info;
+        let (info, parameters) = (section.info, summary::rounded(section.parameters.clone()));
         let row = move |(index, claim): (usize, &crate::findings::Claim)| {
-            let there = report.beside.iter().map(|beside| beside.cell(info.name, index, claim.quantity));
+            let there = report.beside.iter().map(|beside| beside.cell(info.name, &parameters, index, claim.quantity));
             let here = [info.id.to_owned(), claim.text.clone(), cell(&claim.comparison, claim.quantity)];
             here.into_iter().chain(there).collect()
         };
@@ -158,6 +171,7 @@ fn cell(comparison: &Comparison, quantity: Quantity) -> String {
 mod tests {
     use super::*;
     use crate::statistics::Trials;
+    use serde_json::json;
 
     const TIME: Quantity = Quantity::new("decay_10_s", "decay", "s", 2);
 
@@ -179,18 +193,20 @@ mod tests {
     }
 
     #[test]
-    fn a_summary_is_read_by_experiment_and_place_and_only_for_the_same_quantity() {
+    fn a_summary_is_read_by_experiment_and_place_and_only_for_what_was_measured_alike() {
         let folder = tempfile::tempdir().unwrap();
-        let summary = r#"{"sets": ["soft", "stiff"], "experiments": [{"name": "decay", "claims": [
+        let summary = r#"{"sets": ["soft", "stiff"], "experiments": [{"name": "decay", "parameters": {"trials": 20}, "claims": [
             {"quantity": "decay_10_s", "ours": {"sets": {"soft": {"mean": 0.6, "sd": null, "by_seed": {"0": 0.6}},
              "stiff": {"mean": 0.4, "sd": null, "by_seed": {"0": 0.4}}},
              "difference": {"value": 0.2, "interval": null, "pairs": 1},
              "relative": {"value": 0.5, "interval": [0.4, 0.6], "pairs": 1}}}]}]}"#;
         std::fs::write(folder.path().join("summary.json"), summary).unwrap();
         let beside = Beside::read("go2", folder.path()).unwrap();
-        assert_eq!(beside.cell("decay", 0, TIME), "0.60 / 0.40 s: +50 [+40, +60] %");
-        assert_eq!(beside.cell("decay", 1, TIME), NOTHING);
-        assert_eq!(beside.cell("decay", 0, Quantity { name: "decay_20_s", ..TIME }), NOTHING);
+        let cell = |trials: u32, index, quantity| beside.cell("decay", &json!({ "trials": trials }), index, quantity);
+        assert_eq!(cell(20, 0, TIME), "0.60 / 0.40 s: +50 [+40, +60] %");
+        assert_eq!(cell(20, 1, TIME), NOTHING);
+        assert_eq!(cell(20, 0, Quantity { name: "decay_20_s", ..TIME }), NOTHING);
+        assert_eq!(cell(5, 0, TIME), NOTHING, "another protocol");
         assert!(matches!(Beside::read("x", &folder.path().join("none")), Err(BesideError::Read { .. })));
         std::fs::write(folder.path().join("summary.json"), "{}").unwrap();
         assert!(matches!(Beside::read("x", folder.path()), Err(BesideError::Content { .. })));

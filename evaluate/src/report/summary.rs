@@ -107,7 +107,7 @@ fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> 
 }
 
 /// Numbers to six significant digits: the rest is not knowledge.
-fn rounded(value: Value) -> Value {
+pub fn rounded(value: Value) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => {
             let number = number.as_f64().unwrap_or(0.0);

@@ -82,11 +82,11 @@ impl Arithmetic for Panels {
             let (depth, index) = (panel.depth, panel.first / PANEL);
             let mut stretches = Vec::new();
             for piece in chunk.pieces() {
-                let Some((bias, weights)) = panel.parameters.gradient.rows_mut().split_last_mut() else { return };
                 if piece.is_first {
-                    weights.as_flattened_mut().fill(0.0);
-                    bias.fill(0.0);
+                    panel.parameters.gradient.fill(0.0);
                 }
+                let (bias, weights) =
+                    panel.parameters.gradient.rows_mut().split_last_mut().expect("a row for the bias");
                 for (input, c) in weights.chunks_mut(PANEL).enumerate() {
                     stretches.clear();
                     stretches.extend(blocks[piece.blocks.clone()].iter().map(|block| Stretch {
@@ -97,6 +97,7 @@ impl Arithmetic for Panels {
                     let (stretches, ends) = (&stretches[..], Ends::Add);
                     Product { rows, columns, stretches, a_transposed: true, ends, c }.compute(self.arch);
                 }
+                // The deltas, which are the same for all inputs.
                 self.arch.dispatch(ColumnSums { stretches: &stretches, sums: bias });
                 if piece.is_last {
                     panel.tree.add(piece.shard, chunk.shards, &mut panel.parameters.gradient);
