@@ -191,7 +191,8 @@ fn train(
     bar.reset_eta();
     while trainer.run().samples < total && !any(trainer.ranks(), stop.load(Ordering::Relaxed)) {
         let metrics = trainer.iterate().map_err(|error| explain(error, folder.as_ref()))?;
-        let logged = folder.as_mut().map_or(Ok(()), |folder| folder.log(&metrics));
+        let logged =
+            folder.as_mut().map_or(Ok(()), |folder| folder.log(&metrics).and_then(|()| folder.keep_policy(trainer)));
         together(trainer.ranks(), logged.map_err(anyhow::Error::from))?;
         if let Some(folder) = folder {
             keep_physics_faults(trainer, folder, &bar);

@@ -183,7 +183,8 @@ impl Config {
         let rates = p.min_learning_rate..=p.max_learning_rate;
         let expected = "between min_learning_rate and max_learning_rate";
         within("ppo.initial_learning_rate", p.initial_learning_rate, rates, expected)?;
-        require(self.run.checkpoint_every > 0, "run.checkpoint_every", self.run.checkpoint_every, "at least 1")
+        require(self.run.checkpoint_every > 0, "run.checkpoint_every", self.run.checkpoint_every, "at least 1")?;
+        require(self.run.keep_policy_every != Some(0), "run.keep_policy_every", 0, "at least 1")
     }
 }
 

@@ -378,6 +378,9 @@ pub struct Run {
     pub samples: u64,
     /// Iterations between checkpoints.
     pub checkpoint_every: u64,
+    /// Samples between policies that are kept beside the newest, as `policy-SAMPLES.safetensors`; without it, none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub keep_policy_every: Option<u64>,
 }
 
 impl Config {

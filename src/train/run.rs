@@ -275,6 +275,21 @@ impl RunFolder {
     pub fn save_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
         Ok(trainer.policy().save(&self.path.join(POLICY))?)
     }
+
+    /// Keeps the policy if the last iteration passed a multiple of `run.keep_policy_every`, under that number.
+    ///
+    /// # Errors
+    /// The system's reason, such as a full disk.
+    pub fn keep_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
+        let run = trainer.run();
+        let Some(every) = run.config.run.keep_policy_every else { return Ok(()) };
+        let before = run.samples - run.config.ppo.batch_size as u64;
+        if run.samples / every > before / every {
+            let name = format!("policy-{}.safetensors", run.samples / every * every);
+            trainer.policy().save(&self.path.join(name))?;
+        }
+        Ok(())
+    }
 }
 
 fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy {

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
-use supple::policy::Agent;
+use supple::policy::{Agent, Policy};
 use supple::robot::Robot;
 
 use crate::support::{
@@ -63,6 +63,22 @@ fn a_resumed_run_gives_the_bits_of_an_uninterrupted_one() {
         let policy = |run: &Path| std::fs::read(run.join("policy.safetensors")).unwrap();
         assert!(policy(&whole) == policy(&halves), "the policies differ");
     }
+}
+
+#[test]
+fn policies_along_the_way_are_those_of_shorter_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    small_config_file(folder.path());
+    let start = ["--config", "small.yaml", "--set", "run.keep_policy_every=700", "--samples"];
+    train(folder.path(), &[&start[..], &["1536", "--out", "long"]].concat());
+    let kept = |samples: u64| Policy::load(&folder.path().join(format!("long/policy-{samples}.safetensors"))).unwrap();
+    for (samples, passed) in [("768", 700), ("1536", 1400)] {
+        train(folder.path(), &[&start[..], &[samples, "--out", samples]].concat());
+        let newest = Policy::load(&folder.path().join(samples).join("policy.safetensors")).unwrap();
+        assert_eq!(kept(passed).provenance.samples, newest.provenance.samples);
+        assert!(kept(passed).actor == newest.actor, "the policies after {samples} samples differ");
+    }
+    assert!(!folder.path().join("768/policy-1400.safetensors").exists());
 }
 
 #[test]
