@@ -1,87 +1,70 @@
-/*! Kills `train` with SIGKILL at random moments, resumes, and compares with a run that nobody touched.
-
-The run writes a checkpoint in every iteration, so that a good part of the kills lands in a write. `SUPPLE_KILLS` says
-how many (3 by default, for CI); `scripts/kill_test` is the way to run many.
+/*! Training that is killed at any moment, in any arithmetic, on any number of threads, also while the disk is full: resumed, it
+gives the bits of a run that nobody touched. The run writes a checkpoint in every iteration, so that a good part of the kills
+lands in a write.
 */
 
 use std::path::Path;
-use std::process::{Command, Stdio};
-use std::time::{Duration, Instant};
 
-use rand::RngExt;
+use supple::ppo::fused::tiles_available;
 use supple::train::checkpoint::Checkpoint;
-use supple::util::random::{Purpose, stream};
 
-use crate::support::{assert_same, complaint, metrics, run, small_config};
-
-const START: [&str; 2] = ["--config", "small.yaml"];
-const GO: [&str; 4] = ["--samples", "3840", "--threads", "1"];
-
-/// What stood in the folder after a kill.
-#[derive(Debug, Default)]
-struct Tally {
-    kills: usize,
-    before_the_folder_was_there: usize,
-    within_a_write: usize,
-    after_the_end: usize,
-}
+use crate::killing::{Killer, half_written, kills, undisturbed};
+use crate::support::{assert_same, complaint, metrics, run, small_config, standing_policy};
 
 #[test]
 fn a_run_that_is_killed_at_any_moment_and_resumed_gives_the_bits_of_one_that_is_not() {
-    let kills = std::env::var("SUPPLE_KILLS").map_or(3, |text| text.parse().expect("SUPPLE_KILLS is a number"));
-    let folder = tempfile::tempdir().unwrap();
+    let precisions: &[&str] = if tiles_available() { &["f32", "mixed", "bf16x3", "bf16"] } else { &["f32"] };
+    let whole = tempfile::tempdir().unwrap();
     let mut config = small_config();
     config.run.checkpoint_every = 1;
-    std::fs::write(folder.path().join("small.yaml"), config.to_yaml()).unwrap();
-    let started = Instant::now();
-    let output = run("train", folder.path(), &[&START[..], &GO, &["--out", "whole"]].concat());
-    assert!(output.status.success(), "{}", complaint(&output));
-    let length_s = started.elapsed().as_secs_f64();
-    let whole = folder.path().join("whole");
-
-    let mut moments = stream(std::process::id().into(), Purpose::Episode, 0, 0);
-    let mut tally = Tally::default();
-    for trial in 0..kills {
-        let delay_s = length_s * moments.random::<f64>();
-        let killed = folder.path().join(format!("killed-{trial}"));
-        kill_after(Duration::from_secs_f64(delay_s), &killed, &mut tally);
-        let name = killed.file_name().unwrap().to_str().unwrap();
-        let arguments = if killed.exists() { vec!["--resume", name] } else { [&START[..], &["--out", name]].concat() };
-        let output = run("train", folder.path(), &[&arguments[..], &GO].concat());
-        assert!(output.status.success(), "trial {trial}, killed after {delay_s} s: {}", complaint(&output));
-        assert_same(&metrics(&whole), &metrics(&killed));
-        assert_same_weights_and_environments(&whole, &killed);
+    let mut killer = Killer::new();
+    for folder in [whole.path(), killer.folder()] {
+        std::fs::write(folder.join("small.yaml"), config.to_yaml()).unwrap();
+    }
+    let set = |precision: &str| format!("ppo.precision={precision}");
+    let start = ["--config", "small.yaml", "--samples", "3840", "--out"];
+    let lengths: Vec<_> = precisions
+        .iter()
+        .map(|precision| {
+            let set = set(precision);
+            let arguments = [&start[..], &[precision, "--threads", "1", "--set", &set]].concat();
+            undisturbed("train", whole.path(), &arguments)
+        })
+        .collect();
+    for trial in 0..kills() {
+        let index = trial % precisions.len();
+        let precision = precisions[index];
+        let set = set(precision);
+        let anew = [&start[..], &["run", "--set", &set, "--threads"]].concat();
+        let killed = killer.folder().join("run");
+        let threads = killer.one_of(&["1", "2", "3"]);
+        killer.kill("train", &[&anew[..], &[threads]].concat(), lengths[index], &killed);
+        if killed.exists() {
+            another_arithmetic_is_refused(killer.folder(), precisions, precision);
+        }
+        let on = if killed.exists() { vec!["--resume", "run", "--threads"] } else { anew };
+        let threads = killer.one_of(&["1", "2", "3"]);
+        let output = run("train", killer.folder(), &[&on[..], &[threads]].concat());
+        assert!(output.status.success(), "trial {trial}, {precision}: {}", complaint(&output));
+        assert_same_run(&whole.path().join(precision), &killed);
+        assert_eq!(half_written(&killed), Vec::<std::path::PathBuf>::new());
         std::fs::remove_dir_all(&killed).unwrap();
     }
-    println!("{tally:?}: all resumed with the same bits");
-    assert_eq!(tally.kills, kills);
+    killer.report("runs");
 }
 
-fn kill_after(delay: Duration, run: &Path, tally: &mut Tally) {
-    let parent = run.parent().unwrap();
-    let mut child = Command::new(crate::support::program("train"))
-        .args(START)
-        .args(GO)
-        .arg("--out")
-        .arg(run)
-        .current_dir(parent)
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    std::thread::sleep(delay);
-    // Fails if it has ended by itself, which the tally shows.
-    let _ = child.kill();
-    let status = child.wait().unwrap();
-    let is_half_written = |path: &Path| path.extension().is_some_and(|extension| extension == "tmp");
-    let within_a_write =
-        std::fs::read_dir(run).is_ok_and(|mut files| files.any(|file| is_half_written(&file.unwrap().path())));
-    tally.kills += 1;
-    tally.after_the_end += usize::from(status.success());
-    tally.before_the_folder_was_there += usize::from(!run.exists());
-    tally.within_a_write += usize::from(within_a_write);
+/// A run goes on in the arithmetic in which it was begun.
+fn another_arithmetic_is_refused(folder: &Path, precisions: &[&str], own: &str) {
+    let Some(other) = precisions.iter().find(|other| **other != own) else { return };
+    let written = folder.join("other.yaml");
+    std::fs::write(&written, format!("base: ./small.yaml\nppo: {{precision: {other}}}\n")).unwrap();
+    let output = run("train", folder, &["--resume", "run", "--config", "other.yaml"]);
+    assert_eq!(output.status.code(), Some(2), "{}", complaint(&output));
+    assert!(complaint(&output).contains("ppo.precision"), "{}", complaint(&output));
 }
 
-fn assert_same_weights_and_environments(a: &Path, b: &Path) {
+fn assert_same_run(a: &Path, b: &Path) {
+    assert_same(&metrics(a), &metrics(b));
     let load = |folder: &Path| {
         let (mut checkpoint, passed_over) = Checkpoint::load(folder).unwrap();
         assert!(passed_over.is_none());
@@ -92,4 +75,26 @@ fn assert_same_weights_and_environments(a: &Path, b: &Path) {
     assert!(load(a) == load(b), "the last checkpoints differ");
     let policy = |folder: &Path| std::fs::read(folder.join("policy.safetensors")).unwrap();
     assert!(policy(a) == policy(b), "the policies differ");
+}
+
+#[test]
+fn a_contact_network_is_whole_or_not_there_whenever_its_training_is_killed() {
+    let mut killer = Killer::new();
+    let whole = tempfile::tempdir().unwrap();
+    for folder in [whole.path(), killer.folder()] {
+        standing_policy().save(&folder.join("policy.safetensors")).unwrap();
+    }
+    let arguments = ["--policy", "policy.safetensors", "--episodes", "5", "--out", "contact.safetensors"];
+    let length = undisturbed("train_contact", whole.path(), &arguments);
+    let network = |folder: &Path| std::fs::read(folder.join("contact.safetensors")).ok();
+    let expected = network(whole.path());
+    for trial in 0..kills().div_ceil(10) {
+        let folder = killer.folder().to_owned();
+        killer.kill("train_contact", &arguments, length, &folder);
+        assert!([None, expected.clone()].contains(&network(&folder)), "trial {trial}: a part of a network");
+        undisturbed("train_contact", &folder, &arguments);
+        assert!(network(&folder) == expected, "trial {trial}: another network");
+        std::fs::remove_file(folder.join("contact.safetensors")).unwrap();
+    }
+    killer.report("contact networks");
 }

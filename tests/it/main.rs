@@ -4,6 +4,7 @@ mod bad_input;
 mod faults;
 mod formats;
 mod kill;
+mod killing;
 mod licences;
 mod model;
 mod programs;
