@@ -99,6 +99,7 @@ impl Protocol {
 mod tests {
     use super::*;
     use crate::Experiment;
+    use supple::scenario::catalog::Scenario;
 
     #[test]
     fn both_protocols_are_valid_and_the_quick_one_is_smaller() {
@@ -108,6 +109,13 @@ mod tests {
             protocol.experiments().iter().map(count).sum()
         };
         assert!(trials(&Protocol::quick().unwrap()) * 5 < trials(&Protocol::full().unwrap()));
+        let harder = include_str!("../../configs/evaluation/harder.yaml");
+        let harder = Protocol::parse(&[Text::new("full", FULL), Text::new("harder", harder)]).unwrap();
+        // The field keeps its size, whatever the balls'.
+        let Scenario::BallPit(pit) = &harder.ball_pit.conditions().unwrap()[0].scenario else {
+            panic!("another scenario")
+        };
+        assert_eq!((pit.balls, pit.task.forward_m_s), (14 * 14, 0.4));
     }
 
     #[test]
