@@ -126,6 +126,33 @@ fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
 }
 
 #[test]
+fn claims_stand_beside_those_of_another_report_where_that_was_measured_alike() {
+    let pair = [("compliant-seed0.safetensors", standing_policy()), ("baseline-seed0.safetensors", standing_policy())];
+    let folder = folder_with(&pair);
+    let folder = folder.path();
+    let told = |arguments: &[&str]| {
+        let output = evaluate(folder, arguments);
+        assert!(output.status.success(), "{}", complaint(&output));
+    };
+    told(&["decay", "--out", "there"]);
+    told(&["decay", "leash", "--out", "here", "--beside", "There=there"]);
+    let table = std::fs::read_to_string(folder.join("here/tables/beside.md")).unwrap();
+    let row = |experiment: &str| -> Vec<&str> {
+        let line = table.lines().find(|line| line.contains(experiment)).unwrap();
+        line.split('|').map(str::trim).collect()
+    };
+    let [decay, leash] = ["E2", "E5"].map(row);
+    assert!(table.contains("| There |"));
+    assert_eq!(decay[3], decay[4]);
+    assert_ne!(leash[3], leash[4]);
+    assert_eq!(leash[4], "–");
+
+    let output = evaluate(folder, &["decay", "--out", "here", "--beside", "There=nowhere"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(complaint(&output).contains("nowhere/summary.json"), "{}", complaint(&output));
+}
+
+#[test]
 fn two_evaluations_give_the_same_summary_and_a_third_runs_nothing_again() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),

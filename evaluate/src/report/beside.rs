@@ -16,8 +16,9 @@ use supple::util::files;
 pub const TITLE: &str = "Beside other reports";
 
 /// Above the table.
-pub const CAPTION: &str = "Means of both sets, and the first against the second: relative, or in points of a fraction, with the 95 % interval; where \
-     there are fewer than five pairs, in how many of them it lies on that side.";
+pub const CAPTION: &str = "Means of both sets, and the first against the second: relative, in points of a fraction, or absolute where a mean \
+     is not above zero, with the 95 % interval; where there are fewer than five pairs, in how many of them it lies on that side. \
+     –: not measured there, or otherwise.";
 
 /// Larger files are not ours.
 const MAX_BYTES: u64 = 1 << 28;

@@ -54,7 +54,7 @@ pub fn page(report: &Report) -> String {
     let _ = writeln!(body, "<details><summary>Definitions</summary><dl>{}</dl></details>", words.collect::<String>());
     body.push_str(&claims(report));
     if !report.beside.is_empty() {
-        body.push_str(&self::beside(report));
+        body.push_str(&beside_table(report));
     }
     body.push_str(&policies(report));
     for section in &report.sections {
@@ -134,7 +134,7 @@ fn claim_row(claim: &Claim) -> String {
     cells.iter().enumerate().map(cell).collect()
 }
 
-fn beside(report: &Report) -> String {
+fn beside_table(report: &Report) -> String {
     let (columns, rows) = beside::table(report);
     let head: String = columns.iter().map(|column| format!("<th>{}</th>", escaped(column))).collect();
     let row = |cells: Vec<String>| {

@@ -73,7 +73,7 @@ pub fn claims(report: &Report) -> String {
 }
 
 /// The claims here and in other reports.
-pub fn beside(report: &Report) -> String {
+pub fn beside_table(report: &Report) -> String {
     let (columns, rows) = beside::table(report);
     grid(&columns, rows.into_iter())
 }
@@ -105,7 +105,7 @@ pub fn document(report: &Report) -> String {
         text.push_str(&format!("\n{notes}"));
     }
     if !report.beside.is_empty() {
-        text.push_str(&format!("\n## {}\n\n{}\n\n{}", beside::TITLE, beside::CAPTION, self::beside(report)));
+        text.push_str(&format!("\n## {}\n\n{}\n\n{}", beside::TITLE, beside::CAPTION, beside_table(report)));
     }
     for figure in report.figures_of_document() {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));

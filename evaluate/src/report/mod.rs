@@ -263,7 +263,7 @@ impl Report {
         write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
         write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
         if !self.beside.is_empty() {
-            write(&tables.join("beside.md"), markdown::beside(self).as_bytes())?;
+            write(&tables.join("beside.md"), markdown::beside_table(self).as_bytes())?;
         }
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
         write(&out.join("report.html"), html::page(self).as_bytes())

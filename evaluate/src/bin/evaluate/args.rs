@@ -138,8 +138,8 @@ mod tests {
             "--quick --a x --b \"it's\" --names 'A set,B' --sensing estimated --out report"
         );
         assert_eq!(
-            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3"]),
-            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --out report"
+            options(&["--policies", "p", "--also", "mine=a b.yaml", "--also", "other=runs/3", "--beside", "Go2=go2"]),
+            "--policies p --also 'mine=a b.yaml' --also 'other=runs/3' --beside 'Go2=go2' --out report"
         );
     }
 }
