@@ -1,7 +1,7 @@
 /*! The targets of `tests/fuzz`, guided by coverage: libFuzzer's mutations and ours, in turn.
 
 One process is about one target, `SUPPLE_FUZZ_TARGET`; with `SUPPLE_FUZZ_SEEDS` it writes that target's seeds into a folder and its
-words into a dictionary beside it, and ends.
+words into a dictionary beside it, and ends; with `SUPPLE_FUZZ_KEEP` it packs the smallest inputs of a folder into the repository.
 */
 #![no_main]
 
@@ -22,6 +22,9 @@ use targets::{TARGETS, Target};
 /// The repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
+/// Of each target, in the repository.
+const MAX_KEPT_BYTES: usize = 32 << 10;
+
 static TARGET: LazyLock<&Target> = LazyLock::new(|| {
     let name = std::env::var("SUPPLE_FUZZ_TARGET").expect("SUPPLE_FUZZ_TARGET");
     TARGETS.iter().find(|target| target.name == name).expect("a target of tests/fuzz")
@@ -36,8 +39,28 @@ fn write_seeds(folder: &Path) {
     std::fs::write(folder.with_extension("words"), words).expect("a file");
 }
 
+/// As many of the smallest as fit.
+fn keep(folder: &Path) {
+    let files = std::fs::read_dir(folder).expect("a folder").map(|file| std::fs::read(file.expect("a file").path()));
+    let mut inputs = files.collect::<Result<Vec<_>, _>>().expect("files");
+    inputs.sort_by_key(|input| (input.len(), input.clone()));
+    let mut packed = Vec::new();
+    for input in inputs {
+        if packed.len() + 4 + input.len() > MAX_KEPT_BYTES {
+            break;
+        }
+        packed.extend(u32::try_from(input.len()).expect("inputs are small").to_le_bytes());
+        packed.extend(input);
+    }
+    std::fs::write(TARGET.kept(), packed).expect("a file");
+}
+
 fuzz_target!(
     init: {
+        if let Ok(folder) = std::env::var("SUPPLE_FUZZ_KEEP") {
+            keep(Path::new(&folder));
+            std::process::exit(0);
+        }
         if let Ok(folder) = std::env::var("SUPPLE_FUZZ_SEEDS") {
             write_seeds(Path::new(&folder));
             std::process::exit(0);
