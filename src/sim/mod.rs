@@ -22,7 +22,7 @@ pub use parts::Parts;
 pub use scene::{Buffers, GROUND, Scene};
 
 use crate::config::Simulation;
-use crate::mujoco::{Data, Error, Kind, Result};
+use crate::mujoco::{Data, Error, Result};
 use crate::robot::{Foothold, JOINTS, Joints, Losses, Robot, RobotState, joint_name};
 
 /// Why the robot counts as fallen (section III-D).
@@ -141,7 +141,7 @@ impl Sim {
     /// A fault of MuJoCo, or a name that the model lacks.
     pub fn new(scene: &Scene, config: &Simulation, fall_height_m: f64) -> Result<Self> {
         let mut model = scene.compile()?;
-        let parts = Parts::new(&model)?;
+        let parts = Parts::new(&model, &scene.robot)?;
         if scene.ground.patches().is_some() {
             // Where friction differs by place, each foot carries that of its own place.
             parts.feet().into_iter().for_each(|foot| model.set_priority(foot, FOOT_PRIORITY));
@@ -313,8 +313,11 @@ impl Sim {
         match fall {
             Fall::Low(height) => format!("the base sank to {height:.2} m"),
             Fall::Touch(geom) => {
-                let body = self.data.model().geom_body(geom);
-                format!("{} touched the ground", self.data.model().name(Kind::Body, body))
+                let (model, joints) = (self.data.model(), self.parts.joints());
+                let moved_by = |joint: &usize| model.is_below(model.geom_body(geom), model.joint_body(joints[*joint]));
+                // From the shanks up.
+                let part = (0..JOINTS).rev().find(moved_by).map_or("trunk".to_owned(), joint_name);
+                format!("{part} touched the ground")
             }
         }
     }

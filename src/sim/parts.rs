@@ -5,7 +5,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use super::ground::Ground;
 use super::scene::GROUND;
 use crate::mujoco::{Data, Kind, Model, Result};
-use crate::robot::{FootState, Foothold, JOINTS, Joints, LEGS, RobotState, joint_name};
+use crate::robot::{FootState, Foothold, JOINTS, Joints, LEGS, Robot, RobotState, joint_name};
 
 /// Where the robot's parts are in a compiled model.
 #[derive(Debug, Clone)]
@@ -22,21 +22,28 @@ pub struct Parts {
     ground: usize,
     /// For each geometry: part of the robot other than a foot.
     is_body_part: Vec<bool>,
+    /// For each geometry: part of the robot that lies on the ground only after a fall.
+    is_high: Vec<bool>,
 }
 
 impl Parts {
-    /// Looks up every name once.
+    /// Looks up every name of the robot once.
     ///
     /// # Errors
     /// [`crate::mujoco::Error::Name`] if the model lacks a part.
-    pub fn new(model: &Model) -> Result<Self> {
+    pub fn new(model: &Model, robot: &Robot) -> Result<Self> {
         let trunk = model.id(Kind::Body, "trunk")?;
         let root = model.id(Kind::Joint, "root")?;
         let joints = try_array(|k| model.id(Kind::Joint, &format!("{}_joint", joint_name(k))))?;
         let actuators = try_array(|k| model.id(Kind::Actuator, &joint_name(k)))?;
         let feet: [usize; 4] = try_array(|leg| model.id(Kind::Geom, &format!("{}_foot", LEGS[leg])))?;
         let in_robot = |geom| model.is_below(model.geom_body(geom), trunk);
-        let is_body_part = (0..model.count(Kind::Geom)).map(|geom| in_robot(geom) && !feet.contains(&geom)).collect();
+        let is_body_part: Vec<bool> =
+            (0..model.count(Kind::Geom)).map(|geom| in_robot(geom) && !feet.contains(&geom)).collect();
+        let shanks = (2..JOINTS).step_by(3).map(|knee| model.joint_body(joints[knee]));
+        let shanks: Vec<usize> = if robot.shanks_may_touch { shanks.collect() } else { Vec::new() };
+        let in_shank = |geom| shanks.iter().any(|shank| model.is_below(model.geom_body(geom), *shank));
+        let is_high = is_body_part.iter().enumerate().map(|(geom, part)| *part && !in_shank(geom)).collect();
         Ok(Parts {
             trunk,
             root_position: model.joint_position_index(root),
@@ -49,6 +56,7 @@ impl Parts {
             foot_radius: feet.map(|geom| model.geom(geom).size[0]),
             ground: model.id(Kind::Geom, GROUND)?,
             is_body_part,
+            is_high,
         })
     }
 
@@ -158,11 +166,11 @@ impl Parts {
         })
     }
 
-    /// A part other than a foot that touches the ground, if there is one.
+    /// A part that touches the ground and should not, if there is one.
     pub fn part_on_ground(&self, data: &Data) -> Option<usize> {
         data.contacts().find_map(|contact| match contact.geoms {
-            [a, b] if a == self.ground && self.is_body_part[b] => Some(b),
-            [a, b] if b == self.ground && self.is_body_part[a] => Some(a),
+            [a, b] if a == self.ground && self.is_high[b] => Some(b),
+            [a, b] if b == self.ground && self.is_high[a] => Some(a),
             _ => None,
         })
     }

@@ -16,6 +16,8 @@ struct Robots {
     joints: Vec<&'static str>,
     free: &'static str,
     foot: &'static str,
+    shank: &'static str,
+    thigh: &'static str,
     assets: &'static str,
     keyframe: &'static str,
 }
@@ -26,6 +28,8 @@ fn anymal_like() -> Robots {
         joints: vec!["HAA", "HFE", "KFE"],
         free: "<freejoint/>",
         foot: "<geom type='sphere' size='0.03' pos='0.08 0 -0.32'/>",
+        shank: "",
+        thigh: "",
         assets: "",
         keyframe: "",
     }
@@ -50,6 +54,7 @@ impl Robots {
                      <joint name='{leg}_{joint}' axis='{axis}' range='-9 9' armature='0.1'/>"
                 )
                 .unwrap();
+                bodies.push_str(["", self.thigh, self.shank].get(index).unwrap_or(&""));
                 ends.push_str("</body>");
                 write!(servos, "<position joint='{leg}_{joint}' kp='100' forcerange='-80 80'/>").unwrap();
             }
@@ -144,6 +149,29 @@ fn a_robot_that_is_no_quadruped_is_refused_in_one_line_that_says_what_was_found(
         );
         assert!(!folder.path().join("r").exists());
     }
+}
+
+#[test]
+fn a_robot_from_elsewhere_has_fallen_when_a_thigh_touches_the_ground_but_not_when_a_shank_does() {
+    let config = Config::load("fast").unwrap();
+    let low = "<geom type='capsule' size='0.03' fromto='0 0 -0.05 0.08 0 -0.33'/>";
+    let fallen = |robots: Robots| {
+        let folder = tempfile::tempdir().unwrap();
+        robots.write(folder.path());
+        let robot = Robot::load(folder.path().join("robot.xml").to_str().unwrap()).unwrap();
+        let config = config.fitted_to(&robot).unwrap();
+        let scene = Scene::flat(robot, config.simulation.timestep_s());
+        let mut sim = Sim::new(&scene, &config.simulation, 0.0).unwrap();
+        let conditions = Conditions { gravity: [0.0, 0.0, -9.81], friction: 0.8, encoder_bias: [0.0; 12] };
+        let pose = config.action.nominal_pose_rad.joints();
+        sim.reset(conditions, &pose).unwrap();
+        sim.step(&pose, &mut ()).unwrap().fall.map(|fall| sim.describe(fall))
+    };
+    let stands = anymal_like();
+    assert_eq!(fallen(stands.clone()), None);
+    assert_eq!(fallen(Robots { shank: low, ..stands.clone() }), None);
+    let fall = fallen(Robots { thigh: low.replace("-0.33", "-0.75").leak(), ..stands }).unwrap();
+    assert!(fall.contains("thigh"), "{fall}");
 }
 
 #[test]

@@ -69,7 +69,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
         mjcf.push_str(&format!("<numeric name=\"nominal_pose\" data=\"{}\"/>", numbers(pose)));
     }
     mjcf.push_str("</custom>\n</mujoco>\n");
-    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m })
+    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, shanks_may_touch: true })
 }
 
 /// Makes the files of assets absolute, since what is compiled in the end lies in no folder.
@@ -324,6 +324,10 @@ impl Survey {
             list(&foot.solimp[..3]),
         ));
         lines.push("contact: parts of the robot do not collide with one another; margins and gaps set to 0".into());
+        lines.push(
+            "falls: trunk, hips and thighs on the ground are one, shanks, which may reach down to the feet, are none"
+                .into(),
+        );
         lines
     }
 }
