@@ -123,6 +123,10 @@ mod tests {
         let changed = |text| Protocol::parse(&[Text::new("full", FULL), Text::new("test", text)]);
         assert_eq!(changed("box: {trials: 3}").unwrap().r#box.trials, 3);
         for (text, expected) in [
+            (
+                "ball_pit: {pits: [{mass_kg: 0.5, radius_m: 0.01, forward_m_s: 0.4}]}",
+                "ball_pit.pits.radius_m is 0.01, expected 0.03 to 0.5 m",
+            ),
             ("box: {trials: 0}", "box.trials is 0, expected 1 to 10000"),
             ("push_grid: {points_per_side: 1}", "push_grid.points_per_side is 1, expected 2 to 101"),
             ("walk: {commands: []}", "walk is empty, expected at least one condition"),

@@ -10,11 +10,12 @@ mod mutate;
 #[path = "../../tests/fuzz/targets.rs"]
 mod targets;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use libfuzzer_sys::{fuzz_mutator, fuzz_target, fuzzer_mutate};
 use rand::RngExt;
+use supple::util::files::write_atomically;
 use supple::util::random::{Purpose, stream};
 
 use targets::{TARGETS, Target};
@@ -31,12 +32,17 @@ static TARGET: LazyLock<&Target> = LazyLock::new(|| {
 });
 
 fn write_seeds(folder: &Path) {
-    for (index, seed) in TARGET.seeds().iter().enumerate() {
+    for (index, seed) in TARGET.seeds().iter().chain(&found()).enumerate() {
         std::fs::write(folder.join(format!("seed{index}")), seed).expect("a file");
     }
     let quoted = |word: &&str| -> String { word.bytes().map(|byte| format!("\\x{byte:02x}")).collect() };
     let words: String = TARGET.words.iter().map(|word| format!("\"{}\"\n", quoted(word))).collect();
     std::fs::write(folder.with_extension("words"), words).expect("a file");
+}
+
+/// Where the smallest inputs that reach something of their own are kept: each after its length, in 4 bytes.
+fn kept() -> PathBuf {
+    Path::new(ROOT).join("tests/fuzz/corpus/found").join(TARGET.name)
 }
 
 /// As many of the smallest as fit.
@@ -52,7 +58,18 @@ fn keep(folder: &Path) {
         packed.extend(u32::try_from(input.len()).expect("inputs are small").to_le_bytes());
         packed.extend(input);
     }
-    std::fs::write(TARGET.kept(), packed).expect("a file");
+    write_atomically(&kept(), &packed).expect("a file");
+}
+
+fn found() -> Vec<Vec<u8>> {
+    let bytes = std::fs::read(kept()).unwrap_or_default();
+    let (mut rest, mut found) = (&bytes[..], Vec::new());
+    while let Some((length, after)) = rest.split_first_chunk::<4>() {
+        let (input, after) = after.split_at_checked(u32::from_le_bytes(*length) as usize).expect("a whole file");
+        found.push(input.to_vec());
+        rest = after;
+    }
+    found
 }
 
 fuzz_target!(

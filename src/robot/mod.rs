@@ -95,8 +95,8 @@ pub struct Robot {
     pub trunk: Extent,
     /// Base height below which it counts as fallen, if its description says so \[m\].
     pub fall_height_m: Option<f64>,
-    /// Whether it is no fall that a shank touches the ground: not in our models, but elsewhere its shape as a rule reaches down
-    /// into the foot.
+    /// Whether it is no fall that a shank touches the ground: so of robots from elsewhere, where its shape may reach down into
+    /// the foot, as the A1's does.
     pub shanks_may_touch: bool,
     /// Names of the geometries that can touch the ground.
     pub colliding: Vec<String>,
@@ -104,13 +104,7 @@ pub struct Robot {
 
 static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::new(|| {
     let robot = |(name, mjcf): &(&str, &str)| {
-        let ours = Imported {
-            mjcf: (*mjcf).to_owned(),
-            report: Vec::new(),
-            has_pose: true,
-            fall_height_m: None,
-            shanks_may_touch: false,
-        };
+        let ours = Imported { mjcf: (*mjcf).to_owned(), report: Vec::new(), has_pose: true, fall_height_m: None };
         Robot::new(name, ours).map(Arc::new)
     };
     SHIPPED.iter().map(robot).collect()
@@ -177,7 +171,7 @@ impl Robot {
 
     /// Reads everything from an MJCF document that has our names.
     fn new(name: &str, imported: Imported) -> Result<Self, FileError> {
-        let Imported { mjcf, report, has_pose, fall_height_m, shanks_may_touch } = imported;
+        let Imported { mjcf, report, has_pose, fall_height_m } = imported;
         let path = &paths::as_path(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
@@ -217,7 +211,7 @@ impl Robot {
             mass_kg: model.body_mass().iter().sum(),
             trunk: Extent::of(&model, trunk),
             fall_height_m,
-            shanks_may_touch,
+            shanks_may_touch: model.numeric("shanks_may_touch").is_ok_and(|numbers| numbers == [1.0]),
             colliding: colliding.map(|geom| model.name(Kind::Geom, geom).to_owned()).collect(),
             mjcf,
         };

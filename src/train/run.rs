@@ -8,6 +8,7 @@
 | `events.out.tfevents.*` | the same for TensorBoard, one file for each session |
 | `checkpoint.safetensors` | the newest checkpoint; the one before is `checkpoint.previous.safetensors` |
 | `policy.safetensors` | the policy of the newest checkpoint |
+| `policy-SAMPLES.safetensors` | policies along the way, if `run.keep_policy_every` asks for them |
 | `checkpoint.damaged.safetensors` | a newest checkpoint that could not be read, set aside |
 | `faults` | CSV files: the last second before each physics fault, of at most 20 |
 | `fault-minibatch.csv`, `fault.json` | the minibatch on which the learner failed, if it did, and what led there |

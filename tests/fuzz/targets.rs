@@ -1,6 +1,6 @@
 //! What is fuzzed: corpus, words and the function under test.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::OnceLock;
 
 use clap::{FromArgMatches, Subcommand};
@@ -39,25 +39,9 @@ pub struct Target {
 }
 
 impl Target {
-    /// What its inputs are made from: examples, and what fuzzing guided by coverage has found.
+    /// What its inputs are made from.
     pub fn seeds(&self) -> &[Vec<u8>] {
-        self.cache.get_or_init(|| [(self.corpus)(), self.found()].concat())
-    }
-
-    /// Where `scripts/fuzz` keeps the smallest inputs that reach something of their own: each after its length, in 4 bytes.
-    pub fn kept(&self) -> PathBuf {
-        Path::new(ROOT).join("tests/fuzz/corpus/found").join(self.name)
-    }
-
-    fn found(&self) -> Vec<Vec<u8>> {
-        let bytes = std::fs::read(self.kept()).unwrap_or_default();
-        let (mut rest, mut found) = (&bytes[..], Vec::new());
-        while let Some((length, after)) = rest.split_first_chunk::<4>() {
-            let (input, after) = after.split_at(u32::from_le_bytes(*length) as usize);
-            found.push(input.to_vec());
-            rest = after;
-        }
-        found
+        self.cache.get_or_init(self.corpus)
     }
 
     /// An input changed somewhere, or within the header that it has.

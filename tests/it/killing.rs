@@ -4,6 +4,7 @@
 `scripts/kill_test` makes one and runs many.
 */
 
+use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -13,6 +14,8 @@ use rand_chacha::ChaCha8Rng;
 use supple::util::random::{Purpose, stream};
 
 use crate::support::{complaint, program, run};
+
+const SIGKILL: i32 = 9;
 
 /// How many are asked for.
 pub fn kills() -> usize {
@@ -40,7 +43,9 @@ impl Killer {
     pub fn new() -> Self {
         let disk = std::env::var_os("SUPPLE_SMALL_DISK").map(PathBuf::from);
         let folder = disk.as_ref().map_or_else(tempfile::tempdir, tempfile::tempdir_in).unwrap();
-        let rng = stream(std::process::id().into(), Purpose::Episode, 0, 0);
+        let seed = std::process::id();
+        println!("moments of seed {seed}");
+        let rng = stream(seed.into(), Purpose::Episode, 0, 0);
         Killer { rng, folder, small_disk: disk.is_some(), tally: Tally::default() }
     }
 
@@ -59,6 +64,10 @@ impl Killer {
     pub fn kill(&mut self, name: &str, arguments: &[&str], within: Duration, out: &Path) {
         let delay = within.mul_f64(self.rng.random());
         let filled_after = (self.small_disk && self.rng.random()).then(|| delay.mul_f64(self.rng.random()));
+        println!("{name} {}: killed after {delay:?}, the disk full after {filled_after:?}", arguments.join(" "));
+        for left in half_written(out) {
+            std::fs::remove_file(left).unwrap();
+        }
         let mut child = Command::new(program(name))
             .args(arguments)
             .current_dir(self.folder())
@@ -81,7 +90,7 @@ impl Killer {
         let mut file = std::fs::File::create(filler).unwrap();
         let _ = std::io::copy(&mut std::io::repeat(0), &mut file);
         let full = file.metadata().unwrap().len();
-        file.set_len(full - self.rng.random_range(0..full.min(1 << 18))).unwrap();
+        file.set_len(full - self.rng.random_range(0..=full.min(1 << 18))).unwrap();
     }
 
     fn count(&mut self, child: &mut Child, out: &Path) {
@@ -95,6 +104,7 @@ impl Killer {
             assert!(said.contains("No space left on device"), "{said}");
             self.tally.stopped_by_a_full_disk += 1;
         } else {
+            assert_eq!(status.signal(), Some(SIGKILL), "{status}");
             self.tally.killed += 1;
             self.tally.of_them_within_a_write += usize::from(!half_written(out).is_empty());
         }

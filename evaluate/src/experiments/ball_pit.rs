@@ -19,8 +19,8 @@ pub(super) const INFO: Info = Info {
     name: "ball-pit",
     title: "Ball pit",
     paper: "Fig. 7a",
-    method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart, or across a field as large of \
-             such as the protocol names. The robot is across \
+    method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart, or across a field of the same size of the \
+             balls that the protocol names. The robot is across \
              when its trunk passes the last row, and stuck if it neither gets there nor falls in the time it \
              has. Time, peak foot force and power are from the first row to past the last; a trial that does not get \
              across has none, nor has one that leaves the balls at their side. \
@@ -32,7 +32,7 @@ pub(super) const INFO: Info = Info {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BallPit {
-    /// Kinds of pits; the first is the paper's.
+    /// Kinds of pits.
     pub pits: Vec<Balls>,
     /// Runs of each policy in each of them.
     pub trials: u32,
@@ -74,6 +74,14 @@ impl Experiment for BallPit {
         let condition =
             |balls: &Balls| Condition { label: label(balls), scenario: Scenario::BallPit(balls.pit(&base)) };
         Ok(self.pits.iter().map(condition).collect())
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        self.pits.iter().try_for_each(|balls| {
+            in_range("pits.mass_kg", balls.mass_kg, 1e-3, 1e3, "0.001 to 1000 kg")?;
+            in_range("pits.radius_m", balls.radius_m, 0.03, 0.5, "0.03 to 0.5 m")?;
+            in_range("pits.forward_m_s", balls.forward_m_s, 0.01, 10.0, "0.01 to 10 m/s")
+        })
     }
 
     fn measure(&self, trial: &Trial) -> Measured {

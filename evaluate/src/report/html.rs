@@ -21,7 +21,8 @@ const WORDS: &[(&str, &str)] = &[
     ("push", "a velocity offset added to the trunk's velocity in one instant, in the heading frame (forward, left)."),
     (
         "fall",
-        "the base is less than 0.2 m above the ground under it, or any part but the feet touches the ground. The trial \
+        "the base is less than 0.2 m above the ground under it, or any part but the feet (of robots from \
+      elsewhere: but feet and shanks) touches the ground. The trial \
       ends, and what it leaves undefined is not averaged; falls are counted apart.",
     ),
     ("power, torque", "Σ|τ·q̇| and ‖τ‖₂ over the twelve joints, averaged at 240 Hz, τ as applied."),

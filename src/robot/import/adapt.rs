@@ -68,8 +68,8 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
     if let (None, Ok(pose)) = (description.pose, survey.model.numeric("nominal_pose")) {
         mjcf.push_str(&format!("<numeric name=\"nominal_pose\" data=\"{}\"/>", numbers(pose)));
     }
-    mjcf.push_str("</custom>\n</mujoco>\n");
-    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, shanks_may_touch: true })
+    mjcf.push_str("<numeric name=\"shanks_may_touch\" data=\"1\"/></custom>\n</mujoco>\n");
+    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m })
 }
 
 /// Makes the files of assets absolute, since what is compiled in the end lies in no folder.

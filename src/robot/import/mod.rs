@@ -29,8 +29,6 @@ pub(super) struct Imported {
     pub(super) has_pose: bool,
     /// Base height below which it has fallen, if its description says so \[m\].
     pub(super) fall_height_m: Option<f64>,
-    /// Whether it is no fall that a shank touches the ground.
-    pub(super) shanks_may_touch: bool,
 }
 
 /// Makes a robot of the file at `path`, in a process of its own if this program has one: [`isolate_imports`].
