@@ -73,6 +73,7 @@ pub struct Robot {
     /// As it was asked for: `go1`, or the path of its file.
     pub name: String,
     mjcf: String,
+    sha256: String,
     /// What was changed in the file to make it fit and what was left out, a line each.
     pub report: Vec<String>,
     /// Ranges of the joints \[rad\].
@@ -104,13 +105,15 @@ pub struct Robot {
 
 static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::new(|| {
     let robot = |(name, mjcf): &(&str, &str)| {
-        let ours = Imported { mjcf: (*mjcf).to_owned(), report: Vec::new(), has_pose: true, fall_height_m: None };
+        let sha256 = files::sha256(&[mjcf.as_bytes()]);
+        let (mjcf, report) = ((*mjcf).to_owned(), Vec::new());
+        let ours = Imported { mjcf, report, has_pose: true, fall_height_m: None, sha256 };
         Robot::new(name, ours).map(Arc::new)
     };
     SHIPPED.iter().map(robot).collect()
 });
 
-/// Robots from elsewhere that this process has read: name, hash of the files.
+/// Robots from elsewhere that this process has read: name, what their files say.
 static IMPORTED_ROBOTS: Mutex<Vec<([String; 2], Arc<Robot>)>> = Mutex::new(Vec::new());
 
 impl Robot {
@@ -128,7 +131,7 @@ impl Robot {
             return Err(fail("there is no such file: put it there, or name another robot".to_owned()));
         }
         let source = import::Source::read(path).map_err(fail)?;
-        let key = [name.to_owned(), source.sha256()];
+        let key = [name.to_owned(), source.text()];
         // Held while one is imported: who asks for the same one at the same time waits for it.
         let mut known = IMPORTED_ROBOTS.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
@@ -171,7 +174,7 @@ impl Robot {
 
     /// Reads everything from an MJCF document that has our names.
     fn new(name: &str, imported: Imported) -> Result<Self, FileError> {
-        let Imported { mjcf, report, has_pose, fall_height_m } = imported;
+        let Imported { mjcf, report, has_pose, fall_height_m, sha256 } = imported;
         let path = &paths::as_path(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
@@ -214,6 +217,7 @@ impl Robot {
             shanks_may_touch: model.numeric("shanks_may_touch").is_ok_and(|numbers| numbers == [1.0]),
             colliding: colliding.map(|geom| model.name(Kind::Geom, geom).to_owned()).collect(),
             mjcf,
+            sha256,
         };
         if !has_pose {
             robot.bend_knees(&places);
@@ -226,9 +230,9 @@ impl Robot {
         &self.mjcf
     }
 
-    /// Identity of the robot: SHA-256 of its MJCF.
-    pub fn sha256(&self) -> String {
-        files::sha256(&[self.mjcf.as_bytes()])
+    /// Identity of the robot: SHA-256 of its files, meshes and description included, wherever they lie.
+    pub fn sha256(&self) -> &str {
+        &self.sha256
     }
 
     /// How far the trunk's origin is above the ground on the lowest foot, the trunk level \[m\].

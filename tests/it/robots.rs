@@ -111,8 +111,35 @@ fn a_robot_without_a_pose_is_trained_on_with_bent_knees_and_numbers_of_its_own()
     assert!(own.status.success(), "{}", complaint(&own));
     let own = Config::load(folder.join("own/config.yaml").to_str().unwrap()).unwrap();
     assert_eq!(own.simulation.kp_n_m_per_rad, 99.0);
+    // Its own pose changes no rule, and its own configuration fits it, whatever its file is called.
+    let pose = "action.nominal_pose_rad=[0, 0.5, -1]";
+    let posed = ["--config", "small.yaml", "--robot", "robot.xml", "--set", pose, "--samples", "256", "--out", "posed"];
+    let posed = run("train", folder, &posed);
+    assert!(posed.status.success(), "{}", complaint(&posed));
+    let posed = Config::load(folder.join("posed/config.yaml").to_str().unwrap()).unwrap();
+    assert_eq!((&posed.simulation, &posed.reward), (&config.simulation, &config.reward));
+    let again = run("train", folder, &["--config", "own/config.yaml", "--robot", "./robot.xml", "--out", "again"]);
+    assert!(again.status.success(), "{}", complaint(&again));
+    assert_eq!(Config::load(folder.join("again/config.yaml").to_str().unwrap()).unwrap(), own);
     let resumed = run("train", folder, &["--resume", "r", "--samples", "512"]);
     assert!(resumed.status.success(), "{}", complaint(&resumed));
+}
+
+#[test]
+fn a_robot_is_known_by_what_its_files_say_and_not_by_where_they_lie() {
+    const TETRAHEDRON: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+    let identity = |mesh: &str, fall_height_m: &str| {
+        let folder = tempfile::tempdir().unwrap();
+        Robots { assets: "<mesh name='m' file='m.obj'/>", ..anymal_like() }.write(folder.path());
+        std::fs::write(folder.path().join("m.obj"), mesh).unwrap();
+        let yaml = folder.path().join("robot.yaml");
+        std::fs::write(&yaml, format!("mjcf: robot.xml\nmin_height_m: {fall_height_m}\n")).unwrap();
+        Robot::load(yaml.to_str().unwrap()).unwrap().sha256().to_owned()
+    };
+    let first = identity(TETRAHEDRON, "0.2");
+    assert_eq!(first, identity(TETRAHEDRON, "0.2"), "in another folder");
+    assert_ne!(first, identity(TETRAHEDRON, "0.25"), "another height of a fall");
+    assert_ne!(first, identity(&TETRAHEDRON.replace("v 0 0 1", "v 0 0 2"), "0.2"), "another mesh");
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! From any quadruped's MJCF to ours.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::Imported;
 use super::names::{Description, foot};
@@ -27,7 +27,7 @@ struct Survey {
 pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
     let (description, mut tree) = (&source.description, source.taken());
     let file = std::path::absolute(&description.mjcf).map_err(|error| error.to_string())?;
-    find_assets(&mut tree, file.parent().unwrap_or(Path::new("")))?;
+    let assets = find_assets(&mut tree, file.parent().unwrap_or(Path::new("")))?;
     for section in ["equality", "tendon", "deformable"] {
         if tree.all(section).any(|section| !section.children.is_empty()) {
             return Err(format!("it has a section <{section}>: a trunk with four legs of three hinges each has none"));
@@ -69,11 +69,12 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
         mjcf.push_str(&format!("<numeric name=\"nominal_pose\" data=\"{}\"/>", numbers(pose)));
     }
     mjcf.push_str("<numeric name=\"shanks_may_touch\" data=\"1\"/></custom>\n</mujoco>\n");
-    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m })
+    let sha256 = source.sha256(&assets)?;
+    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, sha256 })
 }
 
-/// Makes the files of assets absolute, since what is compiled in the end lies in no folder.
-fn find_assets(tree: &mut Element, folder: &Path) -> Result<(), String> {
+/// Makes the files of assets absolute, since what is compiled in the end lies in no folder; returns them.
+fn find_assets(tree: &mut Element, folder: &Path) -> Result<Vec<PathBuf>, String> {
     let setting = |name: &str| tree.all("compiler").filter_map(|compiler| compiler.get(name)).last().map(str::to_owned);
     let (meshes, textures) = (setting("meshdir").unwrap_or_default(), setting("texturedir").unwrap_or_default());
     let strip = setting("strippath").as_deref() == Some("true");
@@ -83,6 +84,7 @@ fn find_assets(tree: &mut Element, folder: &Path) -> Result<(), String> {
     if tree.all("compiler").next().is_none() {
         tree.children.insert(0, Element { name: "compiler".into(), ..Element::default() });
     }
+    let mut found = Vec::new();
     for child in &mut tree.children {
         match child.name.as_str() {
             "compiler" => {
@@ -101,7 +103,9 @@ fn find_assets(tree: &mut Element, folder: &Path) -> Result<(), String> {
                         if attribute.0 == "file" || asset.name == "texture" && attribute.0.starts_with("file") {
                             let file = Path::new(&attribute.1);
                             let file = if strip { Path::new(file.file_name().unwrap_or_default()) } else { file };
-                            let file = folder.join(within).join(file).into_os_string().into_string();
+                            let file = folder.join(within).join(file);
+                            found.push(file.clone());
+                            let file = file.into_os_string().into_string();
                             attribute.1 = file.map_err(|file| {
                                 format!("MJCF cannot name {}: its path is not UTF-8; move it", file.display())
                             })?;
@@ -112,7 +116,7 @@ fn find_assets(tree: &mut Element, folder: &Path) -> Result<(), String> {
             _ => {}
         }
     }
-    Ok(())
+    Ok(found)
 }
 
 impl Survey {

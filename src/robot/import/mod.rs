@@ -29,6 +29,8 @@ pub(super) struct Imported {
     pub(super) has_pose: bool,
     /// Base height below which it has fallen, if its description says so \[m\].
     pub(super) fall_height_m: Option<f64>,
+    /// Hash of all its files, wherever they lie.
+    pub(super) sha256: String,
 }
 
 /// Makes a robot of the file at `path`, in a process of its own if this program has one: [`isolate_imports`].

@@ -38,12 +38,12 @@ struct RawDescription {
 }
 
 /// What a YAML file says about a robot; empty for an MJCF file alone.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct Description {
     /// The MJCF file.
     pub(super) mjcf: PathBuf,
     /// Names of the joints, in our order.
-    joints: Option<Vec<String>>,
+    pub(super) joints: Option<Vec<String>>,
     /// Names of the feet's geometries, in our order.
     pub(super) feet: Option<[String; 4]>,
     /// Joint angles at the start, in our order \[rad\].

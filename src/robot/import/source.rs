@@ -1,6 +1,6 @@
 //! The file of a robot with all that it includes, read and checked before MuJoCo sees any of it.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::names::Description;
 use crate::mujoco::check_sizes;
@@ -9,6 +9,9 @@ use crate::util::xml::{self, Element};
 
 /// Larger files are not robots.
 const MAX_BYTES: u64 = 8 << 20;
+
+/// Larger meshes and textures are not a robot's.
+const MAX_ASSET_BYTES: u64 = 256 << 20;
 
 /// Elements of all files. A robot has some hundred; MuJoCo's time grows with their square.
 const MAX_ELEMENTS: usize = 5_000;
@@ -56,11 +59,25 @@ impl Source {
         taken
     }
 
-    /// Hash of all that it says.
-    pub(in crate::robot) fn sha256(&self) -> String {
+    /// All that it says, and where its files lie.
+    pub(in crate::robot) fn text(&self) -> String {
         let mut text = format!("{:?}", self.description);
         self.tree.write(&mut text);
-        files::sha256(&[text.as_bytes()])
+        text
+    }
+
+    /// Hash of all that it says and of the files of its assets, wherever they lie.
+    pub(super) fn sha256(&self, assets: &[PathBuf]) -> Result<String, String> {
+        let mjcf = self.description.mjcf.file_name().unwrap_or_default().into();
+        let mut text = format!("{:?}", Description { mjcf, ..self.description.clone() });
+        self.tree.write(&mut text);
+        let mut hashes = files::sha256(&[text.as_bytes()]);
+        for asset in assets {
+            let bytes =
+                files::read_bounded(asset, MAX_ASSET_BYTES).map_err(|error| format!("{}: {error}", asset.display()))?;
+            hashes.push_str(&files::sha256(&[&bytes]));
+        }
+        Ok(files::sha256(&[hashes.as_bytes()]))
     }
 }
 
