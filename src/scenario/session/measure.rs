@@ -29,16 +29,19 @@ pub fn takes(playback: &mut Playback) -> Result<Vec<Take>, SessionError> {
     let mut takes = Vec::new();
     let mut current = Watched::all(&playback.world);
     while let Some(step) = playback.step()? {
-        for input in &step.inputs {
+        // The world is as all inputs of this tick have left it: what came before it was set up met robots that are gone.
+        let is_setup = |input: &Input| matches!(input, Input::Setup(_));
+        let first = step.inputs.iter().rposition(is_setup).map_or(0, |last| last + 1);
+        if first > 0 {
+            takes.extend(current.drain(..).map(Watched::end));
+            current = Watched::all(&playback.world);
+        }
+        for input in &step.inputs[first..] {
             match input {
-                Input::Setup(_) => {
-                    takes.extend(current.drain(..).map(Watched::end));
-                    current = Watched::all(&playback.world);
-                }
                 Input::Push { size, unit } => {
                     for (watched, mass_kg) in current.iter_mut().zip(playback.world.masses_kg()) {
-                        watched.meter.push(unit.velocity(*size, mass_kg));
-                        watched.look();
+                        let disturbed = watched.meter.push(unit.velocity(*size, mass_kg));
+                        watched.take.pushes.extend(disturbed);
                     }
                 }
                 Input::Pull(force) => current.iter_mut().for_each(|watched| watched.pull(*force)),
@@ -46,7 +49,7 @@ pub fn takes(playback: &mut Playback) -> Result<Vec<Take>, SessionError> {
                     let seat = playback.world.setup().robots[*robot].clone();
                     takes.push(current[*robot].go_on_as(seat));
                 }
-                Input::Command(_) | Input::Reset => {}
+                Input::Command(_) | Input::Reset | Input::Setup(_) => {}
             }
         }
         for played in &step.played {

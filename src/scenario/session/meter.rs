@@ -100,14 +100,16 @@ impl Meter {
         Meter { trace, pushed: None, pulled: None }
     }
 
-    /// The robot is about to be pushed: forward and left, heading frame [m/s].
-    pub fn push(&mut self, size_m_s: [f64; 2]) {
+    /// The robot is about to be pushed: forward and left, heading frame [m/s]. Returns the push that this one disturbs.
+    pub fn push(&mut self, size_m_s: [f64; 2]) -> Option<PushReading> {
         self.conclude(Outcome::Disturbed);
+        let disturbed = self.concluded();
         let at_s = self.time_s();
         self.forget_before(at_s);
         let command = self.trace.frames.last().map_or_else(Command::default, |frame| frame.command);
         let reading = PushReading { at_s, size_m_s, carried_m: None, decay_s: None, outcome: Outcome::Watching };
         self.pushed = Some(Pushed { reading, command, is_told: false });
+        disturbed
     }
 
     /// A hand pulls from now on, forward and left in the heading frame \[N\], or lets go.

@@ -56,7 +56,7 @@ impl Shelf {
             policy: policy.to_owned(),
             sha256: agent.sha256.clone(),
             robot: robot.name.clone(),
-            robot_sha256: robot.sha256(),
+            robot_sha256: robot.sha256().to_owned(),
             compliance: 0.0,
         };
         self.put(agent, file);
@@ -99,6 +99,8 @@ impl Shelf {
             unchanged(&format!("the policy '{}'", seat.policy), &seat.sha256, &agent.sha256)?;
             self.put(agent, file);
         }
+        let robot = Robot::load(&seat.robot)?;
+        unchanged(&format!("the robot '{}'", seat.robot), &seat.robot_sha256, robot.sha256())?;
         let agent = Arc::clone(&self.agents[&seat.sha256]);
         if agent.config.robot.model == seat.robot {
             return Ok(agent);
@@ -109,8 +111,6 @@ impl Shelf {
             None => Shelf::read(&seat.policy)?,
         };
         agent.calibration.clone_from(&self.agents[&seat.sha256].calibration);
-        let robot = Robot::load(&seat.robot)?;
-        unchanged(&format!("the robot '{}'", seat.robot), &seat.robot_sha256, &robot.sha256())?;
         agent.run_on(&robot);
         let agent = Arc::new(agent);
         self.agents.insert(seat.sha256.clone(), Arc::clone(&agent));

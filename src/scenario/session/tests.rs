@@ -39,7 +39,7 @@ fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut Shelf) -> Setup {
         let file = standing(*pose);
         shelf.put_file("standing", file.clone()).unwrap();
         let sha256 = Agent::from(Policy::from_bytes(&file, Path::new("standing")).unwrap()).sha256;
-        let robot_sha256 = Robot::load("go1").unwrap().sha256();
+        let robot_sha256 = Robot::load("go1").unwrap().sha256().to_owned();
         Seat { policy: "standing".into(), sha256, robot: "go1".into(), robot_sha256, compliance: 0.0 }
     };
     Setup { scene, seed: 0, robots: poses.iter().map(seat).collect() }
@@ -129,6 +129,31 @@ fn a_robot_yields_as_far_as_it_is_told_and_the_other_stays_as_it_is() {
     assert!((0.03..0.05).contains(&after) && before < 0.02, "{before} {after}");
     let [first, second] = yields(&takes[1])[..] else { panic!("two pulls") };
     assert!((first - second).abs() < 0.01, "{first} {second}");
+}
+
+#[test]
+fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
+    let mut shelf = Shelf::default();
+    let alone = |shelf: &mut Shelf| vec![shelf.find("baseline", None).unwrap()];
+    let alone = Setup { scene: SceneKind::Flat, seed: 0, robots: alone(&mut shelf) };
+    let push = Input::Push { size: [0.0, 0.3], unit: Unit::Velocity };
+    // What is done to a robot at the very moment in which it goes, and a push within the time that another is looked at.
+    let inputs = [
+        (240, Input::Comply { robot: 1, compliance: 0.03 }),
+        (240, push.clone()),
+        (240, Input::Setup(alone)),
+        (480, push.clone()),
+        (720, push),
+    ];
+    let (world, mut writer) = drive(&inputs, 960);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("kept.jsonl");
+    writer.keep(&path, None, world.tick(), world.fingerprint()).unwrap();
+    let takes = takes(&mut Session::load(&path).unwrap().play().unwrap()).unwrap();
+    let policies: Vec<_> = takes.iter().map(|take| take.seat.policy.as_str()).collect();
+    assert_eq!(policies, ["compliant", "baseline", "baseline"]);
+    let outcomes = |take: &Take| take.pushes.iter().map(|push| push.outcome).collect::<Vec<_>>();
+    assert_eq!(outcomes(&takes[2]), [Outcome::Disturbed, Outcome::Disturbed]);
 }
 
 #[test]
