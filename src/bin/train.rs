@@ -312,7 +312,9 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
 /// That of a new run, and the folder that the run shall have.
 fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::Result<(Trainer, PathBuf)> {
     let name = args.config.as_deref().unwrap_or("fast");
-    let mut config = Config::load_with(name, &args.set)?;
+    // Of a robot's own, --set speaks once everything is fitted to it.
+    let set = if args.robot.is_some() { &[] } else { &args.set[..] };
+    let mut config = Config::load_with(name, set)?;
     let stem = |name: &str| paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
     let mut name = stem(name);
     if let Some(model) = &args.robot {
@@ -329,7 +331,7 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     if !ranks.is_alone() && config.ppo.shards == 1 {
         config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
     }
-    let memory = Memory::of(&config)?;
+    let memory = Memory::of(&config, ranks.count())?;
     memory.check()?;
     if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
         terminal::note(format_args!("note: this run takes {memory}"));

@@ -30,7 +30,8 @@ impl Config {
     /// # Errors
     /// [`FileError`]: this configuration's robot cannot be read, or the other one cannot stand in its nominal pose.
     pub fn fitted_to(&self, robot: &Robot) -> Result<Config, FileError> {
-        if robot.name == self.robot.model {
+        let model = robot_in(Path::new(""), &robot.name);
+        if model == self.robot.model {
             return Ok(self.clone());
         }
         let own = self.robot.load()?;
@@ -48,7 +49,7 @@ impl Config {
             )));
         }
         let mut config = self.clone();
-        config.robot.model = robot_in(Path::new(""), &robot.name);
+        config.robot.model = model;
         config.action.nominal_pose_rad = pose.into();
         let scale = |value: &mut f64, factor: f64| *value = rounded(*value * factor);
         scale(&mut config.reward.base_height_m, height);

@@ -112,7 +112,7 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         config.check()?;
         check_ranks(&config, &*ranks)?;
-        Memory::of(&config)?.check()?;
+        Memory::of(&config, ranks.count())?.check()?;
         config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
@@ -126,7 +126,7 @@ impl Trainer {
             config_name: config_name.to_owned(),
             config,
             git_revision: provenance::GIT_REVISION.to_owned(),
-            robot_sha256: robot.sha256(),
+            robot_sha256: robot.sha256().to_owned(),
             seed,
             iteration: 0,
             samples: 0,
@@ -163,7 +163,7 @@ impl Trainer {
         if [&state.first_moment, &state.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
-        Memory::of(&run.config)?.check()?;
+        Memory::of(&run.config, ranks.count())?.check()?;
         let (robot, layout, mirror) = parts(&run.config)?;
         // What another revision makes of a file is its own affair: the caller has been told that revisions differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::GIT_REVISION {
@@ -181,7 +181,7 @@ impl Trainer {
             environment.restore(saved)?;
         }
         run.environments.clear();
-        (run.git_revision, run.robot_sha256) = (provenance::GIT_REVISION.to_owned(), robot.sha256());
+        (run.git_revision, run.robot_sha256) = (provenance::GIT_REVISION.to_owned(), robot.sha256().to_owned());
         let learner = learner(&run.config.ppo, state, threads, Arc::clone(&ranks))?;
         Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
