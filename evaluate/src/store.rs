@@ -136,9 +136,9 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
     let mut parts = serde_json::json!({
         "program": MEASURES,
         // One that cannot be read fails in its first trial, with the reason.
-        "robot": robot.load().map(|robot| robot.sha256()).unwrap_or_default(),
+        "robot": robot.load().map(|robot| robot.sha256().to_owned()).unwrap_or_default(),
         "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],
-        "experiment": experiment.info().name,
+        "experiment": [experiment.info().name, experiment.info().number],
         "parameters": experiment.parameters(),
         "trials": experiment.trials(),
         "conditions": conditions,

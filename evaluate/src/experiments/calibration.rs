@@ -33,7 +33,7 @@ const LED_M_S: f64 = 0.5;
 
 pub(super) const INFO: Info = Info {
     id: "E13",
-    number: 13,
+    number: 14,
     name: "calibration",
     title: "Compliance as commanded",
     paper: "not in the paper",

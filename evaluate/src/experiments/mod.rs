@@ -129,6 +129,15 @@ mod tests {
     }
 
     #[test]
+    fn experiments_share_no_number_and_so_no_seed() {
+        let protocol = Protocol::full().unwrap();
+        let mut numbers: Vec<u64> =
+            protocol.experiments().iter().map(|experiment| experiment.info().number.into()).collect();
+        numbers.sort_unstable();
+        assert!(numbers.windows(2).all(|pair| pair[0] < pair[1]), "{numbers:?}");
+    }
+
+    #[test]
     fn every_experiment_shows_claims_and_figures_also_without_a_single_value() {
         let protocol = Protocol::quick().unwrap();
         let renderer = Renderer::default();
