@@ -65,7 +65,9 @@ pub enum CalibrationError {
     #[error("it falls {0}: there is no compliance to measure")]
     Falls(&'static str),
     /// It does not yield more where more is asked for.
-    #[error("it yields by {0:.4?} m/s/N at rising settings: it does not follow its command well enough to be led")]
+    #[error(
+        "it yields by {0:.4?} m/s/N, alone and at rising settings: it does not follow its command well enough to be led"
+    )]
     NotRising(Vec<f64>),
 }
 
@@ -98,6 +100,9 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<Calibration, Calib
     }
     calibration.bias = bias(&walks, &undisturbed);
     let own = yielding(agent, 0.0, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
+    if own.is_nan() || own <= 0.0 {
+        return Err(CalibrationError::NotRising(vec![own]));
+    }
     calibration.own_m_s_per_n = own;
     agent.calibration = Some(calibration.clone());
     let mut points = Vec::new();

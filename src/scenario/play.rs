@@ -469,6 +469,7 @@ impl<'a> Rollout<'a> {
         self.sim.reset(self.script.conditions, &self.controller.rest())?;
         // The force of a hand is gone with all else: it is set anew where it is still held.
         self.held = None;
+        self.passed_goal = false;
         self.begin_afresh();
         Ok(())
     }
