@@ -20,11 +20,15 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
     let Provenance { config, config_name, seed, samples, .. } = &policy.provenance;
     let title =
         format!("{onnx} {OURS} {samples} samples, config {config_name}, seed {seed}. It scales what it sees itself.");
-    let observation = config.observation.iter().map(|observed| Observed {
-        offset: None,
-        scale: None,
-        clip: None,
-        ..observed.clone()
+    let observation = config.observation.iter().map(|observed| {
+        let observed = Observed { offset: None, scale: None, clip: None, ..observed.clone() };
+        if observed.quantity != Quantity::LastAction {
+            return observed;
+        }
+        // The network's outputs are joint targets now: what it has put out is what made them.
+        let (offset, scale) = (policy.nominal_pose().to_vec(), config.action.scale_rad.recip());
+        let (offset, scale) = (Some(Numbers::Each(offset)), Some(Numbers::All(scale)));
+        Observed { quantity: Quantity::LastTarget, offset, scale, ..observed }
     });
     text(&title, onnx, config, policy.nominal_pose(), observation, ("joint_angle", 1.0))
 }
@@ -83,4 +87,57 @@ fn text(
     }
     let _ = write!(text, "action:\n  meaning: {meaning}\n  scale_rad: {scale_rad:?}\n");
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::network::ActorCritic;
+    use crate::observation::Command;
+    use crate::policy::{Agent, Controller as _, onnx};
+    use crate::robot::{JOINTS, Robot, RobotState};
+    use crate::util::random::{Purpose, stream};
+
+    #[test]
+    fn an_exported_policy_that_sees_its_last_action_acts_as_it_did() {
+        let mut config = Config::load("compliant").unwrap();
+        config.observation.truncate(3);
+        config.observation.push(Observed { scale: Some(Numbers::All(0.5)), ..Observed::now(Quantity::LastAction) });
+        let layout = config.layout().unwrap();
+        let mut rng = stream(3, Purpose::Weights, 0, 0);
+        let mut network = ActorCritic::orthogonal(layout.length(), &[16], JOINTS, -1.0, &mut rng);
+        // Else its outputs are next to nothing.
+        network.policy.layers.iter_mut().flat_map(|layer| &mut layer.weight).for_each(|weight| *weight *= 3.0);
+        let provenance = Provenance {
+            config_name: "compliant".into(),
+            config,
+            seed: 3,
+            samples: 0,
+            git_revision: "test".into(),
+            mujoco_version: "2.2.2".into(),
+        };
+        let policy = Policy::new(&network, &Robot::load("go1").unwrap(), layout, provenance);
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("p.onnx"), onnx::export(&policy)).unwrap();
+        std::fs::write(folder.path().join("p.yaml"), describe(&policy, "p.onnx")).unwrap();
+        let exported = Agent::load(&folder.path().join("p.yaml")).unwrap();
+        let own = Agent::from(Policy::from_bytes(&policy.to_bytes().unwrap(), Path::new("p")).unwrap());
+        let (mut own, mut exported) = (own.inference().controller(), exported.inference().controller());
+        let state = RobotState { height: 0.3, ..RobotState::default() };
+        for step in 0..5 {
+            let targets = [&mut own, &mut exported].map(|controller| {
+                if step == 0 {
+                    controller.begin(&state);
+                }
+                controller.joint_targets(&state, &Command::default())
+            });
+            let [own, exported] = targets;
+            assert!(
+                own.iter().zip(exported).all(|(own, exported)| (own - exported).abs() < 1e-5),
+                "{own:?} {exported:?}"
+            );
+        }
+    }
 }
