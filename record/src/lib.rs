@@ -201,7 +201,8 @@ impl Recorder {
                 self.event(robot, event)?;
             }
         }
-        Ok(())
+        // There is no frame where physics failed at once.
+        events.try_for_each(|event| self.event(robot, event))
     }
 
     /// Writes out what is left and closes the recording.

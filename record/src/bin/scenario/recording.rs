@@ -161,11 +161,9 @@ fn clip(
         estimates: trace.frames.iter().any(|frame| frame.sensed.is_some()),
     };
     let mut recorder = Recorder::new(Sink::File(path.to_owned()), title, &[view])?;
-    for frame in trace.frames.iter().filter(|frame| frame.time_s > fall_s - CLIP_S) {
-        recorder.frame(0, frame)?;
-    }
-    for event in trace.events.iter().filter(|event| event.time_s > fall_s - CLIP_S) {
-        recorder.event(0, event)?;
-    }
+    let mut end = trace.clone();
+    end.frames.retain(|frame| frame.time_s > fall_s - CLIP_S);
+    end.events.retain(|event| event.time_s > fall_s - CLIP_S);
+    recorder.trace(0, &end)?;
     Ok(recorder.finish()?)
 }
