@@ -267,19 +267,21 @@ impl Live {
         let simulation = agent.config.simulation.clone();
         self.shelf.put(agent, file);
         for robot in robots {
-            let sha256 = sha256.clone();
             let input = if self.world.simulation(robot) == Some(&simulation) {
-                Input::Renew { robot, sha256 }
+                Input::Renew { robot, sha256: sha256.clone() }
             } else {
                 // Other rates, gains or latency: another body, in another world.
                 let mut setup = self.world.setup().clone();
                 let seat = &mut setup.robots[robot];
-                (seat.sha256, seat.compliance) = (sha256, 0.0);
+                (seat.sha256, seat.compliance) = (sha256.clone(), 0.0);
                 Input::Setup(setup)
             };
             self.set_up(input)?;
-            let name = self.display.cast().names.get(robot).cloned().unwrap_or_default();
-            self.display.notice(format!("{name}: its run has saved a newer policy, which now walks"));
+            // Else it has been told why not.
+            if self.world.setup().robots[robot].sha256 == sha256 {
+                let name = self.display.cast().names.get(robot).cloned().unwrap_or_default();
+                self.display.notice(format!("{name}: its run has saved a newer policy, which now walks"));
+            }
         }
         Ok(())
     }

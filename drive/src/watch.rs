@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime};
 
 use supple::policy::shipped;
 use supple::scenario::session::Shelf;
-use supple::util::files;
+use supple::util::{files, paths};
 
 use crate::live::Message;
 
@@ -33,7 +33,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
                 if seen.insert(path.clone(), time) == Some(time) {
                     continue;
                 }
-                let message = match Shelf::read(&path.to_string_lossy()) {
+                let message = match Shelf::read(&paths::as_text(&path)) {
                     Ok((agent, file)) => Message::Read { path, agent: Box::new(agent), file },
                     Err(error) => Message::Notice(error.to_string()),
                 };
