@@ -186,11 +186,7 @@ struct Calibrated {
 impl Calibrated {
     /// For the rates and the commands that the policy was trained with.
     fn new(calibration: Calibration, config: &Config) -> Self {
-        let outer_loop = OuterLoop {
-            own_m_s_per_n: calibration.own_m_s_per_n,
-            limits_m_s: config.led_limits_m_s(),
-            period_s: config.simulation.policy_period_s(),
-        };
+        let outer_loop = OuterLoop::of(config, calibration.own_m_s_per_n);
         Calibrated { calibration, outer_loop, led: [0.0; 2] }
     }
 

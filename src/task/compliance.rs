@@ -20,6 +20,7 @@ pulls harder than that meets the policy itself.
 use nalgebra::{UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+use crate::config::Config;
 use crate::observation::Command;
 use crate::robot::RobotState;
 
@@ -42,6 +43,12 @@ pub struct OuterLoop {
 }
 
 impl OuterLoop {
+    /// Around a policy of this configuration that yields by `own_m_s_per_n` by itself.
+    pub fn of(config: &Config, own_m_s_per_n: f64) -> Self {
+        let (limits_m_s, period_s) = (config.led_limits_m_s(), config.simulation.policy_period_s());
+        OuterLoop { own_m_s_per_n, limits_m_s, period_s }
+    }
+
     /// What to command of a policy that walks at `velocity`, is to walk at `command` and to yield by `c` [m/s/N]. `led` is the
     /// state of the low-pass, zero at first. All of them are forward and left, base frame, and so is the bias [m/s].
     pub fn command(

@@ -30,7 +30,7 @@ pub enum End {
     Fall,
     /// Time was up, or there are no pushes yet: the value of the last state continues the return.
     TimeLimit,
-    /// The physics failed: the step teaches nothing, and is counted.
+    /// The physics failed: the step has no advantage, and is counted.
     Fault,
 }
 
@@ -197,11 +197,7 @@ impl LocomotionEnv {
             layout,
             stages,
             nominal,
-            outer_loop: config.compliance.as_ref().map(|compliance| OuterLoop {
-                own_m_s_per_n: compliance.own_m_s_per_n,
-                limits_m_s: config.led_limits_m_s(),
-                period_s: config.simulation.policy_period_s(),
-            }),
+            outer_loop: config.compliance.as_ref().map(|own| OuterLoop::of(config, own.own_m_s_per_n)),
             seed,
             index,
             last_second: LastSecond::new(
