@@ -220,11 +220,11 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
 pub fn lines(mut reader: impl BufRead, limit: u64) -> impl Iterator<Item = io::Result<String>> {
     std::iter::from_fn(move || {
         let mut line = Vec::new();
-        match (&mut reader).take(limit).read_until(b'\n', &mut line) {
+        match (&mut reader).take(limit.saturating_add(1)).read_until(b'\n', &mut line) {
             Err(error) => return Some(Err(error)),
             Ok(0) => return None,
             Ok(_) if line.ends_with(b"\n") => drop(line.pop()),
-            Ok(length) if length as u64 == limit => {
+            Ok(length) if length as u64 > limit => {
                 let message = format!("it has more than the {limit} bytes that a line can have");
                 return Some(Err(io::Error::new(io::ErrorKind::FileTooLarge, message)));
             }
@@ -341,7 +341,9 @@ mod tests {
 
     #[test]
     fn lines_are_bounded() {
-        let all: Vec<_> = lines(&b"one\n\nthree"[..], 6).map(Result::unwrap).collect();
+        assert!(lines(&b"longer"[..], 5).next().unwrap().is_err());
+        assert!(lines(&b"longer\n"[..], 5).next().unwrap().is_err());
+        let all: Vec<_> = lines(&b"one\n\nthree"[..], 5).map(Result::unwrap).collect();
         assert_eq!(all, ["one", "", "three"]);
         let endless = io::BufReader::new(io::repeat(b'a'));
         assert_eq!(lines(endless, 6).next().unwrap().unwrap_err().kind(), io::ErrorKind::FileTooLarge);
