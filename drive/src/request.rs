@@ -6,11 +6,11 @@ use supple::scenario::session::{Reading, SceneKind, Unit};
 /// Identity of a connection.
 pub type PageId = u64;
 
-/// Largest push, and largest force of a hand.
+/// Largest push [m/s].
 pub const MOST_PUSH_M_S: f64 = 3.0;
-/// In N·s: of the paper's robot, 12 kg, about as much.
+/// Largest push [N·s]: of the paper's robot, 12 kg, about as much.
 pub const MOST_PUSH_N_S: f64 = 40.0;
-/// Twice the weight that the paper's leash pulls with.
+/// Largest force of a hand \[N\]: twice the weight that the paper's leash pulls with.
 pub const MOST_PULL_N: f64 = 100.0;
 
 /// What a page asks for.

@@ -89,8 +89,6 @@ int supple_step1(const mjModel* m, mjData* d, char* error) { GUARDED(mj_step1(m,
 
 int supple_step2(const mjModel* m, mjData* d, char* error) { GUARDED(mj_step2(m, d)); }
 
-int supple_forward(const mjModel* m, mjData* d, char* error) { GUARDED(mj_forward(m, d)); }
-
 int supple_contact_force(const mjModel* m, const mjData* d, int id, mjtNum* result, char* error) {
   GUARDED(mj_contactForce(m, d, id, result));
 }

@@ -21,7 +21,6 @@ int supple_reset_data(const mjModel* m, mjData* d, char* error);
 int supple_step(const mjModel* m, mjData* d, char* error);
 int supple_step1(const mjModel* m, mjData* d, char* error);
 int supple_step2(const mjModel* m, mjData* d, char* error);
-int supple_forward(const mjModel* m, mjData* d, char* error);
 int supple_contact_force(const mjModel* m, const mjData* d, int id, mjtNum* result, char* error);
 int supple_object_velocity(const mjModel* m, const mjData* d, int objtype, int objid, mjtNum* res,
                            int flg_local, char* error);

@@ -202,7 +202,7 @@ impl Rollout {
     ///
     /// `δ_t = r_t + γ V(s_{t+1}) − V(s_t)`, `A_t = δ_t + γ λ A_{t+1}`, where a fall has `V(s_{t+1}) = 0`, a time limit
     /// the value of its final observation, and neither lets `A_{t+1}` of the next episode in. The step in which physics
-    /// failed has no next state and teaches nothing: `A_t = 0`.
+    /// failed has no next state: `A_t = 0`, and its return is its value.
     pub fn advantages(&self, discount: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let (mut advantages, mut returns) = (vec![0.0; self.len()], vec![0.0; self.len()]);
         for first in (0..self.len()).step_by(self.steps.max(1)) {
