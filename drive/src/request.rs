@@ -103,7 +103,7 @@ pub struct Hello {
     /// Policies that ship.
     pub policies: Vec<String>,
     /// Scenes to choose from.
-    pub scenes: Vec<&'static str>,
+    pub scenes: Vec<SceneKind>,
     /// Largest push [m/s] and [N·s], and largest force of a hand \[N\].
     pub most: [f64; 3],
     /// Whether rerun's viewer is beside the page, or runs on its own.

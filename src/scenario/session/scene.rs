@@ -1,5 +1,6 @@
 //! Scenes to walk about in: those of the catalog, with ground in every direction.
 
+use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, ConfigError};
@@ -16,28 +17,24 @@ const LIES_S: f64 = 2.0;
 const WAY: ([f64; 3], f64) = ([0.5, 0.0, 0.5], 18.0);
 
 /// Where robots are driven.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SceneKind {
-    /// A plane.
+    /// A plane
     Flat,
-    /// A field of loose balls.
+    /// A field of loose balls
     BallPit,
-    /// Perlin terrain.
+    /// Perlin terrain
     Terrain,
-    /// Wooden blocks and soft mats.
+    /// Wooden blocks and soft mats
     Blocks,
-    /// A free box.
+    /// A free box
     Box,
-    /// Hills of varied friction.
+    /// Hills of varied friction
     Hills,
 }
 
 impl SceneKind {
-    /// All of them.
-    pub const ALL: [SceneKind; 6] =
-        [SceneKind::Flat, SceneKind::BallPit, SceneKind::Terrain, SceneKind::Blocks, SceneKind::Box, SceneKind::Hills];
-
     /// Its name in files.
     pub fn name(self) -> &'static str {
         match self {
@@ -48,11 +45,6 @@ impl SceneKind {
             SceneKind::Box => "box",
             SceneKind::Hills => "hills",
         }
-    }
-
-    /// The scene of that name.
-    pub fn of_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|scene| scene.name() == name)
     }
 
     fn scenario(self) -> Result<Scenario, ConfigError> {

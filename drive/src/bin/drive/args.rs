@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use supple::scenario::session::SceneKind;
+use supple::util::terminal;
 
 /// Headings in the help.
 const ROBOTS: &str = "Robots and scene";
@@ -21,21 +22,21 @@ pub struct Args {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: compliant]
     ///
     /// A policy that is still being trained is read anew whenever its run saves a newer one.
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME")]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME", value_parser = terminal::path_as_text())]
     pub policy: Option<String>,
     /// Second policy beside it, `none` for none [default: baseline, if --policy is not given]
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME")]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME", value_parser = terminal::path_as_text())]
     pub compare: Option<String>,
     /// Another robot: its MJCF file, or a YAML file that names one and its joints [default: the policy's]
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE")]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE", value_parser = terminal::path_as_text())]
     pub model: Option<String>,
-    /// Where to drive: flat, ball-pit, terrain, blocks, box or hills
-    #[arg(long, help_heading = ROBOTS, value_name = "SCENE", default_value = "flat", value_parser = scene)]
+    /// Where to drive
+    #[arg(long, help_heading = ROBOTS, value_name = "SCENE", default_value = "flat")]
     pub scene: SceneKind,
     /// Seed of everything random in the scene
     #[arg(long, help_heading = ROBOTS, value_name = "N", default_value_t = 0)]
     pub seed: u64,
-    /// Address to listen on; others than this machine's own let others drive, who have the token
+    /// Address to listen on; with any but this machine's own, others who have the token can drive
     #[arg(long, help_heading = VIEW, value_name = "IP", default_value_t = IpAddr::V4(Ipv4Addr::LOCALHOST))]
     pub bind: IpAddr,
     /// Port to listen on, 0 for any that is free
@@ -50,7 +51,7 @@ pub struct Args {
     /// Folder for what is kept
     #[arg(long, help_heading = SESSION, value_name = "DIR", default_value = ".")]
     pub keep: PathBuf,
-    /// Play a session that was kept again, bit for bit
+    /// Replay a kept session, bit for bit
     #[arg(long, help_heading = SESSION, value_name = "FILE", conflicts_with_all = ["policy", "compare", "model"])]
     pub replay: Option<PathBuf>,
     /// Play it as fast as it goes, without a page, and tell how it went
@@ -59,9 +60,4 @@ pub struct Args {
     /// Write a recording of it, without a page
     #[arg(long, help_heading = SESSION, value_name = "FILE", requires = "replay")]
     pub record: Option<PathBuf>,
-}
-
-fn scene(name: &str) -> Result<SceneKind, String> {
-    let known = SceneKind::ALL.map(SceneKind::name).join(", ");
-    SceneKind::of_name(name).ok_or_else(|| format!("there is no such scene; there are: {known}"))
 }

@@ -8,7 +8,7 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 
 use anyhow::Context;
 use args::Args;
-use clap::Parser;
+use clap::{Parser, ValueEnum};
 use supple::policy::shipped;
 use supple::scenario::session::{SceneKind, Session, Setup, Shelf};
 use supple::util::terminal;
@@ -96,7 +96,7 @@ fn setup(args: &Args, shelf: &mut Shelf) -> anyhow::Result<Setup> {
 fn hello(args: &Args) -> Hello {
     Hello {
         policies: shipped::EMBEDDED.iter().map(|(name, _)| (*name).to_owned()).collect(),
-        scenes: SceneKind::ALL.map(SceneKind::name).to_vec(),
+        scenes: SceneKind::value_variants().to_vec(),
         most: [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N],
         viewer: args.connect.is_none(),
     }
