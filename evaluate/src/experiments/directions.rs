@@ -2,7 +2,7 @@
 
 use super::prelude::*;
 use super::push;
-use crate::plot::polar::{Scales, evenly};
+use crate::plot::polar::Scales;
 use supple::scenario::catalog::PushAway;
 use supple::scenario::metrics::BRIEF_S;
 use supple::task::Command;
@@ -38,16 +38,10 @@ pub struct Directions {
 impl Experiment for Directions {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushAway = defaults("push")?;
-        let condition = |command: f64, direction_deg: f64| Condition {
-            label: format!("{}, {direction_deg:.1}°", gait(command)),
-            scenario: Scenario::Push(PushAway {
-                direction_deg,
-                task: Task { forward_m_s: command, ..base.task.clone() },
-                ..base
-            }),
-        };
-        let commands = self.commands_m_s.iter();
-        Ok(commands.flat_map(|command| evenly(self.directions).map(|d| condition(*command, d))).collect())
+        Ok(by_gait_and_direction(&self.commands_m_s, self.directions, |forward_m_s, direction_deg| {
+            let task = Task { forward_m_s, ..base.task.clone() };
+            Scenario::Push(PushAway { direction_deg, task, ..base })
+        }))
     }
 
     fn check(&self) -> Result<(), ParameterError> {

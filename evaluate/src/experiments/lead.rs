@@ -1,7 +1,7 @@
 //! E14c: somebody walks away with the leash.
 
 use super::prelude::*;
-use crate::plot::polar::{Scales, evenly};
+use crate::plot::polar::Scales;
 use supple::scenario::catalog::Lead as Led;
 
 const QUANTITIES: &[Quantity] = &[
@@ -39,16 +39,10 @@ pub struct Lead {
 impl Experiment for Lead {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Led = defaults("lead")?;
-        let condition = |command: f64, direction_deg: f64| Condition {
-            label: format!("{}, {direction_deg:.1}°", gait(command)),
-            scenario: Scenario::Lead(Led {
-                direction_deg,
-                task: Task { forward_m_s: command, ..base.task.clone() },
-                ..base
-            }),
-        };
-        let commands = self.commands_m_s.iter();
-        Ok(commands.flat_map(|command| evenly(self.directions).map(|d| condition(*command, d))).collect())
+        Ok(by_gait_and_direction(&self.commands_m_s, self.directions, |forward_m_s, direction_deg| {
+            let task = Task { forward_m_s, ..base.task.clone() };
+            Scenario::Lead(Led { direction_deg, task, ..base })
+        }))
     }
 
     fn check(&self) -> Result<(), ParameterError> {

@@ -5,14 +5,15 @@ mod velocity;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Experiment, Info, Parameters};
-use supple::scenario::catalog::{ParameterError, in_range};
+use super::{Condition, Experiment, Info, Parameters};
+use crate::plot::polar::evenly;
+use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 
 /// What every experiment needs.
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
-    pub(super) use super::{check_directions, gait, truth};
+    pub(super) use super::{by_gait_and_direction, check_directions, gait, truth};
     pub use crate::show::{Group, Show};
     pub use crate::statistics::Expected;
     pub use crate::trial::Trial;
@@ -83,6 +84,20 @@ experiments! {
 /// What a robot does at a forward command \[m/s\].
 fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
+}
+
+/// A condition for each command, standing or walking, and each direction.
+fn by_gait_and_direction(
+    commands_m_s: &[f64],
+    directions: u32,
+    scenario: impl Fn(f64, f64) -> Scenario,
+) -> Vec<Condition> {
+    let all = commands_m_s.iter().flat_map(|command| evenly(directions).map(move |direction| (*command, direction)));
+    all.map(|(command, direction_deg)| Condition {
+        label: format!("{}, {direction_deg:.1}°", gait(command)),
+        scenario: scenario(command, direction_deg),
+    })
+    .collect()
 }
 
 /// Checks directions that divide the circle evenly: enough to tell sides apart.
