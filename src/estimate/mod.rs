@@ -25,10 +25,7 @@ use kalman::{FilterNoise, Fit, FootMeasurement, KalmanFilter};
 use orientation::OrientationFilter;
 pub use sensors::{EncoderReading, ImuReading, SensorNoise, Sensors};
 
-use crate::robot::{Robot, kinematics};
-
-/// Strength of gravity that the filters assume [m/s²].
-pub const GRAVITY_M_S2: f64 = 9.81;
+use crate::robot::{GRAVITY_M_S2, Robot, kinematics};
 
 /// Why a reading was refused. The estimator keeps its last good state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

@@ -20,8 +20,8 @@ robot measures it.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::GRAVITY_M_S2;
 use super::sensors::ImuReading;
+use crate::robot::GRAVITY_M_S2;
 
 /// The largest bias that is learnt, per axis: the BMI088's before any zeroing, 1 °/s [rad/s].
 const MOST_BIAS_RAD_S: f64 = std::f64::consts::PI / 180.0;

@@ -4,9 +4,8 @@ use std::sync::Arc;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::GRAVITY_M_S2;
 use super::sensors::{EncoderReading, ImuReading};
-use crate::robot::{JOINTS, Joints, PARTS, Robot, kinematics, of_leg, same_in_every_leg};
+use crate::robot::{GRAVITY_M_S2, JOINTS, Joints, PARTS, Robot, kinematics, of_leg, same_in_every_leg};
 
 pub const DT_S: f64 = 1.0 / 240.0;
 /// The robot stands for a second, then takes a second to reach its speed.

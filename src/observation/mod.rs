@@ -23,6 +23,8 @@ pub use quantity::Quantity;
 
 use serde::{Deserialize, Serialize};
 
+use crate::util::numbers;
+
 /// What a policy is asked to do, base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Command {
@@ -34,7 +36,7 @@ pub struct Command {
     pub yaw: f64,
     /// Velocity that a newton of sustained horizontal force is to buy [m/s/N]; not in the paper. Zero: none, or, of a policy
     /// that cannot be told, whatever it has.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "numbers::is_zero")]
     pub compliance: f64,
 }
 
@@ -43,9 +45,4 @@ impl Command {
     pub fn velocity(forward: f64, left: f64, yaw: f64) -> Self {
         Command { forward, left, yaw, ..Command::default() }
     }
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref)]
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }

@@ -7,6 +7,9 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Joints;
 
+/// Gravity, as in the paper's simulator and in MuJoCo [m/s²].
+pub const GRAVITY_M_S2: f64 = 9.81;
+
 /// Where a foot is.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Foothold {
@@ -61,9 +64,14 @@ impl RobotState {
         self.world_from_base * self.velocity_in_base
     }
 
-    /// Velocity in the heading frame (world rotated by yaw alone) [m/s].
-    pub fn velocity_in_heading(&self) -> Vector3<f64> {
+    /// From the heading frame to the world's: the trunk's turn about the vertical alone.
+    pub fn heading(&self) -> UnitQuaternion<f64> {
         let (_, _, yaw) = self.roll_pitch_yaw();
-        UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * self.velocity_in_world()
+        UnitQuaternion::from_euler_angles(0.0, 0.0, yaw)
+    }
+
+    /// Velocity in the heading frame [m/s].
+    pub fn velocity_in_heading(&self) -> Vector3<f64> {
+        self.heading().inverse() * self.velocity_in_world()
     }
 }

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
 use super::rig::{RigState, RopeForces};
 use super::senses::Senses;
@@ -13,10 +13,9 @@ use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
-use crate::robot::{Foothold, Joints, RobotState};
+use crate::robot::{Foothold, GRAVITY_M_S2, Joints, RobotState};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
 use crate::sim::{Parts, Push, Sim, SimState, StepObserver};
-use crate::task::episode::GRAVITY;
 use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
@@ -156,7 +155,7 @@ impl<'a> Rollout<'a> {
 
     /// A trace without frames yet.
     pub fn empty_trace(&self) -> Trace {
-        let weight_n = self.sim.robot().mass_kg * GRAVITY;
+        let weight_n = self.sim.robot().mass_kg * GRAVITY_M_S2;
         Trace { period_s: self.sim.policy_period_s(), weight_n, ..Trace::default() }
     }
 
@@ -358,10 +357,9 @@ impl<'a> Rollout<'a> {
     }
 
     fn shove(&mut self, push: &Push, time_s: f64, events: &mut Vec<Event>) -> mujoco::Result<()> {
-        let before = self.sim.state();
+        let before = self.sim.state().velocity_in_world();
         self.sim.push(push)?;
-        let after = self.sim.state();
-        let change = after.world_from_base * after.velocity_in_base - before.world_from_base * before.velocity_in_base;
+        let change = self.sim.state().velocity_in_world() - before;
         self.shown_push = Some((time_s + PUSH_SHOWN_S, change));
         let [forward, left] = push.linear;
         let text = format!("push: {forward:+.2} m/s forward, {left:+.2} m/s left");
@@ -372,10 +370,7 @@ impl<'a> Rollout<'a> {
     /// The force of a hand turns with the robot.
     fn feel_the_hand(&mut self, time_s: f64, events: &mut Vec<Event>) {
         let before = self.held;
-        self.held = self.hand.map(|[forward, left]| {
-            let (_, _, yaw) = self.sim.state().roll_pitch_yaw();
-            UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(forward, left, 0.0)
-        });
+        self.held = self.hand.map(|[forward, left]| self.sim.state().heading() * Vector3::new(forward, left, 0.0));
         if let Some(force) = self.held.or(before.map(|_| Vector3::zeros())) {
             self.sim.set_trunk_force(force);
         }

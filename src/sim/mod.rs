@@ -7,7 +7,7 @@ with no work done twice. Contact forces exist only between the two halves; a [`S
 
 use std::sync::Arc;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 pub mod control;
@@ -152,7 +152,8 @@ impl Sim {
         }
         let mut start = scene.robot.stand.clone();
         start[2] += scene.ground.height(start[0], start[1]);
-        let conditions = Conditions { gravity: model.gravity(), friction: 0.8, encoder_bias: [0.0; JOINTS] };
+        let conditions =
+            Conditions { gravity: model.gravity(), friction: scene::FRICTION[0], encoder_bias: [0.0; JOINTS] };
         Ok(Sim {
             data: Data::new(model)?,
             parts,
@@ -286,9 +287,7 @@ impl Sim {
     /// # Errors
     /// A fault of MuJoCo.
     pub fn push(&mut self, push: &Push) -> Result<()> {
-        let (_, _, yaw) = self.state().roll_pitch_yaw();
-        let linear =
-            UnitQuaternion::from_euler_angles(0.0, 0.0, yaw) * Vector3::new(push.linear[0], push.linear[1], 0.0);
+        let linear = self.state().heading() * Vector3::new(push.linear[0], push.linear[1], 0.0);
         self.parts.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
         self.refresh()
     }

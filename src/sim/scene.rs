@@ -26,7 +26,7 @@ pub const GROUND: &str = "ground";
 const ROBOT: &str = "robot.xml";
 
 /// Friction of the ground: sliding, torsional, rolling.
-const FRICTION: [f64; 3] = [0.8, 0.005, 0.0001];
+pub(super) const FRICTION: [f64; 3] = [0.8, 0.005, 0.0001];
 
 /// Sizes of MuJoCo's fixed buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -17,7 +17,7 @@ the command goes with the hand; stiffer, it goes against it. Of what the low-pas
 pulls harder than that meets the policy itself.
 */
 
-use nalgebra::{UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use crate::config::Config;
@@ -102,7 +102,7 @@ impl VirtualMass {
     /// Lets a force act on it for a while, with a damper of `1/c` to the command: the exact solution. It gets no faster than
     /// `limit_m_s`, unless the command is.
     pub fn step(&mut self, state: &RobotState, command: &Command, c: f64, pulled: Pulled, limit_m_s: f64) {
-        let asked = heading(state) * Vector3::new(command.forward, command.left, 0.0);
+        let asked = state.heading() * Vector3::new(command.forward, command.left, 0.0);
         let kept = (-pulled.time_s / (pulled.mass_kg * c)).exp();
         let towards = asked.xy() + c * Vector2::from(pulled.force);
         let velocity = towards + kept * (Vector2::from(self.velocity) - towards);
@@ -116,18 +116,15 @@ impl VirtualMass {
 
     /// Its velocity in the robot's heading, in place of the commanded one.
     pub fn command(&self, state: &RobotState, command: &Command) -> Command {
-        let velocity = heading(state).inverse() * Vector3::new(self.velocity[0], self.velocity[1], 0.0);
+        let velocity = state.heading().inverse() * Vector3::new(self.velocity[0], self.velocity[1], 0.0);
         Command { forward: velocity.x, left: velocity.y, ..*command }
     }
 }
 
-fn heading(state: &RobotState) -> UnitQuaternion<f64> {
-    let (_, _, yaw) = state.roll_pitch_yaw();
-    UnitQuaternion::from_euler_angles(0.0, 0.0, yaw)
-}
-
 #[cfg(test)]
 mod tests {
+    use nalgebra::UnitQuaternion;
+
     use super::*;
 
     const MASS_KG: f64 = 12.5;

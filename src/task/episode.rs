@@ -9,11 +9,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{CommandRange, Compliance, Config, Episode, Simulation};
 use crate::observation::Command;
-use crate::robot::JOINTS;
+use crate::robot::{GRAVITY_M_S2, JOINTS};
 use crate::sim::{Conditions, Pull, Push};
-
-/// Standard gravity as used by the paper's simulator and MuJoCo [m/s²].
-pub const GRAVITY: f64 = 9.81;
 
 /// The three stages of section III-C.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -141,7 +138,7 @@ fn drawn_pulls(range: &Compliance, compliance: f64, force_n: f64, length_s: f64,
 /// Gravity as felt on a slope (rise over run) that rises towards the direction `uphill` [rad from forward] [m/s²].
 pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
     let tilt = slope.atan();
-    [-GRAVITY * tilt.sin() * uphill.cos(), -GRAVITY * tilt.sin() * uphill.sin(), -GRAVITY * tilt.cos()]
+    [-GRAVITY_M_S2 * tilt.sin() * uphill.cos(), -GRAVITY_M_S2 * tilt.sin() * uphill.sin(), -GRAVITY_M_S2 * tilt.cos()]
 }
 
 /// What episodes ask for gets harder as walking gets better (section III-D).
@@ -205,7 +202,7 @@ mod tests {
         let [x, y, z] = tilted_gravity(0.1, 0.0);
         // sin(atan 0.1) = 0.0995037
         assert!((x + 9.81 * 0.099_503_719).abs() < 1e-6 && y.abs() < 1e-12);
-        assert!(((x * x + y * y + z * z).sqrt() - GRAVITY).abs() < 1e-12);
+        assert!(((x * x + y * y + z * z).sqrt() - GRAVITY_M_S2).abs() < 1e-12);
     }
 
     #[test]

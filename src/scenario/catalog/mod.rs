@@ -17,12 +17,13 @@ use serde::{Deserialize, Serialize};
 use super::Script;
 use super::metrics::{self, Decay, Metric};
 use crate::config::{Config, ConfigError};
+use crate::robot::GRAVITY_M_S2;
 use crate::scenario::trace::Trace;
 use crate::sim::Conditions;
 use crate::sim::Scene;
 use crate::task::Command;
-use crate::task::episode::GRAVITY;
 use crate::util::files::FileError;
+use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
 use crate::util::yaml::{Text, YamlError, flat_parameters, layered, to_text};
 
@@ -191,13 +192,8 @@ pub struct Task {
     pub encoder_bias_sd_rad: f64,
     /// Commanded compliance: how much velocity a newton of sustained pull is to buy (m/s/N); 0: whatever the policy has
     #[arg(long)]
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "numbers::is_zero")]
     pub compliance: f64,
-}
-
-#[allow(clippy::trivially_copy_pass_by_ref)]
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 /// What a scenario's parameters do; what they do not say is that of an undisturbed walk on a plane.
@@ -248,7 +244,7 @@ impl Scenario {
         let mut script = Script {
             scene: Scene::flat(config.robot.load()?, config.simulation.timestep_s()),
             conditions: Conditions {
-                gravity: [0.0, 0.0, -GRAVITY],
+                gravity: [0.0, 0.0, -GRAVITY_M_S2],
                 friction: config.randomisation.default_friction,
                 encoder_bias: std::array::from_fn(|_| task.encoder_bias_sd_rad * rng.sample::<f64, _>(StandardNormal)),
             },

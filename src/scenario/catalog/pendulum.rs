@@ -9,12 +9,11 @@ rather than bare steel.
 use std::f64::consts::FRAC_PI_2;
 
 use super::{ParameterError, Parameters, in_range, lasting, metric, no_turn, towards};
-use crate::robot::Extent;
+use crate::robot::{Extent, GRAVITY_M_S2};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric, STRIDE_S};
 use crate::scenario::rig::{Holder, Load, Rig, Shape};
 use crate::scenario::trace::{Frame, Trace};
-use crate::task::episode::GRAVITY;
 
 /// The trunk has its largest velocity from a blow within this time \[s\].
 const LONGEST_BLOW_S: f64 = 0.2;
@@ -60,7 +59,7 @@ impl Pendulum {
     /// string that is let go at the angle θ.
     pub fn fall_s(&self) -> f64 {
         let half_angle = 0.5 * (1.0 - self.release_height_m / self.string_m).acos();
-        FRAC_PI_2 * (self.string_m / GRAVITY).sqrt() / arithmetic_geometric_mean(1.0, half_angle.cos())
+        FRAC_PI_2 * (self.string_m / GRAVITY_M_S2).sqrt() / arithmetic_geometric_mean(1.0, half_angle.cos())
     }
 
     /// The first contact of the ball with the robot, if there was one.
