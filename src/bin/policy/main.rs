@@ -45,6 +45,9 @@ enum Command {
         /// Configuration that it has to come from
         #[arg(long, value_name = "FILE", value_parser = terminal::path_as_text())]
         config: Option<String>,
+        /// Another value for a key of that configuration, as in ppo.epochs=4; may be repeated
+        #[arg(long, value_name = "KEY=VALUE", requires = "config")]
+        set: Vec<String>,
         /// Samples that it has to have learnt from at least
         #[arg(long, value_name = "N", default_value_t = 0)]
         samples: u64,
@@ -54,7 +57,7 @@ enum Command {
         /// Policy file, run folder, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
         policy: String,
-        /// How far it is to yield (m/s/N), of observations that follow one another at the policy's rate; 0: as it does by itself
+        /// Compliance to command (m/s/N), of observations that are consecutive policy steps; 0: the policy's own
         #[arg(long, value_name = "C", default_value_t = 0.0)]
         compliance: f64,
     },
@@ -67,7 +70,7 @@ enum Command {
         #[arg(long)]
         name: Option<String>,
     },
-    /// Measure how far the policy yields when it is pulled, and print what `--compliance` needs to know
+    /// Measure how far the policy yields when it is pulled, and write what `--compliance` needs beside it
     Calibrate {
         /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
@@ -79,7 +82,7 @@ enum Command {
         #[arg(long)]
         out: Option<PathBuf>,
     },
-    /// Print what is understood of a robot, and what training it would take from that
+    /// Print what is read from a robot's file, and how a configuration is fitted to it
     Robot {
         /// Robot that ships, MJCF file, or YAML file about one
         #[arg(value_parser = terminal::path_as_text())]
@@ -125,13 +128,13 @@ fn run(command: Command) -> anyhow::Result<()> {
             terminal::print(format_args!("{}\n", shipped::find_ours(&policy)?.metadata_json()))?
         }
         Command::Show { policy, json: false } => terminal::print(description(&shipped::find_ours(&policy)?))?,
-        Command::Verify { policy: name, config, samples } => {
+        Command::Verify { policy: name, config, set, samples } => {
             // Reading a policy checks everything in it, the golden pairs included.
             let policy = shipped::find_ours(&name)?;
             let (found, sha256) = (&policy.provenance, policy.sha256());
             if let Some(config) = config {
                 let differs = |keys| anyhow::anyhow!("{name} does not come from {config}: {keys}");
-                found.config.check_same(&Config::load(&config)?.without_folder()).map_err(differs)?;
+                found.config.check_same(&Config::load_with(&config, &set)?.without_folder()).map_err(differs)?;
             }
             let learnt = found.samples;
             anyhow::ensure!(learnt >= samples, "{name} has learnt from {learnt} samples, expected {samples} or more");
