@@ -45,9 +45,9 @@ const WORTH_TELLING_BYTES: u64 = 1 << 30;
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, commanded, go2, go2-baseline,
-    /// or a YAML file; with --resume, what the run has to be of [default: fast]
-    #[arg(long, value_name = "FILE", value_parser = terminal::path_as_text())]
+    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, go2, go2-baseline, commanded
+    /// (unfinished), or a YAML file; with --resume, the one that the run must have [default: fast]
+    #[arg(long, value_name = "NAME|FILE", value_parser = terminal::path_as_text())]
     config: Option<String>,
     /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file about one
     #[arg(long, value_name = "FILE", conflicts_with = "resume", value_parser = terminal::path_as_text())]
