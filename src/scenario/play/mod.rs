@@ -1,21 +1,25 @@
 //! Plays a script with a controller, one policy step at a time.
 
+mod live;
+mod meter;
+
 use std::borrow::Cow;
 
+use meter::Meter;
 use nalgebra::Vector3;
 
-use super::rig::{RigState, RopeForces};
+use super::rig::RigState;
 use super::senses::Senses;
 use super::spring::SpringState;
-use super::{Goal, Prelude, Script, Sensing, SensingError, Spring, TimedPush};
+use super::{Goal, Prelude, Script, Sensing, SensingError, TimedPush};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
-use crate::robot::{Foothold, GRAVITY_M_S2, Joints, RobotState};
+use crate::robot::{GRAVITY_M_S2, RobotState};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
-use crate::sim::{Parts, Push, Sim, SimState, StepObserver};
+use crate::sim::{Push, Sim, SimState};
 use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
@@ -418,73 +422,6 @@ impl<'a> Rollout<'a> {
     }
 }
 
-/// What somebody does to a robot that is being played. It takes effect with the next step.
-impl<'a> Rollout<'a> {
-    /// What is asked of the policy.
-    pub fn command(&self) -> &Command {
-        &self.command
-    }
-
-    /// Asks something else of the policy.
-    pub fn ask(&mut self, command: Command) {
-        self.command = command;
-    }
-
-    /// Pushes the trunk.
-    pub fn push(&mut self, push: Push) {
-        self.shoves.push(push);
-    }
-
-    /// Takes the trunk in hand and pulls with this force, forward and left in the heading frame \[N\], or lets it go.
-    pub fn pull(&mut self, force: Option<[f64; 2]>) {
-        self.hand = force;
-    }
-
-    /// Gives the robot to another controller as it stands.
-    pub fn hand_over(&mut self, controller: Box<dyn Controller + 'a>) {
-        self.controller = controller;
-        self.afresh = true;
-    }
-
-    /// Sets the robot on its feet where it is, facing as it does: see [`Sim::set_on_feet`].
-    ///
-    /// # Errors
-    /// A fault of MuJoCo.
-    pub fn set_on_feet(&mut self) -> mujoco::Result<()> {
-        self.sim.set_on_feet(&self.controller.rest())?;
-        self.begin_afresh();
-        Ok(())
-    }
-
-    /// Puts robot and scene back to their start. Time goes on; the script's own disturbances are not repeated.
-    ///
-    /// # Errors
-    /// A fault of MuJoCo.
-    pub fn restart(&mut self) -> mujoco::Result<()> {
-        self.sim.reset(self.script.conditions, &self.controller.rest())?;
-        // The force of a hand is gone with all else: it is set anew where it is still held.
-        self.held = None;
-        self.passed_goal = false;
-        self.begin_afresh();
-        Ok(())
-    }
-
-    /// Whether physics or sensors have failed: only [`Rollout::restart`] helps.
-    pub fn has_failed(&self) -> bool {
-        self.failed
-    }
-
-    fn begin_afresh(&mut self) {
-        self.state = self.sim.state();
-        self.swings = SwingTracker::new(&self.state.feet, self.config.reward.foot_height_m);
-        self.fallen_since = None;
-        self.failed = false;
-        self.disturbed = None;
-        self.shown_push = None;
-        self.afresh = true;
-    }
-}
-
 impl Iterator for Rollout<'_> {
     type Item = Played;
 
@@ -545,86 +482,10 @@ enum Fault {
     Sensors(#[from] SensorFault),
 }
 
-/// Forces over the physics steps of one policy step, and readings after each.
-#[derive(Default)]
-struct Meter<'a> {
-    senses: Option<&'a mut Senses>,
-    /// The constant force on the trunk, world frame \[N\].
-    pull: Vector3<f64>,
-    /// What pulls besides, by how far it is stretched.
-    spring: Option<(&'a Spring, &'a mut SpringState)>,
-    swings: SwingTracker,
-    substeps: u32,
-    torques: Joints,
-    foot_forces: [[f64; 3]; 4],
-    peak_foot_force_n: f64,
-    peak_obstacle_force_n: f64,
-    obstacle_force_sum_n: f64,
-    /// Physics steps with a force between the robot and obstacles.
-    obstacle_substeps: u32,
-    /// A part of the robot that touched an obstacle.
-    touched: Option<usize>,
-    /// The tendon that is a rope.
-    rope: Option<usize>,
-    rope_forces: RopeForces,
-}
-
-impl StepObserver for Meter<'_> {
-    fn trunk_force(&mut self, data: &Data) -> Option<Vector3<f64>> {
-        let (spring, state) = self.spring.as_mut()?;
-        Some(self.pull + state.force(spring, data))
-    }
-
-    fn feet(&mut self, feet: &[Foothold; 4]) {
-        self.swings.feet(feet);
-    }
-
-    fn forces(&mut self, data: &Data, parts: &Parts, torques: &Joints) {
-        if let Some(senses) = &mut self.senses {
-            senses.read(data, parts);
-        }
-        self.substeps += 1;
-        self.torques = *torques;
-        if let Some(tendon) = self.rope {
-            self.rope_forces.add(data.tendon_limit_force(tendon));
-        }
-        let (mut feet, mut obstacles) = ([[0.0; 3]; 4], [0.0; 3]);
-        for contact in data.contacts() {
-            let [first, second] = contact.geoms;
-            // The robot's share: forces are given on the second geometry.
-            let (geom, other, sign) = match (parts.is_part(first), parts.is_part(second)) {
-                (true, false) => (first, second, -1.0),
-                (false, true) => (second, first, 1.0),
-                _ => continue,
-            };
-            let on_second = data.contact_force(contact.index);
-            if let Some(leg) = parts.feet().iter().position(|foot| *foot == geom) {
-                (0..3).for_each(|k| feet[leg][k] += sign * on_second[k]);
-            }
-            if other != parts.ground() {
-                (0..3).for_each(|k| obstacles[k] += sign * on_second[k]);
-                self.touched = self.touched.or(Some(geom));
-            }
-        }
-        for (sum, force) in self.foot_forces.iter_mut().zip(feet) {
-            (0..3).for_each(|k| sum[k] += force[k]);
-            self.peak_foot_force_n = self.peak_foot_force_n.max(norm(force));
-        }
-        let obstacle_force_n = norm(obstacles);
-        self.peak_obstacle_force_n = self.peak_obstacle_force_n.max(obstacle_force_n);
-        self.obstacle_force_sum_n += obstacle_force_n;
-        self.obstacle_substeps += u32::from(obstacle_force_n > 0.0);
-    }
-}
-
 /// The body from which the way to a script's goal is measured.
 fn goal_body(script: &Script, sim: &Sim) -> mujoco::Result<Option<usize>> {
     let body = |goal: &Goal| goal.from.map_or(Ok(0), |name| sim.data().model().id(Kind::Body, name));
     script.goal.as_ref().map(body).transpose()
-}
-
-fn norm(force: [f64; 3]) -> f64 {
-    force.iter().map(|value| value * value).sum::<f64>().sqrt()
 }
 
 fn array<const N: usize>(values: &[f64]) -> [f64; N] {
