@@ -7,6 +7,7 @@ learns and widens the curriculum; [`run`] keeps all of it on disk.
 pub mod checkpoint;
 pub mod collection;
 pub mod environment;
+mod fault_report;
 mod memory;
 pub mod metrics;
 pub mod run;

@@ -1,0 +1,75 @@
+//! What led to an update that failed: what is written down of it.
+
+use super::collection::Rollout;
+use super::environment::{End, EpisodeReport};
+use super::metrics::explained_variance;
+use crate::ppo::{Batch, UpdateFault};
+use crate::ranks::{Alone, Ranks};
+use crate::robot::JOINTS;
+
+/// This rank's samples of the minibatch in which an update failed.
+pub(super) fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>, ranks: &dyn Ranks) -> String {
+    let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
+    let length = batch.observations.len() / batch.returns.len().max(1);
+    let columns = |name: &str, count: usize| (0..count).map(|k| format!(",{name}_{k}")).collect::<String>();
+    let header = format!(
+        "sample,reward,value,advantage,return,log_prob{}{}\n",
+        columns("action", JOINTS),
+        columns("observation", length)
+    );
+    let mut csv = if ranks.index() == 0 { header } else { String::new() };
+    for row in samples.iter().map(|sample| *sample as usize) {
+        // A mirror image has the reward and the value of its sample.
+        let (reward, value) = (rollout.rewards[row % rollout.len()], rollout.values[row % rollout.len()]);
+        let numbers = [reward, value, batch.advantages[row], batch.returns[row], batch.log_probs[row]];
+        let action = &batch.actions[row * JOINTS..(row + 1) * JOINTS];
+        let observation = &batch.observations[row * length..(row + 1) * length];
+        let numbers: String =
+            numbers.iter().chain(action).chain(observation).map(|number| format!(",{number}")).collect();
+        let (image, sample) = (row / rollout.len(), row % rollout.len());
+        let row = (image * ranks.count() + ranks.index()) * rollout.len() + sample;
+        csv.push_str(&format!("{row}{numbers}\n"));
+    }
+    csv
+}
+
+/// The numbers of this rank around a failed update; those that are not finite are `null`.
+pub(super) fn circumstances(
+    fault: &UpdateFault,
+    rollout: &Rollout,
+    episodes: &[EpisodeReport],
+    returns: &[f32],
+    log_std: &[f32],
+    shards: usize,
+) -> serde_json::Value {
+    let range = |values: &[f32]| {
+        let low = values.iter().copied().fold(f32::INFINITY, f32::min);
+        let high = values.iter().copied().fold(f32::NEG_INFINITY, f32::max);
+        let not_finite = values.iter().filter(|value| !value.is_finite()).count();
+        serde_json::json!({ "low": low, "high": high, "not_finite": not_finite })
+    };
+    let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
+    let statistics = match fault {
+        UpdateFault::NotFinite { summary, .. } => Some(summary),
+        UpdateFault::Shape { .. }
+        | UpdateFault::Shards { .. }
+        | UpdateFault::Sample { .. }
+        | UpdateFault::Candle(_) => None,
+    };
+    serde_json::json!({
+        "message": fault.to_string(),
+        "minibatch": statistics,
+        "rollout": {
+            "observations": range(&rollout.observations),
+            "actions": range(&rollout.actions),
+            "log_probs": range(&rollout.log_probs),
+            "rewards": range(&rollout.rewards),
+            "values": range(&rollout.values),
+            "returns": range(returns),
+            "falls": count(End::Fall),
+            "faults": count(End::Fault),
+            "explained_variance": explained_variance(&Alone, shards, rollout, returns),
+        },
+        "log_std": log_std,
+    })
+}
