@@ -1,5 +1,7 @@
 //! `train`: the method of section III, from an empty policy or a checkpoint.
 
+mod start;
+
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
@@ -8,35 +10,17 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Parser;
-use supple::config::Config;
-use supple::ranks::{Alone, RankError, Ranks, agree, any};
-use supple::robot::Robot;
-use supple::train::checkpoint::Checkpoint;
+use start::{is_common, join, resume, start, together};
+use supple::ranks::{Ranks, any};
 use supple::train::environment::Fault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
-use supple::train::{Memory, TrainError, Trainer};
+use supple::train::{TrainError, Trainer};
 use supple::util::progress::{ProgressBar, progress};
-use supple::util::provenance::GIT_REVISION;
 use supple::util::terminal::{self, shell_word};
-use supple::util::{files, paths};
 
 /// Signals that follow one another faster are one.
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
-
-/// Variables of a process that was started as a rank: by Open MPI, MPICH and Intel MPI, and Slurm with PMIx.
-#[cfg(feature = "mpi")]
-const STARTED_BY_MPI: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"];
-
-/// Variables that say how many processes were started together.
-#[cfg(not(feature = "mpi"))]
-const PROCESSES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
-
-/// Shards of a run on up to so many ranks.
-const SHARDS: usize = 8;
-
-/// What takes less memory is not worth a word.
-const WORTH_TELLING_BYTES: u64 = 1 << 30;
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
 ///
@@ -92,43 +76,6 @@ fn main() -> ExitCode {
         Err(_) if ranks.index() > 0 => ExitCode::from(2),
         outcome => terminal::conclude(outcome),
     }
-}
-
-/// The ranks of the run: those that mpirun has started, or this program alone.
-#[cfg(feature = "mpi")]
-fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
-    if !STARTED_BY_MPI.iter().any(|name| std::env::var_os(name).is_some()) {
-        return Ok(Alone::shared());
-    }
-    let ranks = supple::ranks::Mpi::join(Duration::from_secs(args.rank_timeout)).map_err(anyhow::Error::msg)?;
-    Ok(Arc::new(ranks))
-}
-
-/// This program alone: it was not built to be one of several ranks.
-#[cfg(not(feature = "mpi"))]
-fn join(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
-    let is_several = |name: &str| std::env::var(name).ok().and_then(|count| count.parse::<u32>().ok()) > Some(1);
-    if let Some(name) = PROCESSES.into_iter().find(|name| is_several(name)) {
-        anyhow::bail!(
-            "this program was started as one of several ({name}), but cannot take part: build it with scripts/setup mpi && \
-             cargo build --release --features mpi --bin train"
-        );
-    }
-    Ok(Alone::shared())
-}
-
-/// Whether all ranks have met an error alike, and one of them is to tell it.
-fn is_common(error: &anyhow::Error) -> bool {
-    error.is::<RankError>() || matches!(error.downcast_ref(), Some(TrainError::Rank(_) | TrainError::Learner { .. }))
-}
-
-/// What this rank has come to, if all have come as far.
-fn together<T>(ranks: &dyn Ranks, own: anyhow::Result<T>) -> anyhow::Result<T> {
-    if ranks.count() > 1 {
-        let told = own.as_ref().map(|_| ()).map_err(|error| anyhow::anyhow!(terminal::complaint(error.as_ref())));
-        agree(ranks, told)?;
-    }
-    own
 }
 
 fn run(args: Args, ranks: &Arc<dyn Ranks>) -> anyhow::Result<()> {
@@ -276,116 +223,6 @@ fn explain(error: TrainError, folder: Option<&RunFolder>) -> anyhow::Error {
         Err(problem) => format!("and so did keeping why: {problem}"),
     };
     anyhow::Error::from(error).context(format!("training failed; {kept}"))
-}
-
-/// `training` becomes true as soon as there is something to stop and to go on with.
-fn start(
-    args: &Args,
-    threads: usize,
-    training: &AtomicBool,
-    ranks: &Arc<dyn Ranks>,
-) -> anyhow::Result<(Trainer, Option<RunFolder>)> {
-    let (trainer, out) = together(&**ranks, new_trainer(args, threads, ranks))?;
-    check_alike(&trainer)?;
-    training.store(true, Ordering::Relaxed);
-    let checkpoint = trainer.checkpoint()?;
-    let folder = (ranks.index() == 0).then(|| RunFolder::create(&out, &trainer, &checkpoint)).transpose();
-    let folder = together(&**ranks, folder.map_err(anyhow::Error::from))?;
-    Ok((trainer, folder))
-}
-
-/// Checks that all ranks are about to do the same.
-fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
-    if trainer.ranks().count() == 1 {
-        return Ok(());
-    }
-    let program = std::env::current_exe().and_then(std::fs::read);
-    let program = program.map_or_else(|error| error.to_string(), |bytes| files::sha256(&[&bytes]));
-    let run = trainer.run();
-    let mut facts = serde_json::to_value(&run.config)?;
-    facts["seed"] = run.seed.into();
-    facts["robot's checksum"] = run.robot_sha256.clone().into();
-    facts["program"] = format!("revision {GIT_REVISION} with the checksum {program}").into();
-    Ok(supple::ranks::check_alike(trainer.ranks(), facts)?)
-}
-
-/// That of a new run, and the folder that the run shall have.
-fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::Result<(Trainer, PathBuf)> {
-    let name = args.config.as_deref().unwrap_or("fast");
-    // Of a robot's own, --set speaks once everything is fitted to it.
-    let set = if args.robot.is_some() { &[] } else { &args.set[..] };
-    let mut config = Config::load_with(name, set)?;
-    let stem = |name: &str| paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
-    let mut name = stem(name);
-    if let Some(model) = &args.robot {
-        let robot = Robot::load(model)?;
-        let fitted = config.fitted_to(&robot)?;
-        if ranks.index() == 0 {
-            terminal::note(format_args!("{}\n{}", robot.description(), config.changes(&fitted)));
-        }
-        (config, name) = (fitted.with(&args.set)?, format!("{name}-{}", stem(model)));
-    }
-    config.run.samples = args.samples.unwrap_or(config.run.samples);
-    let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{name}-seed{seed}")));
-    if !ranks.is_alone() && config.ppo.shards == 1 {
-        config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
-    }
-    let memory = Memory::of(&config, ranks.count())?;
-    memory.check()?;
-    if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
-        terminal::note(format_args!("note: this run takes {memory}"));
-    }
-    Ok((Trainer::among(Arc::clone(ranks), &name, config, seed, threads)?, out))
-}
-
-fn resume(
-    path: &Path,
-    args: &Args,
-    threads: usize,
-    ranks: &Arc<dyn Ranks>,
-) -> anyhow::Result<(Trainer, Option<RunFolder>)> {
-    let opened = (ranks.index() == 0).then(|| read(path, args)).transpose();
-    let opened = together(&**ranks, opened)?;
-    // The first rank has read it, the others hear of it.
-    let bytes = opened.as_ref().filter(|_| ranks.count() > 1).map(|(_, checkpoint)| checkpoint.to_bytes());
-    let bytes = bytes.transpose().map_err(anyhow::Error::msg);
-    let bytes = ranks.gather(together(&**ranks, bytes)?.unwrap_or_default()).concat();
-    let (folder, checkpoint) = match opened {
-        Some((folder, checkpoint)) => (Some(folder), Ok(checkpoint)),
-        None => (None, Checkpoint::from_bytes(&bytes).map_err(anyhow::Error::msg)),
-    };
-    let checkpoint = together(&**ranks, checkpoint)?;
-    let trainer =
-        together(&**ranks, Trainer::resume_among(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
-    check_alike(&trainer)?;
-    let written = folder.as_ref().map_or(Ok(()), |folder| {
-        folder.save_config(&trainer)?;
-        folder.save_policy(&trainer)
-    });
-    together(&**ranks, written.map_err(anyhow::Error::from))?;
-    Ok((trainer, folder))
-}
-
-/// Opens the folder of a run, which one rank does.
-fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
-    let (folder, mut checkpoint, notes) = RunFolder::resume(path)?;
-    notes.iter().for_each(|note| terminal::note(format_args!("warning: {note}")));
-    if let Some(name) = &args.config {
-        let differs =
-            |keys| anyhow::anyhow!("{} was not begun with {name}: {keys}; start anew with --out", path.display());
-        checkpoint.run.config.check_same(&Config::load(name)?).map_err(differs)?;
-    }
-    let planned = &mut checkpoint.run.config.run.samples;
-    *planned = args.samples.unwrap_or(*planned);
-    let begun_by = checkpoint.run.git_revision.clone();
-    if begun_by != GIT_REVISION {
-        terminal::note(format_args!(
-            "note: the checkpoint was written by revision {begun_by}, this program is {GIT_REVISION}: what follows may \
-             differ from what that one would have done"
-        ));
-    }
-    Ok((folder, checkpoint))
 }
 
 fn summary(metrics: &IterationMetrics) -> String {
