@@ -35,7 +35,8 @@ pub fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     if !STARTED_BY_MPI.iter().any(|name| std::env::var_os(name).is_some()) {
         return Ok(Alone::shared());
     }
-    let ranks = supple::ranks::Mpi::join(Duration::from_secs(args.rank_timeout)).map_err(anyhow::Error::msg)?;
+    let ranks =
+        supple::ranks::Mpi::join(std::time::Duration::from_secs(args.rank_timeout)).map_err(anyhow::Error::msg)?;
     Ok(Arc::new(ranks))
 }
 
