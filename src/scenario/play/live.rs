@@ -33,7 +33,7 @@ impl<'a> Rollout<'a> {
         self.afresh = true;
     }
 
-    /// Sets the robot on its feet where it is, facing as it does: see [`Sim::set_on_feet`].
+    /// Sets the robot on its feet where it is, facing as it does: see [`Sim::set_on_feet`](crate::sim::Sim::set_on_feet).
     ///
     /// # Errors
     /// A fault of MuJoCo.
