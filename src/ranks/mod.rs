@@ -34,6 +34,11 @@ pub trait Ranks: Debug + Send + Sync {
     /// How many there are; a power of two wherever a run is trained.
     fn count(&self) -> usize;
 
+    /// How many of them are on this machine, itself included.
+    fn here(&self) -> usize {
+        1
+    }
+
     /// Whether nobody started it as a rank, not even as the only one.
     fn is_alone(&self) -> bool {
         false

@@ -52,6 +52,8 @@ pub struct Mpi {
     index: usize,
     /// Rank and host of all of them.
     names: Vec<String>,
+    /// How many are on this machine.
+    here: usize,
     messenger: Mutex<Messenger>,
 }
 
@@ -86,7 +88,7 @@ impl Mpi {
                 return;
             };
             let world = World::new(&universe, timeout);
-            if joined.send((world.rank, world.names.clone())).is_err() {
+            if joined.send((world.rank, world.names.clone(), world.here)).is_err() {
                 return;
             }
             let (mut other_singles, mut other_doubles) = (Vec::new(), Vec::new());
@@ -104,8 +106,8 @@ impl Mpi {
                 }
             }
         });
-        let (index, names) = start.recv().map_err(|_| "MPI could not be started with threads")?;
-        Ok(Self { index, names, messenger: Mutex::new(Messenger { calls, answers, thread: Some(thread) }) })
+        let (index, names, here) = start.recv().map_err(|_| "MPI could not be started with threads")?;
+        Ok(Self { index, names, here, messenger: Mutex::new(Messenger { calls, answers, thread: Some(thread) }) })
     }
 
     fn ask(&self, call: Call) -> Call {
@@ -139,6 +141,10 @@ impl Ranks for Mpi {
         self.names.len()
     }
 
+    fn here(&self) -> usize {
+        self.here
+    }
+
     fn name(&self, rank: usize) -> String {
         self.names[rank].clone()
     }
@@ -164,6 +170,8 @@ struct World {
     count: usize,
     /// Rank and host of all of them.
     names: Vec<String>,
+    /// How many are on this machine.
+    here: usize,
     timeout: Duration,
 }
 
@@ -172,8 +180,9 @@ impl World {
         let ranks = universe.world();
         let (rank, count) = (ranks.rank() as usize, ranks.size() as usize);
         let names = (0..count).map(|rank| format!("rank {rank}")).collect();
-        let mut world = Self { ranks, rank, count, names, timeout };
+        let mut world = Self { ranks, rank, count, names, here: 1, timeout };
         let hosts = world.gather(processor_name().unwrap_or_default().into_bytes());
+        world.here = hosts.iter().filter(|host| **host == hosts[rank]).count();
         for (name, host) in world.names.iter_mut().zip(hosts) {
             *name = format!("{name} on {}", String::from_utf8_lossy(&host));
         }

@@ -46,16 +46,15 @@ pub struct MemoryError {
 }
 
 impl Memory {
-    /// What a configuration takes of each of `ranks` processes; one of its environments is made to see.
+    /// What a configuration takes; one of its environments is made to see.
     ///
     /// # Errors
     /// What does not fit in the robot or the observation, or a fault of MuJoCo.
-    pub fn of(config: &Config, ranks: usize) -> Result<Self, TrainError> {
+    pub fn of(config: &Config) -> Result<Self, TrainError> {
         let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
         let ppo = &config.ppo;
         let inputs = environment.layout().length() as u64;
-        let share = |count: usize| count.div_ceil(ranks) as u64;
-        let (environments, samples, epochs) = (share(ppo.environments), share(ppo.batch_size), ppo.epochs as u64);
+        let [environments, samples, epochs] = [ppo.environments, ppo.batch_size, ppo.epochs].map(|count| count as u64);
         let joints = JOINTS as u64;
         // Observation, action and its mean, and some numbers more; once more in the mirror, of both.
         let numbers = inputs + 2 * joints + 8;
@@ -70,6 +69,18 @@ impl Memory {
             samples: samples.saturating_mul(4 * (copies * numbers + epochs)),
             networks: (weights(joints) + weights(1)).saturating_mul(bytes),
         })
+    }
+
+    /// What of it one machine takes that has `here` of all `ranks`: their shares of environments and samples, and the networks for
+    /// each of them.
+    pub fn of_ranks(self, here: usize, ranks: usize) -> Self {
+        let (here, ranks) = (here as u64, ranks as u64);
+        let share = |whole: u64| whole.div_ceil(ranks).saturating_mul(here);
+        Memory {
+            environments: share(self.environments),
+            samples: share(self.samples),
+            networks: self.networks.saturating_mul(here),
+        }
     }
 
     /// All of it \[bytes\].
@@ -121,18 +132,21 @@ mod tests {
     #[test]
     fn what_a_run_takes_grows_with_what_it_asks_for_and_is_refused_beyond_the_machine() {
         let mut config = Config::load("fast").unwrap();
-        let usual = Memory::of(&config, 1).unwrap();
+        let usual = Memory::of(&config).unwrap();
         assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");
         (config.ppo.environments, config.ppo.batch_size) = (1 << 20, 1 << 20);
-        let many = Memory::of(&config, 1).unwrap();
+        let many = Memory::of(&config).unwrap();
         let each = usual.environments / Config::load("fast").unwrap().ppo.environments as u64;
         assert_eq!(many.environments, each << 20);
-        assert_eq!(Memory::of(&config, 4).unwrap().environments, each << 18);
+        // Of four ranks, one is on this machine, or all are.
+        let (one, all) = (many.of_ranks(1, 4), many.of_ranks(4, 4));
+        assert_eq!((one.environments, one.samples, one.networks), (each << 18, many.samples / 4, many.networks));
+        assert_eq!((all.environments, all.samples, all.networks), (each << 20, many.samples, 4 * many.networks));
         let error = many.check().unwrap_err();
         assert!(error.left < error.memory.total() && error.to_string().contains("lower ppo.environments"), "{error}");
         // 83 · 4096 and 14 times 4096 · 4096 weights, biases, and a row for each output; 12 of the policy, 1 of the value.
         config.ppo.hidden_layers = vec![4096; 15];
         let weights = |outputs: u64| 4096 * (83 + 14 * 4096) + 15 * 4096 + (4096 + 1) * outputs;
-        assert_eq!(Memory::of(&config, 1).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
+        assert_eq!(Memory::of(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
     }
 }

@@ -113,7 +113,7 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         config.check()?;
         check_ranks(&config, &*ranks)?;
-        Memory::of(&config, ranks.count())?.check()?;
+        Memory::of(&config)?.of_ranks(ranks.here(), ranks.count()).check()?;
         config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
@@ -164,7 +164,7 @@ impl Trainer {
         if [&state.first_moment, &state.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
-        Memory::of(&run.config, ranks.count())?.check()?;
+        Memory::of(&run.config)?.of_ranks(ranks.here(), ranks.count()).check()?;
         let (robot, layout, mirror) = parts(&run.config)?;
         // What another revision makes of a file is its own affair: the caller has been told that revisions differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::GIT_REVISION {

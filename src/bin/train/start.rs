@@ -67,7 +67,8 @@ pub fn together<T>(ranks: &dyn Ranks, own: anyhow::Result<T>) -> anyhow::Result<
     own
 }
 
-/// A new run, and its folder, which the first rank has. `training` becomes true as soon as there is something to stop and to go on with.
+/// A new run, and its folder, which the first rank has. `training` becomes true as soon as there is something to stop and to go
+/// on with.
 pub fn start(
     args: &Args,
     threads: usize,
@@ -120,7 +121,7 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     if !ranks.is_alone() && config.ppo.shards == 1 {
         config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
     }
-    let memory = Memory::of(&config, ranks.count())?;
+    let memory = Memory::of(&config)?.of_ranks(ranks.here(), ranks.count());
     memory.check()?;
     if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
         terminal::note(format_args!("note: this run takes {memory}"));
