@@ -210,6 +210,15 @@ impl Trace {
         }
     }
 
+    /// What happened after a time.
+    pub fn after(&self, time_s: f64) -> Trace {
+        Trace {
+            frames: self.frames.iter().filter(|frame| frame.time_s > time_s).cloned().collect(),
+            events: self.events.iter().filter(|event| event.time_s > time_s).cloned().collect(),
+            ..*self
+        }
+    }
+
     /// Whether the robot got to the script's goal on its feet.
     pub fn reached_goal(&self) -> bool {
         self.events.iter().any(|event| event.kind == EventKind::Success)

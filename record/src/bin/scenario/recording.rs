@@ -161,9 +161,6 @@ fn clip(
         estimates: trace.frames.iter().any(|frame| frame.sensed.is_some()),
     };
     let mut recorder = Recorder::new(Sink::File(path.to_owned()), title, &[view])?;
-    let mut end = trace.clone();
-    end.frames.retain(|frame| frame.time_s > fall_s - CLIP_S);
-    end.events.retain(|event| event.time_s > fall_s - CLIP_S);
-    recorder.trace(0, &end)?;
+    recorder.trace(0, &trace.after(fall_s - CLIP_S))?;
     Ok(recorder.finish()?)
 }
