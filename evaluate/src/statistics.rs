@@ -203,7 +203,7 @@ pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// Which way the paper says the first set's number lies from the second's.
+/// Which way the first set's number should lie from the second's: as the paper says, where it says something.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Expected {
@@ -217,8 +217,8 @@ pub enum Expected {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
-    /// The interval lies on the paper's side of zero.
-    AsThePaper,
+    /// The interval lies on the expected side of zero.
+    AsExpected,
     /// The interval includes zero.
     NoEffect,
     /// No pair of seeds differs at all, as where everybody succeeds.
@@ -246,8 +246,8 @@ impl Verdict {
         };
         let Some([low, high]) = estimate.interval else { return Verdict::TooFew };
         match expected {
-            Expected::Higher if low > 0.0 => Verdict::AsThePaper,
-            Expected::Lower if high < 0.0 => Verdict::AsThePaper,
+            Expected::Higher if low > 0.0 => Verdict::AsExpected,
+            Expected::Lower if high < 0.0 => Verdict::AsExpected,
             Expected::Higher if high < 0.0 => Verdict::Opposite,
             Expected::Lower if low > 0.0 => Verdict::Opposite,
             _ if low == 0.0 && high == 0.0 => Verdict::Alike,
@@ -270,7 +270,7 @@ impl Verdict {
     /// In words.
     pub fn text(self) -> &'static str {
         match self {
-            Verdict::AsThePaper => "effect in the paper's direction",
+            Verdict::AsExpected => "effect in the expected direction",
             Verdict::NoEffect => "no effect shown: the 95 % interval includes zero",
             Verdict::Alike => "alike in every pair of seeds",
             Verdict::Opposite => "opposite effect",
@@ -315,7 +315,7 @@ mod tests {
         let comparison = comparison(&[1.5, 2.5, 3.5, 4.5, 5.5], &[1.0, 2.0, 3.0, 4.0, 5.0]);
         let difference = comparison.difference.unwrap();
         assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsThePaper);
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsExpected);
         assert_eq!(Verdict::of(&comparison, Expected::Lower), Verdict::Opposite);
         // 17.5 / 15 − 1
         assert!((comparison.relative.unwrap().value - 1.0 / 6.0).abs() < 1e-12);
@@ -337,7 +337,7 @@ mod tests {
         assert_eq!(comparison.difference.unwrap(), Estimate { value: 2.0, interval: None, pairs: 4 });
         assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
         let comparison = self::comparison(&[2.0, 4.0, 3.0, 3.0, 3.0], &[1.0; 5]);
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsThePaper);
+        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsExpected);
     }
 
     #[test]

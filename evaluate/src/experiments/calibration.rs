@@ -202,12 +202,12 @@ impl Experiment for Calibration {
                     continue;
                 }
                 let text = format!(
-                    "Told how far to yield, {}, policies do: the slope of what is measured over what is commanded is one \
-                     within {SLOPE_BOUND}",
+                    "Told how far to yield, {}, policies do: distance from 1 of the slope of measured over commanded \
+                     compliance",
                     gait(*speed)
                 );
                 let verdict = Verdict::below(SLOPE_BOUND, &comparison);
-                let (paper, quantity) = ("not in the paper".to_owned(), *quantity);
+                let (paper, quantity) = (format!("none; ours: < {SLOPE_BOUND}"), *quantity);
                 show.findings.claims.push(Claim { text, paper, quantity, comparison, verdict });
             }
             for (set, name) in results.names.iter().enumerate() {

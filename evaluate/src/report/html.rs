@@ -38,9 +38,9 @@ const WORDS: &[(&str, &str)] = &[
     ),
     (
         "verdict",
-        "effect in the paper's direction: the interval of the difference lies on the paper's side of zero; opposite: on \
-      the other side; no effect shown: it includes zero; too few pairs to tell: fewer than five. A bound holds if the means \
-      of both sets keep it. Sets after the second have numbers alone.",
+        "effect in the expected direction (the paper's, where it has the experiment): the interval of the difference lies \
+      on that side of zero; opposite: on the other side; no effect shown: it includes zero; too few pairs to tell: fewer \
+      than five. A bound holds if the means of both sets keep it. Sets after the second have numbers alone.",
     ),
 ];
 
@@ -122,7 +122,7 @@ fn claim_row(claim: &Claim) -> String {
     // Intervals on lines of their own.
     let cells: Vec<String> = claim_cells(claim).iter().map(|cell| escaped(cell).replace(" [", "<br>[")).collect();
     let class = match claim.verdict {
-        Verdict::AsThePaper | Verdict::Holds => "yes",
+        Verdict::AsExpected | Verdict::Holds => "yes",
         Verdict::Opposite | Verdict::Fails => "no",
         _ => "open",
     };
