@@ -337,7 +337,7 @@ fn a_seed_is_a_scene_and_another_seed_another_one() {
 }
 
 #[test]
-fn getting_past_an_obstacle_is_an_event_and_happens_once() {
+fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
     // Nothing to cross: the end of an empty field lies behind the robot at once when it is put there.
     let mut script = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"])
         .script(0, &standing_policy().provenance.config)
@@ -349,6 +349,15 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once() {
     let reached: Vec<_> = trace.events.iter().filter(|event| event.kind == EventKind::Success).collect();
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");
+    // Put back to its start, it gets there again.
+    let mut rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap();
+    let successes = |rollout: &mut Rollout| {
+        let events = rollout.by_ref().take(5).flat_map(|played| played.events);
+        events.filter(|event| event.kind == EventKind::Success).count()
+    };
+    assert_eq!(successes(&mut rollout), 1);
+    rollout.restart().unwrap();
+    assert_eq!(successes(&mut rollout), 1);
 }
 
 #[test]
