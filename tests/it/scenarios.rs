@@ -350,7 +350,8 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");
     // Put back to its start, it gets there again.
-    let mut rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap();
+    let mut rollout =
+        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap();
     let successes = |rollout: &mut Rollout| {
         let events = rollout.by_ref().take(5).flat_map(|played| played.events);
         events.filter(|event| event.kind == EventKind::Success).count()
