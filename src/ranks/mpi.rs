@@ -50,10 +50,8 @@ const SPINS: u32 = 100;
 #[derive(Debug)]
 pub struct Mpi {
     index: usize,
-    /// Rank and host of all of them.
-    names: Vec<String>,
-    /// How many are on this machine.
-    here: usize,
+    /// Of all of them.
+    hosts: Vec<String>,
     messenger: Mutex<Messenger>,
 }
 
@@ -88,7 +86,7 @@ impl Mpi {
                 return;
             };
             let world = World::new(&universe, timeout);
-            if joined.send((world.rank, world.names.clone(), world.here)).is_err() {
+            if joined.send((world.rank, world.hosts.clone())).is_err() {
                 return;
             }
             let (mut other_singles, mut other_doubles) = (Vec::new(), Vec::new());
@@ -106,8 +104,8 @@ impl Mpi {
                 }
             }
         });
-        let (index, names, here) = start.recv().map_err(|_| "MPI could not be started with threads")?;
-        Ok(Self { index, names, here, messenger: Mutex::new(Messenger { calls, answers, thread: Some(thread) }) })
+        let (index, hosts) = start.recv().map_err(|_| "MPI could not be started with threads")?;
+        Ok(Self { index, hosts, messenger: Mutex::new(Messenger { calls, answers, thread: Some(thread) }) })
     }
 
     fn ask(&self, call: Call) -> Call {
@@ -138,15 +136,15 @@ impl Ranks for Mpi {
     }
 
     fn count(&self) -> usize {
-        self.names.len()
+        self.hosts.len()
     }
 
     fn here(&self) -> usize {
-        self.here
+        self.hosts.iter().filter(|host| **host == self.hosts[self.index]).count()
     }
 
     fn name(&self, rank: usize) -> String {
-        self.names[rank].clone()
+        name(rank, &self.hosts)
     }
 
     fn sum(&self, singles: &mut Vec<f32>, doubles: &mut Vec<f64>) {
@@ -163,15 +161,21 @@ impl Ranks for Mpi {
     }
 }
 
+/// A rank and its host, once that is known.
+fn name(rank: usize, hosts: &[String]) -> String {
+    match &*hosts[rank] {
+        "" => format!("rank {rank}"),
+        host => format!("rank {rank} on {host}"),
+    }
+}
+
 /// All ranks, as the thread that calls MPI knows them.
 struct World {
     ranks: SimpleCommunicator,
     rank: usize,
     count: usize,
-    /// Rank and host of all of them.
-    names: Vec<String>,
-    /// How many are on this machine.
-    here: usize,
+    /// Of all of them; empty until they have told each other.
+    hosts: Vec<String>,
     timeout: Duration,
 }
 
@@ -179,13 +183,9 @@ impl World {
     fn new(universe: &Universe, timeout: Duration) -> Self {
         let ranks = universe.world();
         let (rank, count) = (ranks.rank() as usize, ranks.size() as usize);
-        let names = (0..count).map(|rank| format!("rank {rank}")).collect();
-        let mut world = Self { ranks, rank, count, names, here: 1, timeout };
+        let mut world = Self { ranks, rank, count, hosts: vec![String::new(); count], timeout };
         let hosts = world.gather(processor_name().unwrap_or_default().into_bytes());
-        world.here = hosts.iter().filter(|host| **host == hosts[rank]).count();
-        for (name, host) in world.names.iter_mut().zip(hosts) {
-            *name = format!("{name} on {}", String::from_utf8_lossy(&host));
-        }
+        world.hosts = hosts.iter().map(|host| String::from_utf8_lossy(host).into_owned()).collect();
         world
     }
 
@@ -290,9 +290,9 @@ impl World {
         }
         // One speaks for all of them.
         if waiting.iter().position(|waits| *waits) == Some(self.rank) {
-            let silent: Vec<&str> =
-                (0..self.count).filter(|rank| !waiting[*rank]).map(|rank| &*self.names[rank]).collect();
-            let silent = if silent.is_empty() { self.names[from].clone() } else { silent.join(", ") };
+            let silent: Vec<String> =
+                (0..self.count).filter(|rank| !waiting[*rank]).map(|rank| name(rank, &self.hosts)).collect();
+            let silent = if silent.is_empty() { name(from, &self.hosts) } else { silent.join(", ") };
             let seconds = self.timeout.as_secs();
             terminal::note(format_args!("error: no answer for {seconds} s from {silent}; all ranks end"));
         } else {
