@@ -362,6 +362,21 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
 }
 
 #[test]
+fn the_end_of_a_trace_has_all_that_comes_after_a_time_and_no_more() {
+    let policy = standing_policy();
+    let script = scenario("push", &["--duration-s=1", "--at-s=0.5"]).script(0, &policy.provenance.config).unwrap();
+    let trace =
+        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+    assert_eq!(trace.after(-1.0), trace);
+    let pushed_s = trace.events[0].time_s;
+    let end = trace.after(pushed_s);
+    let before = trace.frames.iter().filter(|frame| frame.time_s <= pushed_s).count();
+    assert!(before > 0);
+    assert_eq!(end.frames, trace.frames[before..]);
+    assert!(end.events.len() < trace.events.len());
+}
+
+#[test]
 fn who_passes_beside_an_obstacle_has_not_crossed_it() {
     let policy = standing_policy();
     let mut script = scenario("rubble", &["--duration-s=0.5", "--blocks=0", "--mats=0"])
