@@ -121,7 +121,9 @@ fn claim(folder: &Path) -> io::Result<File> {
     fs::create_dir_all(folder)?;
     let file = File::options().create(true).append(true).open(folder.join(".lock"))?;
     // Where the file system knows no locks, two may measure the same: that costs time and does no harm.
-    let _ = file.lock();
+    if file.lock().is_ok() {
+        files::clear_temporaries(folder)?;
+    }
     Ok(file)
 }
 

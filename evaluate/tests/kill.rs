@@ -5,9 +5,9 @@ mod killing;
 #[path = "../../tests/it/support.rs"]
 mod support;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use killing::{Killer, kills, undisturbed};
+use killing::{Killer, half_written, kills, undisturbed};
 use support::standing_policy;
 
 const PROTOCOL: &str = "
@@ -34,9 +34,15 @@ fn an_evaluation_that_is_killed_at_any_moment_and_begun_again_gives_the_bytes_of
         let report = killer.folder().join("report");
         let threads = killer.one_of(&["1", "2", "3"]);
         killer.kill("evaluate", &[&arguments[..], &[threads]].concat(), length, &report);
+        // As if it had always been within a write.
+        for folder in [report.clone(), report.join("results")] {
+            std::fs::create_dir_all(&folder).unwrap();
+            std::fs::write(folder.join(".supple-killed.tmp"), "half").unwrap();
+        }
         let threads = killer.one_of(&["1", "2", "3"]);
         undisturbed("evaluate", killer.folder(), &[&arguments[..], &[threads]].concat());
         assert!(summary(whole.path()) == summary(killer.folder()), "trial {trial}: the summaries differ");
+        assert_eq!(half_written(&report), Vec::<PathBuf>::new(), "trial {trial}");
         std::fs::remove_dir_all(report).unwrap();
     }
     killer.report("evaluations");

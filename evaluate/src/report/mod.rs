@@ -233,8 +233,9 @@ impl Report {
     /// [`ReportError`]
     pub fn write(&self, out: &Path) -> Result<(), ReportError> {
         let (figures, tables) = (out.join("figures"), out.join("tables"));
-        for folder in [&figures, &tables] {
-            fs::create_dir_all(folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+        for folder in [&*figures, &*tables, out] {
+            let of = |source| ReportError::Write { path: folder.to_owned(), source };
+            fs::create_dir_all(folder).and_then(|()| files::clear_temporaries(folder)).map_err(of)?;
         }
         let no_sensing = self.sensing.experiments.is_empty().then_some("sensing");
         for name in self.missing.iter().map(|info| info.name).chain(no_sensing) {
