@@ -80,7 +80,7 @@ fn expressions_are_read_as_spdx_says() {
 #[test]
 fn every_dependency_has_an_allowed_licence_and_comes_from_the_registry() {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
-    let arguments = ["metadata", "--locked", "--offline", "--format-version", "1", "--all-features"];
+    let arguments = ["metadata", "--locked", "--format-version", "1", "--all-features"];
     let output = Command::new(cargo)
         .args(arguments)
         .args(["--filter-platform", "x86_64-unknown-linux-gnu"])
