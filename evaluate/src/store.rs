@@ -121,9 +121,8 @@ fn claim(folder: &Path) -> io::Result<File> {
     fs::create_dir_all(folder)?;
     let file = File::options().create(true).append(true).open(folder.join(".lock"))?;
     // Where the file system knows no locks, two may measure the same: that costs time and does no harm.
-    if file.lock().is_ok() {
-        files::clear_temporaries(folder)?;
-    }
+    let _ = file.lock();
+    files::clear_temporaries(folder)?;
     Ok(file)
 }
 

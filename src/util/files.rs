@@ -86,10 +86,13 @@ fn replace(
     let mut temporary = tempfile::Builder::new();
     let temporary = temporary.prefix(TEMPORARY.0).suffix(TEMPORARY.1).rand_bytes(16).permissions(new);
     let (file, temporary) = temporary.tempfile_in(folder_of(path))?.into_parts();
+    // Until it has its name: it is not left over. Where the file system knows no locks, none is ever cleared.
+    let _ = file.lock();
     if let Ok(old) = fs::metadata(path) {
         file.set_permissions(old.permissions())?;
     }
-    buffered(file, write)?.sync_all()?;
+    let file = buffered(file, write)?;
+    file.sync_all()?;
     before()?;
     temporary.persist(path).map_err(|error| error.error)?;
     sync_folder(path)
@@ -98,7 +101,7 @@ fn replace(
 /// How the names of temporary files begin and end.
 const TEMPORARY: (&str, &str) = (".supple-", ".tmp");
 
-/// Removes the temporary files that killed processes have left in a folder which nobody else writes to now.
+/// Removes the temporary files that killed processes have left in a folder; what is being written stays.
 ///
 /// # Errors
 /// The system's.
@@ -108,6 +111,10 @@ pub fn clear_temporaries(folder: &Path) -> io::Result<()> {
         let name = entry.file_name();
         let name = name.to_string_lossy();
         if name.starts_with(TEMPORARY.0) && name.ends_with(TEMPORARY.1) && entry.file_type()?.is_file() {
+            // Else it is being written, or has got its name meanwhile.
+            let Some(_left_over) = File::open(entry.path()).ok().filter(|file| file.try_lock().is_ok()) else {
+                continue;
+            };
             fs::remove_file(entry.path())?;
         }
     }
@@ -317,7 +324,12 @@ mod tests {
         for name in [".supple-abc.tmp", "mine.tmp", "checkpoint"] {
             fs::write(at(name), "").unwrap();
         }
-        clear_temporaries(folder.path()).unwrap();
+        write_with(&at("written"), |out| {
+            clear_temporaries(folder.path())?;
+            out.write_all(b"whole")
+        })
+        .unwrap();
+        assert_eq!(fs::read(at("written")).unwrap(), b"whole");
         assert!(!at(".supple-abc.tmp").exists() && at("mine.tmp").exists() && at("checkpoint").exists());
     }
 
