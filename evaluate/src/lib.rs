@@ -30,6 +30,7 @@ use findings::Findings;
 use results::Results;
 use show::Show;
 use supple::config::ConfigError;
+use supple::scenario::Script;
 use supple::scenario::catalog::{ParameterError, Scenario};
 use trial::Trial;
 
@@ -135,6 +136,11 @@ pub trait Experiment: Parameters + Sync {
     /// [`ParameterError`] with the key.
     fn check(&self) -> Result<(), ParameterError> {
         Ok(())
+    }
+
+    /// When there is nothing more to measure \[s\].
+    fn until_s(&self, script: &Script) -> f64 {
+        script.duration_s
     }
 
     /// Reads a trial.

@@ -167,7 +167,8 @@ pub fn play(
         let values = vec![None; experiment.info().quantities.len()];
         return Ok(Sample { end: End::OutOfReach, values, series: Vec::new(), estimation: None });
     }
-    // What a fallen robot does is nobody's result.
+    // What comes later, and what a fallen robot does, is nobody's result.
+    script.duration_s = experiment.until_s(&script);
     script.after_fall_s = 0.0;
     let preludes = preludes.filter(|_| sensing == Sensing::True);
     let prelude = preludes.map_or(Ok(None), |preludes| preludes.of(&script, agent))?;

@@ -3,11 +3,11 @@
 use std::borrow::Borrow;
 use std::fmt;
 
-use super::controller::Controller;
+use super::controller::{Controller, Memory};
 use super::onnx;
 use crate::config::{Config, ValueError};
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, Moment, Observer};
+use crate::observation::{Command, Layout, Moment};
 use crate::robot::{JOINTS, Joints, RobotState};
 
 /// What an output of a network is.
@@ -150,12 +150,7 @@ impl Inference {
 #[derive(Debug)]
 pub struct PolicyController<I> {
     inference: I,
-    observer: Observer,
-    step: u64,
-    /// The policy's order.
-    last_action: Joints,
-    /// Our order.
-    last_target: Joints,
+    past: Memory,
     seen: Vec<f32>,
     buffers: Buffers,
 }
@@ -164,15 +159,8 @@ impl<I: Borrow<Inference>> PolicyController<I> {
     /// Of a policy that is borrowed or shared.
     pub fn new(inference: I) -> Self {
         let Inference { layout, action, .. } = inference.borrow();
-        PolicyController {
-            observer: Observer::new(),
-            step: 0,
-            last_action: [0.0; JOINTS],
-            last_target: action.nominal_pose,
-            seen: vec![0.0; layout.length()],
-            buffers: Buffers::default(),
-            inference,
-        }
+        let past = Memory { last_target: action.nominal_pose, ..Memory::default() };
+        PolicyController { past, seen: vec![0.0; layout.length()], buffers: Buffers::default(), inference }
     }
 
     /// What the network saw in the last step.
@@ -187,28 +175,34 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
     }
 
     fn begin(&mut self, _: &RobotState) {
-        self.observer = Observer::new();
-        self.step = 0;
-        self.last_action = [0.0; JOINTS];
-        self.last_target = self.rest();
+        self.past = Memory { last_target: self.rest(), ..Memory::default() };
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
         let inference: &Inference = self.inference.borrow();
         let layout = &inference.layout;
+        let Memory { observer, step, last_action, last_target, .. } = &mut self.past;
         let now = Moment {
             state,
             command,
-            last_action: &self.last_action,
-            last_target: &self.last_target,
+            last_action,
+            last_target,
             nominal: &inference.action.nominal_pose,
-            time_s: self.step as f64 * inference.period_s,
+            time_s: *step as f64 * inference.period_s,
         };
-        self.observer.measure(layout, &now);
-        self.observer.normalised(layout, &mut self.seen);
-        (self.last_action, self.last_target) = inference.act(&self.seen, &mut self.buffers);
-        self.step += 1;
-        self.last_target
+        observer.measure(layout, &now);
+        observer.normalised(layout, &mut self.seen);
+        (*last_action, *last_target) = inference.act(&self.seen, &mut self.buffers);
+        *step += 1;
+        *last_target
+    }
+
+    fn memory(&self) -> Option<Memory> {
+        Some(self.past.clone())
+    }
+
+    fn recall(&mut self, memory: &Memory) {
+        self.past = memory.clone();
     }
 }
 
@@ -292,9 +286,9 @@ action: {meaning: offset_from_nominal, scale_rad: 0.25, clip: 1.0}
         assert!((second[39] - 1.0).abs() < 1e-6 && second[40].abs() < 1e-6);
         // Outputs are clipped to ±1 and scaled to ±0.25 about the nominal pose, in our order.
         for (index, joint) in inference.layout.order().iter().enumerate() {
-            let expected = inference.action.nominal_pose[*joint] + 0.25 * controller.last_action[index];
+            let expected = inference.action.nominal_pose[*joint] + 0.25 * controller.past.last_action[index];
             assert_eq!(targets[*joint], expected);
-            assert!(controller.last_action[index].abs() <= 1.0);
+            assert!(controller.past.last_action[index].abs() <= 1.0);
         }
         assert_eq!(inference.action.nominal_pose[..6], [-0.1, 0.8, -1.5, 0.1, 0.8, -1.5]);
     }

@@ -67,7 +67,7 @@ impl Prelude {
         let mut rollout = Rollout::new(&played, config, controller)?;
         let mut steps = Vec::new();
         loop {
-            let before = rollout.moment();
+            let Some(before) = rollout.moment() else { return Ok(None) };
             match rollout.next() {
                 // A fall, or whatever else is told of, is left to the rollouts themselves.
                 Some(Played { frame: Some(frame), events }) if events.is_empty() => {
@@ -88,10 +88,12 @@ impl Prelude {
 mod tests {
     use super::*;
     use crate::policy::{Agent, shipped};
+    use crate::robot::{JOINTS, Joints, RobotState};
     use crate::scenario::Sensing;
     use crate::scenario::catalog::Scenario;
     use crate::scenario::trace::Trace;
     use crate::sim::Push;
+    use crate::task::Command;
 
     impl Prelude {
         /// Gives a step a power that none has.
@@ -159,5 +161,26 @@ mod tests {
         assert!(!prelude.is_of(&faster));
         let rigged = script("pulley", 0.0, &agent);
         assert!(Prelude::new(&rigged, &agent.config, agent.controller()).unwrap().is_none());
+    }
+
+    #[test]
+    fn a_controller_that_keeps_its_past_to_itself_is_played_from_the_start() {
+        struct Stands;
+
+        impl Controller for Stands {
+            fn rest(&self) -> Joints {
+                [0.0; JOINTS]
+            }
+
+            fn begin(&mut self, _: &RobotState) {}
+
+            fn joint_targets(&mut self, _: &RobotState, _: &Command) -> Joints {
+                self.rest()
+            }
+        }
+
+        let agent = shipped::find("compliant").unwrap();
+        let push = script("push", 0.0, &agent);
+        assert!(Prelude::new(&push, &agent.config, Box::new(Stands)).unwrap().is_none());
     }
 }

@@ -233,8 +233,7 @@ impl Senses {
 mod tests {
     use super::*;
     use crate::config::Config;
-    use crate::policy::Controller;
-    use crate::policy::shipped;
+    use crate::policy::{Controller, shipped};
     use crate::scenario::catalog::{Scenario, Walk, defaults};
     use crate::scenario::estimation::Estimation;
     use crate::scenario::trace::{EventKind, Trace};

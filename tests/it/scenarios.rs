@@ -362,6 +362,22 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
 }
 
 #[test]
+fn a_field_that_is_crossed_is_over_a_second_later_and_a_box_that_is_passed_is_not() {
+    let policy = standing_policy();
+    let seconds = |name: &str, options: &[&str]| {
+        let mut script = scenario(name, options).script(0, &policy.provenance.config).unwrap();
+        script.goal.as_mut().unwrap().ahead_m = -10.0;
+        let controller = Box::new(policy.inference().controller());
+        let trace = Rollout::new(&script, &policy.provenance.config, controller).unwrap().trace();
+        assert!(trace.reached_goal(), "{name}");
+        trace.frames.last().unwrap().time_s
+    };
+    // Across in the first step of 1/60 s.
+    assert!((seconds("rubble", &["--duration-s=3", "--blocks=0", "--mats=0"]) - 1.0 - 1.0 / 60.0).abs() < 1e-9);
+    assert!((seconds("box", &["--duration-s=3"]) - 3.0).abs() < 1e-9);
+}
+
+#[test]
 fn the_end_of_a_trace_has_all_that_comes_after_a_time_and_no_more() {
     let policy = standing_policy();
     let script = scenario("push", &["--duration-s=1", "--at-s=0.5"]).script(0, &policy.provenance.config).unwrap();

@@ -8,7 +8,6 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
     Quantity::new("stuck", "stuck", "%", 0),
     Quantity::new("crossing_time_s", "time to get across", "s", 1),
-    Quantity::new("distance_m", "distance ahead", "m", 2),
     Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
     Quantity::new("power_w", "power among the balls", "W", 1),
 ];
@@ -94,7 +93,6 @@ impl Experiment for BallPit {
             trial.end.fell(),
             truth(!crossed && trial.is_upright()),
             crossing.map(|[from_s, to_s]| to_s - from_s),
-            trial.upright_metric("distance_m"),
             metrics::largest(among_balls.clone(), |frame| frame.peak_foot_force_n),
             metrics::mean(among_balls, |frame| frame.power_w),
         ]

@@ -7,6 +7,7 @@ use crate::plot::heatmap::{self, Map};
 use crate::results::Results;
 use crate::statistics::{Comparison, Numbers, PerSeed, Spread, estimate, mean};
 use crate::trial::End;
+use supple::scenario::Script;
 use supple::scenario::catalog::PushAway;
 use supple::scenario::metrics::PHASE_S;
 
@@ -136,10 +137,12 @@ impl Experiment for PushGrid {
         in_range("watch_s", self.watch_s, 0.1, 60.0, "0.1 to 60 s")
     }
 
+    fn until_s(&self, script: &Script) -> f64 {
+        script.pushes.first().map_or(script.duration_s, |push| push.time_s + self.watch_s)
+    }
+
     fn measure(&self, trial: &Trial) -> Measured {
-        let push = trial.script.pushes.first();
-        let until_s = push.map_or(trial.script.duration_s, |push| push.time_s + self.watch_s);
-        let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= until_s);
+        let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= self.until_s(trial.script));
         vec![truth(!fell && trial.end != End::Fault)].into()
     }
 

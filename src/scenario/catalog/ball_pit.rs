@@ -67,6 +67,7 @@ impl Parameters for BallPit {
             // Nobody aims at a single ball.
             half_width_m: (0.5 * f64::from(side) * pitch).max(0.5),
             text: "got across the balls",
+            is_end: true,
         });
         script.scene.obstacles = balls;
         // Conjugate gradients: Newton's method would need a stack of half a gigabyte.

@@ -51,6 +51,7 @@ impl Parameters for FreeBox {
             ahead_m: 0.5 * self.size_m,
             half_width_m: f64::INFINITY,
             text: "got past the box",
+            is_end: false,
         });
         script.scene.buffers = Buffers { contacts: 100, rows: 500, stack: 200_000 };
         Ok(())

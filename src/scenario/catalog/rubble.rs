@@ -172,6 +172,7 @@ impl Parameters for Rubble {
             ahead_m: self.far_edge_m(),
             half_width_m: 0.5 * self.width_m,
             text: "got across the rubble",
+            is_end: true,
         });
         Ok(())
     }

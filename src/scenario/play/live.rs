@@ -51,7 +51,7 @@ impl<'a> Rollout<'a> {
         self.sim.reset(self.script.conditions, &self.controller.rest())?;
         // The force of a hand is gone with all else: it is set anew where it is still held.
         self.held = None;
-        self.passed_goal = false;
+        self.passed_goal_since = None;
         self.begin_afresh();
         Ok(())
     }

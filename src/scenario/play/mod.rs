@@ -16,7 +16,7 @@ use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
-use crate::policy::Controller;
+use crate::policy::{Controller, Memory};
 use crate::robot::{GRAVITY_M_S2, RobotState};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
 use crate::sim::{Push, Sim, SimState};
@@ -24,6 +24,9 @@ use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
 const PUSH_SHOWN_S: f64 = 0.3;
+
+/// What is still played once the robot is where the script ends \[s\].
+const AFTER_GOAL_S: f64 = 1.0;
 
 /// What one step of a rollout brought.
 #[derive(Debug, Clone, PartialEq)]
@@ -69,7 +72,7 @@ pub struct Rollout<'a> {
     rig: Option<RigState>,
     /// The body from which the way to the goal is measured.
     goal_from: Option<usize>,
-    passed_goal: bool,
+    passed_goal_since: Option<usize>,
     swings: SwingTracker,
 }
 
@@ -120,7 +123,7 @@ impl<'a> Rollout<'a> {
             spring: script.spring.as_ref().map(|_| SpringState::new(&sim)).transpose()?,
             rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
             goal_from: goal_body(&script, &sim)?,
-            passed_goal: false,
+            passed_goal_since: None,
             swings: SwingTracker::new(&state.feet, config.reward.foot_height_m),
             state,
             sim,
@@ -183,24 +186,22 @@ impl<'a> Rollout<'a> {
         self.trace()
     }
 
-    /// What a step starts from.
-    pub(super) fn moment(&self) -> Moment {
-        Moment { state: self.state.clone(), sim: self.sim.save(), swings: self.swings }
+    /// What a step starts from; none if the controller keeps that to itself.
+    pub(super) fn moment(&self) -> Option<Moment> {
+        let (memory, afresh) = (self.controller.memory()?, self.afresh);
+        Some(Moment { state: self.state.clone(), sim: self.sim.save(), swings: self.swings, memory, afresh })
     }
 
-    /// A step that is there already: the controller sees what it saw then. After the last of them the simulation goes on.
+    /// A step that is there already. After the last of them simulation and controller go on from where they were.
     fn recall(&mut self) -> mujoco::Result<Option<Frame>> {
         let Some((prelude, steps)) = self.prelude.filter(|(_, steps)| self.step < *steps) else { return Ok(None) };
-        let Recorded { before, frame } = &prelude.steps[self.step];
-        if std::mem::take(&mut self.afresh) {
-            self.controller.begin(&before.state);
-        }
-        self.controller.joint_targets(&before.state, &self.command);
+        let frame = &prelude.steps[self.step].frame;
         self.step += 1;
         if self.step == steps {
-            let Recorded { before: Moment { state, sim, swings }, .. } = &prelude.steps[self.step];
+            let Moment { state, sim, swings, memory, afresh } = &prelude.steps[self.step].before;
             self.sim.restore(sim)?;
-            (self.state, self.swings) = (state.clone(), *swings);
+            self.controller.recall(memory);
+            (self.state, self.swings, self.afresh) = (state.clone(), *swings, *afresh);
         }
         Ok(Some(Frame { stage: self.stage(frame.time_s), ..frame.clone() }))
     }
@@ -389,8 +390,10 @@ impl<'a> Rollout<'a> {
     /// Tells once that the robot is where it was to get, on its feet.
     fn look_for_goal(&mut self, state: &RobotState, time_s: f64, events: &mut Vec<Event>) {
         let (Some(goal), Some(from), None) = (&self.script.goal, self.goal_from, self.fallen_since) else { return };
-        if !self.passed_goal && state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m {
-            self.passed_goal = true;
+        if self.passed_goal_since.is_none()
+            && state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m
+        {
+            self.passed_goal_since = Some(self.step);
             if state.position.y.abs() < goal.half_width_m {
                 events.push(Event { time_s, kind: EventKind::Success, text: goal.text.to_owned() });
             }
@@ -425,11 +428,16 @@ impl<'a> Rollout<'a> {
 impl Iterator for Rollout<'_> {
     type Item = Played;
 
-    /// One policy step, until the script is over, the robot has lain for a while, or physics or sensors failed.
+    /// One policy step, until the script is over, the robot has lain for a while or is where the script ends, or physics or
+    /// sensors failed.
     fn next(&mut self) -> Option<Played> {
-        let after_fall = self.config.simulation.policy_steps(self.script.after_fall_s);
-        let over = self.fallen_since.is_some_and(|since| self.step >= since + after_fall);
-        if over || self.failed || self.step >= self.steps {
+        let is_after = |since: Option<usize>, time_s| {
+            since.is_some_and(|since| self.step >= since + self.config.simulation.policy_steps(time_s))
+        };
+        let has_fallen = is_after(self.fallen_since, self.script.after_fall_s);
+        let ends_there = self.script.goal.as_ref().is_some_and(|goal| goal.is_end);
+        let is_there = ends_there && is_after(self.passed_goal_since, AFTER_GOAL_S);
+        if has_fallen || is_there || self.failed || self.step >= self.steps {
             return None;
         }
         let mut events = Vec::new();
@@ -451,6 +459,8 @@ pub(super) struct Moment {
     state: RobotState,
     sim: SimState,
     swings: SwingTracker,
+    memory: Memory,
+    afresh: bool,
 }
 
 /// A step, with what it started from.
