@@ -34,7 +34,7 @@ pub enum TrialError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum End {
-    /// Time was up.
+    /// The trial was over.
     Upright,
     /// The robot fell.
     Fell,
@@ -100,7 +100,7 @@ impl<'a> Trial<'a> {
         Trial { scenario, script, trace, end: End::of(trace), metrics: OnceCell::new() }
     }
 
-    /// Whether the robot stayed on its feet until time was up.
+    /// Whether the robot stayed on its feet to the end.
     pub fn is_upright(&self) -> bool {
         self.end == End::Upright
     }
@@ -214,6 +214,17 @@ mod tests {
         let refused = play(0.04);
         assert_eq!((refused.end, &refused.values[..]), (End::OutOfReach, &[None, None, None][..]));
         assert!(play(0.01).values[1].is_some());
+    }
+
+    #[test]
+    fn a_trial_of_the_push_grid_is_over_when_nothing_more_is_watched() {
+        let grid = Protocol::quick().unwrap().push_grid;
+        let config = supple::config::Config::load("compliant").unwrap();
+        for (seed, condition) in grid.conditions().unwrap().iter().enumerate().take(20) {
+            let script = condition.scenario.script(seed as u64, &config).unwrap();
+            assert_eq!(grid.until_s(&script), script.pushes[0].time_s + grid.watch_s);
+            assert!(grid.until_s(&script) < script.duration_s);
+        }
     }
 
     #[test]

@@ -36,6 +36,6 @@ pub trait Controller: Send {
         None
     }
 
-    /// Goes on from a memory of its own kind.
+    /// Goes on from a memory of its own kind; whoever gives one has to.
     fn recall(&mut self, _memory: &Memory) {}
 }

@@ -99,6 +99,6 @@ pub struct Goal {
     pub half_width_m: f64,
     /// What to say then.
     pub text: &'static str,
-    /// Whether the script is over a second later: by then the hind feet are there, too.
+    /// Whether the script is over a second later.
     pub is_end: bool,
 }

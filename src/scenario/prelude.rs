@@ -21,7 +21,7 @@ impl Script {
     /// The same without disturbances and without an end, if they are pushes and pulls of a robot alone on a plane.
     pub fn calm(&self) -> Option<Script> {
         let is_alone = self.scene == Scene::flat(self.scene.robot.clone(), self.scene.timestep_s);
-        let only_pushed = self.spring.is_none() && self.rig.is_none();
+        let only_pushed = self.spring.is_none() && self.rig.is_none() && self.goal.is_none();
         let calm = || Script { pushes: Vec::new(), pull: None, duration_s: 0.0, after_fall_s: 0.0, ..self.clone() };
         (is_alone && only_pushed).then(calm)
     }
@@ -88,7 +88,7 @@ impl Prelude {
 mod tests {
     use super::*;
     use crate::policy::{Agent, shipped};
-    use crate::robot::{JOINTS, Joints, RobotState};
+    use crate::robot::{Joints, RobotState, same_in_every_leg};
     use crate::scenario::Sensing;
     use crate::scenario::catalog::Scenario;
     use crate::scenario::trace::Trace;
@@ -169,7 +169,7 @@ mod tests {
 
         impl Controller for Stands {
             fn rest(&self) -> Joints {
-                [0.0; JOINTS]
+                same_in_every_leg([0.0, 0.72, -1.44])
             }
 
             fn begin(&mut self, _: &RobotState) {}
@@ -182,5 +182,9 @@ mod tests {
         let agent = shipped::find("compliant").unwrap();
         let push = script("push", 0.0, &agent);
         assert!(Prelude::new(&push, &agent.config, Box::new(Stands)).unwrap().is_none());
+        let mut of_agent = Prelude::new(&push, &agent.config, agent.controller()).unwrap().unwrap();
+        of_agent.mark(7);
+        let rollout = Rollout::new(&push, &agent.config, Box::new(Stands)).unwrap();
+        assert!(rollout.trace_after(&of_agent).frames[7].power_w > 0.0);
     }
 }

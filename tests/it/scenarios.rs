@@ -373,7 +373,10 @@ fn a_field_that_is_crossed_is_over_a_second_later_and_a_box_that_is_passed_is_no
         trace.frames.last().unwrap().time_s
     };
     // Across in the first step of 1/60 s.
-    assert!((seconds("rubble", &["--duration-s=3", "--blocks=0", "--mats=0"]) - 1.0 - 1.0 / 60.0).abs() < 1e-9);
+    for (name, options) in [("rubble", &["--duration-s=3", "--blocks=0", "--mats=0"][..]), ("ball-pit", &["--balls=4"])]
+    {
+        assert!((seconds(name, options) - 1.0 - 1.0 / 60.0).abs() < 1e-9, "{name}");
+    }
     assert!((seconds("box", &["--duration-s=3"]) - 3.0).abs() < 1e-9);
 }
 

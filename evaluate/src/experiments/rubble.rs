@@ -17,9 +17,10 @@ pub(super) const INFO: Info = Info {
     name: "rubble",
     title: "Wooden blocks and soft mats",
     paper: "Fig. 8c",
-    method: "At 0.5 m/s for 15 s over 4 m of loose wooden blocks and soft mats, other ones in every trial, by the \
+    method: "At 0.5 m/s for 15 s at most over 4 m of loose wooden blocks and soft mats, other ones in every trial, by the \
              largest height of the blocks. Height counts from the floor, and only the floor is ground: a leg that \
-             brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side. The velocity \
+             brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side; the trial \
+             is over a second later. The velocity \
              error is the length of mean velocity minus command in the horizontal plane; it, the peak foot force and the power are those \
              of the crossing, from the first edge to the last.",
     quantities: QUANTITIES,

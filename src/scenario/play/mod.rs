@@ -155,11 +155,6 @@ impl<'a> Rollout<'a> {
         }
     }
 
-    /// Steps that a rollout without a fall has.
-    pub fn steps(&self) -> usize {
-        self.steps
-    }
-
     /// A trace without frames yet.
     pub fn empty_trace(&self) -> Trace {
         let weight_n = self.sim.robot().mass_kg * GRAVITY_M_S2;
@@ -177,9 +172,10 @@ impl<'a> Rollout<'a> {
     }
 
     /// Plays to the end, from where a prelude by the same policy with the same configuration leaves off; from the start if it
-    /// is of another script, or lacks what is asked for: what sensors read, or poses of bodies.
+    /// is of another script, or lacks what is asked for (what sensors read, or poses of bodies), or the controller has no memory.
     pub fn trace_after(mut self, prelude: &'a Prelude) -> Trace {
-        if prelude.is_of(&self.script) && self.senses.is_none() && !self.with_bodies {
+        let has_all = self.senses.is_none() && !self.with_bodies && self.controller.memory().is_some();
+        if has_all && prelude.is_of(&self.script) {
             let steps = self.script.calm_steps(&self.config.simulation).min(prelude.steps.len() - 1);
             self.prelude = Some((prelude, steps));
         }
@@ -188,8 +184,8 @@ impl<'a> Rollout<'a> {
 
     /// What a step starts from; none if the controller keeps that to itself.
     pub(super) fn moment(&self) -> Option<Moment> {
-        let (memory, afresh) = (self.controller.memory()?, self.afresh);
-        Some(Moment { state: self.state.clone(), sim: self.sim.save(), swings: self.swings, memory, afresh })
+        let memory = self.controller.memory()?;
+        Some(Moment { state: self.state.clone(), sim: self.sim.save(), swings: self.swings, memory })
     }
 
     /// A step that is there already. After the last of them simulation and controller go on from where they were.
@@ -198,10 +194,10 @@ impl<'a> Rollout<'a> {
         let frame = &prelude.steps[self.step].frame;
         self.step += 1;
         if self.step == steps {
-            let Moment { state, sim, swings, memory, afresh } = &prelude.steps[self.step].before;
+            let Moment { state, sim, swings, memory } = &prelude.steps[self.step].before;
             self.sim.restore(sim)?;
             self.controller.recall(memory);
-            (self.state, self.swings, self.afresh) = (state.clone(), *swings, *afresh);
+            (self.state, self.swings, self.afresh) = (state.clone(), *swings, false);
         }
         Ok(Some(Frame { stage: self.stage(frame.time_s), ..frame.clone() }))
     }
@@ -460,7 +456,6 @@ pub(super) struct Moment {
     sim: SimState,
     swings: SwingTracker,
     memory: Memory,
-    afresh: bool,
 }
 
 /// A step, with what it started from.

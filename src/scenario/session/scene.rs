@@ -4,10 +4,10 @@ use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
 
 use crate::config::{Config, ConfigError};
-use crate::scenario::Script;
 use crate::scenario::catalog::{
     BallPit, FreeBox, Outdoor, Rubble, Scenario, ScriptError, Task, Terrain, Walk, defaults,
 };
+use crate::scenario::{Goal, Script};
 use crate::task::Command;
 
 /// How long a robot lies before it is set on its feet \[s\].
@@ -68,13 +68,14 @@ impl SceneKind {
         })
     }
 
-    /// The script of a robot that stands in this scene and waits.
+    /// The script of a robot that stands in this scene and waits: it has no end, wherever the robot goes.
     ///
     /// # Errors
     /// [`ScriptError`], as for a robot whose file does not fit.
     pub fn script(self, seed: u64, config: &Config) -> Result<Script, SceneError> {
         let script = self.scenario()?.script(seed, config)?;
-        Ok(Script { command: Command::default(), duration_s: f64::INFINITY, after_fall_s: LIES_S, ..script })
+        let goal = script.goal.map(|goal| Goal { is_end: false, ..goal });
+        Ok(Script { goal, command: Command::default(), duration_s: f64::INFINITY, after_fall_s: LIES_S, ..script })
     }
 }
 
@@ -87,4 +88,19 @@ pub enum SceneError {
     /// What it makes of them, or its robot.
     #[error(transparent)]
     Script(#[from] ScriptError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_scene_has_an_end_for_those_who_walk_about_in_it() {
+        let config = Config::load("compliant").unwrap();
+        for scene in SceneKind::value_variants() {
+            let script = scene.script(0, &config).unwrap();
+            assert_eq!(script.duration_s, f64::INFINITY, "{scene:?}");
+            assert!(!script.goal.is_some_and(|goal| goal.is_end), "{scene:?}");
+        }
+    }
 }

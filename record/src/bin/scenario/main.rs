@@ -231,7 +231,7 @@ fn play(
     Ok(traces)
 }
 
-/// Steps of the longest rollout without a fall.
+/// Steps of the longest rollout, at most.
 fn steps(robots: &[(String, Agent)], scripts: &[Script]) -> u64 {
     let steps =
         |((_, agent), script): (&(String, Agent), &Script)| agent.config.simulation.policy_steps(script.duration_s);
