@@ -18,7 +18,7 @@ use supple::policy::shipped;
 use supple::robot::{JOINTS, Robot};
 use supple::task::Curriculum;
 use supple::train::collection::Collection;
-use supple::train::environment::{End, LocomotionEnv};
+use supple::train::environment::{EpisodeEnd, LocomotionEnv};
 use supple::train::metrics::EpisodeMeans;
 use supple::util::random::{Purpose, stream};
 
@@ -66,11 +66,11 @@ fn main() -> anyhow::Result<()> {
     write("curriculum", curricula.into_iter().flat_map(f64::to_le_bytes).collect())
 }
 
-fn code(end: &Option<End>) -> u8 {
+fn code(end: &Option<EpisodeEnd>) -> u8 {
     match end {
         None => 0,
-        Some(End::Fall) => 1,
-        Some(End::TimeLimit) => 2,
-        Some(End::Fault) => 3,
+        Some(EpisodeEnd::Fall) => 1,
+        Some(EpisodeEnd::TimeLimit) => 2,
+        Some(EpisodeEnd::Fault) => 3,
     }
 }

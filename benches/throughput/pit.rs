@@ -12,7 +12,7 @@ use supple::config::Config;
 use supple::network::ActorCritic;
 use supple::policy::{Policy, Provenance};
 use supple::robot::{JOINTS, Robot};
-use supple::scenario::Rollout;
+use supple::scenario::Playback;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::trace::EventKind;
 use supple::util::random::{Purpose, stream};
@@ -97,7 +97,7 @@ fn scenario(duration_s: f64) -> anyhow::Result<Scenario> {
 
 fn play(scenario: &Scenario, policy: &Policy) -> anyhow::Result<Play> {
     let script = scenario.script(0, &policy.provenance.config)?;
-    let mut rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller()))?;
+    let mut rollout = Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller()))?;
     let mut play = Play { elapsed_s: 0.0, frames_s: Vec::new(), distance_m: 0.0, contacts: [0; 2], fault: None };
     let started = Instant::now();
     while let Some(played) = rollout.next() {

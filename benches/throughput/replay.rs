@@ -17,7 +17,7 @@ use supple::policy::{Buffers, Policy};
 use supple::robot::{JOINTS, Joints, PARTS, Robot};
 use supple::sim::{Conditions, Parts, Push, Scene, Sim, StepObserver};
 use supple::task::{Curriculum, Stages};
-use supple::train::environment::{End, EnvState, LocomotionEnv};
+use supple::train::environment::{EnvState, EpisodeEnd, LocomotionEnv};
 use supple::util::random::{Purpose, stream};
 
 /// Standard deviation of the actions' noise, as of a policy after some million samples.
@@ -105,7 +105,7 @@ impl Replay {
             let action = driver.action(&env, step);
             twin.step(&target(config, &action), &mut tape)?;
             let (outcome, _) = env.step(&action);
-            ensure!(outcome.end != Some(End::Fault), "the physics failed in environment {index}");
+            ensure!(outcome.end != Some(EpisodeEnd::Fault), "the physics failed in environment {index}");
             ensure!(
                 twin.data().positions() == env.sim_mut().data().positions(),
                 "the twin of environment {index} lost it"

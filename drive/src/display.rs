@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use supple::scenario::session::{Input, Meter, Played, World};
+use supple::scenario::session::{Input, LiveReadout, LiveSession, RobotStep};
 use supple::scenario::trace::{EventKind, Frame};
 use tokio::sync::watch;
 
 use crate::clock::Clock;
 use crate::live::Message;
-use crate::request::{PageId, RobotState, State};
+use crate::request::{PageId, RobotStatus, State};
 use crate::show::{Cast, Shown};
 
 /// Longest wait, so that silence is noticed while time stands still.
@@ -38,7 +38,7 @@ pub struct Display {
     pub driver: Option<PageId>,
     /// When the driver was last heard, and how often.
     pub heard: (Instant, u64),
-    meters: Vec<Meter>,
+    meters: Vec<LiveReadout>,
     shown: Shown,
     news: News,
     notices: VecDeque<String>,
@@ -49,7 +49,7 @@ pub struct Display {
 
 impl Display {
     /// Of a world that waits for its first step.
-    pub fn new(world: &World) -> Self {
+    pub fn new(world: &LiveSession) -> Self {
         let shown = Shown::new(Cast::of(world));
         let news = News { state: watch::Sender::new(Arc::from("{}")), shown: watch::Sender::new(shown.clone()) };
         let mut display = Display {
@@ -84,8 +84,8 @@ impl Display {
     }
 
     /// Another set-up is played from now on.
-    pub fn begin(&mut self, world: &World) {
-        self.meters = world.weights_and_periods().map(Meter::new).collect();
+    pub fn begin(&mut self, world: &LiveSession) {
+        self.meters = world.weights_and_periods().map(LiveReadout::new).collect();
         self.shown = Shown::new(Cast::of(world));
         self.clock.restart(world.tick());
         self.is_stale = true;
@@ -97,7 +97,7 @@ impl Display {
     }
 
     /// Waits for the next step to be due, or for a message, whichever comes first; none if it is neither yet.
-    pub fn wait(&mut self, world: &World, messages: &Receiver<Message>) -> Option<Due> {
+    pub fn wait(&mut self, world: &LiveSession, messages: &Receiver<Message>) -> Option<Due> {
         let due = self.clock.due(world.tick());
         let now = Instant::now();
         if self.is_stale || due.is_some_and(|due| due <= now) {
@@ -115,7 +115,7 @@ impl Display {
     }
 
     /// An input has taken effect.
-    pub fn note_input(&mut self, world: &World, input: &Input) {
+    pub fn note_input(&mut self, world: &LiveSession, input: &Input) {
         match input {
             Input::Push { size, unit } => {
                 for (meter, mass_kg) in self.meters.iter_mut().zip(world.masses_kg()) {
@@ -130,7 +130,7 @@ impl Display {
     }
 
     /// Steps that began at a tick were played.
-    pub fn note_steps(&mut self, world: &World, tick: u64, steps: &[Played]) {
+    pub fn note_steps(&mut self, world: &LiveSession, tick: u64, steps: &[RobotStep]) {
         self.clock.stepped(tick);
         for played in steps {
             let robot = played.robot;
@@ -164,14 +164,14 @@ impl Display {
     }
 
     /// Tells pages how things are.
-    pub fn tell(&self, world: &World) {
+    pub fn tell(&self, world: &LiveSession) {
         let setup = world.setup();
         let range = world.range();
         let robots = setup.robots.iter().zip(world.reaches()).zip(world.falls()).enumerate();
         let robots = robots.map(|(index, ((seat, reach), falls))| {
             let frame = self.shown.frames[index].as_deref();
             let [forward, left, _] = frame.map_or([0.0; 3], |frame| frame.velocity_in_heading);
-            RobotState {
+            RobotStatus {
                 name: self.shown.cast.names[index].clone(),
                 policy: seat.policy.clone(),
                 robot: seat.robot.clone(),

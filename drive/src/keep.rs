@@ -7,7 +7,7 @@ use std::sync::mpsc::SyncSender;
 use std::thread;
 use std::time::Duration;
 
-use supple::scenario::session::{Played, Session};
+use supple::scenario::session::{RobotStep, SavedSession};
 use supple_record::Sink;
 
 use crate::live::Message;
@@ -22,7 +22,7 @@ const STEP_ASIDE: Duration = Duration::from_millis(30);
 pub struct Minute {
     cast: Arc<Cast>,
     /// Each with the tick at which it began.
-    steps: VecDeque<(u64, Played)>,
+    steps: VecDeque<(u64, RobotStep)>,
 }
 
 impl Minute {
@@ -37,7 +37,7 @@ impl Minute {
     }
 
     /// Adds steps that began at a tick.
-    pub fn add(&mut self, tick: u64, steps: Vec<Played>) {
+    pub fn add(&mut self, tick: u64, steps: Vec<RobotStep>) {
         self.steps.extend(steps.into_iter().map(|played| (tick, played)));
     }
 
@@ -76,7 +76,7 @@ pub fn all(session: &Path, recording: &Path, is_late: impl Fn() -> bool) -> anyh
             thread::sleep(STEP_ASIDE)
         }
     };
-    replay::play(Session::load(session)?, Some(recording), |_, _| step_aside()).map(drop)
+    replay::play(SavedSession::load(session)?, Some(recording), |_, _| step_aside()).map(drop)
 }
 
 /// Does something on a thread of its own, and tells how it went.

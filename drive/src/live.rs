@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use supple::policy::Agent;
-use supple::scenario::session::{Input, RATE_HZ, Seat, Setup, Shelf, Unit, World, Writer};
+use supple::scenario::session::{AgentCache, Input, LiveSession, PushUnit, RATE_HZ, Seat, Setup, Writer};
 use supple::task::Command;
 
 use crate::display::{Display, Due, News};
@@ -53,8 +53,8 @@ pub enum Message {
 /// What the thread owns.
 #[derive(Debug)]
 pub struct Live {
-    world: World,
-    shelf: Shelf,
+    world: LiveSession,
+    shelf: AgentCache,
     display: Display,
     writer: Writer,
     folder: PathBuf,
@@ -69,15 +69,15 @@ impl Live {
     /// A world that waits for its first step. The session is written into a file of its own; what is kept goes into a folder.
     ///
     /// # Errors
-    /// A [`WorldError`](supple::scenario::session::WorldError), or that there is no room for the session.
+    /// A [`LiveSessionError`](supple::scenario::session::WorldError), or that there is no room for the session.
     pub fn new(
         setup: Setup,
-        mut shelf: Shelf,
+        mut shelf: AgentCache,
         folder: PathBuf,
         session: File,
         to_self: SyncSender<Message>,
     ) -> anyhow::Result<Self> {
-        let world = World::new(setup, &mut shelf)?;
+        let world = LiveSession::new(setup, &mut shelf)?;
         let mut writer = Writer::new(session);
         writer.input(0, &Input::Setup(world.setup().clone()), &shelf)?;
         let watched = Arc::default();
@@ -181,8 +181,8 @@ impl Live {
             }
             Request::Push { size, unit } => {
                 let most = match unit {
-                    Unit::Velocity => MOST_PUSH_M_S,
-                    Unit::Momentum => MOST_PUSH_N_S,
+                    PushUnit::Velocity => MOST_PUSH_M_S,
+                    PushUnit::Momentum => MOST_PUSH_N_S,
                 };
                 self.input(Input::Push { size: limited(size, most), unit })?;
             }

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 
-use supple::scenario::session::{Input, Playback, Played, Session, Step};
+use supple::scenario::session::{Input, ReplayStep, RobotStep, SavedSession, SessionReplay};
 use supple_record::{RecordError, Recorder, Sink};
 
 use crate::display::{Display, Due};
@@ -31,9 +31,9 @@ pub struct Replayed {
 /// # Errors
 /// A policy or robot that is gone or has changed, a full disk.
 pub fn play(
-    session: Session,
+    session: SavedSession,
     recording: Option<&Path>,
-    mut look: impl FnMut(&Playback, &Step),
+    mut look: impl FnMut(&SessionReplay, &ReplayStep),
 ) -> anyhow::Result<Replayed> {
     let mut playback = session.play()?;
     let mut recorder: Option<Recorder> = None;
@@ -70,7 +70,7 @@ pub fn play(
 ///
 /// # Errors
 /// [`RecordError`], as of a full disk.
-pub fn record(recorder: &mut Recorder, played: &Played) -> Result<(), RecordError> {
+pub fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordError> {
     let Some(frame) = &played.frame else { return Ok(()) };
     if played.is_beginning {
         recorder.begin_again(played.robot)?;
@@ -86,7 +86,7 @@ pub fn record(recorder: &mut Recorder, played: &Played) -> Result<(), RecordErro
 /// A policy or robot that is gone or has changed.
 pub fn watch(
     path: &Path,
-    mut playback: Playback,
+    mut playback: SessionReplay,
     mut display: Display,
     messages: &Receiver<Message>,
 ) -> anyhow::Result<()> {
@@ -126,14 +126,14 @@ pub fn watch(
 ///
 /// # Errors
 /// It is no session, or a policy or robot is gone or has changed.
-pub fn begin(path: &Path) -> anyhow::Result<Playback> {
-    let mut playback = Session::load(path)?.play()?;
+pub fn begin(path: &Path) -> anyhow::Result<SessionReplay> {
+    let mut playback = SavedSession::load(path)?.play()?;
     while !playback.is_shown(playback.world.tick()) && playback.step()?.is_some() {}
     Ok(playback)
 }
 
 /// Plays a step and shows it; at the end, says whether it is the end that it was.
-fn show(playback: &mut Playback, display: &mut Display) -> anyhow::Result<()> {
+fn show(playback: &mut SessionReplay, display: &mut Display) -> anyhow::Result<()> {
     let Some(step) = playback.step()? else {
         display.clock.pause(true, playback.world.tick());
         display.notice(match playback.is_as_it_was() {

@@ -1,7 +1,7 @@
 //! What pages ask for, and what they are told: one JSON object for each message.
 
 use serde::{Deserialize, Serialize};
-use supple::scenario::session::{Reading, SceneKind, Unit};
+use supple::scenario::session::{PushUnit, Reading, SceneKind};
 
 /// Identity of a connection.
 pub type PageId = u64;
@@ -26,7 +26,7 @@ pub enum Request {
         /// Size along each.
         size: [f64; 2],
         /// Of what.
-        unit: Unit,
+        unit: PushUnit,
     },
     /// The force of a hand, forward and left in the heading frame \[N\], or to let go.
     Pull(Option<[f64; 2]>),
@@ -134,14 +134,14 @@ pub struct State {
     /// Largest commands: forward [m/s], left [m/s], yaw rate [rad/s].
     pub range: [f64; 3],
     /// The robots.
-    pub robots: Vec<RobotState>,
+    pub robots: Vec<RobotStatus>,
     /// Number of the newest notice, and the last few.
     pub notices: (u64, Vec<String>),
 }
 
 /// What there is to say of a robot.
 #[derive(Debug, Clone, Serialize)]
-pub struct RobotState {
+pub struct RobotStatus {
     /// Its name in the viewer.
     pub name: String,
     /// Policy and robot as they were asked for.
@@ -174,7 +174,7 @@ mod tests {
         assert_eq!(Request::parse(r#"{"command":[0.5,0,-1]}"#), Ok(Request::Command([0.5, 0.0, -1.0])));
         assert_eq!(
             Request::parse(r#"{"push":{"size":[0,1.5],"unit":"m/s"}}"#),
-            Ok(Request::Push { size: [0.0, 1.5], unit: Unit::Velocity })
+            Ok(Request::Push { size: [0.0, 1.5], unit: PushUnit::Velocity })
         );
         assert_eq!(Request::parse(r#"{"pull":null}"#), Ok(Request::Pull(None)));
         assert_eq!(Request::parse(r#""reset""#), Ok(Request::Reset));

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use supple::mujoco::Model;
-use supple::scenario::session::World;
+use supple::scenario::session::LiveSession;
 use supple::scenario::trace::{Event, Frame};
 use supple::sim::Scene;
 use supple_record::{BLUE, LiveSink, ORANGE, RecordError, Recorder, RobotView, Sink};
@@ -46,7 +46,7 @@ pub struct Shown {
 
 impl Cast {
     /// Those of a world.
-    pub fn of(world: &World) -> Self {
+    pub fn of(world: &LiveSession) -> Self {
         let mut names: Vec<String> = Vec::new();
         for seat in &world.setup().robots {
             let name = seat.label();

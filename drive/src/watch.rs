@@ -8,7 +8,7 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use supple::policy::shipped;
-use supple::scenario::session::Shelf;
+use supple::scenario::session::AgentCache;
 use supple::util::{files, paths};
 
 use crate::live::Message;
@@ -33,7 +33,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
                 if seen.insert(path.clone(), time) == Some(time) {
                     continue;
                 }
-                let message = match Shelf::read(&paths::as_text(&path)) {
+                let message = match AgentCache::read(&paths::as_text(&path)) {
                     Ok((agent, file)) => Message::Read { path, agent: Box::new(agent), file },
                     Err(error) => Message::Notice(error.to_string()),
                 };

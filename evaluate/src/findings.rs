@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::Quantity;
-use super::statistics::{Comparison, Estimate, Expected, Numbers, Spread, Trials, Verdict};
+use super::statistics::{Comparison, Expected, IntervalEstimate, Numbers, Spread, Trials, Verdict};
 
 /// Everything that an experiment shows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -146,8 +146,8 @@ pub fn difference(comparison: &Comparison, quantity: Quantity, unit: &str) -> St
 }
 
 /// A signed number with its interval, followed by `unit`; says so if not all of the seeds are in it.
-fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: &[usize], unit: &str) -> String {
-    let Some(Estimate { value, interval, pairs }) = estimate else { return NOTHING.to_owned() };
+fn estimate(estimate: Option<IntervalEstimate>, quantity: Quantity, members: &[usize], unit: &str) -> String {
+    let Some(IntervalEstimate { value, interval, pairs }) = estimate else { return NOTHING.to_owned() };
     let signed = |value: f64| {
         let text = number(value, quantity);
         if value > 0.0 && !is_zero(&text) { format!("+{text}") } else { text }
@@ -160,7 +160,7 @@ fn estimate(estimate: Option<Estimate>, quantity: Quantity, members: &[usize], u
 }
 
 /// A relative change with its interval, followed by `unit`.
-pub fn percent(relative: Option<Estimate>, unit: &str) -> String {
+pub fn percent(relative: Option<IntervalEstimate>, unit: &str) -> String {
     // How many pairs are in it stands beside the difference.
     estimate(relative, Quantity::new("relative", "relative change", "%", 0), &[], unit)
 }
@@ -190,7 +190,8 @@ mod tests {
     #[test]
     fn estimates_are_signed() {
         let metres = Quantity::new("x", "x", "m", 1);
-        let found = |value, interval, pairs| estimate(Some(Estimate { value, interval, pairs }), metres, &[5, 6], "");
+        let found =
+            |value, interval, pairs| estimate(Some(IntervalEstimate { value, interval, pairs }), metres, &[5, 6], "");
         assert_eq!(found(0.5, Some([-0.2, 1.2]), 6), "+0.5 [−0.2, +1.2]");
         assert_eq!(found(0.04, None, 5), "0.0 (5 pairs)");
     }

@@ -8,11 +8,11 @@ figures) and from those the [`report`]. `docs/experiments.md` has the definition
 Tables and figures show every set of policies; claims and differences are about the first set and the second.
 */
 
-pub mod contestants;
 pub mod experiments;
 pub mod findings;
 pub mod grid;
 pub mod plot;
+pub mod policy_sets;
 pub mod preludes;
 pub mod protocol;
 pub mod report;

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::statistics::{Comparison, Numbers, PerSeed, Trials, mean};
-use super::trial::{End, Sample};
+use super::trial::{Sample, TrialEnd};
 use super::{Condition, Quantity};
 
 /// All trials of one policy, shape (conditions, trials).
@@ -138,10 +138,10 @@ impl Results {
     pub fn ends(&self, set: usize) -> Ends {
         let mut ends = Ends::default();
         for sample in self.sets[set].values().flatten().flatten() {
-            ends.trials += usize::from(sample.end != End::OutOfReach);
-            ends.out_of_reach += usize::from(sample.end == End::OutOfReach);
-            ends.falls += usize::from(sample.end == End::Fell);
-            ends.faults += usize::from(sample.end == End::Fault);
+            ends.trials += usize::from(sample.end != TrialEnd::OutOfReach);
+            ends.out_of_reach += usize::from(sample.end == TrialEnd::OutOfReach);
+            ends.falls += usize::from(sample.end == TrialEnd::Fell);
+            ends.faults += usize::from(sample.end == TrialEnd::Fault);
         }
         ends
     }
@@ -168,7 +168,7 @@ mod tests {
         let protocol = Protocol::quick().unwrap();
         let condition = protocol.decay.conditions().unwrap().remove(0);
         let sample = |value: &Option<f64>| {
-            let (fell, end) = value.map_or((1.0, End::Fell), |_| (0.0, End::Upright));
+            let (fell, end) = value.map_or((1.0, TrialEnd::Fell), |_| (0.0, TrialEnd::Upright));
             Sample {
                 end,
                 values: vec![*value, None, None, None, None, Some(fell)],

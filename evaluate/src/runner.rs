@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::contestants::{Contest, Contestant, Side};
+use super::policy_sets::{Contest, Contestant, Side};
 use super::preludes::Preludes;
 use super::results::{PolicyResult, Results};
 use super::store::{self, Store, Stored};

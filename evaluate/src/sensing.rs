@@ -7,8 +7,8 @@ differs in nothing but what the policy sees. A second table says how good the es
 
 use std::collections::BTreeMap;
 
-use super::contestants::Contest;
 use super::findings::{Row, Table};
+use super::policy_sets::Contest;
 use super::results::{Ends, PolicyResult, Results};
 use super::runner::Measurement;
 use super::statistics::{Comparison, Numbers, PerSeed, mean};
@@ -151,9 +151,9 @@ fn errors(set: &BTreeMap<u64, PolicyResult>, of: fn(&Estimation) -> Option<f64>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::contestants::Side;
+    use crate::policy_sets::Side;
     use crate::protocol::Protocol;
-    use crate::trial::{End, Sample};
+    use crate::trial::{Sample, TrialEnd};
 
     fn contest() -> Contest {
         let side = |name: &str| Side { name: name.into(), members: Vec::new() };
@@ -164,7 +164,7 @@ mod tests {
     fn measurement(experiment: &dyn Experiment, value: f64, is_estimated: bool) -> Measurement {
         let conditions = experiment.conditions().unwrap();
         let sample = |value: f64| Sample {
-            end: End::Upright,
+            end: TrialEnd::Upright,
             values: vec![Some(value); experiment.info().quantities.len()],
             series: Vec::new(),
             estimation: is_estimated.then_some(Estimation {

@@ -59,7 +59,7 @@ impl Spread {
 
 /// A number and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Estimate {
+pub struct IntervalEstimate {
     /// From all pairs of seeds.
     pub value: f64,
     /// Expanded percentile bootstrap; none with fewer than five pairs, or if the number is undefined for a resample.
@@ -114,9 +114,9 @@ pub struct Comparison {
     /// By set.
     pub sets: Vec<Numbers>,
     /// First minus second, over the seeds that both have.
-    pub difference: Option<Estimate>,
+    pub difference: Option<IntervalEstimate>,
     /// First over second, minus one, over the same seeds; none unless both are positive.
-    pub relative: Option<Estimate>,
+    pub relative: Option<IntervalEstimate>,
     /// Over the same seeds; none of what is not a mean over trials.
     pub trials: Option<Trials>,
 }
@@ -155,7 +155,7 @@ impl Comparison {
     pub fn scaled(&self, factor: f64) -> Self {
         Comparison {
             sets: self.sets.iter().map(|set| set.scaled(factor)).collect(),
-            difference: self.difference.map(|Estimate { value, interval, pairs }| Estimate {
+            difference: self.difference.map(|IntervalEstimate { value, interval, pairs }| IntervalEstimate {
                 value: factor * value,
                 interval: interval.map(|ends| ends.map(|end| factor * end)),
                 pairs,
@@ -166,12 +166,12 @@ impl Comparison {
 }
 
 /// A statistic of pairs and its bootstrap interval. `statistic` is given indices of pairs, with repetitions.
-pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<Estimate> {
+pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<IntervalEstimate> {
     let all: Vec<usize> = (0..pairs).collect();
     let value = statistic(&all)?;
     let tail = tail(pairs).filter(|_| pairs >= ENOUGH_PAIRS);
     let interval = tail.and_then(|tail| interval(pairs, tail, statistic));
-    Some(Estimate { value, interval, pairs })
+    Some(IntervalEstimate { value, interval, pairs })
 }
 
 /// Fraction of resamples on either side of the interval of a mean over `pairs`: Φ(−t √(n / (n − 1))) with the quantile t of
@@ -334,7 +334,7 @@ mod tests {
     #[test]
     fn four_pairs_have_no_interval_and_decide_nothing_and_five_do() {
         let comparison = comparison(&[2.0, 4.0, 3.0, 3.0], &[1.0; 4]);
-        assert_eq!(comparison.difference.unwrap(), Estimate { value: 2.0, interval: None, pairs: 4 });
+        assert_eq!(comparison.difference.unwrap(), IntervalEstimate { value: 2.0, interval: None, pairs: 4 });
         assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
         let comparison = self::comparison(&[2.0, 4.0, 3.0, 3.0, 3.0], &[1.0; 5]);
         assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsExpected);
@@ -370,7 +370,7 @@ mod tests {
         let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
         let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
         let comparison = of(a, b);
-        assert_eq!(comparison.difference, Some(Estimate { value: 3.0, interval: None, pairs: 1 }));
+        assert_eq!(comparison.difference, Some(IntervalEstimate { value: 3.0, interval: None, pairs: 1 }));
         assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
         let none = of(per_seed(&[1.0]), PerSeed::new());
         assert_eq!(Verdict::of(&none, Expected::Higher), Verdict::Undefined);

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::contestants::Contestant;
+use super::policy_sets::Contestant;
 use super::results::PolicyResult;
 use super::{Condition, Experiment};
 use supple::estimate::{EstimatorConfig, SensorNoise, contact};

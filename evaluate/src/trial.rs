@@ -13,7 +13,7 @@ use supple::scenario::catalog::{Scenario, ScriptError};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::{self, Metric, PHASE_S};
 use supple::scenario::trace::{EventKind, Trace};
-use supple::scenario::{Rollout, Script, Sensing, SensingError};
+use supple::scenario::{Playback, Script, Sensing, SensingError};
 use supple::util::random::{Purpose, stream};
 
 /// Why a trial could not be played.
@@ -33,7 +33,7 @@ pub enum TrialError {
 /// How a trial ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum End {
+pub enum TrialEnd {
     /// The trial was over.
     Upright,
     /// The robot fell.
@@ -44,23 +44,23 @@ pub enum End {
     OutOfReach,
 }
 
-impl End {
+impl TrialEnd {
     /// Of a trace.
     pub fn of(trace: &Trace) -> Self {
         let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
         match (happened(EventKind::Fall), happened(EventKind::Fault)) {
-            (true, _) => End::Fell,
-            (false, true) => End::Fault,
-            (false, false) => End::Upright,
+            (true, _) => TrialEnd::Fell,
+            (false, true) => TrialEnd::Fault,
+            (false, false) => TrialEnd::Upright,
         }
     }
 
     /// 1 for a fall, 0 for none; a failure is neither, nor is what was not played.
     pub fn fell(self) -> Option<f64> {
         match self {
-            End::Fell => Some(1.0),
-            End::Upright => Some(0.0),
-            End::Fault | End::OutOfReach => None,
+            TrialEnd::Fell => Some(1.0),
+            TrialEnd::Upright => Some(0.0),
+            TrialEnd::Fault | TrialEnd::OutOfReach => None,
         }
     }
 }
@@ -69,7 +69,7 @@ impl End {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// How it ended.
-    pub end: End,
+    pub end: TrialEnd,
     /// The experiment's quantities in their order; none where the trial does not define one.
     pub values: Vec<Option<f64>>,
     /// What the experiment's figures draw; its own order.
@@ -90,19 +90,19 @@ pub struct Trial<'a> {
     /// What happened.
     pub trace: &'a Trace,
     /// How it ended.
-    pub end: End,
+    pub end: TrialEnd,
     metrics: OnceCell<Vec<Metric>>,
 }
 
 impl<'a> Trial<'a> {
     /// Of a scenario, its script for a seed and what a policy made of it.
     pub fn new(scenario: &'a Scenario, script: &'a Script, trace: &'a Trace) -> Self {
-        Trial { scenario, script, trace, end: End::of(trace), metrics: OnceCell::new() }
+        Trial { scenario, script, trace, end: TrialEnd::of(trace), metrics: OnceCell::new() }
     }
 
     /// Whether the robot stayed on its feet to the end.
     pub fn is_upright(&self) -> bool {
-        self.end == End::Upright
+        self.end == TrialEnd::Upright
     }
 
     /// A number that the scenario is about, by name.
@@ -165,14 +165,14 @@ pub fn play(
     script.tell(agent.told);
     if agent.check_compliance(script.command.compliance).is_err() {
         let values = vec![None; experiment.info().quantities.len()];
-        return Ok(Sample { end: End::OutOfReach, values, series: Vec::new(), estimation: None });
+        return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), estimation: None });
     }
     // What comes later, and what a fallen robot does, is nobody's result.
     script.duration_s = experiment.until_s(&script);
     script.after_fall_s = 0.0;
     let preludes = preludes.filter(|_| sensing == Sensing::True);
     let prelude = preludes.map_or(Ok(None), |preludes| preludes.of(&script, agent))?;
-    let rollout = Rollout::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
+    let rollout = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
     let trace = match &prelude {
         Some(prelude) => rollout.trace_after(prelude),
         None => rollout.trace(),
@@ -186,7 +186,7 @@ pub fn play(
 mod tests {
     use super::*;
     use crate::protocol::Protocol;
-    use supple::policy::compliance::{Calibration, Point};
+    use supple::policy::compliance::{Point, PolicyCalibration};
     use supple::scenario::catalog::{Leash, defaults};
 
     #[test]
@@ -207,12 +207,12 @@ mod tests {
         let mut agent = supple::policy::shipped::find("compliant").unwrap();
         let mut play = |low: f64| {
             let point = |measured| Point { setting: measured, measured };
-            let calibration = Calibration::unmeasured(&agent.sha256);
-            agent.calibration = Some(Calibration { points: vec![point(low), point(0.05)], ..calibration });
+            let calibration = PolicyCalibration::unmeasured(&agent.sha256);
+            agent.calibration = Some(PolicyCalibration { points: vec![point(low), point(0.05)], ..calibration });
             play(&protocol.leash, &condition, 1, &agent, Sensing::True, None).unwrap()
         };
         let refused = play(0.04);
-        assert_eq!((refused.end, &refused.values[..]), (End::OutOfReach, &[None, None, None][..]));
+        assert_eq!((refused.end, &refused.values[..]), (TrialEnd::OutOfReach, &[None, None, None][..]));
         assert!(play(0.01).values[1].is_some());
     }
 

@@ -10,7 +10,7 @@ use std::process::{Command, Output, Stdio};
 use serde_json::Value;
 use supple::config::Config;
 use supple::policy::Policy;
-use supple::policy::compliance::{Calibration, Point};
+use supple::policy::compliance::{Point, PolicyCalibration};
 use supple_evaluate::experiments::Protocol;
 use support::{complaint, example, run, standing_policy, zero_policy};
 
@@ -539,9 +539,10 @@ fn a_set_that_is_told_a_compliance_is_measured_apart_and_refused_where_it_cannot
     ]);
     let folder = folder.path();
     let calibrate = |own_m_s_per_n: f64| {
-        let calibration = Calibration { own_m_s_per_n, ..Calibration::unmeasured(standing_policy().sha256()) };
+        let calibration =
+            PolicyCalibration { own_m_s_per_n, ..PolicyCalibration::unmeasured(standing_policy().sha256()) };
         let points = [0.01, 0.05].map(|c| Point { setting: c, measured: c }).to_vec();
-        let text = serde_json::to_string(&Calibration { points, ..calibration }).unwrap();
+        let text = serde_json::to_string(&PolicyCalibration { points, ..calibration }).unwrap();
         std::fs::write(folder.join("policies/compliant-seed0.calibration.json"), text).unwrap();
     };
     calibrate(0.02);

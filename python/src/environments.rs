@@ -17,7 +17,7 @@ use supple::observation::Layout;
 use supple::robot::{JOINTS, Robot, joint_names};
 use supple::task::reward::TERMS;
 use supple::task::{Command, Curriculum, Stage, Terms};
-use supple::train::environment::{End, EpisodeReport, LocomotionEnv, Step};
+use supple::train::environment::{EnvStep, EpisodeEnd, EpisodeReport, LocomotionEnv};
 use supple::train::metrics::EpisodeMeans;
 
 use crate::failure::{apart, failed, refused};
@@ -51,7 +51,7 @@ impl Autoreset {
 #[pyclass(frozen, module = "supple._supple")]
 pub struct Environments {
     /// None once they are closed, or broken by a defect.
-    world: Mutex<Option<World>>,
+    world: Mutex<Option<VecWorld>>,
     /// That they were made in: a copy of the process has no threads to step them.
     process: u32,
     config: Config,
@@ -59,7 +59,7 @@ pub struct Environments {
     layout: Arc<Layout>,
 }
 
-struct World {
+struct VecWorld {
     config: Config,
     length: usize,
     environments: Vec<LocomotionEnv>,
@@ -85,7 +85,7 @@ struct World {
 
 /// A step of one environment.
 struct Outcome {
-    step: Step,
+    step: EnvStep,
     /// That the observation after the step belongs to.
     command: Command,
     /// Of the episode that it ended.
@@ -156,7 +156,7 @@ impl Environments {
                 }
                 Ok(environment)
             };
-            Ok(World {
+            Ok(VecWorld {
                 length: layout.length(),
                 environments: (0..num_envs).map(environment).collect::<PyResult<_>>()?,
                 over: vec![false; num_envs],
@@ -209,8 +209,8 @@ impl Environments {
         Ok((
             table(py, observations, self.layout.length())?,
             outcomes.iter().map(|outcome| outcome.step.reward).collect::<Vec<_>>().into_pyarray(py),
-            row(|outcome| outcome.step.end == Some(End::Fall)),
-            row(|outcome| matches!(outcome.step.end, Some(End::TimeLimit | End::Fault))),
+            row(|outcome| outcome.step.end == Some(EpisodeEnd::Fall)),
+            row(|outcome| matches!(outcome.step.end, Some(EpisodeEnd::TimeLimit | EpisodeEnd::Fault))),
             table(py, terms.collect(), TERMS.len())?,
             stages.collect::<Vec<_>>().into_pyarray(py),
             table(py, commands.collect(), 3)?,
@@ -299,7 +299,7 @@ impl Environments {
 
 impl Environments {
     /// Works on the environments without the interpreter's lock.
-    fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut World) -> PyResult<T> + Send) -> PyResult<T> {
+    fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut VecWorld) -> PyResult<T> + Send) -> PyResult<T> {
         if std::process::id() != self.process {
             return Err(PyRuntimeError::new_err(
                 "these environments belong to the process that this one was forked from, and so do their threads: call \
@@ -328,7 +328,7 @@ impl Environments {
     }
 }
 
-impl World {
+impl VecWorld {
     fn reset(&mut self, seed: Option<u64>, mask: Option<&[bool]>) -> mujoco::Result<(Vec<f32>, Vec<f64>)> {
         if seed.is_some() {
             (self.curriculum, self.steps) = (self.first_curriculum, 0);
@@ -432,7 +432,7 @@ fn step(
 fn pause(environment: &mut LocomotionEnv, curriculum: Curriculum, seen: &mut [f32]) -> mujoco::Result<Outcome> {
     environment.reset(curriculum)?;
     environment.normalised_observation(seen);
-    let step = Step { reward: 0.0, end: None, stage: Stage::Walking, terms: Terms::default() };
+    let step = EnvStep { reward: 0.0, end: None, stage: Stage::Walking, terms: Terms::default() };
     Ok(Outcome { step, command: *environment.command(), ended: None })
 }
 

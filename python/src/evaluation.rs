@@ -15,7 +15,7 @@ use pyo3::prelude::*;
 use supple::scenario::Sensing;
 use supple_evaluate::preludes::Preludes;
 use supple_evaluate::protocol::Protocol;
-use supple_evaluate::trial::{self, End, Sample};
+use supple_evaluate::trial::{self, Sample, TrialEnd};
 use supple_evaluate::{Condition, Experiment};
 
 use crate::failure::{apart, failed, refused};
@@ -59,10 +59,10 @@ pub fn evaluate<'py>(
         let values = samples.iter().flat_map(|sample| sample.values.iter().map(|value| value.unwrap_or(f64::NAN)));
         let values = values.collect::<Vec<_>>().into_pyarray(py);
         let ends = samples.iter().map(|sample| match sample.end {
-            End::Upright => 0,
-            End::Fell => 1,
-            End::Fault => 2,
-            End::OutOfReach => 3,
+            TrialEnd::Upright => 0,
+            TrialEnd::Fell => 1,
+            TrialEnd::Fault => 2,
+            TrialEnd::OutOfReach => 3,
         });
         measured.push((
             info.name,

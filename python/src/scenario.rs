@@ -9,7 +9,7 @@ use supple::scenario::catalog::{DEFAULTS, ParameterError, Scenario, ScriptError}
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::{EventKind, Trace};
-use supple::scenario::{Rollout, Script, Sensing};
+use supple::scenario::{Playback, Script, Sensing};
 
 use crate::failure::{apart, failed, refused};
 use crate::policy::Policy;
@@ -60,7 +60,7 @@ pub fn sensing(estimated: bool) -> Sensing {
 
 fn play(policy: &Policy, script: &Script, sensing: Sensing, seed: u64, with_bodies: bool) -> PyResult<Trace> {
     let config = &policy.agent.config;
-    let rollout = Rollout::new(script, config, policy.agent.controller()).map_err(failed)?;
+    let rollout = Playback::new(script, config, policy.agent.controller()).map_err(failed)?;
     let rollout = if with_bodies { rollout.with_bodies() } else { rollout };
     let rollout = rollout.with_sensing(sensing, seed).map_err(refused)?;
     let mut trace = rollout.empty_trace();

@@ -6,7 +6,7 @@ mod support;
 use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
-use supple::scenario::session::{Input, SceneKind, Setup, Shelf, Unit, World, Writer};
+use supple::scenario::session::{AgentCache, Input, LiveSession, PushUnit, SceneKind, Setup, Writer};
 use support::{complaint, example, program, robot, run, standing_policy};
 
 #[test]
@@ -59,10 +59,10 @@ fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
 
 /// Plays a session, and keeps it in a file.
 fn keep(inputs: &[(u64, Input)], until: u64, path: &std::path::Path) {
-    let mut shelf = Shelf::default();
+    let mut shelf = AgentCache::default();
     let robots = vec![shelf.find("baseline", None).unwrap()];
     let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
-    let mut world = World::new(setup.clone(), &mut shelf).unwrap();
+    let mut world = LiveSession::new(setup.clone(), &mut shelf).unwrap();
     let mut writer = Writer::new(tempfile::tempfile().unwrap());
     writer.input(0, &Input::Setup(setup), &shelf).unwrap();
     let mut inputs = inputs.iter().peekable();
@@ -81,7 +81,7 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.jsonl");
     let inputs = [
-        (240, Input::Push { size: [0.0, 0.5], unit: Unit::Velocity }),
+        (240, Input::Push { size: [0.0, 0.5], unit: PushUnit::Velocity }),
         (1440, Input::Comply { robot: 0, compliance: 0.03 }),
         (1680, Input::Pull(Some([0.0, 10.0]))),
         (1920, Input::Pull(None)),

@@ -4,7 +4,7 @@ use std::borrow::Borrow;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::compliance::{Calibration, ComplianceError, Compliant};
+use super::compliance::{ComplianceError, Compliant, PolicyCalibration};
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
@@ -59,7 +59,7 @@ pub struct Agent {
     /// Identity of the policy: SHA-256 of its files.
     pub sha256: String,
     /// How far it yields, where that has been measured.
-    pub calibration: Option<Calibration>,
+    pub calibration: Option<PolicyCalibration>,
     /// The compliance that it is told wherever nothing else is commanded; 0 leaves it to itself [m/s/N].
     pub told: f64,
     mind: Mind,
@@ -79,7 +79,7 @@ impl Agent {
     pub fn load(path: &Path) -> Result<Self, AgentError> {
         let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
-        agent.calibration = Calibration::beside(path, &agent.sha256)?;
+        agent.calibration = PolicyCalibration::beside(path, &agent.sha256)?;
         Ok(agent)
     }
 

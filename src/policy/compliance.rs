@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::Policy;
-use super::controller::{Controller, Memory};
+use super::controller::{Controller, ControllerState};
 use crate::config::Config;
 use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
@@ -20,7 +20,7 @@ use crate::util::files::{self, FileError};
 /// What a policy does when it is pulled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Calibration {
+pub struct PolicyCalibration {
     /// Identity of the policy: SHA-256 of its files.
     pub sha256: String,
     /// Compliance by itself, `C₀` [m/s/N].
@@ -78,7 +78,7 @@ const WHAT: &str = "calibration";
 /// Larger files are no calibrations.
 const MAX_BYTES: u64 = 64 << 10;
 
-impl Calibration {
+impl PolicyCalibration {
     /// Where a policy's calibration is: `NAME.calibration.json`.
     pub fn path(policy: &Path) -> PathBuf {
         policy.with_extension("calibration.json")
@@ -93,7 +93,7 @@ impl Calibration {
         let path = Self::path(policy);
         match files::read_bounded(&path, MAX_BYTES) {
             Ok(bytes) => {
-                let found: Calibration = serde_json::from_slice(&bytes).map_err(FileError::of(WHAT, &path))?;
+                let found: PolicyCalibration = serde_json::from_slice(&bytes).map_err(FileError::of(WHAT, &path))?;
                 if found.sha256 != sha256 {
                     return Ok(None);
                 }
@@ -109,7 +109,7 @@ impl Calibration {
     /// # Errors
     /// It is no calibration, or another policy's.
     pub fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
-        let found: Calibration = serde_json::from_str(text).map_err(FileError::of(WHAT, path))?;
+        let found: PolicyCalibration = serde_json::from_str(text).map_err(FileError::of(WHAT, path))?;
         found.checked(sha256).map_err(FileError::of(WHAT, path))
     }
 
@@ -135,7 +135,7 @@ impl Calibration {
     /// Before anything has been measured: a setting is taken for what it comes to.
     pub fn unmeasured(sha256: &str) -> Self {
         let points = [0.0, 1.0].map(|setting| Point { setting, measured: setting }).to_vec();
-        Calibration { sha256: sha256.to_owned(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points }
+        PolicyCalibration { sha256: sha256.to_owned(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points }
     }
 
     /// The least and the largest compliance that the policy can give [m/s/N].
@@ -177,7 +177,7 @@ impl Calibration {
 /// The outer loop around a calibrated policy, with its state.
 #[derive(Debug)]
 struct Calibrated {
-    calibration: Calibration,
+    calibration: PolicyCalibration,
     outer_loop: OuterLoop,
     /// State of the loop's low-pass.
     led: [f64; 2],
@@ -185,7 +185,7 @@ struct Calibrated {
 
 impl Calibrated {
     /// For the rates and the commands that the policy was trained with.
-    fn new(calibration: Calibration, config: &Config) -> Self {
+    fn new(calibration: PolicyCalibration, config: &Config) -> Self {
         let outer_loop = OuterLoop::of(config, calibration.own_m_s_per_n);
         Calibrated { calibration, outer_loop, led: [0.0; 2] }
     }
@@ -213,7 +213,7 @@ impl Led {
     ///
     /// # Errors
     /// [`ComplianceError`]
-    pub fn new(policy: &Policy, calibration: Calibration, compliance: f64) -> Result<Self, ComplianceError> {
+    pub fn new(policy: &Policy, calibration: PolicyCalibration, compliance: f64) -> Result<Self, ComplianceError> {
         calibration.check(compliance)?;
         let names = policy.layout().names();
         let place = |name: &str| {
@@ -249,7 +249,7 @@ pub struct Compliant<'a> {
 
 impl<'a> Compliant<'a> {
     /// With an outer loop around a policy, for the rates and the commands that it was trained with.
-    pub fn new(policy: Box<dyn Controller + 'a>, calibration: Calibration, config: &Config) -> Self {
+    pub fn new(policy: Box<dyn Controller + 'a>, calibration: PolicyCalibration, config: &Config) -> Self {
         Compliant { policy, around: Calibrated::new(calibration, config) }
     }
 }
@@ -272,11 +272,11 @@ impl Controller for Compliant<'_> {
         self.policy.joint_targets(state, &command)
     }
 
-    fn memory(&self) -> Option<Memory> {
-        Some(Memory { led: self.around.led, ..self.policy.memory()? })
+    fn memory(&self) -> Option<ControllerState> {
+        Some(ControllerState { led: self.around.led, ..self.policy.memory()? })
     }
 
-    fn recall(&mut self, memory: &Memory) {
+    fn recall(&mut self, memory: &ControllerState) {
         self.around.led = memory.led;
         self.policy.recall(memory);
     }
@@ -298,8 +298,8 @@ mod tests {
     const TEXT: &str = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0.1, 0.5, 0, 0], [0, 0, 0, 2]],
         "points": [{"setting": 0.005, "measured": 0.006}, {"setting": 0.02, "measured": 0.018}]}"#;
 
-    fn parsed(text: &str) -> Result<Calibration, FileError> {
-        Calibration::from_json(Path::new("p.calibration.json"), text, "it")
+    fn parsed(text: &str) -> Result<PolicyCalibration, FileError> {
+        PolicyCalibration::from_json(Path::new("p.calibration.json"), text, "it")
     }
 
     #[test]
@@ -319,9 +319,9 @@ mod tests {
     fn who_runs_a_policy_on_observations_leads_it_as_the_controller_does() {
         let policy = crate::policy::shipped::find_ours("compliant").unwrap();
         // C₀ is half of what is commanded; off by 0.1 m/s forward as always, and −0.2 m/s to the left by a hand.
-        let calibration = Calibration { bias: [[0.1, 0.0, 0.0, 0.0], [0.0; 4]], ..parsed(TEXT).unwrap() };
+        let calibration = PolicyCalibration { bias: [[0.1, 0.0, 0.0, 0.0], [0.0; 4]], ..parsed(TEXT).unwrap() };
         let point = |c| Point { setting: c, measured: c };
-        let calibration = Calibration { points: vec![point(0.005), point(0.03)], ..calibration };
+        let calibration = PolicyCalibration { points: vec![point(0.005), point(0.03)], ..calibration };
         let mut led = Led::new(&policy, calibration.clone(), 0.02).unwrap();
         let mut observation = vec![0.0; policy.layout().length()];
         // As `policy show` has them: velocity left, up, forward; commanded left, forward, yaw rate.
@@ -345,17 +345,17 @@ mod tests {
     fn what_lies_beside_a_policy_that_was_trained_on_does_not_count() {
         let folder = tempfile::tempdir().unwrap();
         let policy = folder.path().join("p.safetensors");
-        let beside = |sha256| Calibration::beside(&policy, sha256).map(|found| found.is_some());
+        let beside = |sha256| PolicyCalibration::beside(&policy, sha256).map(|found| found.is_some());
         assert!(!beside("it").unwrap());
-        std::fs::write(Calibration::path(&policy), TEXT).unwrap();
+        std::fs::write(PolicyCalibration::path(&policy), TEXT).unwrap();
         assert!(beside("it").unwrap() && !beside("its successor").unwrap());
-        std::fs::write(Calibration::path(&policy), TEXT.replace("0.018", "0.006")).unwrap();
+        std::fs::write(PolicyCalibration::path(&policy), TEXT.replace("0.018", "0.006")).unwrap();
         assert!(beside("it").is_err());
     }
 
     #[test]
     fn a_calibration_of_another_policy_or_without_sense_is_refused() {
-        let other = Calibration::from_json(Path::new("p.calibration.json"), TEXT, "other");
+        let other = PolicyCalibration::from_json(Path::new("p.calibration.json"), TEXT, "other");
         assert!(other.unwrap_err().to_string().contains("p.calibration.json"));
         for (from, to) in
             [("0.018", "0.006"), ("0.02,", "0.005,"), ("0.01,", "-0.01,"), ("0.01,", "1e999,"), ("0.1,", "{},")]

@@ -5,7 +5,7 @@ use crate::robot::{Joints, RobotState};
 
 /// What a controller keeps of the past.
 #[derive(Debug, Clone, Default)]
-pub struct Memory {
+pub struct ControllerState {
     /// What it has seen.
     pub observer: Observer,
     /// Steps so far.
@@ -32,10 +32,10 @@ pub trait Controller: Send {
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints;
 
     /// A copy of what it keeps of the past; none if it can only be played from the start.
-    fn memory(&self) -> Option<Memory> {
+    fn memory(&self) -> Option<ControllerState> {
         None
     }
 
     /// Goes on from a memory of its own kind; whoever gives one has to.
-    fn recall(&mut self, _memory: &Memory) {}
+    fn recall(&mut self, _memory: &ControllerState) {}
 }

@@ -3,7 +3,7 @@
 use std::borrow::Borrow;
 use std::fmt;
 
-use super::controller::{Controller, Memory};
+use super::controller::{Controller, ControllerState};
 use super::onnx;
 use crate::config::{Config, ValueError};
 use crate::network::{PackedMlp, Scratch};
@@ -150,7 +150,7 @@ impl Inference {
 #[derive(Debug)]
 pub struct PolicyController<I> {
     inference: I,
-    past: Memory,
+    past: ControllerState,
     seen: Vec<f32>,
     buffers: Buffers,
 }
@@ -159,7 +159,7 @@ impl<I: Borrow<Inference>> PolicyController<I> {
     /// Of a policy that is borrowed or shared.
     pub fn new(inference: I) -> Self {
         let Inference { layout, action, .. } = inference.borrow();
-        let past = Memory { last_target: action.nominal_pose, ..Memory::default() };
+        let past = ControllerState { last_target: action.nominal_pose, ..ControllerState::default() };
         PolicyController { past, seen: vec![0.0; layout.length()], buffers: Buffers::default(), inference }
     }
 
@@ -175,13 +175,13 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
     }
 
     fn begin(&mut self, _: &RobotState) {
-        self.past = Memory { last_target: self.rest(), ..Memory::default() };
+        self.past = ControllerState { last_target: self.rest(), ..ControllerState::default() };
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
         let inference: &Inference = self.inference.borrow();
         let layout = &inference.layout;
-        let Memory { observer, step, last_action, last_target, .. } = &mut self.past;
+        let ControllerState { observer, step, last_action, last_target, .. } = &mut self.past;
         let now = Moment {
             state,
             command,
@@ -197,11 +197,11 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
         *last_target
     }
 
-    fn memory(&self) -> Option<Memory> {
+    fn memory(&self) -> Option<ControllerState> {
         Some(self.past.clone())
     }
 
-    fn recall(&mut self, memory: &Memory) {
+    fn recall(&mut self, memory: &ControllerState) {
         self.past = memory.clone();
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::policy::compliance::Calibration;
+use crate::policy::compliance::PolicyCalibration;
 use crate::policy::{Agent, AgentError, Policy};
 use crate::util::paths;
 
@@ -34,7 +34,7 @@ pub fn find(name: &str) -> Result<Agent, AgentError> {
     let (known, bytes) = EMBEDDED[shipped];
     let mut agent = Agent::from(Policy::from_bytes(bytes, Path::new(known))?);
     if let Some((name, text)) = CALIBRATIONS.iter().find(|(name, _)| *name == known) {
-        agent.calibration = Some(Calibration::from_json(Path::new(name), text, &agent.sha256)?);
+        agent.calibration = Some(PolicyCalibration::from_json(Path::new(name), text, &agent.sha256)?);
     }
     Ok(agent)
 }

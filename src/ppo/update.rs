@@ -94,20 +94,20 @@ pub const ADAM_BETAS: [f64; 2] = [0.9, 0.999];
 
 /// What the minibatches of an update pass on.
 #[derive(Debug)]
-pub struct Progress {
+pub struct UpdateProgress {
     pub steps: u64,
     pub learning_rate: f64,
     pub statistics: UpdateStatistics,
     /// Minibatches of the update.
     count: usize,
     /// The step to take; none after a fault.
-    pub step: Option<Step>,
+    pub step: Option<OptimizerStep>,
     pub fault: Option<UpdateFault>,
 }
 
 /// What every learner does alike in a gradient step.
 #[derive(Debug, Clone, Copy)]
-pub struct Step {
+pub struct OptimizerStep {
     /// Counted from one.
     pub count: u64,
     pub learning_rate: f64,
@@ -115,7 +115,7 @@ pub struct Step {
     pub gradient_scale: f64,
 }
 
-impl Step {
+impl OptimizerStep {
     /// For a joint gradient of `gradient_norm`.
     pub fn new(settings: &Ppo, count: u64, learning_rate: f64, gradient_norm: f64) -> Self {
         let gradient_scale = (settings.max_gradient_norm / (gradient_norm + 1e-6)).min(1.0);
@@ -123,7 +123,7 @@ impl Step {
     }
 }
 
-impl Progress {
+impl UpdateProgress {
     /// At the start of an update of `count` minibatches.
     pub fn new(steps: u64, learning_rate: f64, count: usize) -> Self {
         Self { steps, learning_rate, statistics: UpdateStatistics::default(), count, step: None, fault: None }
@@ -136,7 +136,7 @@ impl Progress {
         if summary.is_finite() {
             self.learning_rate = summary.learning_rate;
             self.steps += 1;
-            self.step = Some(Step::new(settings, self.steps, self.learning_rate, summary.gradient_norm));
+            self.step = Some(OptimizerStep::new(settings, self.steps, self.learning_rate, summary.gradient_norm));
             self.statistics.add(&summary, 1.0 / self.count as f64);
         } else {
             self.step = None;

@@ -85,7 +85,7 @@ impl Mpi {
                 // `joined` is dropped, which says as much.
                 return;
             };
-            let world = World::new(&universe, timeout);
+            let world = MpiComm::new(&universe, timeout);
             if joined.send((world.rank, world.hosts.clone())).is_err() {
                 return;
             }
@@ -170,7 +170,7 @@ fn name(rank: usize, hosts: &[String]) -> String {
 }
 
 /// All ranks, as the thread that calls MPI knows them.
-struct World {
+struct MpiComm {
     ranks: SimpleCommunicator,
     rank: usize,
     count: usize,
@@ -179,7 +179,7 @@ struct World {
     timeout: Duration,
 }
 
-impl World {
+impl MpiComm {
     fn new(universe: &Universe, timeout: Duration) -> Self {
         let ranks = universe.world();
         let (rank, count) = (ranks.rank() as usize, ranks.size() as usize);

@@ -6,14 +6,14 @@ the velocity along the pull, less that without, over the force is its compliance
 
 use nalgebra::{SMatrix, SVector};
 
-use super::Rollout;
+use super::Playback;
 use super::catalog::{Leash, Scenario, ScriptError, Task, defaults};
 use super::metrics;
 use crate::config::ConfigError;
 use crate::mujoco;
 use crate::observation::Command;
 use crate::policy::Agent;
-use crate::policy::compliance::{Calibration, Point};
+use crate::policy::compliance::{Point, PolicyCalibration};
 
 /// Sides that the robot is pulled to.
 const DIRECTIONS: u32 = 12;
@@ -89,8 +89,8 @@ impl Probe {
 ///
 /// # Errors
 /// [`CalibrationError`]
-pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<Calibration, CalibrationError> {
-    let mut calibration = Calibration::unmeasured(&agent.sha256);
+pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration, CalibrationError> {
+    let mut calibration = PolicyCalibration::unmeasured(&agent.sha256);
     let walks: Vec<Probe> =
         WALKS.iter().map(|[forward, left, yaw]| Probe::walk(Command::velocity(*forward, *left, *yaw))).collect();
     agent.calibration = None;
@@ -115,7 +115,7 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<Calibration, Calib
     if points.len() < 2 || !rising {
         return Err(CalibrationError::NotRising(points.iter().map(|point| point.measured).collect()));
     }
-    Ok(Calibration { points, ..calibration })
+    Ok(PolicyCalibration { points, ..calibration })
 }
 
 /// Mean compliance over all sides at a setting [m/s/N]; none if the robot fell.
@@ -150,7 +150,7 @@ fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option
         let (force_n, direction_deg) = (probe.force_n, probe.direction_deg);
         let scenario = Scenario::Leash(Leash { task, force_n, direction_deg, at_s: AT_S, for_s: FOR_S });
         let script = scenario.script(0, &agent.config)?;
-        let trace = Rollout::new(&script, &agent.config, agent.controller())?.trace();
+        let trace = Playback::new(&script, &agent.config, agent.controller())?.trace();
         let along =
             |direction: [f64; 2]| metrics::offset_along_force(&trace, direction, duration_s - MEAN_S, duration_s);
         // Turning, the world's directions are none of the robot's.

@@ -1,6 +1,6 @@
 /*! Disturbing a policy and watching what it does.
 
-A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Rollout`] plays any script with
+A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Playback`] plays any script with
 any [`Controller`](crate::policy::Controller) and yields a [`Trace`](crate::scenario::trace::Trace), frame by frame; [`metrics`] reads traces. With
 [`Sensing::Estimated`] the controller acts on sensors, not on the true state. Nothing here is ever seen in
 training.
@@ -10,7 +10,7 @@ pub mod calibration;
 pub mod catalog;
 pub mod estimation;
 pub mod metrics;
-mod play;
+mod playback;
 mod prelude;
 pub mod rig;
 pub mod senses;
@@ -25,7 +25,7 @@ use crate::sim::Scene;
 use crate::sim::{Conditions, Pull, Push};
 use crate::task::Command;
 
-pub use play::{Played, Rollout};
+pub use playback::{Playback, PlaybackStep};
 pub use prelude::Prelude;
 pub use rig::Rig;
 pub use senses::{Sensing, SensingError};

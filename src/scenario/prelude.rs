@@ -1,7 +1,7 @@
 //! What comes before the first disturbance, played once for many rollouts.
 
 use super::metrics::PHASE_S;
-use super::play::{Played, Recorded, Rollout};
+use super::playback::{Playback, PlaybackStep, Recorded};
 use super::{Script, TimedPush};
 use crate::config::{Config, Simulation};
 use crate::mujoco;
@@ -58,19 +58,19 @@ impl Prelude {
     /// script could share it.
     ///
     /// # Errors
-    /// As [`Rollout::new`].
+    /// As [`Playback::new`].
     pub fn new(script: &Script, config: &Config, controller: Box<dyn Controller + '_>) -> mujoco::Result<Option<Self>> {
         let Some(calm) = script.calm() else { return Ok(None) };
         let simulation = &config.simulation;
         let calm_s = script.calm_steps(simulation) as f64 * simulation.policy_period_s();
         let played = Script { duration_s: script.duration_s.min(calm_s + PHASE_S), ..calm.clone() };
-        let mut rollout = Rollout::new(&played, config, controller)?;
+        let mut rollout = Playback::new(&played, config, controller)?;
         let mut steps = Vec::new();
         loop {
             let Some(before) = rollout.moment() else { return Ok(None) };
             match rollout.next() {
                 // A fall, or whatever else is told of, is left to the rollouts themselves.
-                Some(Played { frame: Some(frame), events }) if events.is_empty() => {
+                Some(PlaybackStep { frame: Some(frame), events }) if events.is_empty() => {
                     steps.push(before.followed_by(frame))
                 }
                 _ => return Ok((!steps.is_empty()).then_some(Prelude { calm, steps })),
@@ -109,7 +109,7 @@ mod tests {
     }
 
     fn trace(script: &Script, agent: &Agent, prelude: Option<&Prelude>) -> Trace {
-        let rollout = Rollout::new(script, &agent.config, agent.controller()).unwrap();
+        let rollout = Playback::new(script, &agent.config, agent.controller()).unwrap();
         match prelude {
             Some(prelude) => rollout.trace_after(prelude),
             None => rollout.trace(),
@@ -145,7 +145,7 @@ mod tests {
         let mut prelude = Prelude::new(&push, &agent.config, agent.controller()).unwrap().unwrap();
         prelude.mark(7);
         assert_eq!(trace(&push, &agent, Some(&prelude)).frames[7].power_w, -1.0);
-        let rollout = Rollout::new(&push, &agent.config, agent.controller()).unwrap();
+        let rollout = Playback::new(&push, &agent.config, agent.controller()).unwrap();
         let sensing = rollout.with_sensing(Sensing::Estimated, 1).unwrap();
         assert!(sensing.trace_after(&prelude).frames[7].power_w > 0.0, "what is sensed is not in it");
     }
@@ -184,7 +184,7 @@ mod tests {
         assert!(Prelude::new(&push, &agent.config, Box::new(Stands)).unwrap().is_none());
         let mut of_agent = Prelude::new(&push, &agent.config, agent.controller()).unwrap().unwrap();
         of_agent.mark(7);
-        let rollout = Rollout::new(&push, &agent.config, Box::new(Stands)).unwrap();
+        let rollout = Playback::new(&push, &agent.config, Box::new(Stands)).unwrap();
         assert!(rollout.trace_after(&of_agent).frames[7].power_w > 0.0);
     }
 }

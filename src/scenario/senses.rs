@@ -237,7 +237,7 @@ mod tests {
     use crate::scenario::catalog::{Scenario, Walk, defaults};
     use crate::scenario::estimation::Estimation;
     use crate::scenario::trace::{EventKind, Trace};
-    use crate::scenario::{Rollout, Script};
+    use crate::scenario::{Playback, Script};
     use crate::task::Command;
 
     fn walk(duration_s: f64) -> (Script, Config) {
@@ -270,7 +270,7 @@ mod tests {
 
     fn play(script: &Script, config: &Config, seed: u64) -> (Vec<RobotState>, Trace) {
         let mut witness = Witness::default();
-        let rollout = Rollout::new(script, config, Box::new(&mut witness)).unwrap();
+        let rollout = Playback::new(script, config, Box::new(&mut witness)).unwrap();
         let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
         (witness.seen, trace)
     }
@@ -310,7 +310,7 @@ mod tests {
         let (script, _) = walk(3.0);
         for (name, seed) in [("compliant", 0), ("compliant", 1), ("baseline", 0), ("baseline", 1)] {
             let agent = shipped::find(name).unwrap();
-            let rollout = Rollout::new(&script, &agent.config, agent.controller()).unwrap();
+            let rollout = Playback::new(&script, &agent.config, agent.controller()).unwrap();
             let trace = rollout.with_sensing(Sensing::Estimated, seed).unwrap().trace();
             assert!(trace.fall().is_none() && trace.frames[179].position[0] > 0.7, "{:?}", trace.events);
             let found = Estimation::of(&trace).unwrap();
@@ -364,7 +364,7 @@ mod tests {
     fn a_sensor_that_reads_no_number_is_told_once_and_bridged_in_a_walk() {
         let agent = shipped::find("compliant").unwrap();
         let (script, _) = walk(3.0);
-        let rollout = Rollout::new(&script, &agent.config, agent.controller()).unwrap();
+        let rollout = Playback::new(&script, &agent.config, agent.controller()).unwrap();
         let mut rollout = rollout.with_sensing(Sensing::Estimated, 0).unwrap();
         let (mut errors, mut events, mut spare) = (Vec::new(), Vec::new(), broken_sensors());
         for step in 0..180 {
@@ -436,7 +436,7 @@ mod tests {
     fn broken_sensors_end_a_rollout_with_an_event_that_names_them() {
         let (script, config) = walk(2.0);
         let mut witness = Witness::default();
-        let rollout = Rollout::new(&script, &config, Box::new(&mut witness)).unwrap();
+        let rollout = Playback::new(&script, &config, Box::new(&mut witness)).unwrap();
         let mut rollout = rollout.with_sensing(Sensing::Estimated, 0).unwrap();
         rollout.senses.as_mut().unwrap().sensors = broken_sensors();
         let trace = rollout.trace();
@@ -455,7 +455,7 @@ mod tests {
         let mut config = Config::load("compliant").unwrap();
         config.simulation.physics_rate_hz = 480;
         let mut witness = Witness::default();
-        let rollout = Rollout::new(&script, &config, Box::new(&mut witness)).unwrap();
+        let rollout = Playback::new(&script, &config, Box::new(&mut witness)).unwrap();
         let refusal = rollout.with_sensing(Sensing::Estimated, 0).err().unwrap().to_string();
         assert!(refusal.contains("the physics run at 480 Hz"), "{refusal}");
     }

@@ -22,7 +22,7 @@ use crate::sim::{StepObserver, StepSummary};
 
 /// Everything that a term can be made of: one policy step.
 #[derive(Debug, Clone, Copy)]
-pub struct Step<'a> {
+pub struct RewardInput<'a> {
     /// At its end.
     pub state: &'a RobotState,
     /// What was asked for.
@@ -45,7 +45,7 @@ pub struct Term {
     /// Where it enters.
     part: Part,
     weight: fn(&Reward) -> f64,
-    of: fn(&Step<'_>) -> f64,
+    of: fn(&RewardInput<'_>) -> f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,7 +61,7 @@ const fn term(
     symbol: &'static str,
     part: Part,
     weight: fn(&Reward) -> f64,
-    of: fn(&Step<'_>) -> f64,
+    of: fn(&RewardInput<'_>) -> f64,
 ) -> Term {
     Term { name, symbol, part, weight, of }
 }
@@ -105,7 +105,7 @@ pub struct Terms([f64; TERMS.len()]);
 
 impl Terms {
     /// All terms of a step.
-    pub fn new(step: &Step<'_>) -> Self {
+    pub fn new(step: &RewardInput<'_>) -> Self {
         Terms(std::array::from_fn(|k| (TERMS[k].of)(step)))
     }
 

@@ -12,7 +12,7 @@ use crate::mujoco;
 use crate::network::{ActorCritic, PackedMlp, Scratch};
 use crate::ppo::{Batch, DiagonalGaussian};
 use crate::task::Curriculum;
-use crate::train::environment::{End, EpisodeReport, LocomotionEnv};
+use crate::train::environment::{EpisodeEnd, EpisodeReport, LocomotionEnv};
 use crate::util::random::{Purpose, stream};
 
 /// A batch of `n = environments · steps` samples.
@@ -33,7 +33,7 @@ pub struct Rollout {
     /// Values of the observations, shape (n).
     pub values: Vec<f32>,
     /// Which steps ended an episode, shape (n).
-    pub ends: Vec<Option<End>>,
+    pub ends: Vec<Option<EpisodeEnd>>,
     /// Value of the state after each step that the return goes on with: at time limits and at the end of the batch;
     /// 0 elsewhere. Shape (n).
     pub bootstraps: Vec<f32>,
@@ -143,7 +143,8 @@ impl Collection<'_> {
                 rollout.rewards[row] = outcome.reward as f32;
                 rollout.ends[row] = outcome.end;
                 episodes[index].extend(report);
-                let goes_on = outcome.end == Some(End::TimeLimit) || (outcome.end.is_none() && step + 1 == steps);
+                let goes_on =
+                    outcome.end == Some(EpisodeEnd::TimeLimit) || (outcome.end.is_none() && step + 1 == steps);
                 if goes_on {
                     let start = final_observations.len();
                     final_observations.resize(start + length, 0.0);
@@ -214,8 +215,8 @@ impl Rollout {
                 let delta = f64::from(self.rewards[row]) + discount * f64::from(next) - value;
                 advantage = match self.ends[row] {
                     None => delta + discount * lambda * advantage,
-                    Some(End::Fall | End::TimeLimit) => delta,
-                    Some(End::Fault) => 0.0,
+                    Some(EpisodeEnd::Fall | EpisodeEnd::TimeLimit) => delta,
+                    Some(EpisodeEnd::Fault) => 0.0,
                 };
                 advantages[row] = advantage as f32;
                 returns[row] = (advantage + value) as f32;
@@ -232,7 +233,7 @@ mod tests {
     /// Of the paper's observation.
     const LENGTH: usize = 83;
 
-    fn rollout(ends: [Option<End>; 3], bootstraps: [f32; 3]) -> Rollout {
+    fn rollout(ends: [Option<EpisodeEnd>; 3], bootstraps: [f32; 3]) -> Rollout {
         Rollout {
             steps: 3,
             rewards: vec![1.0, 2.0, 3.0],
@@ -261,21 +262,23 @@ mod tests {
     #[test]
     fn a_fall_ends_the_return_and_keeps_the_next_episode_out() {
         // step 1 falls: δ₁ = 2 − 20 = −18; A₀ = 1 + 10 − 10 − 0.25·18
-        let (advantages, _) = rollout([None, Some(End::Fall), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        let (advantages, _) = rollout([None, Some(EpisodeEnd::Fall), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
         close(&advantages, [-3.5, -18.0, -7.0]);
     }
 
     #[test]
     fn a_time_limit_bootstraps_from_the_final_observation_and_keeps_the_next_episode_out() {
         // step 1 is cut with final value 24: δ₁ = 2 + 12 − 20 = −6; A₀ = 1 − 0.25·6
-        let (advantages, _) = rollout([None, Some(End::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
+        let (advantages, _) =
+            rollout([None, Some(EpisodeEnd::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
         close(&advantages, [-0.5, -6.0, -7.0]);
     }
 
     #[test]
     fn a_step_in_which_physics_failed_teaches_nothing_and_the_ones_before_it_go_by_its_value() {
         // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
-        let (advantages, returns) = rollout([None, Some(End::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
+        let (advantages, returns) =
+            rollout([None, Some(EpisodeEnd::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
         close(&advantages, [1.0, 0.0, -7.0]);
         close(&returns, [11.0, 20.0, 23.0]);
     }
@@ -320,10 +323,10 @@ mod tests {
             assert!(message.contains(expected), "{found:?}");
         }
         assert!(faults[0].last_second.contains("NaN"));
-        let rows = |fault: &crate::train::environment::Fault| fault.last_second.lines().count() - 1;
+        let rows = |fault: &crate::train::environment::EpisodeFault| fault.last_second.lines().count() - 1;
         assert!(faults.iter().all(|fault| rows(fault) == (fault.step + 1).min(60)), "{found:?}");
         for (env, fault) in (1..5).zip(&faults) {
-            assert_eq!(faulty.ends[60 * env + fault.step], Some(End::Fault));
+            assert_eq!(faulty.ends[60 * env + fault.step], Some(EpisodeEnd::Fault));
         }
         assert!(faulty.observations.iter().chain(&faulty.rewards).all(|value| value.is_finite()));
         let untouched =

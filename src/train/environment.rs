@@ -25,7 +25,7 @@ use crate::util::random::{Purpose, stream};
 /// How an episode ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum End {
+pub enum EpisodeEnd {
     /// The robot collapsed: the return ends here.
     Fall,
     /// Time was up, or there are no pushes yet: the value of the last state continues the return.
@@ -36,11 +36,11 @@ pub enum End {
 
 /// Outcome of one step.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Step {
+pub struct EnvStep {
     /// Reward of equation 3, or of the recovery stage.
     pub reward: f64,
     /// Set if this step ended the episode. The observation afterwards is the final one.
-    pub end: Option<End>,
+    pub end: Option<EpisodeEnd>,
     /// The stage that it was a step of.
     pub stage: Stage,
     /// Its terms as measured (never replaced); zero if the physics failed.
@@ -51,7 +51,7 @@ pub struct Step {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeReport {
     /// How it ended.
-    pub end: End,
+    pub end: EpisodeEnd,
     /// Steps it lasted.
     pub steps: usize,
     /// Whether the robot was pushed.
@@ -65,12 +65,12 @@ pub struct EpisodeReport {
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
     /// What led to a physics fault.
-    pub fault: Option<Box<Fault>>,
+    pub fault: Option<Box<EpisodeFault>>,
 }
 
 /// A physics fault, to be inspected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Fault {
+pub struct EpisodeFault {
     /// What MuJoCo reported, in words.
     pub error: String,
     /// Index of the environment in its run.
@@ -85,7 +85,7 @@ pub struct Fault {
 
 /// Where an episode is. Plain data: saved as it is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Progress {
+struct EpisodeState {
     plan: EpisodePlan,
     step: usize,
     /// Episodes started before this one.
@@ -125,7 +125,7 @@ struct Yielding {
     mass: VirtualMass,
 }
 
-impl Progress {
+impl EpisodeState {
     fn command(&self) -> &Command {
         self.yielding.as_ref().map_or(&self.plan.command, |yielding| &yielding.asked)
     }
@@ -144,7 +144,7 @@ impl Progress {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EnvState {
     sim: SimState,
-    progress: Progress,
+    progress: EpisodeState,
 }
 
 /// A robot on a tilted plane with commands and pushes.
@@ -158,7 +158,7 @@ pub struct LocomotionEnv {
     seed: u64,
     index: u64,
     sim: Sim,
-    progress: Progress,
+    progress: EpisodeState,
     /// Not part of the saved state: nothing depends on it, and after a resumption it starts anew.
     last_second: LastSecond,
 }
@@ -309,11 +309,11 @@ impl LocomotionEnv {
     ///
     /// # Panics
     /// If the action is shorter.
-    pub fn step(&mut self, action: &[f32]) -> (Step, Option<EpisodeReport>) {
+    pub fn step(&mut self, action: &[f32]) -> (EnvStep, Option<EpisodeReport>) {
         match self.try_step(action) {
             Ok((step, report)) => (step, report),
             Err(error) => {
-                let fault = Fault {
+                let fault = EpisodeFault {
                     error: error.to_string(),
                     environment: self.index,
                     episode: self.progress.episode,
@@ -321,13 +321,13 @@ impl LocomotionEnv {
                     last_second: self.last_second.csv(),
                 };
                 let stage = self.stages.at(self.progress.step);
-                let step = Step { reward: 0.0, end: Some(End::Fault), stage, terms: Terms::default() };
-                (step, Some(self.report(End::Fault, Some(Box::new(fault)))))
+                let step = EnvStep { reward: 0.0, end: Some(EpisodeEnd::Fault), stage, terms: Terms::default() };
+                (step, Some(self.report(EpisodeEnd::Fault, Some(Box::new(fault)))))
             }
         }
     }
 
-    fn try_step(&mut self, action: &[f32]) -> mujoco::Result<(Step, Option<EpisodeReport>)> {
+    fn try_step(&mut self, action: &[f32]) -> mujoco::Result<(EnvStep, Option<EpisodeReport>)> {
         let scale = self.config.action.scale_rad;
         let target: Joints = std::array::from_fn(|joint| self.nominal[joint] + scale * f64::from(action[joint]));
         self.last_second.note(self.sim.data().positions(), self.sim.data().velocities(), &target);
@@ -359,7 +359,7 @@ impl LocomotionEnv {
             mass.step(&state, &tracked, tracked.compliance, pulled, compliance.speed_limit_m_s);
             tracked = mass.command(&state, &tracked);
         }
-        let step = reward::Step {
+        let step = reward::RewardInput {
             state: &state,
             command: &tracked,
             summary: &summary,
@@ -387,22 +387,22 @@ impl LocomotionEnv {
 
         let end = self.end(summary.fall.is_some());
         let report = end.map(|end| self.report(end, None));
-        Ok((Step { reward, end, stage, terms }, report))
+        Ok((EnvStep { reward, end, stage, terms }, report))
     }
 
-    fn end(&self, fell: bool) -> Option<End> {
+    fn end(&self, fell: bool) -> Option<EpisodeEnd> {
         let p = &self.progress;
         let last = if p.plan.push.is_some() { self.stages.end } else { self.stages.recovery_start };
         if fell {
-            Some(End::Fall)
+            Some(EpisodeEnd::Fall)
         } else if p.step >= last.min(p.cut) {
-            Some(End::TimeLimit)
+            Some(EpisodeEnd::TimeLimit)
         } else {
             None
         }
     }
 
-    fn report(&self, end: End, fault: Option<Box<Fault>>) -> EpisodeReport {
+    fn report(&self, end: EpisodeEnd, fault: Option<Box<EpisodeFault>>) -> EpisodeReport {
         let p = &self.progress;
         let walked = p.step >= self.stages.recovery_start;
         EpisodeReport {
@@ -467,9 +467,9 @@ fn start(
     curriculum: Curriculum,
     cut: usize,
     nominal: Joints,
-) -> Progress {
+) -> EpisodeState {
     let plan = EpisodePlan::draw(config, curriculum, &mut stream(seed, Purpose::Episode, index, episode));
-    Progress {
+    EpisodeState {
         plan,
         step: 0,
         episode,
@@ -514,7 +514,7 @@ mod tests {
             env.sim_mut().data_mut().positions_mut()[2] += lifted_m;
             env.sim_mut().refresh().unwrap();
             let report = (0..15).find_map(|_| env.step(&[0.0; 12]).1).unwrap();
-            assert_eq!((report.end, report.terms.flight()), (End::TimeLimit, 15.0 * expected));
+            assert_eq!((report.end, report.terms.flight()), (EpisodeEnd::TimeLimit, 15.0 * expected));
         }
     }
 

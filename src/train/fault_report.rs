@@ -1,7 +1,7 @@
 //! What led to an update that failed: what is written down of it.
 
 use super::collection::Rollout;
-use super::environment::{End, EpisodeReport};
+use super::environment::{EpisodeEnd, EpisodeReport};
 use super::metrics::explained_variance;
 use crate::ppo::{Batch, UpdateFault};
 use crate::ranks::{Alone, Ranks};
@@ -48,7 +48,7 @@ pub(super) fn circumstances(
         let not_finite = values.iter().filter(|value| !value.is_finite()).count();
         serde_json::json!({ "low": low, "high": high, "not_finite": not_finite })
     };
-    let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
+    let count = |end: EpisodeEnd| episodes.iter().filter(|episode| episode.end == end).count();
     let statistics = match fault {
         UpdateFault::NotFinite { summary, .. } => Some(summary),
         UpdateFault::Shape { .. }
@@ -66,8 +66,8 @@ pub(super) fn circumstances(
             "rewards": range(&rollout.rewards),
             "values": range(&rollout.values),
             "returns": range(returns),
-            "falls": count(End::Fall),
-            "faults": count(End::Fault),
+            "falls": count(EpisodeEnd::Fall),
+            "faults": count(EpisodeEnd::Fault),
             "explained_variance": explained_variance(&Alone, shards, rollout, returns),
         },
         "log_std": log_std,

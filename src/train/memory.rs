@@ -23,7 +23,7 @@ const ENVIRONMENT_BYTES: u64 = 100 << 10;
 
 /// What a run takes \[bytes\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Memory {
+pub struct MemoryEstimate {
     /// All simulations.
     pub environments: u64,
     /// The samples of an iteration.
@@ -40,12 +40,12 @@ pub struct Memory {
 )]
 pub struct MemoryError {
     /// What is needed.
-    pub memory: Memory,
+    pub memory: MemoryEstimate,
     /// What there is \[bytes\].
     pub left: u64,
 }
 
-impl Memory {
+impl MemoryEstimate {
     /// What a configuration takes; one of its environments is made to see.
     ///
     /// # Errors
@@ -64,7 +64,7 @@ impl Memory {
             widths.fold((0, inputs), |(sum, from), to| (sum + (from + 1) * to, to)).0
         };
         let bytes = if ppo.learner == LearnerKind::Candle { CANDLE_BYTES } else { FUSED_BYTES };
-        Ok(Memory {
+        Ok(MemoryEstimate {
             environments: environments.saturating_mul(environment.simulation_bytes() as u64 + ENVIRONMENT_BYTES),
             samples: samples.saturating_mul(4 * (copies * numbers + epochs)),
             networks: (weights(joints) + weights(1)).saturating_mul(bytes),
@@ -76,7 +76,7 @@ impl Memory {
     pub fn of_ranks(self, here: usize, ranks: usize) -> Self {
         let (here, ranks) = (here as u64, ranks as u64);
         let share = |whole: u64| whole.div_ceil(ranks).saturating_mul(here);
-        Memory {
+        MemoryEstimate {
             environments: share(self.environments),
             samples: share(self.samples),
             networks: self.networks.saturating_mul(here),
@@ -100,7 +100,7 @@ impl Memory {
     }
 }
 
-impl fmt::Display for Memory {
+impl fmt::Display for MemoryEstimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [total, environments, samples, networks] =
             [&self.total(), &self.environments, &self.samples, &self.networks].map(gibibytes);
@@ -132,10 +132,10 @@ mod tests {
     #[test]
     fn what_a_run_takes_grows_with_what_it_asks_for_and_is_refused_beyond_the_machine() {
         let mut config = Config::load("fast").unwrap();
-        let usual = Memory::of(&config).unwrap();
+        let usual = MemoryEstimate::of(&config).unwrap();
         assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");
         (config.ppo.environments, config.ppo.batch_size) = (1 << 20, 1 << 20);
-        let many = Memory::of(&config).unwrap();
+        let many = MemoryEstimate::of(&config).unwrap();
         let each = usual.environments / Config::load("fast").unwrap().ppo.environments as u64;
         assert_eq!(many.environments, each << 20);
         // Of four ranks, one is on this machine, or all are.
@@ -147,6 +147,6 @@ mod tests {
         // 83 · 4096 and 14 times 4096 · 4096 weights, biases, and a row for each output; 12 of the policy, 1 of the value.
         config.ppo.hidden_layers = vec![4096; 15];
         let weights = |outputs: u64| 4096 * (83 + 14 * 4096) + 15 * 4096 + (4096 + 1) * outputs;
-        assert_eq!(Memory::of(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
+        assert_eq!(MemoryEstimate::of(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
     }
 }

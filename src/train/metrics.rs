@@ -10,7 +10,7 @@ use crate::ppo::UpdateStatistics;
 use crate::ranks::{Ranks, sum_over_samples};
 use crate::task::{Curriculum, Terms};
 use crate::train::collection::Rollout;
-use crate::train::environment::{End, EpisodeReport};
+use crate::train::environment::{EpisodeEnd, EpisodeReport};
 
 /// One iteration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -101,7 +101,7 @@ pub struct EpisodeMeans {
 impl EpisodeMeans {
     /// Of a rollout's finished episodes.
     pub fn new(episodes: &[EpisodeReport]) -> Self {
-        let count = |end: End| episodes.iter().filter(|episode| episode.end == end).count();
+        let count = |end: EpisodeEnd| episodes.iter().filter(|episode| episode.end == end).count();
         let pushed = || episodes.iter().filter(|episode| episode.pushed);
         let walks = || episodes.iter().filter_map(|episode| episode.walking_linear);
         let fraction = |part: usize, whole: usize| (whole > 0).then(|| part as f64 / whole as f64);
@@ -110,10 +110,13 @@ impl EpisodeMeans {
         let steps: usize = episodes.iter().map(|episode| episode.steps).sum();
         EpisodeMeans {
             episodes: episodes.len(),
-            falls: count(End::Fall),
-            faults: count(End::Fault),
-            fall_rate: fraction(count(End::Fall), episodes.len()),
-            pushed_fall_rate: fraction(pushed().filter(|episode| episode.end == End::Fall).count(), pushed().count()),
+            falls: count(EpisodeEnd::Fall),
+            faults: count(EpisodeEnd::Fault),
+            fall_rate: fraction(count(EpisodeEnd::Fall), episodes.len()),
+            pushed_fall_rate: fraction(
+                pushed().filter(|episode| episode.end == EpisodeEnd::Fall).count(),
+                pushed().count(),
+            ),
             walks: walks().count(),
             push_fraction: fraction(pushed().count(), walks().count()),
             episode_reward: mean(episodes.iter().map(|episode| episode.reward)),

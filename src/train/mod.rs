@@ -15,5 +15,5 @@ pub mod symmetry;
 mod tensorboard;
 mod trainer;
 
-pub use memory::{Memory, MemoryError};
+pub use memory::{MemoryError, MemoryEstimate};
 pub use trainer::{TrainError, Trainer};

@@ -32,7 +32,7 @@ use serde::Deserialize;
 use crate::config::Config;
 use crate::train::Trainer;
 use crate::train::checkpoint::{Checkpoint, DAMAGED, NEWEST, PREVIOUS};
-use crate::train::environment::Fault;
+use crate::train::environment::EpisodeFault;
 use crate::train::metrics::IterationMetrics;
 use crate::train::tensorboard::EventWriter;
 use crate::util::files::{self, FileError};
@@ -233,9 +233,9 @@ impl RunFolder {
     ///
     /// # Errors
     /// The system's reason, such as a full disk.
-    pub fn keep_physics_fault(&self, iteration: u64, fault: &Fault) -> Result<Option<PathBuf>, RunError> {
+    pub fn keep_physics_fault(&self, iteration: u64, fault: &EpisodeFault) -> Result<Option<PathBuf>, RunError> {
         let folder = self.path.join("faults");
-        let Fault { environment, episode, step, .. } = fault;
+        let EpisodeFault { environment, episode, step, .. } = fault;
         let path =
             folder.join(format!("iteration-{iteration}-environment-{environment}-episode-{episode}-step-{step}.csv"));
         let keep = || {

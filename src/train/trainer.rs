@@ -11,9 +11,9 @@ use rand::seq::SliceRandom;
 
 use super::checkpoint::{Checkpoint, RunState};
 use super::collection::{Collection, Rollout};
-use super::environment::{Fault, LocomotionEnv};
+use super::environment::{EpisodeFault, LocomotionEnv};
 use super::fault_report::{circumstances, minibatch_csv};
-use super::memory::{Memory, MemoryError};
+use super::memory::{MemoryError, MemoryEstimate};
 use super::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
 use super::symmetry::{self, Mirror};
 use crate::config::{Config, ValueError};
@@ -87,7 +87,7 @@ pub struct Trainer {
     learner: Box<dyn Learner>,
     environments: Vec<LocomotionEnv>,
     /// Physics faults of the last iteration.
-    faults: Vec<Fault>,
+    faults: Vec<EpisodeFault>,
 }
 
 impl Trainer {
@@ -113,7 +113,7 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         config.check()?;
         check_ranks(&config, &*ranks)?;
-        Memory::of(&config)?.of_ranks(ranks.here(), ranks.count()).check()?;
+        MemoryEstimate::of(&config)?.of_ranks(ranks.here(), ranks.count()).check()?;
         config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
@@ -164,7 +164,7 @@ impl Trainer {
         if [&state.first_moment, &state.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
-        Memory::of(&run.config)?.of_ranks(ranks.here(), ranks.count()).check()?;
+        MemoryEstimate::of(&run.config)?.of_ranks(ranks.here(), ranks.count()).check()?;
         let (robot, layout, mirror) = parts(&run.config)?;
         // What another revision makes of a file is its own affair: the caller has been told that revisions differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::GIT_REVISION {
@@ -290,7 +290,7 @@ impl Trainer {
     }
 
     /// Physics faults of the last iteration, by environment and then time.
-    pub fn faults(&self) -> &[Fault] {
+    pub fn faults(&self) -> &[EpisodeFault] {
         &self.faults
     }
 

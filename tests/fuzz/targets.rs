@@ -13,7 +13,7 @@ use supple::policy::Policy;
 use supple::policy::onnx;
 use supple::robot::Robot;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
-use supple::scenario::session::{Input, SceneKind, Session, Setup, Shelf, Unit, Writer};
+use supple::scenario::session::{AgentCache, Input, PushUnit, SavedSession, SceneKind, Setup, Writer};
 use supple::sim::Scene;
 use supple::sim::Sim;
 use supple::task::Command;
@@ -391,13 +391,13 @@ fn robot(input: &[u8]) -> bool {
 }
 
 fn sessions() -> Vec<Vec<u8>> {
-    let mut shelf = Shelf::default();
+    let mut shelf = AgentCache::default();
     let robots = ["compliant", "baseline"].map(|name| shelf.find(name, None).expect("it ships")).to_vec();
     let setup = |scene| Setup { scene, seed: 1, robots: robots.clone() };
     let inputs = [
         Input::Setup(setup(SceneKind::Flat)),
         Input::Command(Command::velocity(0.5, 0.0, 0.1)),
-        Input::Push { size: [0.1, 0.3], unit: Unit::Momentum },
+        Input::Push { size: [0.1, 0.3], unit: PushUnit::Momentum },
         Input::Pull(Some([5.0, -10.0])),
         Input::Comply { robot: 1, compliance: 0.02 },
         Input::Reset,
@@ -415,7 +415,7 @@ fn sessions() -> Vec<Vec<u8>> {
 
 fn session(input: &[u8]) -> bool {
     std::fs::write("s.jsonl", input).expect("a file");
-    let Ok(session) = Session::load(Path::new("s.jsonl")) else { return false };
+    let Ok(session) = SavedSession::load(Path::new("s.jsonl")) else { return false };
     if input.len().is_multiple_of(16)
         && let Ok(mut playback) = session.play()
     {

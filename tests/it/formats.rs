@@ -9,7 +9,7 @@ use std::path::Path;
 use serde_json::Value;
 use supple::config::Config;
 use supple::policy::{Agent, Policy};
-use supple::scenario::Rollout;
+use supple::scenario::Playback;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::train::checkpoint::Checkpoint;
 use supple::util::files;
@@ -36,7 +36,7 @@ fn a_policy_of_format_1_keeps_its_identity_its_targets_and_walks() {
     let agent = Agent::load(&path).unwrap();
     let task = Task { duration_s: 0.5, ..defaults::<Walk>("walk").unwrap().task };
     let script = Scenario::Walk(Walk { task }).script(0, &agent.config).unwrap();
-    let trace = Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace();
+    let trace = Playback::new(&script, &agent.config, agent.controller()).unwrap().trace();
     assert_eq!(trace.frames.len(), 30);
 
     // Written anew it is of today's format, and the same policy.

@@ -5,7 +5,7 @@ use supple::mujoco::Kind;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::scenario::estimation::Estimation;
 use supple::scenario::trace::{Disturbance, EventKind, Trace};
-use supple::scenario::{Rollout, Sensing};
+use supple::scenario::{Playback, Sensing};
 use supple::util::yaml::{Text, flat_parameters};
 
 use crate::support::standing_policy;
@@ -51,7 +51,7 @@ fn trace(scenario: &Scenario, seed: u64) -> Trace {
 fn trace_with(scenario: &Scenario, seed: u64, sensing: Sensing) -> Trace {
     let policy = standing_policy();
     let script = scenario.script(seed, &policy.provenance.config).unwrap();
-    let rollout = Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller()))
+    let rollout = Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller()))
         .unwrap()
         .with_bodies();
     rollout.with_sensing(sensing, seed).unwrap().trace()
@@ -250,7 +250,7 @@ fn a_wall_stops_a_robot_that_walks_into_it_where_it_stands() {
     let agent = supple::policy::shipped::find("compliant").unwrap();
     let wall = scenario("wall", &["--duration-s=4", "--distance-m=1"]);
     let script = wall.script(0, &agent.config).unwrap();
-    let trace = Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace();
+    let trace = Playback::new(&script, &agent.config, agent.controller()).unwrap().trace();
     let met = trace.events.iter().find(|event| event.text == "meets the wall").unwrap();
     let first = trace.frames.iter().find(|frame| frame.time_s > met.time_s - 1e-9).unwrap();
     assert!((first.position[0] - 1.0).abs() < 0.03, "{first:?}");
@@ -345,14 +345,14 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
     script.goal.as_mut().unwrap().ahead_m = -1.0;
     let policy = standing_policy();
     let trace =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
     let reached: Vec<_> = trace.events.iter().filter(|event| event.kind == EventKind::Success).collect();
     assert_eq!(reached.len(), 1);
     assert_eq!(reached[0].text, "got across the rubble");
     // Put back to its start, it gets there again.
     let mut rollout =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap();
-    let successes = |rollout: &mut Rollout| {
+        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap();
+    let successes = |rollout: &mut Playback| {
         let events = rollout.by_ref().take(5).flat_map(|played| played.events);
         events.filter(|event| event.kind == EventKind::Success).count()
     };
@@ -368,7 +368,7 @@ fn a_field_that_is_crossed_is_over_a_second_later_and_a_box_that_is_passed_is_no
         let mut script = scenario(name, options).script(0, &policy.provenance.config).unwrap();
         script.goal.as_mut().unwrap().ahead_m = -10.0;
         let controller = Box::new(policy.inference().controller());
-        let trace = Rollout::new(&script, &policy.provenance.config, controller).unwrap().trace();
+        let trace = Playback::new(&script, &policy.provenance.config, controller).unwrap().trace();
         assert!(trace.reached_goal(), "{name}");
         trace.frames.last().unwrap().time_s
     };
@@ -385,7 +385,7 @@ fn the_end_of_a_trace_has_all_that_comes_after_a_time_and_no_more() {
     let policy = standing_policy();
     let script = scenario("push", &["--duration-s=1", "--at-s=0.5"]).script(0, &policy.provenance.config).unwrap();
     let trace =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
     assert_eq!(trace.after(-1.0), trace);
     let pushed_s = trace.events[0].time_s;
     let end = trace.after(pushed_s);
@@ -406,6 +406,6 @@ fn who_passes_beside_an_obstacle_has_not_crossed_it() {
     // As if the robot had gone round.
     (goal.ahead_m, goal.half_width_m) = (-1.0, 0.0);
     let trace =
-        Rollout::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
+        Playback::new(&script, &policy.provenance.config, Box::new(policy.inference().controller())).unwrap().trace();
     assert!(!trace.reached_goal());
 }

@@ -6,7 +6,7 @@ use supple::policy::Agent;
 use supple::policy::external::describe;
 use supple::policy::{onnx, shipped};
 use supple::robot::Robot;
-use supple::scenario::Rollout;
+use supple::scenario::Playback;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::scenario::trace::Trace;
 use supple::sim::Scene;
@@ -17,7 +17,7 @@ use crate::support::{complaint, example, repository, robot, standing_policy};
 fn walk(agent: &Agent, duration_s: f64) -> Trace {
     let task = Task { duration_s, ..defaults::<Walk>("walk").unwrap().task };
     let script = Scenario::Walk(Walk { task }).script(0, &agent.config).unwrap();
-    Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace()
+    Playback::new(&script, &agent.config, agent.controller()).unwrap().trace()
 }
 
 #[test]
@@ -134,7 +134,7 @@ fn every_scenario_plays_on_another_robot() {
     agent.run_on(&Robot::load(path.to_str().unwrap()).unwrap());
     for scenario in scenarios::all() {
         let script = scenario.script(0, &agent.config).unwrap();
-        let trace = Rollout::new(&script, &agent.config, agent.controller()).unwrap().trace();
+        let trace = Playback::new(&script, &agent.config, agent.controller()).unwrap().trace();
         assert!(trace.fault().is_none() && trace.frames.len() > 30, "{}: {:?}", scenario.name(), trace.events);
     }
 }

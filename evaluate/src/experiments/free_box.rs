@@ -4,7 +4,7 @@ use super::prelude::*;
 use crate::findings::{Line, Lines};
 use crate::plot::top_view::{self, Run, View};
 use crate::results::Results;
-use crate::trial::{End, Sample};
+use crate::trial::{TrialEnd, Sample};
 use supple::scenario::Script;
 use supple::scenario::catalog::FreeBox as Cube;
 use supple::scenario::trace::{Frame, Pose, Trace};
@@ -85,7 +85,7 @@ fn run(sample: &Sample) -> Option<Run> {
         path: x.iter().zip(y).map(|(x, y)| [f64::from(*x), f64::from(*y)]).collect(),
         first: pose(first)?,
         last: pose(last)?,
-        fell: sample.end == End::Fell,
+        fell: sample.end == TrialEnd::Fell,
     })
 }
 

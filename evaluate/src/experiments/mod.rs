@@ -119,7 +119,7 @@ mod tests {
     use crate::findings::Row;
     use crate::plot::png::Renderer;
     use crate::results::Results;
-    use crate::trial::{End, Sample, Trial};
+    use crate::trial::{Sample, Trial, TrialEnd};
     use supple::config::Config;
     use supple::scenario::Script;
     use supple::scenario::catalog::Scenario;
@@ -159,7 +159,7 @@ mod tests {
         for experiment in protocol.experiments() {
             for (value, sets) in [(None, 2), (Some(0.5), 2), (Some(0.5), 5)] {
                 let values = vec![value; experiment.info().quantities.len()];
-                let sample = Sample { end: End::Upright, values, series: Vec::new(), estimation: None };
+                let sample = Sample { end: TrialEnd::Upright, values, series: Vec::new(), estimation: None };
                 let findings = experiment.findings(&results(experiment, &sample, sets));
                 let name = experiment.info().name;
                 assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{name}");

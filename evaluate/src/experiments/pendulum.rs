@@ -2,7 +2,7 @@
 
 use super::prelude::*;
 use super::{push, velocity};
-use crate::trial::End;
+use crate::trial::TrialEnd;
 use supple::scenario::catalog::Pendulum as Ball;
 
 const QUANTITIES: &[Quantity] = &[
@@ -61,7 +61,7 @@ impl Experiment for Pendulum {
         let Scenario::Pendulum(pendulum) = trial.scenario else { return Measured::default() };
         let impact = pendulum.impact(trial.trace);
         // Fallen or not, the ball has hit as hard as it has; decay times know of falls themselves.
-        let is_valid = trial.end != End::Fault;
+        let is_valid = trial.end != TrialEnd::Fault;
         let [to_10, to_20, carried, undecayed] = impact
             .filter(|_| is_valid)
             .map_or([None; 4], |impact| push::decay(trial.trace, impact.time_s, impact.push));

@@ -6,7 +6,7 @@ use crate::grid::{self, Grid};
 use crate::plot::heatmap::{self, Map};
 use crate::results::Results;
 use crate::statistics::{Comparison, Numbers, PerSeed, Spread, estimate, mean};
-use crate::trial::End;
+use crate::trial::TrialEnd;
 use supple::scenario::Script;
 use supple::scenario::catalog::PushAway;
 use supple::scenario::metrics::PHASE_S;
@@ -143,7 +143,7 @@ impl Experiment for PushGrid {
 
     fn measure(&self, trial: &Trial) -> Measured {
         let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= self.until_s(trial.script));
-        vec![truth(!fell && trial.end != End::Fault)].into()
+        vec![truth(!fell && trial.end != TrialEnd::Fault)].into()
     }
 
     fn show(&self, show: &mut Show) {

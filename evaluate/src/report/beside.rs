@@ -9,7 +9,7 @@ use serde_json::Value;
 use super::{Report, summary};
 use crate::Quantity;
 use crate::findings::{NOTHING, difference, number, percent};
-use crate::statistics::{Comparison, Estimate, Numbers, PerSeed, Spread};
+use crate::statistics::{Comparison, IntervalEstimate, Numbers, PerSeed, Spread};
 use supple::util::files;
 
 /// Of the table.
@@ -83,8 +83,8 @@ struct Claim {
 #[derive(Deserialize)]
 struct Ours {
     sets: BTreeMap<String, Set>,
-    difference: Option<Estimate>,
-    relative: Option<Estimate>,
+    difference: Option<IntervalEstimate>,
+    relative: Option<IntervalEstimate>,
 }
 
 #[derive(Deserialize)]

@@ -15,9 +15,9 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::beside::Beside;
-use super::contestants::Contest;
 use super::findings::{Figure, Findings, Table};
 use super::plot::png::Renderer;
+use super::policy_sets::Contest;
 use super::results::Ends;
 use super::runner::Measurement;
 use super::sensing::SensingFindings;
@@ -167,7 +167,7 @@ pub struct Report {
 }
 
 /// What a policy file of ours says of where it came from.
-fn origin<T>(member: &super::contestants::Contestant, of: impl Fn(&Provenance) -> T) -> Option<T> {
+fn origin<T>(member: &super::policy_sets::Contestant, of: impl Fn(&Provenance) -> T) -> Option<T> {
     member.agent.policy().map(|policy| of(&policy.provenance))
 }
 
@@ -181,7 +181,7 @@ impl PolicyLine {
 impl Report {
     /// A report without experiments yet.
     pub fn new(contest: &Contest, protocol: String, command: Command) -> Self {
-        let line = |set: &str, member: &super::contestants::Contestant| PolicyLine {
+        let line = |set: &str, member: &super::policy_sets::Contestant| PolicyLine {
             set: set.to_owned(),
             seed: member.seed,
             sha256: member.agent.sha256.clone(),
@@ -189,7 +189,7 @@ impl Report {
             samples: origin(member, |origin| origin.samples),
             revision: origin(member, |origin| origin.git_revision.clone()).unwrap_or_else(|| "–".into()),
         };
-        let of_side = |side: &super::contestants::Side| {
+        let of_side = |side: &super::policy_sets::Side| {
             side.members.iter().map(|member| line(&side.name, member)).collect::<Vec<_>>()
         };
         Report {

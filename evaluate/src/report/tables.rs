@@ -2,7 +2,7 @@
 
 use super::Report;
 use crate::findings::{Lines, Table};
-use crate::statistics::{Comparison, Estimate};
+use crate::statistics::{Comparison, IntervalEstimate};
 
 /// A table.
 pub fn csv(table: &Table, names: &[String]) -> String {
@@ -65,8 +65,9 @@ fn numbers(comparison: &Comparison) -> String {
         cells.push(count.map_or(String::new(), |count| count.to_string()));
     }
     for estimate in [comparison.difference, comparison.relative] {
-        let end =
-            |index: usize| estimate.and_then(|Estimate { interval, .. }| interval).map(|interval| interval[index]);
+        let end = |index: usize| {
+            estimate.and_then(|IntervalEstimate { interval, .. }| interval).map(|interval| interval[index])
+        };
         cells.extend([cell(estimate.map(|estimate| estimate.value)), cell(end(0)), cell(end(1))]);
     }
     cells.join(",")

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use supple::policy::{Agent, shipped};
-use supple::scenario::Rollout;
+use supple::scenario::Playback;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::train::metrics::IterationMetrics;
 use supple::util::{files, paths};
@@ -126,7 +126,7 @@ fn walking_table(agent: &Agent) -> anyhow::Result<String> {
         let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
         let scenario = Scenario::Walk(Walk { task });
         let script = scenario.script(0, &agent.config)?;
-        let trace = Rollout::new(&script, &agent.config, agent.controller())?.trace();
+        let trace = Playback::new(&script, &agent.config, agent.controller())?.trace();
         let found = scenario.metrics(&script, &trace);
         let number = |name: &str| found.iter().find(|metric| metric.name == name).and_then(|metric| metric.value);
         let cell = |name: &str, factor, decimals, unit| cell(number(name), factor, decimals, unit);

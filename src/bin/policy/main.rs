@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
-use supple::policy::compliance::{Calibration, ComplianceError, Led};
+use supple::policy::compliance::{ComplianceError, Led, PolicyCalibration};
 use supple::policy::{AgentError, Buffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{Robot, joint_names, joint_table};
@@ -145,7 +145,7 @@ fn run(command: Command) -> anyhow::Result<()> {
                 threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
             let mut agent = shipped::find(&policy)?;
             // Not after minutes of work.
-            let path = shipped::file_of(&policy).map(|file| Calibration::path(&file));
+            let path = shipped::file_of(&policy).map(|file| PolicyCalibration::path(&file));
             let out = out.or(path).context("a policy inside the program has no place beside it: say --out FILE")?;
             let calibration = calibrate(&mut agent, threads).with_context(|| policy.clone())?;
             write(&out, format!("{}\n", serde_json::to_string_pretty(&calibration)?).as_bytes())?;
@@ -201,7 +201,7 @@ fn list() -> anyhow::Result<()> {
 }
 
 /// What settings come to, for people.
-fn calibration_table(calibration: &Calibration) -> String {
+fn calibration_table(calibration: &PolicyCalibration) -> String {
     let [low, high] = calibration.range();
     let own = calibration.own_m_s_per_n;
     let mut table = format!("by itself it yields by {own:.4} m/s/N; --compliance can be {low:.4} to {high:.4}\n\n");

@@ -12,7 +12,7 @@ use anyhow::Context;
 use clap::Parser;
 use start::{is_common, join, resume, start, together};
 use supple::ranks::{Ranks, any};
-use supple::train::environment::Fault;
+use supple::train::environment::EpisodeFault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
 use supple::train::{TrainError, Trainer};
@@ -198,7 +198,7 @@ fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>, speaks: boo
 /// Keeps and shows the physics faults of an iteration. They never end the run.
 fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar) {
     for fault in trainer.faults() {
-        let Fault { error, environment, step, .. } = fault;
+        let EpisodeFault { error, environment, step, .. } = fault;
         let kept = match folder.keep_physics_fault(trainer.run().iteration, fault) {
             Ok(Some(file)) => format!("; its last second is in {}", file.display()),
             // There are enough on file, and enough were shown.

@@ -9,7 +9,7 @@ use supple::ranks::{Alone, RankError, Ranks, agree};
 use supple::robot::Robot;
 use supple::train::checkpoint::Checkpoint;
 use supple::train::run::RunFolder;
-use supple::train::{Memory, TrainError, Trainer};
+use supple::train::{MemoryEstimate, TrainError, Trainer};
 use supple::util::provenance::GIT_REVISION;
 use supple::util::{files, paths, terminal};
 
@@ -121,7 +121,7 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     if !ranks.is_alone() && config.ppo.shards == 1 {
         config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
     }
-    let memory = Memory::of(&config)?.of_ranks(ranks.here(), ranks.count());
+    let memory = MemoryEstimate::of(&config)?.of_ranks(ranks.here(), ranks.count());
     memory.check()?;
     if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
         terminal::note(format_args!("note: this run takes {memory}"));

@@ -11,7 +11,7 @@ use super::{Adam, Loss, Networks};
 use crate::config::Ppo;
 use crate::network::ActorCritic;
 use crate::ppo::loss::Minibatch;
-use crate::ppo::update::{Progress, check};
+use crate::ppo::update::{UpdateProgress, check};
 use crate::ppo::{Batch, Learner, LearnerState, UpdateFault, UpdateStatistics};
 use crate::ranks::Alone;
 
@@ -49,7 +49,7 @@ impl CandleLearner {
         adam.second_moment = tensors(&state.second_moment)?;
         adam.steps = state.steps;
         let minibatches = Minibatch::all(batch, settings, permutations, &Alone);
-        let mut progress = Progress::new(state.steps, state.learning_rate, minibatches.len());
+        let mut progress = UpdateProgress::new(state.steps, state.learning_rate, minibatches.len());
 
         for minibatch in minibatches {
             let loss = Loss::new(&networks, &minibatch)?;

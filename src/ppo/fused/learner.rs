@@ -26,7 +26,7 @@ use crate::config::{LOG_STD_RANGE, Ppo};
 use crate::network::ActorCritic;
 use crate::network::kernels::{Buffer, SumOfSquares};
 use crate::ppo::loss::Minibatch;
-use crate::ppo::update::{Progress, check};
+use crate::ppo::update::{UpdateProgress, check};
 use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
 use crate::ranks::{Ranks, tree_sum};
 
@@ -215,7 +215,7 @@ impl<A: Arithmetic> Learner for FusedLearner<A> {
         let policy = &self.shapes.policy;
         check(batch, permutations, [policy.inputs(), policy.outputs()], &self.settings, &*self.ranks)?;
         let minibatches = Minibatch::all(batch, &self.settings, permutations, &*self.ranks);
-        let progress = Mutex::new(Progress::new(self.steps, self.learning_rate, minibatches.len()));
+        let progress = Mutex::new(UpdateProgress::new(self.steps, self.learning_rate, minibatches.len()));
         Team::run(self.threads, |team| {
             let workspace = &mut self.arithmetic.workspace();
             for minibatch in &minibatches {

@@ -6,7 +6,7 @@ use pulp::{Simd, WithSimd};
 
 use crate::config::Ppo;
 use crate::network::kernels::Buffer;
-use crate::ppo::update::{ADAM_BETAS, Step};
+use crate::ppo::update::{ADAM_BETAS, OptimizerStep};
 
 /// Parameters with their gradient and Adam's moments, all of one length.
 #[derive(Debug)]
@@ -67,7 +67,7 @@ pub struct AdamStep {
 
 impl AdamStep {
     /// Of all parameters alike.
-    pub fn new(settings: &Ppo, step: &Step) -> Self {
+    pub fn new(settings: &Ppo, step: &OptimizerStep) -> Self {
         let count = step.count as f64;
         let [beta1, beta2] = ADAM_BETAS;
         Self {
@@ -105,7 +105,7 @@ mod tests {
         let settings = &settings();
         for (count, gradient, norm) in [(1, [0.3, -0.4], 0.5), (2, [3.0, 4.0], 5.0)] {
             parameters.gradient.copy_from_slice(&gradient);
-            let step = &AdamStep::new(settings, &Step::new(settings, count, 1e-3, norm));
+            let step = &AdamStep::new(settings, &OptimizerStep::new(settings, count, 1e-3, norm));
             Arch::new().dispatch(Adam { parameters: &mut parameters, step });
         }
         for (actual, expected) in [

@@ -7,16 +7,16 @@ what MuJoCo makes of it, and written again with our names for trunk, joints and 
 without what contradicts that. Masses, inertias, shapes, joint limits and armature stay as they are.
 */
 
-mod adapt;
-mod isolated;
 mod names;
-mod source;
+mod normalise;
+mod resolve;
+mod sandbox;
 
 use std::path::Path;
 
-pub use isolated::isolate_imports;
+pub(super) use resolve::Source;
+pub use sandbox::isolate_imports;
 use serde::{Deserialize, Serialize};
-pub(super) use source::Source;
 
 /// A robot that fits our scenes.
 #[derive(Debug, Serialize, Deserialize)]
@@ -35,5 +35,5 @@ pub(super) struct Imported {
 
 /// Makes a robot of the file at `path`, in a process of its own if this program has one: [`isolate_imports`].
 pub(super) fn import(source: &Source, path: &Path) -> Result<Imported, String> {
-    isolated::import(path).unwrap_or_else(|| adapt::adapt(source))
+    sandbox::import(path).unwrap_or_else(|| normalise::adapt(source))
 }

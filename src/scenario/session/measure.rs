@@ -1,6 +1,8 @@
 //! The numbers of a session: what was measured while it was driven, of all of it.
 
-use super::{Input, Meter, Outcome, Playback, PullReading, PushReading, SceneKind, Seat, SessionError, World};
+use super::{
+    Input, LiveReadout, LiveSession, Outcome, PullReading, PushReading, SceneKind, Seat, SessionError, SessionReplay,
+};
 use crate::scenario::metrics::{Metric, STRIDE_S};
 use crate::scenario::trace::{EventKind, Frame, Trace};
 
@@ -25,7 +27,7 @@ pub struct Take {
 ///
 /// # Errors
 /// [`SessionError`], as if a policy has changed.
-pub fn takes(playback: &mut Playback) -> Result<Vec<Take>, SessionError> {
+pub fn takes(playback: &mut SessionReplay) -> Result<Vec<Take>, SessionError> {
     let mut takes = Vec::new();
     let mut current = Watched::all(&playback.world);
     while let Some(step) = playback.step()? {
@@ -74,13 +76,13 @@ pub fn takes(playback: &mut Playback) -> Result<Vec<Take>, SessionError> {
 
 struct Watched {
     take: Take,
-    meter: Meter,
+    meter: LiveReadout,
     /// When the hand that pulls took hold \[s\].
     pulls_since_s: Option<f64>,
 }
 
 impl Watched {
-    fn all(world: &World) -> Vec<Self> {
+    fn all(world: &LiveSession) -> Vec<Self> {
         let setup = world.setup();
         let watched = |(seat, (weight_n, period_s)): (&Seat, (f64, f64))| Watched {
             take: Take {
@@ -91,7 +93,7 @@ impl Watched {
                 pushes: Vec::new(),
                 pulls: Vec::new(),
             },
-            meter: Meter::new((weight_n, period_s)),
+            meter: LiveReadout::new((weight_n, period_s)),
             pulls_since_s: None,
         };
         setup.robots.iter().zip(world.weights_and_periods()).map(watched).collect()

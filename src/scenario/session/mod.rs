@@ -1,28 +1,28 @@
 /*! Robots that somebody drives: the same playback, whose inputs come while it runs and can be kept.
 
-A [`World`] is one robot or two in the same scene, on one clock. Whatever is done to it is an [`Input`] at a tick: commands,
-pushes, the force of a hand, another policy. A [`Session`] is a file of them, and so of everything that happened: the
-world is played again from it bit for bit, by the code that played it first. [`Meter`] has the numbers of a robot that is
+A [`LiveSession`] is one robot or two in the same scene, on one clock. Whatever is done to it is an [`Input`] at a tick: commands,
+pushes, the force of a hand, another policy. A [`SavedSession`] is a file of them, and so of everything that happened: the
+world is played again from it bit for bit, by the code that played it first. [`LiveReadout`] has the numbers of a robot that is
 being watched.
 */
 
-mod file;
+mod agent_cache;
+mod live_session;
 mod measure;
-mod meter;
+mod readout;
+mod saved_session;
 mod scene;
-mod shelf;
 #[cfg(test)]
 mod tests;
-mod world;
 
 use serde::{Deserialize, Serialize};
 
-pub use file::{Playback, Session, SessionError, Step, Writer};
+pub use agent_cache::{AgentCache, AgentCacheError};
+pub use live_session::{LiveSession, LiveSessionError, RATE_HZ, RobotStep};
 pub use measure::{Take, takes};
-pub use meter::{CARRIED_S, Meter, Outcome, PullReading, PushReading, Reading};
+pub use readout::{CARRIED_S, LiveReadout, Outcome, PullReading, PushReading, Reading};
+pub use saved_session::{ReplayStep, SavedSession, SessionError, SessionReplay, Writer};
 pub use scene::SceneKind;
-pub use shelf::{Shelf, ShelfError};
-pub use world::{Played, RATE_HZ, World, WorldError};
 
 use crate::task::Command;
 
@@ -65,7 +65,7 @@ impl Seat {
 
 /// Unit of a push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Unit {
+pub enum PushUnit {
     /// Change of the trunk's velocity.
     #[serde(rename = "m/s")]
     Velocity,
@@ -74,12 +74,12 @@ pub enum Unit {
     Momentum,
 }
 
-impl Unit {
+impl PushUnit {
     /// The change of velocity [m/s] that a push of this size is to a robot of this mass \[kg\].
     pub fn velocity(self, size: [f64; 2], mass_kg: f64) -> [f64; 2] {
         match self {
-            Unit::Velocity => size,
-            Unit::Momentum => size.map(|part| part / mass_kg),
+            PushUnit::Velocity => size,
+            PushUnit::Momentum => size.map(|part| part / mass_kg),
         }
     }
 }
@@ -95,7 +95,7 @@ pub enum Input {
         /// Size along each.
         size: [f64; 2],
         /// Of what.
-        unit: Unit,
+        unit: PushUnit,
     },
     /// Their trunks are pulled from now on, forward and left in the heading frame \[N\], or let go.
     Pull(Option<[f64; 2]>),

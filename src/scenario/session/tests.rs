@@ -34,7 +34,7 @@ const UPRIGHT: [f64; 3] = [0.0, 0.72, -1.44];
 const LYING: [f64; 3] = [0.0, 1.5, -2.7];
 
 /// Robots that hold a pose, in a scene.
-fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut Shelf) -> Setup {
+fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut AgentCache) -> Setup {
     let seat = |pose: &[f64; 3]| {
         let file = standing(*pose);
         shelf.put_file("standing", file.clone()).unwrap();
@@ -46,11 +46,11 @@ fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut Shelf) -> Setup {
 }
 
 /// Plays shipped policies with inputs at ticks, writing the session down; returns the world, the session and its writer.
-fn drive(inputs: &[(u64, Input)], until: u64) -> (World, Writer) {
-    let mut shelf = Shelf::default();
+fn drive(inputs: &[(u64, Input)], until: u64) -> (LiveSession, Writer) {
+    let mut shelf = AgentCache::default();
     let robots = ["compliant", "baseline"].map(|name| shelf.find(name, None).unwrap()).to_vec();
     let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
-    let mut world = World::new(setup.clone(), &mut shelf).unwrap();
+    let mut world = LiveSession::new(setup.clone(), &mut shelf).unwrap();
     let mut writer = Writer::new(tempfile::tempfile().unwrap());
     writer.input(0, &Input::Setup(setup), &shelf).unwrap();
     let mut inputs = inputs.iter().peekable();
@@ -70,25 +70,25 @@ fn walk(forward: f64) -> Input {
 
 #[test]
 fn a_session_is_played_again_to_the_last_bit_from_its_beginning_and_from_its_last_set_up() {
-    let mut shelf = Shelf::default();
+    let mut shelf = AgentCache::default();
     let robots = ["baseline", "compliant"].map(|name| shelf.find(name, None).unwrap()).to_vec();
     let boxed = Setup { scene: SceneKind::Box, seed: 7, robots };
     let inputs = [
         (8, walk(0.4)),
-        (60, Input::Push { size: [0.1, 0.3], unit: Unit::Velocity }),
+        (60, Input::Push { size: [0.1, 0.3], unit: PushUnit::Velocity }),
         (100, Input::Pull(Some([5.0, -10.0]))),
         (160, Input::Reset),
         (200, Input::Pull(None)),
         (240, Input::Setup(boxed)),
         (244, walk(0.3)),
-        (300, Input::Push { size: [4.0, 0.0], unit: Unit::Momentum }),
+        (300, Input::Push { size: [4.0, 0.0], unit: PushUnit::Momentum }),
     ];
     let (world, mut writer) = drive(&inputs, 360);
     let folder = tempfile::tempdir().unwrap();
     for from in [None, Some(280), Some(120)] {
         let path = folder.path().join("kept.jsonl");
         writer.keep(&path, from, world.tick(), world.fingerprint()).unwrap();
-        let session = Session::load(&path).unwrap();
+        let session = SavedSession::load(&path).unwrap();
         // From 280 on, nothing from before the box matters.
         let count = if from == Some(280) { 3 } else { inputs.len() + 1 };
         assert_eq!(session.inputs().len(), count);
@@ -119,7 +119,7 @@ fn a_robot_yields_as_far_as_it_is_told_and_the_other_stays_as_it_is() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.jsonl");
     writer.keep(&path, None, world.tick(), world.fingerprint()).unwrap();
-    let mut playback = Session::load(&path).unwrap().play().unwrap();
+    let mut playback = SavedSession::load(&path).unwrap().play().unwrap();
     let takes = takes(&mut playback).unwrap();
     assert_eq!(playback.is_as_it_was(), Some(true));
     let told: Vec<_> = takes.iter().map(|take| (take.seat.policy.as_str(), take.seat.compliance)).collect();
@@ -133,10 +133,10 @@ fn a_robot_yields_as_far_as_it_is_told_and_the_other_stays_as_it_is() {
 
 #[test]
 fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
-    let mut shelf = Shelf::default();
-    let alone = |shelf: &mut Shelf| vec![shelf.find("baseline", None).unwrap()];
+    let mut shelf = AgentCache::default();
+    let alone = |shelf: &mut AgentCache| vec![shelf.find("baseline", None).unwrap()];
     let alone = Setup { scene: SceneKind::Flat, seed: 0, robots: alone(&mut shelf) };
-    let push = Input::Push { size: [0.0, 0.3], unit: Unit::Velocity };
+    let push = Input::Push { size: [0.0, 0.3], unit: PushUnit::Velocity };
     // What is done to a robot at the very moment in which it goes, and a push within the time that another is looked at.
     let inputs = [
         (240, Input::Comply { robot: 1, compliance: 0.03 }),
@@ -149,7 +149,7 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.jsonl");
     writer.keep(&path, None, world.tick(), world.fingerprint()).unwrap();
-    let takes = takes(&mut Session::load(&path).unwrap().play().unwrap()).unwrap();
+    let takes = takes(&mut SavedSession::load(&path).unwrap().play().unwrap()).unwrap();
     let policies: Vec<_> = takes.iter().map(|take| take.seat.policy.as_str()).collect();
     assert_eq!(policies, ["compliant", "baseline", "baseline"]);
     let outcomes = |take: &Take| take.pushes.iter().map(|push| push.outcome).collect::<Vec<_>>();
@@ -158,11 +158,11 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
 
 #[test]
 fn a_compliance_that_a_policy_cannot_give_is_refused_and_forgotten_with_a_policy_that_has_none() {
-    let mut shelf = Shelf::default();
+    let mut shelf = AgentCache::default();
     let Setup { robots: standing, .. } = setup(&[UPRIGHT], SceneKind::Flat, &mut shelf);
     let robots = vec![shelf.find("baseline", None).unwrap(), standing[0].clone()];
     let told = Setup { scene: SceneKind::Flat, seed: 0, robots };
-    let mut world = World::new(told, &mut shelf).unwrap();
+    let mut world = LiveSession::new(told, &mut shelf).unwrap();
     let mut comply = |robot, compliance| world.apply(&Input::Comply { robot, compliance }, &mut shelf).is_ok();
     for beyond in [-0.01, 1e-6, 1.0, f64::NAN] {
         assert!(!comply(0, beyond), "{beyond}");
@@ -173,7 +173,7 @@ fn a_compliance_that_a_policy_cannot_give_is_refused_and_forgotten_with_a_policy
     let hills = Setup { scene: SceneKind::Box, ..world.setup().clone() };
     world.apply(&Input::Setup(hills), &mut shelf).unwrap();
     world.apply(&walk(0.5), &mut shelf).unwrap();
-    let frame = |world: &mut World| world.step().unwrap()[0].frame.clone().unwrap();
+    let frame = |world: &mut LiveSession| world.step().unwrap()[0].frame.clone().unwrap();
     assert_eq!(frame(&mut world).command, Command { compliance: 0.03, ..Command::velocity(0.5, 0.0, 0.0) });
     let sha256 = standing[0].sha256.clone();
     world.apply(&Input::Renew { robot: 0, sha256 }, &mut shelf).unwrap();
@@ -183,7 +183,7 @@ fn a_compliance_that_a_policy_cannot_give_is_refused_and_forgotten_with_a_policy
 
 #[test]
 fn the_smallest_change_of_an_input_is_another_end() {
-    let push = |left: f64| [(8, walk(0.4)), (40, Input::Push { size: [0.1, left], unit: Unit::Velocity })];
+    let push = |left: f64| [(8, walk(0.4)), (40, Input::Push { size: [0.1, left], unit: PushUnit::Velocity })];
     let end = |left: f64| drive(&push(left), 120).0.fingerprint();
     assert_eq!(end(0.3), end(0.3));
     assert_ne!(end(0.3), end(0.3 + f64::EPSILON));
@@ -199,13 +199,13 @@ fn a_command_moves_a_robot_in_the_second_frame_after_it() {
 
 #[test]
 fn a_robot_that_falls_is_set_on_its_feet_after_two_seconds_where_it_lies_and_the_count_goes_up() {
-    let mut shelf = Shelf::default();
-    let mut world = World::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
+    let mut shelf = AgentCache::default();
+    let mut world = LiveSession::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
     let mut frames: Vec<(bool, std::sync::Arc<Frame>)> = Vec::new();
     let mut fell_s = None;
     while world.tick() < 240 * 6 {
         if world.tick() == 240 {
-            world.apply(&Input::Push { size: [0.5, 3.0], unit: Unit::Velocity }, &mut shelf).unwrap();
+            world.apply(&Input::Push { size: [0.5, 3.0], unit: PushUnit::Velocity }, &mut shelf).unwrap();
         }
         for played in world.step().unwrap() {
             let fall = played.events.iter().find(|event| event.kind == EventKind::Fall);
@@ -234,9 +234,9 @@ fn a_robot_that_falls_is_set_on_its_feet_after_two_seconds_where_it_lies_and_the
 #[test]
 fn robots_of_one_world_do_not_touch_each_other() {
     // The same robot alone, and beside one that lies on the floor and is set up again and again.
-    let mut shelf = Shelf::default();
-    let play = |poses: &[[f64; 3]], shelf: &mut Shelf| {
-        let mut world = World::new(setup(poses, SceneKind::Box, shelf), shelf).unwrap();
+    let mut shelf = AgentCache::default();
+    let play = |poses: &[[f64; 3]], shelf: &mut AgentCache| {
+        let mut world = LiveSession::new(setup(poses, SceneKind::Box, shelf), shelf).unwrap();
         let mut last = None;
         while world.tick() < 720 {
             last = world.step().unwrap().into_iter().find(|played| played.robot == 0).or(last);
@@ -251,10 +251,10 @@ fn robots_of_one_world_do_not_touch_each_other() {
 
 #[test]
 fn a_world_needs_one_robot_or_two_and_an_input_that_fits() {
-    let mut shelf = Shelf::default();
+    let mut shelf = AgentCache::default();
     let three = setup(&[UPRIGHT, UPRIGHT, UPRIGHT], SceneKind::Flat, &mut shelf);
-    assert!(World::new(three, &mut shelf).unwrap_err().to_string().contains("3 of robots"));
-    let mut world = World::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
+    assert!(LiveSession::new(three, &mut shelf).unwrap_err().to_string().contains("3 of robots"));
+    let mut world = LiveSession::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
     let before = world.fingerprint();
     let renewed = Input::Renew { robot: 1, sha256: "0".into() };
     assert!(world.apply(&renewed, &mut shelf).is_err());
@@ -272,7 +272,7 @@ fn a_meter_reads_of_a_push_what_the_metrics_read_of_its_whole_trace() {
         let time_s = f64::from(step) * period_s;
         Frame { time_s, velocity_in_heading: [velocity(time_s), 0.0, 0.0], power_w: 20.0, ..Frame::default() }
     };
-    let mut meter = Meter::new((120.0, period_s));
+    let mut meter = LiveReadout::new((120.0, period_s));
     let mut trace = Trace { period_s, weight_n: 120.0, ..Trace::default() };
     for step in 1..=480 {
         if step == 121 {
@@ -280,7 +280,7 @@ fn a_meter_reads_of_a_push_what_the_metrics_read_of_its_whole_trace() {
         }
         trace.frames.push(frame(step));
         let frame = Some(std::sync::Arc::new(frame(step)));
-        meter.note(&Played { robot: 0, is_beginning: step == 1, frame, events: Vec::new() });
+        meter.note(&RobotStep { robot: 0, is_beginning: step == 1, frame, events: Vec::new() });
     }
     let reading = meter.read().unwrap();
     let push = reading.push.unwrap();
@@ -297,8 +297,8 @@ fn a_meter_reads_of_a_push_what_the_metrics_read_of_its_whole_trace() {
 #[test]
 fn a_push_that_is_disturbed_is_said_to_be() {
     let period_s = 1.0 / 60.0;
-    let outcome = |disturb: fn(&mut Meter, &mut Frame)| {
-        let mut meter = Meter::new((120.0, period_s));
+    let outcome = |disturb: fn(&mut LiveReadout, &mut Frame)| {
+        let mut meter = LiveReadout::new((120.0, period_s));
         for step in 1..=240_u32 {
             if step == 121 {
                 meter.push([0.5, 0.0]);
@@ -308,7 +308,7 @@ fn a_push_that_is_disturbed_is_said_to_be() {
                 disturb(&mut meter, &mut frame);
             }
             let frame = Some(std::sync::Arc::new(frame));
-            meter.note(&Played { robot: 0, is_beginning: false, frame, events: Vec::new() });
+            meter.note(&RobotStep { robot: 0, is_beginning: false, frame, events: Vec::new() });
         }
         meter.read().unwrap().push.unwrap().outcome
     };
@@ -340,7 +340,7 @@ fn what_is_no_session_is_refused_line_by_line() {
         ),
     ] {
         std::fs::write(&path, &text).unwrap();
-        let error = Session::load(&path).unwrap_err().to_string();
+        let error = SavedSession::load(&path).unwrap_err().to_string();
         assert!(error.contains(expected), "{text}: {error}");
     }
 }

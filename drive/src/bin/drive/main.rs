@@ -10,7 +10,7 @@ use anyhow::Context;
 use args::Args;
 use clap::{Parser, ValueEnum};
 use supple::policy::shipped;
-use supple::scenario::session::{SceneKind, Session, Setup, Shelf};
+use supple::scenario::session::{AgentCache, SavedSession, SceneKind, Setup};
 use supple::util::terminal;
 use supple_drive::display::{Display, News};
 use supple_drive::live::{Live, Message};
@@ -32,7 +32,7 @@ fn main() -> ExitCode {
 }
 
 fn drive(args: &Args) -> anyhow::Result<()> {
-    let mut shelf = Shelf::default();
+    let mut shelf = AgentCache::default();
     let setup = setup(args, &mut shelf)?;
     let session = tempfile::tempfile().context("cannot write down the session in the folder for temporary files")?;
     let (to_robots, messages) = sync_channel(QUEUE);
@@ -81,7 +81,7 @@ fn serve(
 }
 
 /// Who is played first, and where.
-fn setup(args: &Args, shelf: &mut Shelf) -> anyhow::Result<Setup> {
+fn setup(args: &Args, shelf: &mut AgentCache) -> anyhow::Result<Setup> {
     let first = args.policy.as_deref().unwrap_or("compliant");
     let second = match args.compare.as_deref() {
         Some("none") => None,
@@ -103,7 +103,7 @@ fn hello(args: &Args) -> Hello {
 }
 
 fn play_again(session: &Path, recording: Option<&Path>) -> anyhow::Result<()> {
-    let replayed = replay::play(Session::load(session)?, recording, |_, _| ())?;
+    let replayed = replay::play(SavedSession::load(session)?, recording, |_, _| ())?;
     let falls: Vec<String> = replayed.falls.iter().map(ToString::to_string).collect();
     let steps = replayed.steps;
     terminal::print(format_args!("{:.2} s shown, {steps} steps, falls: {}\n", replayed.shown_s, falls.join(", ")))?;

@@ -11,7 +11,7 @@ use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
 use supple::util::terminal;
-use supple_evaluate::contestants::Contest;
+use supple_evaluate::policy_sets::Contest;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::beside::Beside;
 use supple_evaluate::report::{Command, Report, Section};

@@ -24,7 +24,7 @@ use supple::scenario::catalog::Scenario;
 use supple::scenario::estimation::Estimation;
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::Trace;
-use supple::scenario::{Rollout, Script, Sensing};
+use supple::scenario::{Playback, Script, Sensing};
 use supple::util::paths;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
@@ -212,10 +212,10 @@ fn play(
 ) -> anyhow::Result<Vec<Trace>> {
     let mut rollouts = Vec::new();
     for ((_, agent), script) in robots.iter().zip(scripts) {
-        let rollout = Rollout::new(script, &agent.config, agent.controller())?.with_bodies();
+        let rollout = Playback::new(script, &agent.config, agent.controller())?.with_bodies();
         rollouts.push(rollout.with_sensing(args.sensing, seed)?);
     }
-    let mut traces: Vec<Trace> = rollouts.iter().map(Rollout::empty_trace).collect();
+    let mut traces: Vec<Trace> = rollouts.iter().map(Playback::empty_trace).collect();
     let mut playing = true;
     while playing {
         playing = false;

@@ -7,7 +7,7 @@ use supple::mujoco::Model;
 use supple::policy::Agent;
 use supple::scenario::catalog::Scenario;
 use supple::scenario::trace::Trace;
-use supple::scenario::{Played, Script, Sensing};
+use supple::scenario::{PlaybackStep, Script, Sensing};
 use supple::util::terminal;
 use supple_record::{BLUE, ORANGE, RecordError, Recorder, RobotView, Sink, page_url};
 
@@ -50,7 +50,7 @@ impl Recording {
     }
 
     /// Adds a step of a robot.
-    pub fn add(&mut self, robot: usize, played: &Played) -> anyhow::Result<()> {
+    pub fn add(&mut self, robot: usize, played: &PlaybackStep) -> anyhow::Result<()> {
         let Some(recorder) = &mut self.recorder else {
             return Ok(());
         };

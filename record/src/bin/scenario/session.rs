@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use serde_json::json;
-use supple::scenario::session::{Session, Take, takes};
+use supple::scenario::session::{SavedSession, Take, takes};
 use supple::util::provenance::GIT_REVISION;
 
 use crate::args::Args;
@@ -20,7 +20,7 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
     let drawn = [args.record.is_some(), args.connect.is_some(), args.serve.is_some(), args.on_fall.is_some()];
     anyhow::ensure!(!drawn.contains(&true), "record a session with `drive --replay {} --record FILE`", file.display());
 
-    let mut playback = Session::load(file)?.play()?;
+    let mut playback = SavedSession::load(file)?.play()?;
     let takes = takes(&mut playback)?;
     let names: Vec<String> = takes.iter().map(name).collect();
     let outcomes: Vec<Outcome<'_>> = takes.iter().zip(&names).map(|(take, name)| outcome(take, name)).collect();

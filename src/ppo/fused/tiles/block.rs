@@ -16,7 +16,7 @@ use pulp::{NullaryFnOnce, Simd, cast, f32x16};
 
 use super::pack::{get, put, split, transpose};
 use super::panel::Panel;
-use super::unit::{Meanwhile, Operand, SQUARE, Square, Unit};
+use super::unit::{Meanwhile, Operand, SQUARE, Square, TileUnit};
 use crate::network::Mlp;
 use crate::network::kernels::Buffer;
 use crate::ppo::fused::losses::Pass;
@@ -46,7 +46,7 @@ pub struct Block<const B: usize> {
 
 /// What a thread needs for a block, kept from block to block.
 pub struct Workspace<const F: usize, const B: usize> {
-    pub unit: Unit,
+    pub unit: TileUnit,
     /// Left operands of the forward product: a layer's input and output.
     forward: [Vec<[Operand<F>; HALVES]>; 2],
     /// Left operands of the backward product, alike.
@@ -59,7 +59,7 @@ pub struct Workspace<const F: usize, const B: usize> {
 
 impl<const F: usize, const B: usize> Workspace<F, B> {
     /// For layers of up to so many columns, in 32s.
-    pub fn new(unit: Unit, widest: usize) -> Self {
+    pub fn new(unit: TileUnit, widest: usize) -> Self {
         Self {
             unit,
             forward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),

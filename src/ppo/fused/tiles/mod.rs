@@ -23,7 +23,7 @@ pub use self::unit::available;
 
 use self::block::{Block, HALVES, LayerPanels, ROWS, Workspace};
 use self::panel::{Panel, unpack};
-use self::unit::{Operand, SQUARE, Unit, prefetch};
+use self::unit::{Operand, SQUARE, TileUnit, prefetch};
 use super::losses::Pass;
 use super::optimizer::{Adam, AdamStep, Parameters};
 use super::team::{Member, read, write};
@@ -70,7 +70,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
     }
 
     fn workspace(&self) -> Self::Workspace {
-        Workspace::new(Unit::new().expect("chosen where there are tiles"), self.widest)
+        Workspace::new(TileUnit::new().expect("chosen where there are tiles"), self.widest)
     }
 
     fn passes(
@@ -159,7 +159,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
 
 /// The gradient of 32 outputs by their weights: deltas times inputs, over all blocks of rows.
 struct Gradient<'a, const B: usize> {
-    unit: &'a Unit,
+    unit: &'a TileUnit,
     /// Left operand and, for each 32 inputs, right operand of each block.
     operands: &'a [(&'a [Operand<B>; HALVES], &'a [[Operand<B>; HALVES]])],
     /// To the gradient of the chunks before.

@@ -117,7 +117,7 @@ fn piece(from: &Tile, row: usize, quarter: usize) -> __m128i {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ppo::fused::tiles::unit::{SQUARE, Unit};
+    use crate::ppo::fused::tiles::unit::{SQUARE, TileUnit};
 
     type Matrix = [[f32; 32]; 32];
 
@@ -145,7 +145,7 @@ mod tests {
         operand
     }
 
-    fn check<const PARTS: usize>(unit: &Unit, scale: f32, error: f64) {
+    fn check<const PARTS: usize>(unit: &TileUnit, scale: f32, error: f64) {
         let number = |i: usize, j: usize| scale * ((i * 37 + j * 23) % 31) as f32 - 7.0;
         let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(i, j)));
         let b: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(j, i + 5)));
@@ -165,7 +165,7 @@ mod tests {
 
     #[test]
     fn products_are_exact_for_small_whole_numbers_and_close_for_others() {
-        let Some(unit) = Unit::new() else { return };
+        let Some(unit) = TileUnit::new() else { return };
         check::<1>(&unit, 1.0, 0.0);
         check::<2>(&unit, 1.0, 0.0);
         check::<1>(&unit, 1.234, 64.0);

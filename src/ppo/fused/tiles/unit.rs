@@ -57,7 +57,7 @@ impl Meanwhile for () {
 }
 
 /// The tile unit of this thread, ready for products.
-pub struct Unit {
+pub struct TileUnit {
     pub simd: V4,
     /// Other threads have their own.
     thread: PhantomData<*const ()>,
@@ -115,7 +115,7 @@ fn permitted() -> bool {
     answer == 0
 }
 
-impl Unit {
+impl TileUnit {
     /// Sets the unit of this thread up, if there is one.
     pub fn new() -> Option<Self> {
         let simd = V4::try_new().filter(|_| available())?;
@@ -137,7 +137,7 @@ impl Unit {
     ) {
         const { assert!(PARTS == 1 || PARTS == 2) };
         let count = steps.len();
-        // SAFETY: `sums` is four tiles of 1024 bytes; `Unit` says that the instructions are there.
+        // SAFETY: `sums` is four tiles of 1024 bytes; `TileUnit` says that the instructions are there.
         unsafe {
             if add {
                 asm!(
@@ -195,11 +195,11 @@ pub fn prefetch(numbers: &[f32]) {
     }
 }
 
-impl Unit {
+impl TileUnit {
     /// Adds the product of the last part of `left` and the first of `right` to tiles 0 to 3.
     #[inline(always)]
     fn multiply_add_first<const PARTS: usize>(&self, left: &Operand<PARTS>, right: &Operand<PARTS>) {
-        // SAFETY: there is a `Unit`, so the instructions are there. Each part is two tiles of 1024 bytes, only read.
+        // SAFETY: there is a `TileUnit`, so the instructions are there. Each part is two tiles of 1024 bytes, only read.
         unsafe {
             asm!(
                 "tileloadd tmm6, [{b} + {row}]",
@@ -257,12 +257,12 @@ impl Unit {
     }
 }
 
-impl Drop for Unit {
+impl Drop for TileUnit {
     fn drop(&mut self) {
         let others = UNITS.get() - 1;
         UNITS.set(others);
         if others == 0 {
-            // SAFETY: the processor has the instruction; no `Unit` of this thread needs the registers any more.
+            // SAFETY: the processor has the instruction; no `TileUnit` of this thread needs the registers any more.
             unsafe { asm!("tilerelease", options(nomem, nostack, preserves_flags)) };
         }
     }

@@ -1,11 +1,11 @@
 //! Plays a script with a controller, one policy step at a time.
 
-mod live;
-mod meter;
+mod contact_meter;
+mod interventions;
 
 use std::borrow::Cow;
 
-use meter::Meter;
+use contact_meter::ContactMeter;
 use nalgebra::Vector3;
 
 use super::rig::RigState;
@@ -16,7 +16,7 @@ use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
-use crate::policy::{Controller, Memory};
+use crate::policy::{Controller, ControllerState};
 use crate::robot::{GRAVITY_M_S2, RobotState};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
 use crate::sim::{Push, Sim, SimState};
@@ -30,7 +30,7 @@ const AFTER_GOAL_S: f64 = 1.0;
 
 /// What one step of a rollout brought.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Played {
+pub struct PlaybackStep {
     /// The state after the step; none if the physics or the sensors failed in it.
     pub frame: Option<Frame>,
     /// What happened in it.
@@ -38,7 +38,7 @@ pub struct Played {
 }
 
 /// A script being played.
-pub struct Rollout<'a> {
+pub struct Playback<'a> {
     script: Cow<'a, Script>,
     config: Cow<'a, Config>,
     controller: Box<dyn Controller + 'a>,
@@ -76,7 +76,7 @@ pub struct Rollout<'a> {
     swings: SwingTracker,
 }
 
-impl<'a> Rollout<'a> {
+impl<'a> Playback<'a> {
     /// Sets the scene. `config` has the rates, gains and latency that the robot runs with, and the reward that frames
     /// are rated by.
     ///
@@ -86,10 +86,10 @@ impl<'a> Rollout<'a> {
         Self::of(Cow::Borrowed(script), Cow::Borrowed(config), controller)
     }
 
-    /// As [`Rollout::new`], to keep.
+    /// As [`Playback::new`], to keep.
     ///
     /// # Errors
-    /// As [`Rollout::new`].
+    /// As [`Playback::new`].
     pub fn owned(script: Script, config: Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
         Self::of(Cow::Owned(script), Cow::Owned(config), controller)
     }
@@ -102,7 +102,7 @@ impl<'a> Rollout<'a> {
         let mut sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m)?;
         sim.reset(script.conditions, &controller.rest())?;
         let state = sim.state();
-        Ok(Rollout {
+        Ok(Playback {
             steps: config.simulation.policy_steps(script.duration_s),
             controller,
             command: script.command,
@@ -150,7 +150,7 @@ impl<'a> Rollout<'a> {
                 let (network, noise, rest) =
                     (ContactNetwork::shipped()?, SensorNoise::default(), self.controller.rest());
                 let senses = Senses::new(network, noise, seed, &self.sim, &self.script.conditions, &rest)?;
-                Ok(Rollout { senses: Some(senses), ..self })
+                Ok(Playback { senses: Some(senses), ..self })
             }
         }
     }
@@ -202,7 +202,7 @@ impl<'a> Rollout<'a> {
         Ok(Some(Frame { stage: self.stage(frame.time_s), ..frame.clone() }))
     }
 
-    fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, Fault> {
+    fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, PlaybackFault> {
         if let Some(frame) = self.recall()? {
             return Ok(frame);
         }
@@ -221,16 +221,16 @@ impl<'a> Rollout<'a> {
         }
         let rope = self.rig.as_ref().map(RigState::tendon);
         let pull = self.steady_force();
-        let mut meter = Meter {
+        let mut meter = ContactMeter {
             swings: self.swings,
             senses: self.senses.as_mut(),
             pull,
             spring: self.script.spring.as_ref().zip(self.spring.as_mut()),
             rope,
-            ..Meter::default()
+            ..ContactMeter::default()
         };
         let summary = self.sim.step(&target, &mut meter)?;
-        let meter = Meter { senses: None, spring: None, ..meter };
+        let meter = ContactMeter { senses: None, spring: None, ..meter };
         self.step += 1;
         let time_s = self.step as f64 * period_s;
         if let Some(fault) = self.senses.as_mut().map_or(Ok(None), Senses::fault)? {
@@ -255,7 +255,7 @@ impl<'a> Rollout<'a> {
         if let Some(event) = events.iter().rfind(|event| event.kind == EventKind::Disturbance) {
             self.disturbed = Some((event.time_s, event.text.clone()));
         }
-        let step = reward::Step {
+        let step = reward::RewardInput {
             state: &state,
             command: &self.command,
             summary: &summary,
@@ -421,12 +421,12 @@ impl<'a> Rollout<'a> {
     }
 }
 
-impl Iterator for Rollout<'_> {
-    type Item = Played;
+impl Iterator for Playback<'_> {
+    type Item = PlaybackStep;
 
     /// One policy step, until the script is over, the robot has lain for a while or is where the script ends, or physics or
     /// sensors failed.
-    fn next(&mut self) -> Option<Played> {
+    fn next(&mut self) -> Option<PlaybackStep> {
         let is_after = |since: Option<usize>, time_s| {
             since.is_some_and(|since| self.step >= since + self.config.simulation.policy_steps(time_s))
         };
@@ -438,12 +438,12 @@ impl Iterator for Rollout<'_> {
         }
         let mut events = Vec::new();
         match self.try_step(&mut events) {
-            Ok(frame) => Some(Played { frame: Some(frame), events }),
+            Ok(frame) => Some(PlaybackStep { frame: Some(frame), events }),
             Err(fault) => {
                 let time_s = self.step as f64 * self.sim.policy_period_s();
                 events.push(Event { time_s, kind: EventKind::Fault, text: fault.to_string() });
                 self.failed = true;
-                Some(Played { frame: None, events })
+                Some(PlaybackStep { frame: None, events })
             }
         }
     }
@@ -455,7 +455,7 @@ pub(super) struct Moment {
     state: RobotState,
     sim: SimState,
     swings: SwingTracker,
-    memory: Memory,
+    memory: ControllerState,
 }
 
 /// A step, with what it started from.
@@ -480,7 +480,7 @@ impl Moment {
 
 /// Why a step has no frame.
 #[derive(Debug, thiserror::Error)]
-enum Fault {
+enum PlaybackFault {
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
     #[error("the sensors failed: {0}")]

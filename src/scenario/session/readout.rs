@@ -6,7 +6,7 @@ else happens that it would be confounded with, a fall or another command or push
 
 use serde::Serialize;
 
-use super::Played;
+use super::RobotStep;
 use crate::scenario::metrics::{self, STRIDE_S};
 use crate::scenario::trace::{Event, EventKind, Frame, Trace};
 use crate::task::Command;
@@ -78,7 +78,7 @@ pub struct Reading {
 
 /// Reads the numbers of one robot, step by step.
 #[derive(Debug)]
-pub struct Meter {
+pub struct LiveReadout {
     /// The last second, and everything since a push that is looked at.
     trace: Trace,
     pushed: Option<Pushed>,
@@ -89,15 +89,15 @@ pub struct Meter {
 struct Pushed {
     reading: PushReading,
     command: Command,
-    /// Whether [`Meter::concluded`] has told of it.
+    /// Whether [`LiveReadout::concluded`] has told of it.
     is_told: bool,
 }
 
-impl Meter {
+impl LiveReadout {
     /// Of a robot of this weight \[N\] and policy period \[s\].
     pub fn new((weight_n, period_s): (f64, f64)) -> Self {
         let trace = Trace { period_s, weight_n, ..Trace::default() };
-        Meter { trace, pushed: None, pulled: None }
+        LiveReadout { trace, pushed: None, pulled: None }
     }
 
     /// The robot is about to be pushed: forward and left, heading frame [m/s]. Returns the push that this one disturbs.
@@ -118,13 +118,13 @@ impl Meter {
         self.pulled = force_n;
     }
 
-    /// The hand that pulls, as in [`Meter::pull`].
+    /// The hand that pulls, as in [`LiveReadout::pull`].
     pub fn pulled(&self) -> Option<[f64; 2]> {
         self.pulled
     }
 
     /// A step of the robot.
-    pub fn note(&mut self, step: &Played) {
+    pub fn note(&mut self, step: &RobotStep) {
         if step.is_beginning {
             // It was put somewhere else.
             self.conclude(Outcome::Disturbed);

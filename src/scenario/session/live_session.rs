@@ -8,13 +8,13 @@ use std::sync::Arc;
 use std::thread;
 
 use super::scene::SceneError;
-use super::{Input, Seat, Setup, Shelf, ShelfError};
+use super::{AgentCache, AgentCacheError, Input, Seat, Setup};
 use crate::config::Simulation;
 use crate::mujoco;
 use crate::policy::Agent;
 use crate::policy::compliance::ComplianceError;
 use crate::scenario::trace::{Event, EventKind, Frame};
-use crate::scenario::{Rollout, Script};
+use crate::scenario::{Playback, Script};
 use crate::sim::{Push, Scene};
 use crate::task::Command;
 use crate::util::files;
@@ -27,10 +27,10 @@ const MOST_ROBOTS: usize = 2;
 
 /// Why a world cannot be played.
 #[derive(Debug, thiserror::Error)]
-pub enum WorldError {
+pub enum LiveSessionError {
     /// A policy or robot.
     #[error(transparent)]
-    Shelf(#[from] ShelfError),
+    AgentCache(#[from] AgentCacheError),
     /// The scene.
     #[error(transparent)]
     Scene(#[from] SceneError),
@@ -55,7 +55,7 @@ pub enum WorldError {
 
 /// A step of one of the robots.
 #[derive(Debug, Clone)]
-pub struct Played {
+pub struct RobotStep {
     /// Which.
     pub robot: usize,
     /// Whether it stands there because it was put there before this step: at the start, on its feet after a fall.
@@ -68,7 +68,7 @@ pub struct Played {
 
 /// Robots that meet the same.
 #[derive(Debug)]
-pub struct World {
+pub struct LiveSession {
     setup: Setup,
     players: Vec<Player>,
     /// When this set-up began \[ticks\].
@@ -78,7 +78,7 @@ pub struct World {
 struct Player {
     agent: Arc<Agent>,
     script: Script,
-    rollout: Rollout<'static>,
+    rollout: Playback<'static>,
     is_beginning: bool,
     steps: u64,
     falls: u32,
@@ -90,23 +90,26 @@ impl std::fmt::Debug for Player {
     }
 }
 
-impl World {
+impl LiveSession {
     /// A world at its start.
     ///
     /// # Errors
-    /// [`WorldError`]
-    pub fn new(setup: Setup, shelf: &mut Shelf) -> Result<Self, WorldError> {
+    /// [`LiveSessionError`]
+    pub fn new(setup: Setup, shelf: &mut AgentCache) -> Result<Self, LiveSessionError> {
         Self::since(0, setup, shelf)
     }
 
-    /// As [`World::new`], on a clock that has already run.
-    pub(super) fn since(since: u64, setup: Setup, shelf: &mut Shelf) -> Result<Self, WorldError> {
+    /// As [`LiveSession::new`], on a clock that has already run.
+    pub(super) fn since(since: u64, setup: Setup, shelf: &mut AgentCache) -> Result<Self, LiveSessionError> {
         if !(1..=MOST_ROBOTS).contains(&setup.robots.len()) {
-            return Err(WorldError::Robots { found: setup.robots.len().to_string(), expected: "one or two".into() });
+            return Err(LiveSessionError::Robots {
+                found: setup.robots.len().to_string(),
+                expected: "one or two".into(),
+            });
         }
         let player = |seat: &Seat| Player::new(&setup, seat, shelf.take(seat)?);
-        let players = setup.robots.iter().map(player).collect::<Result<_, WorldError>>()?;
-        Ok(World { setup, players, since })
+        let players = setup.robots.iter().map(player).collect::<Result<_, LiveSessionError>>()?;
+        Ok(LiveSession { setup, players, since })
     }
 
     /// What is played.
@@ -119,7 +122,7 @@ impl World {
         self.players.iter().map(|player| &player.script.scene)
     }
 
-    /// Weight \[N\] and policy period \[s\] of a robot, for [`Meter`](super::Meter)s.
+    /// Weight \[N\] and policy period \[s\] of a robot, for [`LiveReadout`](super::Meter)s.
     pub fn weights_and_periods(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         self.players.iter().map(|player| {
             let trace = player.rollout.empty_trace();
@@ -167,8 +170,8 @@ impl World {
     /// Takes an input: it takes effect with the next step of each robot.
     ///
     /// # Errors
-    /// [`WorldError`]; the world is then as it was.
-    pub fn apply(&mut self, input: &Input, shelf: &mut Shelf) -> Result<(), WorldError> {
+    /// [`LiveSessionError`]; the world is then as it was.
+    pub fn apply(&mut self, input: &Input, shelf: &mut AgentCache) -> Result<(), LiveSessionError> {
         match input {
             Input::Command(command) => self.rollouts().for_each(|rollout| {
                 rollout.ask(Command { compliance: rollout.command().compliance, ..*command });
@@ -193,7 +196,7 @@ impl World {
                     renewed.compliance = 0.0;
                 }
                 if agent.config.simulation != player.agent.config.simulation {
-                    return Err(WorldError::OtherBody);
+                    return Err(LiveSessionError::OtherBody);
                 }
                 player.rollout.hand_over(agent.shared_controller());
                 player.rollout.ask(Command { compliance: renewed.compliance, ..*player.rollout.command() });
@@ -205,21 +208,21 @@ impl World {
         Ok(())
     }
 
-    fn robot(&mut self, robot: usize) -> Result<(&mut Seat, &mut Player), WorldError> {
+    fn robot(&mut self, robot: usize) -> Result<(&mut Seat, &mut Player), LiveSessionError> {
         let expected = format!("0 to {}", self.players.len() - 1);
         let found = self.setup.robots.get_mut(robot).zip(self.players.get_mut(robot));
-        found.ok_or_else(|| WorldError::Robots { found: format!("number {robot}"), expected })
+        found.ok_or_else(|| LiveSessionError::Robots { found: format!("number {robot}"), expected })
     }
 
-    fn rollouts(&mut self) -> impl Iterator<Item = &mut Rollout<'static>> {
+    fn rollouts(&mut self) -> impl Iterator<Item = &mut Playback<'static>> {
         self.players.iter_mut().map(|player| &mut player.rollout)
     }
 
-    /// Plays the step of every robot whose step begins at [`World::tick`], side by side.
+    /// Plays the step of every robot whose step begins at [`LiveSession::tick`], side by side.
     ///
     /// # Errors
     /// A fault of MuJoCo that setting the robot back does not mend.
-    pub fn step(&mut self) -> Result<Vec<Played>, WorldError> {
+    pub fn step(&mut self) -> Result<Vec<RobotStep>, LiveSessionError> {
         let tick = self.tick() - self.since;
         let mut due: Vec<(usize, &mut Player)> =
             self.players.iter_mut().enumerate().filter(|(_, player)| player.due() == tick).collect();
@@ -248,12 +251,12 @@ impl World {
 }
 
 impl Player {
-    fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, WorldError> {
+    fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, LiveSessionError> {
         agent.check_compliance(seat.compliance)?;
         let mut script = setup.scene.script(setup.seed, &agent.config)?;
         script.command.compliance = seat.compliance;
         let controller = agent.shared_controller();
-        let rollout = Rollout::owned(script.clone(), agent.config.clone(), controller)?.with_bodies();
+        let rollout = Playback::owned(script.clone(), agent.config.clone(), controller)?.with_bodies();
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })
     }
 
@@ -264,7 +267,7 @@ impl Player {
 
     /// One policy step; before it, a robot that has lain for a while is set on its feet, and one whose physics failed is
     /// put back to its start.
-    fn step(&mut self, robot: usize) -> mujoco::Result<Played> {
+    fn step(&mut self, robot: usize) -> mujoco::Result<RobotStep> {
         self.steps += 1;
         let played = match self.rollout.next() {
             Some(played) => Some(played),
@@ -279,10 +282,12 @@ impl Player {
             }
         };
         let is_beginning = std::mem::take(&mut self.is_beginning);
-        let Some(played) = played else { return Ok(Played { robot, is_beginning, frame: None, events: Vec::new() }) };
+        let Some(played) = played else {
+            return Ok(RobotStep { robot, is_beginning, frame: None, events: Vec::new() });
+        };
         let fell = played.events.iter().filter(|event| event.kind == EventKind::Fall).count();
         self.falls += u32::try_from(fell).unwrap_or(0);
-        Ok(Played { robot, is_beginning, frame: played.frame.map(Arc::new), events: played.events })
+        Ok(RobotStep { robot, is_beginning, frame: played.frame.map(Arc::new), events: played.events })
     }
 
     fn restart(&mut self) -> mujoco::Result<()> {

@@ -1,12 +1,12 @@
 //! What somebody does to a robot that is being played. It takes effect with the next step.
 
-use super::Rollout;
+use super::Playback;
 use crate::mujoco;
 use crate::policy::Controller;
 use crate::sim::Push;
 use crate::task::{Command, SwingTracker};
 
-impl<'a> Rollout<'a> {
+impl<'a> Playback<'a> {
     /// What is asked of the policy.
     pub fn command(&self) -> &Command {
         &self.command
@@ -56,7 +56,7 @@ impl<'a> Rollout<'a> {
         Ok(())
     }
 
-    /// Whether physics or sensors have failed: only [`Rollout::restart`] helps.
+    /// Whether physics or sensors have failed: only [`Playback::restart`] helps.
     pub fn has_failed(&self) -> bool {
         self.failed
     }

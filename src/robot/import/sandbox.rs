@@ -20,7 +20,7 @@ use std::time::Duration;
 
 use rustix::process::{Resource, Rlimit, setrlimit};
 
-use super::{Imported, adapt, source};
+use super::{Imported, normalise, resolve};
 use crate::mujoco::{Data, Model};
 
 /// First argument of a child.
@@ -121,7 +121,7 @@ fn bound_this_process() -> Result<(), String> {
 
 /// Does with a robot what this program will do.
 fn try_out(path: &Path) -> Result<Imported, String> {
-    let imported = adapt::adapt(&source::Source::read(path)?)?;
+    let imported = normalise::adapt(&resolve::Source::read(path)?)?;
     let words = |error: crate::mujoco::Error| error.to_string();
     let mut data = Data::new(Model::from_xml(&[("robot.xml", &imported.mjcf)]).map_err(words)?).map_err(words)?;
     for _ in 0..STEPS {

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::Seat;
-use crate::policy::compliance::Calibration;
+use crate::policy::compliance::PolicyCalibration;
 use crate::policy::{Agent, AgentError, Policy, shipped};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
@@ -15,7 +15,7 @@ const MAX_BYTES: u64 = 64 << 20;
 
 /// Why a policy is not at hand.
 #[derive(Debug, thiserror::Error)]
-pub enum ShelfError {
+pub enum AgentCacheError {
     /// There is none of this name, or it is no good.
     #[error(transparent)]
     Agent(#[from] AgentError),
@@ -36,20 +36,20 @@ pub enum ShelfError {
 
 /// Policies by identity, and the files of those that do not ship.
 #[derive(Debug, Default)]
-pub struct Shelf {
+pub struct AgentCache {
     agents: HashMap<String, Arc<Agent>>,
     files: HashMap<String, Vec<u8>>,
     /// Out of a session: they go before those that lie beside the policies.
-    calibrations: HashMap<String, Calibration>,
+    calibrations: HashMap<String, PolicyCalibration>,
 }
 
-impl Shelf {
+impl AgentCache {
     /// Finds a policy for a robot, its own one if none is named, and puts it on the shelf.
     ///
     /// # Errors
-    /// [`ShelfError`]
-    pub fn find(&mut self, policy: &str, robot: Option<&str>) -> Result<Seat, ShelfError> {
-        let (mut agent, file) = Shelf::read(policy)?;
+    /// [`AgentCacheError`]
+    pub fn find(&mut self, policy: &str, robot: Option<&str>) -> Result<Seat, AgentCacheError> {
+        let (mut agent, file) = AgentCache::read(policy)?;
         let robot = Robot::load(robot.unwrap_or(&agent.config.robot.model))?;
         agent.run_on(&robot);
         let seat = Seat {
@@ -78,24 +78,24 @@ impl Shelf {
     ///
     /// # Errors
     /// It is no policy file.
-    pub fn put_file(&mut self, name: &str, file: Vec<u8>) -> Result<(), ShelfError> {
+    pub fn put_file(&mut self, name: &str, file: Vec<u8>) -> Result<(), AgentCacheError> {
         let agent = Agent::from(Policy::from_bytes(&file, Path::new(name))?);
         self.put(agent, Some(file));
         Ok(())
     }
 
     /// Puts a calibration on the shelf, for a policy that is put there later.
-    pub fn put_calibration(&mut self, calibration: Calibration) {
+    pub fn put_calibration(&mut self, calibration: PolicyCalibration) {
         self.calibrations.insert(calibration.sha256.clone(), calibration);
     }
 
     /// The policy of a seat, on its robot.
     ///
     /// # Errors
-    /// [`ShelfError`] if policy or robot are gone or have changed.
-    pub fn take(&mut self, seat: &Seat) -> Result<Arc<Agent>, ShelfError> {
+    /// [`AgentCacheError`] if policy or robot are gone or have changed.
+    pub fn take(&mut self, seat: &Seat) -> Result<Arc<Agent>, AgentCacheError> {
         if !self.agents.contains_key(&seat.sha256) {
-            let (agent, file) = Shelf::read(&seat.policy)?;
+            let (agent, file) = AgentCache::read(&seat.policy)?;
             unchanged(&format!("the policy '{}'", seat.policy), &seat.sha256, &agent.sha256)?;
             self.put(agent, file);
         }
@@ -108,7 +108,7 @@ impl Shelf {
         // The policy comes out of the session, which knows where its robot is.
         let (mut agent, _) = match self.files.get(&seat.sha256) {
             Some(file) => (Agent::from(Policy::from_bytes(file, Path::new(&seat.policy))?), None),
-            None => Shelf::read(&seat.policy)?,
+            None => AgentCache::read(&seat.policy)?,
         };
         agent.calibration.clone_from(&self.agents[&seat.sha256].calibration);
         agent.run_on(&robot);
@@ -123,7 +123,7 @@ impl Shelf {
     }
 
     /// How far a policy yields, if that has been measured.
-    pub fn calibration(&self, sha256: &str) -> Option<&Calibration> {
+    pub fn calibration(&self, sha256: &str) -> Option<&PolicyCalibration> {
         self.agents.get(sha256)?.calibration.as_ref()
     }
 
@@ -137,23 +137,23 @@ impl Shelf {
     /// Reads a policy by name or path, and its file if it is one of ours that does not ship.
     ///
     /// # Errors
-    /// [`ShelfError`]
-    pub fn read(name: &str) -> Result<(Agent, Option<Vec<u8>>), ShelfError> {
+    /// [`AgentCacheError`]
+    pub fn read(name: &str) -> Result<(Agent, Option<Vec<u8>>), AgentCacheError> {
         let agent = shipped::find(name)?;
         let Some(path) = shipped::file_of(name).filter(|_| agent.policy().is_some()) else { return Ok((agent, None)) };
         let file = files::read_bounded(&path, MAX_BYTES).map_err(FileError::of("policy", &path))?;
         if files::sha256(&[&file]) != agent.sha256 {
             // Training has saved another one between the two looks.
-            return Shelf::read(name);
+            return AgentCache::read(name);
         }
         Ok((agent, Some(file)))
     }
 }
 
-fn unchanged(what: &str, expected: &str, found: &str) -> Result<(), ShelfError> {
+fn unchanged(what: &str, expected: &str, found: &str) -> Result<(), AgentCacheError> {
     if expected == found {
         return Ok(());
     }
     let [expected, found] = [expected, found].map(|sha256| sha256.chars().take(12).collect());
-    Err(ShelfError::Changed { what: what.to_owned(), expected, found })
+    Err(AgentCacheError::Changed { what: what.to_owned(), expected, found })
 }

@@ -13,7 +13,7 @@ use crate::task::SwingTracker;
 
 /// What is summed over the physics steps of one policy step.
 #[derive(Default)]
-pub(super) struct Meter<'a> {
+pub(super) struct ContactMeter<'a> {
     pub(super) senses: Option<&'a mut Senses>,
     /// The constant force on the trunk, world frame \[N\].
     pub(super) pull: Vector3<f64>,
@@ -35,7 +35,7 @@ pub(super) struct Meter<'a> {
     pub(super) rope_forces: RopeForces,
 }
 
-impl StepObserver for Meter<'_> {
+impl StepObserver for ContactMeter<'_> {
     fn trunk_force(&mut self, data: &Data) -> Option<Vector3<f64>> {
         let (spring, state) = self.spring.as_mut()?;
         Some(self.pull + state.force(spring, data))

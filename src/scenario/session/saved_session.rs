@@ -14,8 +14,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Input, Played, Setup, Shelf, ShelfError, World, WorldError};
-use crate::policy::compliance::Calibration;
+use super::{AgentCache, AgentCacheError, Input, LiveSession, LiveSessionError, RobotStep, Setup};
+use crate::policy::compliance::PolicyCalibration;
 use crate::util::files::{self, FileError};
 
 /// Version of the format; what is only added does not change it.
@@ -35,10 +35,10 @@ pub enum SessionError {
     File(#[from] FileError),
     /// A policy of it.
     #[error(transparent)]
-    Shelf(#[from] ShelfError),
+    AgentCache(#[from] AgentCacheError),
     /// What happens in it.
     #[error(transparent)]
-    World(#[from] WorldError),
+    LiveSession(#[from] LiveSessionError),
 }
 
 #[derive(Debug, Serialize, Deserialize)]
@@ -57,7 +57,7 @@ enum Line {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         file: Option<String>,
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        calibration: Option<Calibration>,
+        calibration: Option<PolicyCalibration>,
     },
     Input {
         tick: u64,
@@ -90,7 +90,7 @@ impl Writer {
     ///
     /// # Errors
     /// The system's, such as a full disk.
-    pub fn input(&mut self, tick: u64, input: &Input, shelf: &Shelf) -> io::Result<()> {
+    pub fn input(&mut self, tick: u64, input: &Input, shelf: &AgentCache) -> io::Result<()> {
         let needed: Vec<(&str, &str)> = match input {
             Input::Setup(setup) => {
                 self.setups.push_back((tick, self.length));
@@ -161,16 +161,16 @@ impl Writer {
 
 /// A session that was kept.
 #[derive(Debug)]
-pub struct Session {
+pub struct SavedSession {
     /// It is shown from here on.
     pub from_tick: u64,
     /// The tick at which it was kept, and the identity of the world's state then; without, it was cut off.
     pub end: Option<(u64, String)>,
     inputs: Vec<(u64, Input)>,
-    shelf: Shelf,
+    shelf: AgentCache,
 }
 
-impl Session {
+impl SavedSession {
     /// Reads a session.
     ///
     /// # Errors
@@ -178,7 +178,7 @@ impl Session {
     pub fn load(path: &Path) -> Result<Self, SessionError> {
         let fail = FileError::of(SESSION, path);
         let mut reader = BufReader::new(File::open(path).map_err(fail)?);
-        let mut session = Session { from_tick: 0, end: None, inputs: Vec::new(), shelf: Shelf::default() };
+        let mut session = SavedSession { from_tick: 0, end: None, inputs: Vec::new(), shelf: AgentCache::default() };
         let mut text = String::new();
         for number in 1_u64.. {
             text.clear();
@@ -252,15 +252,15 @@ impl Session {
     ///
     /// # Errors
     /// [`SessionError`] if a policy or robot is gone or has changed.
-    pub fn play(mut self) -> Result<Playback, SessionError> {
+    pub fn play(mut self) -> Result<SessionReplay, SessionError> {
         let (since, setup) = match self.inputs.first() {
             Some((since, Input::Setup(setup))) => (*since, setup.clone()),
             _ => unreachable!("`load` refuses a session that does not begin with a set-up"),
         };
-        let world = World::since(since, setup, &mut self.shelf)?;
+        let world = LiveSession::since(since, setup, &mut self.shelf)?;
         let last = self.inputs.last().map_or(since, |(tick, _)| *tick);
         let end = self.end.as_ref().map_or(last, |(tick, _)| *tick);
-        Ok(Playback { world, end, next: 1, session: self })
+        Ok(SessionReplay { world, end, next: 1, session: self })
     }
 }
 
@@ -273,26 +273,26 @@ fn bytes(hex: &str) -> Option<Vec<u8>> {
 
 /// A session being played again.
 #[derive(Debug)]
-pub struct Playback {
-    session: Session,
+pub struct SessionReplay {
+    session: SavedSession,
     /// The world, to look at.
-    pub world: World,
+    pub world: LiveSession,
     end: u64,
     next: usize,
 }
 
-/// What happened between two looks at a [`Playback`].
+/// What happened between two looks at a [`SessionReplay`].
 #[derive(Debug)]
-pub struct Step {
+pub struct ReplayStep {
     /// The tick at which the step began.
     pub tick: u64,
     /// Inputs that took effect with it.
     pub inputs: Vec<Input>,
     /// What was played.
-    pub played: Vec<Played>,
+    pub played: Vec<RobotStep>,
 }
 
-impl Playback {
+impl SessionReplay {
     /// Whether the step that begins at this tick is shown.
     pub fn is_shown(&self, tick: u64) -> bool {
         tick >= self.session.from_tick
@@ -302,7 +302,7 @@ impl Playback {
     ///
     /// # Errors
     /// [`SessionError`]
-    pub fn step(&mut self) -> Result<Option<Step>, SessionError> {
+    pub fn step(&mut self) -> Result<Option<ReplayStep>, SessionError> {
         let mut inputs = Vec::new();
         while let Some((_, input)) = self.session.inputs.get(self.next).filter(|(tick, _)| *tick <= self.world.tick()) {
             self.world.apply(input, &mut self.session.shelf)?;
@@ -313,7 +313,7 @@ impl Playback {
         if tick >= self.end {
             return Ok(None);
         }
-        Ok(Some(Step { tick, inputs, played: self.world.step()? }))
+        Ok(Some(ReplayStep { tick, inputs, played: self.world.step()? }))
     }
 
     /// At the end: whether the world is as it was when the session was kept; none if that is not known.

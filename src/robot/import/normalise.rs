@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::Imported;
 use super::names::{Description, foot};
-use super::source::Source;
+use super::resolve::Source;
 use crate::mujoco::{Data, GeomContact, Kind, Model};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name};
 use crate::util::xml::Element;
