@@ -1,32 +1,15 @@
-//! Provenance (git revision, MuJoCo version, what measurements depend on) and the shipped policies become part of the program.
-
-#[path = "build/measured.rs"]
-mod measured;
+//! Puts the version of MuJoCo and the shipped policies into the library.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-use std::process::Command;
-
-use measured::{files_in, hash_of, measured_files};
-
-/// What makes the programs behave as they do, but for the policies, which are named by their own hashes.
-const PROGRAM: &[&str] =
-    &["build.rs", "build", "Cargo.toml", "Cargo.lock", "mujoco-sys", "src", "evaluate", "record", "models", "configs"];
-
 fn main() {
     println!("cargo::rustc-check-cfg=cfg(tiles)");
     let target = |key: &str| std::env::var(format!("CARGO_CFG_TARGET_{key}")).unwrap_or_default();
     if (target("ARCH"), target("OS")) == ("x86_64".into(), "linux".into()) {
         println!("cargo::rustc-cfg=tiles");
     }
-    for path in PROGRAM.iter().chain(&["policies"]) {
-        println!("cargo::rerun-if-changed={path}");
-    }
-    for path in ["HEAD", "logs/HEAD"].iter().filter_map(|name| git(&["rev-parse", "--git-path", name])) {
-        println!("cargo::rerun-if-changed={path}");
-    }
-    println!("cargo::rustc-env=SUPPLE_GIT_REVISION={}", git_revision().unwrap_or_else(|| "unknown".into()));
-    println!("cargo::rustc-env=SUPPLE_MEASURES={:016x}", hash_of(&measured_files()));
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-changed=policies");
     let mujoco = std::env::var("DEP_MUJOCO_VERSION").unwrap_or_else(|_| "unknown".into());
     println!("cargo::rustc-env=SUPPLE_MUJOCO_VERSION={mujoco}");
     let out = PathBuf::from(std::env::var_os("OUT_DIR").unwrap_or_default());
@@ -59,14 +42,8 @@ fn embedded(folder: &Path, suffix: &str, include: &str) -> String {
     code
 }
 
-/// The commit, with `-dirty` if the program's files differ from it.
-fn git_revision() -> Option<String> {
-    let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
-    let changed = git(&[&["status", "--porcelain", "--"], PROGRAM].concat())?;
-    Some(if changed.is_empty() { commit } else { format!("{commit}-dirty") })
-}
-
-fn git(arguments: &[&str]) -> Option<String> {
-    let output = Command::new("git").args(arguments).output().ok()?;
-    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).trim().to_owned())
+/// Returns all files of a folder and of the folders in it.
+fn files_in(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    entries.flat_map(|entry| if entry.path().is_dir() { files_in(&entry.path()) } else { vec![entry.path()] }).collect()
 }

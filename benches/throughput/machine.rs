@@ -1,7 +1,7 @@
 //! Where and when a run took place, and how alone it was.
 
 use serde::Serialize;
-use supple::util::provenance::{GIT_REVISION, MUJOCO_VERSION};
+use supple::util::provenance::{MUJOCO_VERSION, git_revision};
 
 use crate::stopwatch::Effort;
 
@@ -36,7 +36,7 @@ impl Machine {
             processor: model.map_or("unknown".into(), |(_, name)| name.to_owned()),
             threads,
             taken_by_others: others / (now.all - start.all),
-            git_revision: GIT_REVISION,
+            git_revision: git_revision(),
             mujoco_version: MUJOCO_VERSION,
             quick: effort.quick,
             repetitions: effort.repetitions,

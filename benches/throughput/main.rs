@@ -49,6 +49,7 @@ struct Args {
 }
 
 fn main() -> ExitCode {
+    supple::announce_revision!();
     match run(&Args::parse()) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {

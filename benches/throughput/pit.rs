@@ -124,7 +124,7 @@ fn standing(config: &Config) -> anyhow::Result<Policy> {
         config: config.clone(),
         seed: 0,
         samples: 0,
-        git_revision: supple::util::provenance::GIT_REVISION.into(),
+        git_revision: supple::util::provenance::git_revision().into(),
         mujoco_version: supple::util::provenance::MUJOCO_VERSION.into(),
     };
     Ok(Policy::new(&network.zeros_like(), &robot, layout, provenance))

@@ -21,7 +21,7 @@ use super::{Condition, Experiment};
 use supple::estimate::{EstimatorConfig, SensorNoise, contact};
 use supple::scenario::Sensing;
 use supple::util::files;
-use supple::util::provenance::{GIT_REVISION, MEASURES};
+use supple::util::provenance::git_revision;
 
 /// Larger files are not ours.
 const MAX_BYTES: u64 = 1 << 30;
@@ -104,7 +104,7 @@ impl Store {
             experiment: experiment.info().name.to_owned(),
             sha256: contestant.agent.sha256.clone(),
             seed: contestant.seed,
-            revision: GIT_REVISION.to_owned(),
+            revision: git_revision().to_owned(),
             wall_s,
             checksum: checksum(&samples),
             samples,
@@ -135,7 +135,7 @@ fn checksum(samples: &PolicyResult) -> String {
 pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant, sensing: Sensing) -> String {
     let robot = &contestant.agent.config.robot;
     let mut parts = serde_json::json!({
-        "program": MEASURES,
+        "program": env!("SUPPLE_MEASUREMENT_SOURCES"),
         // One that cannot be read fails in its first trial, with the reason.
         "robot": robot.load().map(|robot| robot.sha256().to_owned()).unwrap_or_default(),
         "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],

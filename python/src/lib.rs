@@ -34,7 +34,8 @@ mod _supple {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("RECORDS", cfg!(feature = "record"))?;
-        module.add("REVISION", supple::util::provenance::GIT_REVISION)?;
+        supple::announce_revision!();
+        module.add("REVISION", supple::util::provenance::git_revision())?;
         module.add("CONFIGURATIONS", supple::config::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>())?;
         module.add("POLICIES", supple::policy::shipped::EMBEDDED.iter().map(|(name, _)| *name).collect::<Vec<_>>())
     }

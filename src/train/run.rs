@@ -127,7 +127,7 @@ impl RunFolder {
         let about = serde_json::json!({
             "config_name": trainer.run().config_name,
             "seed": trainer.run().seed,
-            "git_revision": provenance::GIT_REVISION,
+            "git_revision": provenance::git_revision(),
             "mujoco_version": provenance::MUJOCO_VERSION,
             "command": std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" "),
         });

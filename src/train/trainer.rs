@@ -126,7 +126,7 @@ impl Trainer {
         let run = RunState {
             config_name: config_name.to_owned(),
             config,
-            git_revision: provenance::GIT_REVISION.to_owned(),
+            git_revision: provenance::git_revision().to_owned(),
             robot_sha256: robot.sha256().to_owned(),
             seed,
             iteration: 0,
@@ -167,7 +167,7 @@ impl Trainer {
         MemoryEstimate::of(&run.config)?.of_ranks(ranks.here(), ranks.count()).check()?;
         let (robot, layout, mirror) = parts(&run.config)?;
         // What another revision makes of a file is its own affair: the caller has been told that revisions differ.
-        if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::GIT_REVISION {
+        if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::git_revision() {
             let problem = format!("the robot {} has changed since; put it back, or start anew", robot.name);
             return Err(TrainError::Checkpoint(problem));
         }
@@ -182,7 +182,7 @@ impl Trainer {
             environment.restore(saved)?;
         }
         run.environments.clear();
-        (run.git_revision, run.robot_sha256) = (provenance::GIT_REVISION.to_owned(), robot.sha256().to_owned());
+        (run.git_revision, run.robot_sha256) = (provenance::git_revision().to_owned(), robot.sha256().to_owned());
         let learner = learner(&run.config.ppo, state, threads, Arc::clone(&ranks))?;
         Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
@@ -311,7 +311,7 @@ impl Trainer {
             config: self.run.config.clone(),
             seed: self.run.seed,
             samples: self.run.samples,
-            git_revision: provenance::GIT_REVISION.to_owned(),
+            git_revision: provenance::git_revision().to_owned(),
             mujoco_version: provenance::MUJOCO_VERSION.to_owned(),
         };
         Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)

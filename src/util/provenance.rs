@@ -1,10 +1,36 @@
-//! What this program is: stored with every run and policy.
+//! The program that runs: stored with every run and policy.
 
-/// Git revision of the source this was built from, with `-dirty` if it had changes, or `unknown` outside a checkout.
-pub const GIT_REVISION: &str = env!("SUPPLE_GIT_REVISION");
+use std::sync::OnceLock;
 
-/// MuJoCo version this was built against.
+/// The version of MuJoCo that the library was built against.
 pub const MUJOCO_VERSION: &str = env!("SUPPLE_MUJOCO_VERSION");
 
-/// Hash of the sources that a measurement of `evaluate` depends on: not of what only shows it.
-pub const MEASURES: &str = env!("SUPPLE_MEASURES");
+static GIT_REVISION: OnceLock<&str> = OnceLock::new();
+
+/// Says which git revision the running program was built from; the first call counts.
+///
+/// A program knows its revision, the library does not: a commit then compiles the programs anew and not the library.
+pub fn set_git_revision(revision: &'static str) {
+    let _ = GIT_REVISION.set(revision);
+}
+
+/// Returns the git revision that the running program was built from, with `-dirty` if it had changes; `unknown` outside a
+/// checkout and in programs that never said it.
+pub fn git_revision() -> &'static str {
+    GIT_REVISION.get().copied().unwrap_or("unknown")
+}
+
+#[doc(hidden)]
+pub use git_version::git_version;
+
+/// Calls [`set_git_revision`](crate::util::provenance::set_git_revision) with the revision that the calling crate is built
+/// from. For the `main` of a program: the crate that calls it is compiled again after every commit.
+#[macro_export]
+macro_rules! announce_revision {
+    () => {
+        $crate::util::provenance::set_git_revision($crate::util::provenance::git_version!(
+            args = ["--always", "--dirty", "--abbrev=12", "--exclude=*"],
+            fallback = "unknown"
+        ))
+    };
+}

@@ -8,7 +8,6 @@ mod killing;
 mod licences;
 mod model;
 mod programs;
-mod provenance;
 #[cfg(feature = "mpi")]
 mod ranks;
 mod readme;

@@ -119,6 +119,7 @@ enum Format {
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
+    supple::announce_revision!();
     terminal::conclude(run(Args::parse().command))
 }
 

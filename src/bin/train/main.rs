@@ -62,6 +62,7 @@ struct Args {
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
+    supple::announce_revision!();
     let args = Args::parse();
     let ranks = match join(&args) {
         Ok(ranks) => ranks,

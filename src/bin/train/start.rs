@@ -10,7 +10,7 @@ use supple::robot::Robot;
 use supple::train::checkpoint::Checkpoint;
 use supple::train::run::RunFolder;
 use supple::train::{MemoryEstimate, TrainError, Trainer};
-use supple::util::provenance::GIT_REVISION;
+use supple::util::provenance::git_revision;
 use supple::util::{files, paths, terminal};
 
 use super::Args;
@@ -95,7 +95,7 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     let mut facts = serde_json::to_value(&run.config)?;
     facts["seed"] = run.seed.into();
     facts["robot's checksum"] = run.robot_sha256.clone().into();
-    facts["program"] = format!("revision {GIT_REVISION} with the checksum {program}").into();
+    facts["program"] = format!("revision {} with the checksum {program}", git_revision()).into();
     Ok(supple::ranks::check_alike(trainer.ranks(), facts)?)
 }
 
@@ -170,9 +170,10 @@ fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
     let planned = &mut checkpoint.run.config.run.samples;
     *planned = args.samples.unwrap_or(*planned);
     let begun_by = checkpoint.run.git_revision.clone();
-    if begun_by != GIT_REVISION {
+    let revision = git_revision();
+    if begun_by != revision {
         terminal::note(format_args!(
-            "note: the checkpoint was written by revision {begun_by}, this program is {GIT_REVISION}: what follows may \
+            "note: the checkpoint was written by revision {begun_by}, this program is {revision}: what follows may \
              differ from what that one would have done"
         ));
     }

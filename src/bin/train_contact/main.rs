@@ -16,7 +16,7 @@ use supple::policy::Agent;
 use supple::policy::shipped;
 use supple::robot::LEGS;
 use supple::util::progress::progress;
-use supple::util::provenance::{GIT_REVISION, MUJOCO_VERSION};
+use supple::util::provenance::{MUJOCO_VERSION, git_revision};
 use supple::util::terminal;
 
 /// One of so many episodes is held out.
@@ -46,6 +46,7 @@ struct Args {
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
+    supple::announce_revision!();
     terminal::conclude(run(&Args::parse()))
 }
 
@@ -94,7 +95,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
             held_out_episodes: held_out.len(),
             held_out: Vec::new(),
             noise,
-            git_revision: GIT_REVISION.to_owned(),
+            git_revision: git_revision().to_owned(),
             mujoco_version: MUJOCO_VERSION.to_owned(),
         },
     );

@@ -132,7 +132,7 @@ impl Writer {
             |setups: &VecDeque<(u64, u64)>| setups.iter().rev().find(|(tick, _)| *tick <= from_tick).copied();
         let (_, begin) = at_or_before(&self.setups).unwrap_or((0, 0));
         let begin = if from.is_some() { begin } else { 0 };
-        let program = crate::util::provenance::GIT_REVISION.to_owned();
+        let program = crate::util::provenance::git_revision().to_owned();
         let first = serde_json::to_string(&Line::Session { format: FORMAT, program, from_tick })?;
         let last = serde_json::to_string(&Line::End { tick: end, state })?;
         let mut parts: Vec<(u64, u64)> = self.policies.values().copied().filter(|(at, _)| *at < begin).collect();

@@ -23,6 +23,7 @@ const QUEUE: usize = 512;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
+    supple::announce_revision!();
     let args = Args::parse();
     terminal::conclude(match &args.replay {
         Some(session) if args.headless || args.record.is_some() => play_again(session, args.record.as_deref()),

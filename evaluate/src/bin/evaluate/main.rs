@@ -20,6 +20,7 @@ use supple_evaluate::store::Store;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
+    supple::announce_revision!();
     terminal::conclude(run(&Args::parse()))
 }
 

@@ -31,6 +31,7 @@ use supple::util::terminal;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
+    supple::announce_revision!();
     terminal::conclude(args::parse().and_then(|args| run(&args)))
 }
 

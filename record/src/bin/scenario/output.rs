@@ -9,7 +9,7 @@ use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::{self, Metric};
 use supple::scenario::trace::{Frame, Trace};
 use supple::util::files::{self, Target};
-use supple::util::provenance::GIT_REVISION;
+use supple::util::provenance::git_revision;
 use supple::util::terminal;
 
 use crate::args::Args;
@@ -104,7 +104,7 @@ pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>
 pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
     json!({
         "scenario": scenario.name(),
-        "revision": GIT_REVISION,
+        "revision": git_revision(),
         "seed": seed,
         "sensing": sensing,
         "parameters": scenario,

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use serde_json::{Map, Value, json};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::Metric;
-use supple::util::provenance::GIT_REVISION;
+use supple::util::provenance::git_revision;
 
 use crate::output::undefined;
 
@@ -117,7 +117,7 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
         first(runs).iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
     json!({
         "scenario": scenario.name(),
-        "revision": GIT_REVISION,
+        "revision": git_revision(),
         "seeds": [seeds.start(), seeds.end()],
         "sensing": sensing,
         "parameters": scenario,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::json;
 use supple::scenario::session::{SavedSession, Take, takes};
-use supple::util::provenance::GIT_REVISION;
+use supple::util::provenance::git_revision;
 
 use crate::args::Args;
 use crate::output::{self, Outcome};
@@ -36,7 +36,7 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
             run
         };
         let runs: Vec<_> = takes.iter().zip(&outcomes).map(run).collect();
-        json!({ "scenario": "session", "revision": GIT_REVISION, "units": output::units(&outcomes), "runs": runs })
+        json!({ "scenario": "session", "revision": git_revision(), "units": output::units(&outcomes), "runs": runs })
     })?;
     match playback.is_as_it_was() {
         Some(false) => anyhow::bail!("it did not end as it had: this program, or this machine, computes otherwise"),

@@ -1,6 +1,6 @@
 //! What a kept measurement of `evaluate` depends on: code that decides its numbers, and nothing else.
 
-#[path = "../../build/measured.rs"]
+#[path = "../measured.rs"]
 mod measured;
 
 use std::collections::BTreeSet;
@@ -10,7 +10,6 @@ use measured::{files_in, hash_of, measured_files};
 
 #[test]
 fn a_measurement_depends_on_what_it_imports_and_not_on_training_and_showing() {
-    // Cargo runs tests where the manifest is.
     let files = measured_files();
     let has = |file: &str| files.contains(&PathBuf::from(file));
     for file in ["evaluate/src/trial.rs", "evaluate/src/preludes.rs", "src/sim/mod.rs", "src/task/reward.rs"] {

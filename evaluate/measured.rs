@@ -10,6 +10,11 @@ const MEASUREMENT: [&str; 4] =
 /// What no import shows: the physics, and the versions of libraries.
 const BELOW: [&str; 2] = ["mujoco-sys", "Cargo.lock"];
 
+/// Returns the folder of the workspace, in which the paths here are.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
 /// The files that a measurement depends on: its own, the modules that they import, those that these import, and so on,
 /// with the texts that any of them includes. What is included as bytes (policies, the contact network) goes by hashes of
 /// its own.
@@ -52,7 +57,8 @@ pub fn hash_of(files: &BTreeSet<PathBuf>) -> u64 {
 
 /// A file's text; of Rust, without comments, blank lines and the unit tests at its end.
 fn code_of(file: &Path) -> String {
-    let text = std::fs::read(file).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default();
+    let text =
+        std::fs::read(root().join(file)).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default();
     if file.extension().is_none_or(|extension| extension != "rs") {
         return text;
     }
@@ -74,9 +80,10 @@ fn code_of(file: &Path) -> String {
 
 /// A file, or all of a folder and of the folders in it.
 pub fn files_in(path: &Path) -> Vec<PathBuf> {
-    if !path.is_dir() {
+    let folder = root().join(path);
+    if !folder.is_dir() {
         return vec![path.to_owned()];
     }
-    let entries = std::fs::read_dir(path).into_iter().flatten().filter_map(Result::ok);
-    entries.flat_map(|entry| files_in(&entry.path())).collect()
+    let entries = std::fs::read_dir(folder).into_iter().flatten().filter_map(Result::ok);
+    entries.flat_map(|entry| files_in(&path.join(entry.file_name()))).collect()
 }
