@@ -4,8 +4,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// A measurement of `evaluate` is a trial of an experiment. What else it depends on is what these import of `supple`.
-const MEASUREMENT: [&str; 4] =
-    ["evaluate/src/lib.rs", "evaluate/src/trial.rs", "evaluate/src/preludes.rs", "evaluate/src/experiments"];
+const MEASUREMENT: [&str; 3] = ["evaluate/src/lib.rs", "evaluate/src/trial.rs", "evaluate/src/experiments"];
 
 /// What no import shows: the physics, and the versions of libraries.
 const BELOW: [&str; 2] = ["mujoco-sys", "Cargo.lock"];

@@ -13,7 +13,6 @@ pub mod findings;
 pub mod grid;
 pub mod plot;
 pub mod policy_sets;
-pub mod preludes;
 pub mod protocol;
 pub mod report;
 pub mod results;

@@ -5,7 +5,6 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::policy_sets::{Contest, Contestant, Side};
-use super::preludes::Preludes;
 use super::results::{PolicyResult, Results};
 use super::store::{self, Store, Stored};
 use super::trial::{self, Sample, TrialError};
@@ -154,11 +153,11 @@ fn play_all(
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<PolicyResult, TrialError> {
-    let (number, trials, preludes) = (experiment.info().number, experiment.trials() as usize, Preludes::default());
+    let (number, trials) = (experiment.info().number, experiment.trials() as usize);
     let play = |index: usize| {
         let condition = &conditions[index / trials];
         let seed = trial::trial_seed(contestant.seed, number, index / trials, (index % trials) as u32);
-        let sample = trial::play(experiment, condition, seed, &contestant.agent, settings.sensing, Some(&preludes))?;
+        let sample = trial::play(experiment, condition, seed, &contestant.agent, settings.sensing)?;
         progress(condition.scenario.cost());
         Ok(sample)
     };

@@ -5,7 +5,6 @@ use std::cell::OnceCell;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::preludes::Preludes;
 use super::{Condition, Experiment, FELL, Measured, Quantity};
 use supple::mujoco;
 use supple::policy::Agent;
@@ -147,8 +146,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own. With `preludes`, which
-/// are the agent's, trials share what comes before their disturbances.
+/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -158,7 +156,6 @@ pub fn play(
     seed: u64,
     agent: &Agent,
     sensing: Sensing,
-    preludes: Option<&Preludes>,
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
@@ -170,13 +167,8 @@ pub fn play(
     // What comes later, and what a fallen robot does, is nobody's result.
     script.duration_s = experiment.until_s(&script);
     script.after_fall_s = 0.0;
-    let preludes = preludes.filter(|_| sensing == Sensing::True);
-    let prelude = preludes.map_or(Ok(None), |preludes| preludes.of(&script, agent))?;
     let rollout = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
-    let trace = match &prelude {
-        Some(prelude) => rollout.trace_after(prelude),
-        None => rollout.trace(),
-    };
+    let trace = rollout.trace();
     let trial = Trial::new(&scenario, &script, &trace);
     let Measured { values, series } = experiment.measure(&trial);
     Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
@@ -209,7 +201,7 @@ mod tests {
             let point = |measured| Point { setting: measured, measured };
             let calibration = PolicyCalibration::unmeasured(&agent.sha256);
             agent.calibration = Some(PolicyCalibration { points: vec![point(low), point(0.05)], ..calibration });
-            play(&protocol.leash, &condition, 1, &agent, Sensing::True, None).unwrap()
+            play(&protocol.leash, &condition, 1, &agent, Sensing::True).unwrap()
         };
         let refused = play(0.04);
         assert_eq!((refused.end, &refused.values[..]), (TrialEnd::OutOfReach, &[None, None, None][..]));

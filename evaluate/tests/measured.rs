@@ -12,7 +12,7 @@ use measured::{files_in, hash_of, measured_files};
 fn a_measurement_depends_on_what_it_imports_and_not_on_training_and_showing() {
     let files = measured_files();
     let has = |file: &str| files.contains(&PathBuf::from(file));
-    for file in ["evaluate/src/trial.rs", "evaluate/src/preludes.rs", "src/sim/mod.rs", "src/task/reward.rs"] {
+    for file in ["evaluate/src/trial.rs", "src/sim/mod.rs", "src/task/reward.rs"] {
         assert!(has(file), "{file}");
     }
     assert!(has("src/robot/kinematics.rs"), "imported by an import");

@@ -13,7 +13,6 @@ use numpy::{IntoPyArray, PyArray2, PyArray3, PyArrayMethods};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use supple::scenario::Sensing;
-use supple_evaluate::preludes::Preludes;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::trial::{self, Sample, TrialEnd};
 use supple_evaluate::{Condition, Experiment};
@@ -51,8 +50,8 @@ pub fn evaluate<'py>(
     let mut measured = Vec::new();
     for experiment in known.into_iter().filter(|experiment| wanted(experiment.info().name)) {
         let conditions = experiment.conditions().map_err(refused)?;
-        let (sensing, preludes) = (sensing(estimated), Preludes::default());
-        let work = Work { experiment, conditions: &conditions, policy, seed, sensing, preludes };
+        let sensing = sensing(estimated);
+        let work = Work { experiment, conditions: &conditions, policy, seed, sensing };
         let samples = apart(py, || work.play(threads))?;
         let info = experiment.info();
         let shape = [conditions.len(), experiment.trials() as usize];
@@ -82,7 +81,6 @@ struct Work<'a> {
     policy: &'a Policy,
     seed: u64,
     sensing: Sensing,
-    preludes: Preludes,
 }
 
 impl Work<'_> {
@@ -131,8 +129,7 @@ impl Work<'_> {
         let seed = trial::trial_seed(self.seed, self.experiment.info().number, condition, trial as u32);
         let condition = &self.conditions[condition];
         // A function may act otherwise the next time.
-        let preludes = (!self.policy.is_function()).then_some(&self.preludes);
-        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing, preludes);
+        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing);
         self.policy.check()?;
         sample.map_err(failed)
     }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::Policy;
-use super::controller::{Controller, ControllerState};
+use super::controller::Controller;
 use crate::config::Config;
 use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
@@ -270,15 +270,6 @@ impl Controller for Compliant<'_> {
         }
         let command = self.around.asked([state.velocity_in_base.x, state.velocity_in_base.y], command);
         self.policy.joint_targets(state, &command)
-    }
-
-    fn memory(&self) -> Option<ControllerState> {
-        Some(ControllerState { led: self.around.led, ..self.policy.memory()? })
-    }
-
-    fn recall(&mut self, memory: &ControllerState) {
-        self.around.led = memory.led;
-        self.policy.recall(memory);
     }
 }
 

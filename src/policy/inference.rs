@@ -3,11 +3,11 @@
 use std::borrow::Borrow;
 use std::fmt;
 
-use super::controller::{Controller, ControllerState};
+use super::controller::Controller;
 use super::onnx;
 use crate::config::{Config, ValueError};
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, Moment};
+use crate::observation::{Command, Layout, Moment, Observer};
 use crate::robot::{JOINTS, Joints, RobotState};
 
 /// What an output of a network is.
@@ -146,11 +146,23 @@ impl Inference {
     }
 }
 
+/// The history of one robot that a policy observes.
+#[derive(Debug, Clone, Default)]
+struct History {
+    observer: Observer,
+    /// The number of policy steps so far.
+    step: u64,
+    /// The last outputs, in the policy's order.
+    last_action: Joints,
+    /// The last joint targets, in our order [rad].
+    last_target: Joints,
+}
+
 /// A policy at work on one robot, with the history that its observation needs (section III-A).
 #[derive(Debug)]
 pub struct PolicyController<I> {
     inference: I,
-    past: ControllerState,
+    past: History,
     seen: Vec<f32>,
     buffers: Buffers,
 }
@@ -159,7 +171,7 @@ impl<I: Borrow<Inference>> PolicyController<I> {
     /// Of a policy that is borrowed or shared.
     pub fn new(inference: I) -> Self {
         let Inference { layout, action, .. } = inference.borrow();
-        let past = ControllerState { last_target: action.nominal_pose, ..ControllerState::default() };
+        let past = History { last_target: action.nominal_pose, ..History::default() };
         PolicyController { past, seen: vec![0.0; layout.length()], buffers: Buffers::default(), inference }
     }
 
@@ -175,13 +187,13 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
     }
 
     fn begin(&mut self, _: &RobotState) {
-        self.past = ControllerState { last_target: self.rest(), ..ControllerState::default() };
+        self.past = History { last_target: self.rest(), ..History::default() };
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
         let inference: &Inference = self.inference.borrow();
         let layout = &inference.layout;
-        let ControllerState { observer, step, last_action, last_target, .. } = &mut self.past;
+        let History { observer, step, last_action, last_target } = &mut self.past;
         let now = Moment {
             state,
             command,
@@ -195,14 +207,6 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
         (*last_action, *last_target) = inference.act(&self.seen, &mut self.buffers);
         *step += 1;
         *last_target
-    }
-
-    fn memory(&self) -> Option<ControllerState> {
-        Some(self.past.clone())
-    }
-
-    fn recall(&mut self, memory: &ControllerState) {
-        self.past = memory.clone();
     }
 }
 

@@ -14,6 +14,6 @@ pub mod onnx;
 pub mod shipped;
 
 pub use agent::{Agent, AgentError};
-pub use controller::{Controller, ControllerState};
+pub use controller::Controller;
 pub use file::{Policy, Provenance, Usage};
 pub use inference::{Action, Buffers, Function, Inference, Meaning, Network, PolicyController};

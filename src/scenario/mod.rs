@@ -11,7 +11,6 @@ pub mod catalog;
 pub mod estimation;
 pub mod metrics;
 mod playback;
-mod prelude;
 pub mod rig;
 pub mod senses;
 pub mod session;
@@ -26,7 +25,6 @@ use crate::sim::{Conditions, Pull, Push};
 use crate::task::Command;
 
 pub use playback::{Playback, PlaybackStep};
-pub use prelude::Prelude;
 pub use rig::Rig;
 pub use senses::{Sensing, SensingError};
 pub use spring::Spring;

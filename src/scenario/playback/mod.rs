@@ -11,15 +11,15 @@ use nalgebra::Vector3;
 use super::rig::RigState;
 use super::senses::Senses;
 use super::spring::SpringState;
-use super::{Goal, Prelude, Script, Sensing, SensingError, TimedPush};
+use super::{Goal, Script, Sensing, SensingError, TimedPush};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
-use crate::policy::{Controller, ControllerState};
+use crate::policy::Controller;
 use crate::robot::{GRAVITY_M_S2, RobotState};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
-use crate::sim::{Push, Sim, SimState};
+use crate::sim::{Pull, Push, Sim};
 use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
@@ -55,8 +55,6 @@ pub struct Playback<'a> {
     /// None if the controller sees the true state.
     pub(super) senses: Option<Senses>,
     with_bodies: bool,
-    /// With the steps that are taken from it.
-    prelude: Option<(&'a Prelude, usize)>,
     step: usize,
     steps: usize,
     pushes_done: usize,
@@ -111,7 +109,6 @@ impl<'a> Playback<'a> {
             afresh: true,
             senses: None,
             with_bodies: false,
-            prelude: None,
             step: 0,
             pushes_done: 0,
             shown_push: None,
@@ -171,41 +168,7 @@ impl<'a> Playback<'a> {
         trace
     }
 
-    /// Plays to the end, from where a prelude by the same policy with the same configuration leaves off; from the start if it
-    /// is of another script, or lacks what is asked for (what sensors read, or poses of bodies), or the controller has no memory.
-    pub fn trace_after(mut self, prelude: &'a Prelude) -> Trace {
-        let has_all = self.senses.is_none() && !self.with_bodies && self.controller.memory().is_some();
-        if has_all && prelude.is_of(&self.script) {
-            let steps = self.script.calm_steps(&self.config.simulation).min(prelude.steps.len() - 1);
-            self.prelude = Some((prelude, steps));
-        }
-        self.trace()
-    }
-
-    /// What a step starts from; none if the controller keeps that to itself.
-    pub(super) fn moment(&self) -> Option<Moment> {
-        let memory = self.controller.memory()?;
-        Some(Moment { state: self.state.clone(), sim: self.sim.save(), swings: self.swings, memory })
-    }
-
-    /// A step that is there already. After the last of them simulation and controller go on from where they were.
-    fn recall(&mut self) -> mujoco::Result<Option<Frame>> {
-        let Some((prelude, steps)) = self.prelude.filter(|(_, steps)| self.step < *steps) else { return Ok(None) };
-        let frame = &prelude.steps[self.step].frame;
-        self.step += 1;
-        if self.step == steps {
-            let Moment { state, sim, swings, memory } = &prelude.steps[self.step].before;
-            self.sim.restore(sim)?;
-            self.controller.recall(memory);
-            (self.state, self.swings, self.afresh) = (state.clone(), *swings, false);
-        }
-        Ok(Some(Frame { stage: self.stage(frame.time_s), ..frame.clone() }))
-    }
-
     fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, PlaybackFault> {
-        if let Some(frame) = self.recall()? {
-            return Ok(frame);
-        }
         let period_s = self.sim.policy_period_s();
         let time_s = self.step as f64 * period_s;
         self.disturb(time_s, events)?;
@@ -449,35 +412,6 @@ impl Iterator for Playback<'_> {
     }
 }
 
-/// What a step starts from.
-#[derive(Debug)]
-pub(super) struct Moment {
-    state: RobotState,
-    sim: SimState,
-    swings: SwingTracker,
-    memory: ControllerState,
-}
-
-/// A step, with what it started from.
-#[derive(Debug)]
-pub(super) struct Recorded {
-    before: Moment,
-    frame: Frame,
-}
-
-#[cfg(test)]
-impl Recorded {
-    pub(super) fn frame_mut(&mut self) -> &mut Frame {
-        &mut self.frame
-    }
-}
-
-impl Moment {
-    pub(super) fn followed_by(self, frame: Frame) -> Recorded {
-        Recorded { before: self, frame }
-    }
-}
-
 /// Why a step has no frame.
 #[derive(Debug, thiserror::Error)]
 enum PlaybackFault {
@@ -491,6 +425,20 @@ enum PlaybackFault {
 fn goal_body(script: &Script, sim: &Sim) -> mujoco::Result<Option<usize>> {
     let body = |goal: &Goal| goal.from.map_or(Ok(0), |name| sim.data().model().id(Kind::Body, name));
     script.goal.as_ref().map(body).transpose()
+}
+
+impl TimedPush {
+    /// True once the push is due: not later than the step that starts at `time_s`.
+    fn is_due(&self, time_s: f64, period_s: f64) -> bool {
+        self.time_s < time_s + 0.5 * period_s
+    }
+}
+
+impl Pull {
+    /// True while the pull acts in the step that starts at `time_s`.
+    fn acts(&self, time_s: f64) -> bool {
+        (self.from_s..self.until_s).contains(&(time_s + 1e-9))
+    }
 }
 
 fn array<const N: usize>(values: &[f64]) -> [f64; N] {
