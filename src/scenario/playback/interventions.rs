@@ -19,18 +19,18 @@ impl<'a> Playback<'a> {
 
     /// Pushes the trunk.
     pub fn push(&mut self, push: Push) {
-        self.shoves.push(push);
+        self.pushes_due.push(push);
     }
 
     /// Takes the trunk in hand and pulls with this force, forward and left in the heading frame \[N\], or lets it go.
     pub fn pull(&mut self, force: Option<[f64; 2]>) {
-        self.hand = force;
+        self.pull_in_heading = force;
     }
 
     /// Gives the robot to another controller as it stands.
     pub fn hand_over(&mut self, controller: Box<dyn Controller + 'a>) {
         self.controller = controller;
-        self.afresh = true;
+        self.starts_afresh = true;
     }
 
     /// Sets the robot on its feet where it is, facing as it does: see [`Sim::set_on_feet`](crate::sim::Sim::set_on_feet).
@@ -50,7 +50,7 @@ impl<'a> Playback<'a> {
     pub fn restart(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.script.conditions, &self.controller.rest())?;
         // The force of a hand is gone with all else: it is set anew where it is still held.
-        self.held = None;
+        self.pull_in_world = None;
         self.passed_goal_since = None;
         self.begin_afresh();
         Ok(())
@@ -66,8 +66,8 @@ impl<'a> Playback<'a> {
         self.swings = SwingTracker::new(&self.state.feet, self.config.reward.foot_height_m);
         self.fallen_since = None;
         self.failed = false;
-        self.disturbed = None;
+        self.last_disturbance = None;
         self.shown_push = None;
-        self.afresh = true;
+        self.starts_afresh = true;
     }
 }

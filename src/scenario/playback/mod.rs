@@ -17,9 +17,9 @@ use crate::estimate::contact::ContactNetwork;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
-use crate::robot::{GRAVITY_M_S2, RobotState};
-use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Stretch, Trace};
-use crate::sim::{Pull, Push, Sim};
+use crate::robot::{GRAVITY_M_S2, Joints, RobotState};
+use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Rope, Stretch, Trace};
+use crate::sim::{Pull, Push, Sim, StepSummary};
 use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
 
 /// How long a push's arrow stays in the frames \[s\].
@@ -47,11 +47,11 @@ pub struct Playback<'a> {
     /// Of the script, until somebody asks for something else.
     command: Command,
     /// Pushes that are not the script's, due before the next step: heading frame.
-    shoves: Vec<Push>,
+    pushes_due: Vec<Push>,
     /// Force of a hand at the trunk: forward and left, heading frame \[N\].
-    hand: Option<[f64; 2]>,
+    pull_in_heading: Option<[f64; 2]>,
     /// Whether the controller has to forget the past before the next step.
-    afresh: bool,
+    starts_afresh: bool,
     /// None if the controller sees the true state.
     pub(super) senses: Option<Senses>,
     with_bodies: bool,
@@ -60,10 +60,10 @@ pub struct Playback<'a> {
     pushes_done: usize,
     shown_push: Option<(f64, Vector3<f64>)>,
     /// When the last disturbance came \[s\], and what it was.
-    disturbed: Option<(f64, String)>,
-    pulling: bool,
+    last_disturbance: Option<(f64, String)>,
+    script_pulls: bool,
     /// The force of the hand in the last step, world frame \[N\].
-    held: Option<Vector3<f64>>,
+    pull_in_world: Option<Vector3<f64>>,
     fallen_since: Option<usize>,
     failed: bool,
     spring: Option<SpringState>,
@@ -104,17 +104,17 @@ impl<'a> Playback<'a> {
             steps: config.simulation.policy_steps(script.duration_s),
             controller,
             command: script.command,
-            shoves: Vec::new(),
-            hand: None,
-            afresh: true,
+            pushes_due: Vec::new(),
+            pull_in_heading: None,
+            starts_afresh: true,
             senses: None,
             with_bodies: false,
             step: 0,
             pushes_done: 0,
             shown_push: None,
-            disturbed: None,
-            pulling: false,
-            held: None,
+            last_disturbance: None,
+            script_pulls: false,
+            pull_in_world: None,
             fallen_since: None,
             failed: false,
             spring: script.spring.as_ref().map(|_| SpringState::new(&sim)).transpose()?,
@@ -168,72 +168,86 @@ impl<'a> Playback<'a> {
         trace
     }
 
+    /// One policy step: disturb, act, simulate, observe, record.
     fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, PlaybackFault> {
-        let period_s = self.sim.policy_period_s();
-        let time_s = self.step as f64 * period_s;
-        self.disturb(time_s, events)?;
+        self.disturb(self.time_s(), events)?;
+        let target = self.act();
+        let (summary, meter) = self.simulate(&target)?;
+        self.step += 1;
+        let observed = self.observe(&summary, meter, events)?;
+        let frame = self.record(target, &summary, &observed);
+        self.state = observed.state;
+        Ok(frame)
+    }
 
-        let known = self.senses.as_ref().map(Senses::state);
-        let known = known.as_ref().unwrap_or(&self.state);
-        if std::mem::take(&mut self.afresh) {
-            self.controller.begin(known);
+    /// The time at which the next policy step starts \[s\].
+    fn time_s(&self) -> f64 {
+        self.step as f64 * self.sim.policy_period_s()
+    }
+
+    /// Asks the controller for joint targets \[rad\], on the true state or on what the sensors give.
+    fn act(&mut self) -> Joints {
+        let sensed = self.senses.as_ref().map(Senses::state);
+        let state = sensed.as_ref().unwrap_or(&self.state);
+        if std::mem::take(&mut self.starts_afresh) {
+            self.controller.begin(state);
         }
-        let target = self.controller.joint_targets(known, &self.command);
+        let target = self.controller.joint_targets(state, &self.command);
         if let Some(senses) = &mut self.senses {
             senses.act(&target);
         }
-        let rope = self.rig.as_ref().map(RigState::tendon);
-        let pull = self.steady_force();
+        target
+    }
+
+    /// Simulates one policy step towards the joint targets, and sums the forces in it.
+    fn simulate(&mut self, target: &Joints) -> mujoco::Result<(StepSummary, ContactMeter<'static>)> {
         let mut meter = ContactMeter {
             swings: self.swings,
+            pull: self.steady_force(),
             senses: self.senses.as_mut(),
-            pull,
             spring: self.script.spring.as_ref().zip(self.spring.as_mut()),
-            rope,
+            rope: self.rig.as_ref().map(RigState::tendon),
             ..ContactMeter::default()
         };
-        let summary = self.sim.step(&target, &mut meter)?;
-        let meter = ContactMeter { senses: None, spring: None, ..meter };
-        self.step += 1;
-        let time_s = self.step as f64 * period_s;
-        if let Some(fault) = self.senses.as_mut().map_or(Ok(None), Senses::fault)? {
-            events.push(Event {
-                time_s,
-                kind: EventKind::Disturbance,
-                text: format!("sensors: {fault}; the others bridge it"),
-            });
-        }
+        let summary = self.sim.step(target, &mut meter)?;
+        Ok((summary, ContactMeter { senses: None, spring: None, ..meter }))
+    }
 
+    /// Finds out what happened in the step that has just been simulated, and says so in events.
+    fn observe(
+        &mut self,
+        summary: &StepSummary,
+        meter: ContactMeter<'static>,
+        events: &mut Vec<Event>,
+    ) -> Result<Observed, PlaybackFault> {
+        let time_s = self.time_s();
+        let event = |kind, text| Event { time_s, kind, text };
+        if let Some(fault) = self.senses.as_mut().map_or(Ok(None), Senses::fault)? {
+            events.push(event(EventKind::Disturbance, format!("sensors: {fault}; the others bridge it")));
+        }
         let stretch = self.spring.as_mut().zip(self.script.spring.as_ref()).and_then(|(state, spring)| {
             let (stretch, text) = state.after_step(spring)?;
-            let event = |text: &str| Event { time_s, kind: EventKind::Disturbance, text: text.to_owned() };
-            events.extend(text.map(event));
+            events.extend(text.map(|text| event(EventKind::Disturbance, text.to_owned())));
             Some(stretch)
         });
-
         let state = self.sim.state();
-        let mut swings = meter.swings;
-        let landings = swings.take();
-        self.swings = swings;
+        self.swings = meter.swings;
+        let landings = self.swings.take();
         if let Some(event) = events.iter().rfind(|event| event.kind == EventKind::Disturbance) {
-            self.disturbed = Some((event.time_s, event.text.clone()));
+            self.last_disturbance = Some((event.time_s, event.text.clone()));
         }
-        let step = reward::RewardInput {
+        let terms = Terms::new(&reward::RewardInput {
             state: &state,
             command: &self.command,
-            summary: &summary,
+            summary,
             landings: &landings,
             config: &self.config.reward,
-        };
-        let terms = Terms::new(&step);
+        });
         if let (Some(fall), None) = (summary.fall, self.fallen_since) {
             self.fallen_since = Some(self.step);
-            let after = self
-                .disturbed
-                .as_ref()
-                .map_or(String::new(), |(since_s, what)| format!(", {:.2} s after: {what}", time_s - since_s));
-            let text = format!("fell: {}{after}", self.sim.describe(fall));
-            events.push(Event { time_s, kind: EventKind::Fall, text });
+            let since = |(since_s, what): &(f64, String)| format!(", {:.2} s after: {what}", time_s - since_s);
+            let after = self.last_disturbance.as_ref().map_or(String::new(), since);
+            events.push(event(EventKind::Fall, format!("fell: {}{after}", self.sim.describe(fall))));
         }
         let rope = self
             .rig
@@ -241,12 +255,17 @@ impl<'a> Playback<'a> {
             .zip(self.script.rig.as_ref())
             .map(|(state, rig)| state.after_step(rig, &self.sim, time_s, meter.rope_forces, meter.touched, events));
         self.look_for_goal(&state, time_s, events);
+        Ok(Observed { state, terms, meter, stretch, rope })
+    }
 
+    /// The frame of the step that has just been simulated.
+    fn record(&self, target: Joints, summary: &StepSummary, observed: &Observed) -> Frame {
+        let Observed { state, terms, meter, stretch, rope } = observed;
+        let (time_s, period_s) = (self.time_s(), self.sim.policy_period_s());
         let substeps = f64::from(meter.substeps.max(1));
         let (roll, pitch, yaw) = state.roll_pitch_yaw();
         let data = self.sim.data();
-        let config = &*self.config;
-        let frame = Frame {
+        Frame {
             time_s,
             bodies: if self.with_bodies { poses(data) } else { Vec::new() },
             goal: self.goal_from.map(|body| pose(data, body)),
@@ -259,8 +278,8 @@ impl<'a> Playback<'a> {
             height_m: state.height,
             power_w: summary.power_w,
             torque_n_m: summary.torque_n_m,
-            reward: terms.total(&config.reward),
-            terms,
+            reward: terms.total(&self.config.reward),
+            terms: *terms,
             joint_angles: state.joint_angles,
             joint_targets: target,
             torques: meter.torques,
@@ -271,14 +290,12 @@ impl<'a> Playback<'a> {
             peak_obstacle_force_n: meter.peak_obstacle_force_n,
             obstacle_impulse_n_s: meter.obstacle_force_sum_n * period_s / substeps,
             obstacle_contact_s: f64::from(meter.obstacle_substeps) * period_s / substeps,
-            rope,
-            spring: stretch,
-            sensed: self.senses.as_ref().map(|senses| senses.sensed(&state)),
-            disturbance: self.disturbance(time_s, stretch),
+            rope: rope.clone(),
+            spring: *stretch,
+            sensed: self.senses.as_ref().map(|senses| senses.sensed(state)),
+            disturbance: self.disturbance(time_s, *stretch),
             stage: self.stage(time_s),
-        };
-        self.state = state;
-        Ok(frame)
+        }
     }
 
     /// Stage of the training episode that this would be, if it is one.
@@ -295,15 +312,15 @@ impl<'a> Playback<'a> {
         let due = |push: &&TimedPush| push.is_due(time_s, period_s);
         while let Some(push) = self.script.pushes.get(self.pushes_done).filter(due).map(|due| due.push) {
             self.pushes_done += 1;
-            self.shove(&push, time_s, events)?;
+            self.push_now(&push, time_s, events)?;
         }
-        for push in std::mem::take(&mut self.shoves) {
-            self.shove(&push, time_s, events)?;
+        for push in std::mem::take(&mut self.pushes_due) {
+            self.push_now(&push, time_s, events)?;
         }
         if let Some(pull) = self.script.pull {
             let active = pull.acts(time_s);
-            if active != self.pulling {
-                self.pulling = active;
+            if active != self.script_pulls {
+                self.script_pulls = active;
                 let force = self.steady_force();
                 self.sim.set_trunk_force(force);
                 let text = match active {
@@ -316,11 +333,11 @@ impl<'a> Playback<'a> {
         if let (Some(state), Some(rig)) = (&mut self.rig, &self.script.rig) {
             state.before_step(rig, &self.script, &mut self.sim, time_s, events)?;
         }
-        self.feel_the_hand(time_s, events);
+        self.update_pull(time_s, events);
         Ok(())
     }
 
-    fn shove(&mut self, push: &Push, time_s: f64, events: &mut Vec<Event>) -> mujoco::Result<()> {
+    fn push_now(&mut self, push: &Push, time_s: f64, events: &mut Vec<Event>) -> mujoco::Result<()> {
         let before = self.sim.state().velocity_in_world();
         self.sim.push(push)?;
         let change = self.sim.state().velocity_in_world() - before;
@@ -332,13 +349,14 @@ impl<'a> Playback<'a> {
     }
 
     /// The force of a hand turns with the robot.
-    fn feel_the_hand(&mut self, time_s: f64, events: &mut Vec<Event>) {
-        let before = self.held;
-        self.held = self.hand.map(|[forward, left]| self.sim.state().heading() * Vector3::new(forward, left, 0.0));
-        if let Some(force) = self.held.or(before.map(|_| Vector3::zeros())) {
+    fn update_pull(&mut self, time_s: f64, events: &mut Vec<Event>) {
+        let before = self.pull_in_world;
+        self.pull_in_world =
+            self.pull_in_heading.map(|[forward, left]| self.sim.state().heading() * Vector3::new(forward, left, 0.0));
+        if let Some(force) = self.pull_in_world.or(before.map(|_| Vector3::zeros())) {
             self.sim.set_trunk_force(force);
         }
-        let text = match (before, self.hand) {
+        let text = match (before, self.pull_in_heading) {
             (None, Some([forward, left])) => format!("pull: {forward:+.1} N forward, {left:+.1} N left"),
             (Some(_), None) => "pull ends".to_owned(),
             _ => return,
@@ -361,13 +379,13 @@ impl<'a> Playback<'a> {
 
     /// The force on the trunk now that is not a spring's, world frame \[N\].
     fn steady_force(&self) -> Vector3<f64> {
-        let pull = self.script.pull.filter(|_| self.pulling);
+        let pull = self.script.pull.filter(|_| self.script_pulls);
         let pull = pull.map(|pull| Vector3::new(pull.force[0], pull.force[1], 0.0));
-        pull.or(self.held).unwrap_or_default()
+        pull.or(self.pull_in_world).unwrap_or_default()
     }
 
     fn disturbance(&self, time_s: f64, stretch: Option<Stretch>) -> Option<Disturbance> {
-        if self.pulling || self.held.is_some() {
+        if self.script_pulls || self.pull_in_world.is_some() {
             return Some(Disturbance::Pull { force: self.steady_force().into() });
         }
         if let Some(acting) = self.script.spring.as_ref().zip(stretch).and_then(|(it, now)| it.disturbance(now.force_n))
@@ -410,6 +428,15 @@ impl Iterator for Playback<'_> {
             }
         }
     }
+}
+
+/// What happened in a policy step.
+struct Observed {
+    state: RobotState,
+    terms: Terms,
+    meter: ContactMeter<'static>,
+    stretch: Option<Stretch>,
+    rope: Option<Rope>,
 }
 
 /// Why a step has no frame.
