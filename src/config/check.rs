@@ -89,26 +89,15 @@ impl Config {
         not_negative("episode.push_rate_rad_s", e.push_rate_rad_s)?;
         fraction("episode.slope", e.slope)?;
         not_negative("episode.min_height_m", e.min_height_m)?;
-        if let Some(c) = &self.compliance {
-            positive("compliance.own_m_s_per_n", c.own_m_s_per_n)?;
-            let [low, high] = c.range_m_s_per_n;
-            let sound = 0.0 < low && low <= high && high.is_finite();
-            require(sound, "compliance.range_m_s_per_n", format!("{:?}", [low, high]), "[least, largest], positive")?;
-            let sound = c.limits_m_s.iter().all(|limit| *limit >= 0.0 && limit.is_finite());
-            require(sound, "compliance.limits_m_s", format!("{:?}", c.limits_m_s), "[forward, left], not negative")?;
-            positive("compliance.speed_limit_m_s", c.speed_limit_m_s)?;
-            not_negative("compliance.force_n", c.force_n)?;
-            fraction("compliance.gentle_fraction", c.gentle_fraction)?;
-            positive("compliance.gentle_speed_m_s", c.gentle_speed_m_s)?;
-            for (key, [low, high]) in [("compliance.duration_s", c.duration_s), ("compliance.gap_s", c.gap_s)] {
+        if let Some(pulls) = &self.pulls {
+            not_negative("pulls.force_n", pulls.force_n)?;
+            for (key, [low, high]) in [("pulls.duration_s", pulls.duration_s), ("pulls.gap_s", pulls.gap_s)] {
                 let sound = period <= low && low <= high && high <= MAX_STAGE_S;
                 let expected = "[shortest, longest], at least one policy step and at most an hour";
                 require(sound, key, format!("{:?}", [low, high]), expected)?;
             }
-            fraction("compliance.fraction_step", c.fraction_step)?;
-            fraction("compliance.fraction_gate", c.fraction_gate)?;
-            let expected = "false where compliance is commanded: there, what is tracked says what yielding is";
-            require(!e.recovery_stage, "episode.recovery_stage", "true", expected)?;
+            fraction("pulls.fraction_step", pulls.fraction_step)?;
+            fraction("pulls.fraction_gate", pulls.fraction_gate)?;
         }
         let weights = &self.reward;
         not_negative("reward.linear_velocity", weights.linear_velocity)?;

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Compliance, Config, Episode, LearnerKind, LegPose, Ppo, Precision, Randomisation, Reward,
+    Action, CommandRange, Config, Episode, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation, Reward,
     RobotModel, Run, Simulation,
 };
 
@@ -30,7 +30,6 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("baseline", include_str!("../../configs/baseline.yaml")),
     ("fast", include_str!("../../configs/fast.yaml")),
     ("fast-baseline", include_str!("../../configs/fast-baseline.yaml")),
-    ("commanded", include_str!("../../configs/commanded.yaml")),
     ("go2", include_str!("../../configs/go2.yaml")),
     ("go2-baseline", include_str!("../../configs/go2-baseline.yaml")),
     ("hardware", include_str!("../../configs/hardware.yaml")),

@@ -28,9 +28,9 @@ pub struct Config {
     pub command: CommandRange,
     /// Stages, pushes, slopes, termination.
     pub episode: Episode,
-    /// Compliance as a command; without it, none is commanded and nothing pulls.
+    /// Sustained pulls on the trunk; without this section nothing pulls.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub compliance: Option<Compliance>,
+    pub pulls: Option<Pulls>,
     /// Weights and targets of Table II.
     pub reward: Reward,
     /// Dynamics randomisation.
@@ -200,33 +200,19 @@ pub struct Episode {
     pub min_height_m: f64,
 }
 
-/// Training inside the outer loop that makes compliance a command, with pulls to yield to; not in the paper. What is tracked
-/// is the motion of virtual masses: see [`crate::task::compliance`].
+/// Sustained pulls on the trunk from any side, in training; not in the paper.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Compliance {
-    /// `C₀`: what the policy is to yield by itself [m/s/N].
-    pub own_m_s_per_n: f64,
-    /// Least and largest commanded compliance, drawn uniformly [m/s/N].
-    pub range_m_s_per_n: [f64; 2],
-    /// Fastest walk that the outer loop asks for, forward and left, unless the command is faster [m/s].
-    pub limits_m_s: [f64; 2],
-    /// Bound of the virtual masses' speed [m/s]: nobody leads the robot faster than it can walk.
-    pub speed_limit_m_s: f64,
-    /// Largest pull \[N\].
+pub struct Pulls {
+    /// The largest pull \[N\].
     pub force_n: f64,
-    /// Fraction of pulls no stronger than leads the virtual mass to this speed [m/s].
-    pub gentle_fraction: f64,
-    /// That speed [m/s].
-    pub gentle_speed_m_s: f64,
-    /// Shortest and longest pull \[s\].
+    /// The shortest and the longest pull \[s\].
     pub duration_s: [f64; 2],
-    /// Shortest and longest time between two pulls \[s\].
+    /// The shortest and the longest time between two pulls \[s\].
     pub gap_s: [f64; 2],
-    /// Growth per iteration of the fraction of `force_n` and of the range (its logarithm about `own_m_s_per_n`) that is open,
-    /// from zero on.
+    /// Growth per iteration of the open fraction of `force_n`, from zero on.
     pub fraction_step: f64,
-    /// Mean `r_lin` above which it grows.
+    /// The mean `r_lin` above which that fraction grows.
     pub fraction_gate: f64,
 }
 
@@ -384,11 +370,9 @@ pub struct Run {
 }
 
 impl Config {
-    /// Fastest walk that an outer loop may ask for, forward and left, unless the command is faster [m/s].
-    pub fn led_limits_m_s(&self) -> [f64; 2] {
-        self.compliance
-            .as_ref()
-            .map_or([self.command.forward_m_s, self.command.left_m_s], |compliance| compliance.limits_m_s)
+    /// The largest velocity that an outer loop may command, forward and left, unless the command itself is larger [m/s].
+    pub fn outer_loop_limits_m_s(&self) -> [f64; 2] {
+        [self.command.forward_m_s, self.command.left_m_s]
     }
 
     /// What the policy sees, made ready.

@@ -1,198 +1,110 @@
-/*! Compliance as a command: how a robot that somebody has hold of is to move, and how one that tracks velocities does.
+/*! The outer loop that makes the compliance of a policy a command.
 
-On the horizontal plane it is to move like a virtual mass with a virtual damper of 1/c to its commanded velocity,
+On the horizontal plane a commanded robot moves like a virtual mass with a virtual damper of 1/c to its commanded velocity,
 
 `m v̇_ref = (v* − v_ref) / c + f`
 
-with the robot's mass m, the commanded velocity v*, the commanded compliance c [m/s/N] and the force f of the hand. A steady
-force offsets its velocity by c·f, and a push decays with the time constant m·c. Gravity on a slope is no hand.
+with the robot's mass m, the commanded velocity v*, the commanded compliance c [m/s/N] and the external force f. A steady
+force offsets its velocity by c·f, and a push decays with the time constant m·c. On a slope, the component of gravity is not
+treated as an external force.
 
-A policy that tracks velocities yields a little by itself, by `C₀`, its own compliance. An outer loop around it makes that any
-c: it commands the velocity
+A policy that tracks velocities yields a little by itself, by `C₀`, its own compliance. The outer loop around it turns that
+into any c: it commands the velocity
 
 `v* + (1 − C₀/c) · LP(v − v* − bias)`
 
-of the measured velocity v, LP being a low-pass and the bias what the policy's velocity is off by undisturbed. Softer than C₀,
-the command goes with the hand; stiffer, it goes against it. Of what the low-pass gives, 0.5 m/s count and no more: whoever
-pulls harder than that meets the policy itself.
+of the measured velocity v, LP being a low-pass and the bias the velocity error of the undisturbed policy. Softer than C₀,
+the command moves with the pull; stiffer, it moves against it. The output of the low-pass is limited to 0.5 m/s: beyond that,
+the robot yields by its own compliance.
 */
 
-use nalgebra::{Vector2, Vector3};
-use serde::{Deserialize, Serialize};
+use nalgebra::Vector2;
 
 use crate::config::Config;
 use crate::observation::Command;
-use crate::robot::RobotState;
 
 /// Time constant of the low-pass, which takes out the gait \[s\].
 const SMOOTHING_S: f64 = 0.1;
 
-/// How far off its command a robot is led at most [m/s]. Without a bound, pulls of 50 N bring 22 to 29 % of the robots down
-/// that are told 0.03 and 0.05 m/s/N, with this one 9 % (docs/compliance.md).
-const LED_M_S: f64 = 0.5;
+/// The largest velocity error that the outer loop acts on [m/s]. Without a bound, pulls of 50 N bring down 22 to 29 % of the
+/// robots at a commanded compliance of 0.03 and 0.05 m/s/N, with this one 9 % (docs/compliance.md).
+const LARGEST_ERROR_M_S: f64 = 0.5;
 
-/// What the outer loop knows of a policy.
+/// The outer loop around one policy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OuterLoop {
-    /// `C₀` [m/s/N].
+    /// The policy's own compliance, `C₀` [m/s/N].
     pub own_m_s_per_n: f64,
-    /// Fastest walk that it asks for, forward and left, unless the command is faster [m/s].
+    /// The largest velocity that the loop commands, forward and left, unless the command itself is larger [m/s].
     pub limits_m_s: [f64; 2],
-    /// Between two policy steps \[s\].
+    /// The time between two policy steps \[s\].
     pub period_s: f64,
 }
 
 impl OuterLoop {
-    /// Around a policy of this configuration that yields by `own_m_s_per_n` by itself.
-    pub fn of(config: &Config, own_m_s_per_n: f64) -> Self {
-        let (limits_m_s, period_s) = (config.led_limits_m_s(), config.simulation.policy_period_s());
+    /// Creates the loop for a policy of this configuration, with the policy's own compliance [m/s/N].
+    pub fn new(config: &Config, own_m_s_per_n: f64) -> Self {
+        let (limits_m_s, period_s) = (config.outer_loop_limits_m_s(), config.simulation.policy_period_s());
         OuterLoop { own_m_s_per_n, limits_m_s, period_s }
     }
 
-    /// What to command of a policy that walks at `velocity`, is to walk at `command` and to yield by `c` [m/s/N]. `led` is the
-    /// state of the low-pass, zero at first. All of them are forward and left, base frame, and so is the bias [m/s].
+    /// Returns the command for the policy of a robot that walks at `velocity`, is commanded `command` and the compliance `c`
+    /// [m/s/N].
+    ///
+    /// `low_pass` is the loop's state, zero at first. Velocity, bias and state are forward and left, base frame [m/s].
     pub fn command(
         &self,
         velocity: [f64; 2],
         command: &Command,
         c: f64,
         bias: [f64; 2],
-        led: &mut [f64; 2],
+        low_pass: &mut [f64; 2],
     ) -> Command {
         let step = 1.0 - (-self.period_s / SMOOTHING_S).exp();
         let gain = 1.0 - self.own_m_s_per_n / c;
-        let asked = [command.forward, command.left];
+        let target = [command.forward, command.left];
         for axis in 0..2 {
-            led[axis] += step * (velocity[axis] - asked[axis] - bias[axis] - led[axis]);
+            low_pass[axis] += step * (velocity[axis] - target[axis] - bias[axis] - low_pass[axis]);
         }
-        let off = Vector2::from(*led).cap_magnitude(LED_M_S);
+        let off = Vector2::from(*low_pass).cap_magnitude(LARGEST_ERROR_M_S);
         let [forward, left]: [f64; 2] = std::array::from_fn(|axis| {
-            let limit = self.limits_m_s[axis].max(asked[axis].abs());
-            (asked[axis] + gain * off[axis]).clamp(-limit, limit)
+            let limit = self.limits_m_s[axis].max(target[axis].abs());
+            (target[axis] + gain * off[axis]).clamp(-limit, limit)
         });
         Command { forward, left, ..*command }
     }
 }
 
-/// A virtual mass.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct VirtualMass {
-    /// `v_ref`, world frame, horizontal [m/s].
-    velocity: [f64; 2],
-}
-
-/// What acts on a virtual mass for a while.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Pulled {
-    /// World frame, horizontal \[N\].
-    pub force: [f64; 2],
-    /// Of the robot \[kg\].
-    pub mass_kg: f64,
-    /// How long \[s\].
-    pub time_s: f64,
-}
-
-impl VirtualMass {
-    /// As fast as a robot is.
-    pub fn of(state: &RobotState) -> Self {
-        let velocity = state.velocity_in_world();
-        VirtualMass { velocity: [velocity.x, velocity.y] }
-    }
-
-    /// Lets a force act on it for a while, with a damper of `1/c` to the command: the exact solution. It gets no faster than
-    /// `limit_m_s`, unless the command is.
-    pub fn step(&mut self, state: &RobotState, command: &Command, c: f64, pulled: Pulled, limit_m_s: f64) {
-        let asked = state.heading() * Vector3::new(command.forward, command.left, 0.0);
-        let kept = (-pulled.time_s / (pulled.mass_kg * c)).exp();
-        let towards = asked.xy() + c * Vector2::from(pulled.force);
-        let velocity = towards + kept * (Vector2::from(self.velocity) - towards);
-        self.velocity = velocity.cap_magnitude(limit_m_s.max(asked.norm())).into();
-    }
-
-    /// Adds what a push has changed the robot's velocity by, world frame [m/s].
-    pub fn push(&mut self, change: Vector3<f64>) {
-        self.velocity = [self.velocity[0] + change.x, self.velocity[1] + change.y];
-    }
-
-    /// Its velocity in the robot's heading, in place of the commanded one.
-    pub fn command(&self, state: &RobotState, command: &Command) -> Command {
-        let velocity = state.heading().inverse() * Vector3::new(self.velocity[0], self.velocity[1], 0.0);
-        Command { forward: velocity.x, left: velocity.y, ..*command }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use nalgebra::UnitQuaternion;
-
     use super::*;
 
     const MASS_KG: f64 = 12.5;
     const STEP_S: f64 = 1.0 / 60.0;
 
-    /// Upright, with this yaw.
-    fn turned(yaw: f64) -> RobotState {
-        RobotState { world_from_base: UnitQuaternion::from_euler_angles(0.0, 0.0, yaw), ..RobotState::default() }
-    }
-
-    fn pulled(force: [f64; 2]) -> Pulled {
-        Pulled { force, mass_kg: MASS_KG, time_s: STEP_S }
-    }
-
-    #[test]
-    fn a_steady_pull_offsets_a_virtual_mass_by_force_times_compliance_in_the_world() {
-        let command = Command::velocity(0.5, 0.0, 0.0);
-        // It heads along the world's y, and is pulled along x: to its right.
-        let state = turned(std::f64::consts::FRAC_PI_2);
-        let mut mass = VirtualMass::default();
-        (0..600).for_each(|_| mass.step(&state, &command, 0.02, pulled([10.0, 0.0]), 2.0));
-        let reached = mass.command(&state, &command);
-        assert!((reached.forward - 0.5).abs() < 1e-9 && (reached.left + 0.2).abs() < 1e-9, "{reached:?}");
-        // Nobody leads it faster than the bound: 0.5 and 10 · 0.1 m/s would be 1.118 m/s.
-        (0..600).for_each(|_| mass.step(&state, &command, 0.1, pulled([10.0, 0.0]), 1.0));
-        let reached = mass.command(&state, &command);
-        assert!((reached.forward.hypot(reached.left) - 1.0).abs() < 1e-9, "{reached:?}");
-    }
-
-    #[test]
-    fn a_push_decays_with_the_time_constant_mass_times_compliance() {
-        let (state, command) = (turned(0.0), Command::default());
-        let mut mass = VirtualMass::of(&state);
-        mass.push(Vector3::new(0.0, 1.0, 0.0));
-        // 12.5 kg · 0.04 m/s/N = 0.5 s = 30 steps, whatever the steps' length.
-        (0..30).for_each(|_| mass.step(&state, &command, 0.04, pulled([0.0; 2]), 2.0));
-        assert!((mass.command(&state, &command).left - (-1.0_f64).exp()).abs() < 1e-12);
-    }
-
-    /// A robot that follows its command with its own compliance, pulled to the left for 10 s: its velocity at the end.
-    fn led(c: f64, force_n: f64, bias: [f64; 2]) -> f64 {
+    /// Returns the final velocity to the left of a robot that follows its command with its own compliance of 0.01 m/s/N (`m v̇ =
+    /// (v* − v) / C₀ + f`, solved exactly) and is pulled to the left for 10 s, with the outer loop around it.
+    fn velocity_left(c: f64, force_n: f64, bias: f64, known_bias: f64) -> f64 {
         let outer_loop = OuterLoop { own_m_s_per_n: 0.01, limits_m_s: [1.0, 0.6], period_s: STEP_S };
-        let (command, mut mass, mut low_pass) = (Command::velocity(0.5, 0.0, 0.0), VirtualMass::default(), [0.0; 2]);
-        let mut state = turned(0.0);
+        let (command, mut velocity, mut low_pass) = (Command::velocity(0.5, 0.0, 0.0), [0.0; 2], [0.0; 2]);
+        let kept = (-STEP_S / (MASS_KG * outer_loop.own_m_s_per_n)).exp();
         for _ in 0..600 {
-            let mut asked = outer_loop.command(
-                [state.velocity_in_base.x, state.velocity_in_base.y],
-                &command,
-                c,
-                [0.0, bias[1]],
-                &mut low_pass,
-            );
-            asked.left += bias[0];
-            mass.step(&state, &asked, outer_loop.own_m_s_per_n, pulled([0.0, force_n]), 2.0);
-            state.velocity_in_base = Vector3::new(mass.velocity[0], mass.velocity[1], 0.0);
+            let commanded = outer_loop.command(velocity, &command, c, [0.0, known_bias], &mut low_pass);
+            let goals = [commanded.forward, commanded.left + bias + outer_loop.own_m_s_per_n * force_n];
+            velocity = std::array::from_fn(|axis| goals[axis] + kept * (velocity[axis] - goals[axis]));
         }
-        state.velocity_in_base.y
+        velocity[1]
     }
 
     #[test]
-    fn an_outer_loop_makes_a_policys_own_compliance_any_other() {
+    fn outer_loop_gives_commanded_compliance() {
         for c in [0.005, 0.01, 0.02, 0.05] {
-            assert!((led(c, 10.0, [0.0; 2]) - 10.0 * c).abs() < 1e-4, "{c}");
+            assert!((velocity_left(c, 10.0, 0.0, 0.0) - 10.0 * c).abs() < 1e-4, "{c}");
         }
-        // It leads by 0.8 · 0.5 m/s and no more; the policy itself yields by 30 · 0.01 m/s.
-        assert!((led(0.05, 30.0, [0.0; 2]) - 0.7).abs() < 1e-4);
-        // What the policy is off by is five times as much at five times its own compliance, unless it is known.
-        assert!((led(0.05, 0.0, [0.02, 0.0]) - 0.1).abs() < 1e-4);
-        assert!((led(0.05, 0.0, [0.02, 0.02]) - 0.02).abs() < 1e-4);
+        // The loop adds 0.8 · 0.5 m/s and no more; the policy itself yields by 30 · 0.01 m/s.
+        assert!((velocity_left(0.05, 30.0, 0.0, 0.0) - 0.7).abs() < 1e-4);
+        // At five times its own compliance a bias of the policy counts five times, unless it is known.
+        assert!((velocity_left(0.05, 0.0, 0.02, 0.0) - 0.1).abs() < 1e-4);
+        assert!((velocity_left(0.05, 0.0, 0.02, 0.02) - 0.02).abs() < 1e-4);
     }
 }

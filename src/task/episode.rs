@@ -7,7 +7,7 @@ use rand::{Rng, RngExt};
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{CommandRange, Compliance, Config, Episode, Simulation};
+use crate::config::{CommandRange, Config, Episode, Pulls, Simulation};
 use crate::observation::Command;
 use crate::robot::{GRAVITY_M_S2, JOINTS};
 use crate::sim::{Conditions, Pull, Push};
@@ -65,7 +65,7 @@ pub struct EpisodePlan {
     pub conditions: Conditions,
     /// The push at the start of the recovery stage; the episode ends after the walking stage without one.
     pub push: Option<Push>,
-    /// What pulls, in order of time; only where compliance is commanded.
+    /// The sustained pulls in order of time, world frame.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pulls: Vec<Pull>,
 }
@@ -75,7 +75,7 @@ impl EpisodePlan {
     pub fn draw(config: &Config, curriculum: Curriculum, rng: &mut impl Rng) -> Self {
         let mut within = |range: f64| range * rng.random_range(-1.0..=1.0);
         let open = curriculum.command_fraction;
-        let mut command = Command::velocity(
+        let command = Command::velocity(
             within(config.command.forward_m_s * open),
             within(config.command.left_m_s * open),
             within(config.command.yaw_rad_s * open),
@@ -98,15 +98,9 @@ impl EpisodePlan {
             friction: if randomisation.enabled { friction } else { randomisation.default_friction },
             encoder_bias: if randomisation.enabled { encoder_bias } else { [0.0; JOINTS] },
         };
-        let mut pulls = Vec::new();
-        if let Some(compliance) = &config.compliance {
-            let [low, high] = compliance.range_m_s_per_n;
-            let (own, open) = (compliance.own_m_s_per_n, curriculum.force_fraction);
-            command.compliance = own * (rng.random_range(low..=high) / own).powf(open);
-            let force_n = compliance.force_n * curriculum.force_fraction;
-            let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
-            pulls = drawn_pulls(compliance, command.compliance, force_n, length_s, rng);
-        }
+        let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
+        let drawn = |pulls| drawn_pulls(pulls, curriculum.force_fraction, length_s, rng);
+        let pulls = config.pulls.as_ref().map_or_else(Vec::new, drawn);
         // Drawn in any case, too.
         EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls }
     }
@@ -118,17 +112,14 @@ impl EpisodePlan {
     }
 }
 
-/// Pulls of up to `force_n` from any side, with pauses, until the end.
-fn drawn_pulls(range: &Compliance, compliance: f64, force_n: f64, length_s: f64, rng: &mut impl Rng) -> Vec<Pull> {
+/// Draws pulls from any side, with pauses, until the end of the episode; `open` is the fraction of the force that is open.
+fn drawn_pulls(range: &Pulls, open: f64, length_s: f64, rng: &mut impl Rng) -> Vec<Pull> {
     let mut pulls = Vec::new();
     let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
     let mut time_s = within(range.gap_s);
     while time_s < length_s {
         let until_s = time_s + within(range.duration_s);
-        let gentle = within([0.0, 1.0]) < range.gentle_fraction;
-        let gentle_n = range.gentle_speed_m_s / compliance;
-        let largest_n = if gentle { force_n.min(gentle_n) } else { force_n };
-        let (size, angle) = (within([0.0, largest_n]), within([0.0, std::f64::consts::TAU]));
+        let (size, angle) = (within([0.0, range.force_n * open]), within([0.0, std::f64::consts::TAU]));
         pulls.push(Pull { from_s: time_s, until_s, force: [size * angle.cos(), size * angle.sin()] });
         time_s = until_s + within(range.gap_s);
     }
@@ -149,7 +140,7 @@ pub struct Curriculum {
     pub command_fraction: f64,
     /// Whether episodes go on to the push and what follows it. Once they do, they always do.
     pub pushes: bool,
-    /// Open fraction of the pulls and of the outer loop's gain, 0 to 1; where there are such. It grows once there are pushes.
+    /// The open fraction of the pulls' largest force, 0 to 1. It grows once there are pushes.
     #[serde(default)]
     pub force_fraction: f64,
 }
@@ -171,9 +162,9 @@ impl Curriculum {
             self.command_fraction = (self.command_fraction + config.command.fraction_step).min(1.0);
         }
         self.pushes |= mean_linear_reward > config.episode.push_gate;
-        let walks = |compliance: &&Compliance| self.pushes && mean_linear_reward > compliance.fraction_gate;
-        if let Some(compliance) = config.compliance.as_ref().filter(walks) {
-            self.force_fraction = (self.force_fraction + compliance.fraction_step).min(1.0);
+        let walks = |pulls: &&Pulls| self.pushes && mean_linear_reward > pulls.fraction_gate;
+        if let Some(pulls) = config.pulls.as_ref().filter(walks) {
+            self.force_fraction = (self.force_fraction + pulls.fraction_step).min(1.0);
         }
     }
 }
@@ -276,9 +267,16 @@ mod tests {
     }
 
     #[test]
-    fn pulls_and_the_loop_open_together_from_a_robot_as_it_is() {
-        let config = Config::load("commanded").unwrap();
-        let compliance = config.compliance.clone().unwrap();
+    fn pulls_grow_with_the_curriculum() {
+        let pulls = Pulls {
+            force_n: 50.0,
+            duration_s: [0.5, 2.5],
+            gap_s: [0.2, 1.5],
+            fraction_step: 0.001,
+            fraction_gate: 0.8,
+        };
+        let without = Config::load("fast").unwrap();
+        let config = Config { pulls: Some(pulls), ..without.clone() };
         let plans = |force_fraction: f64| -> Vec<EpisodePlan> {
             let curriculum = Curriculum { force_fraction, ..Curriculum::complete() };
             (0..500).map(|k| EpisodePlan::draw(&config, curriculum, &mut stream(1, Purpose::Episode, k, 0))).collect()
@@ -287,27 +285,28 @@ mod tests {
             let forces = plans.iter().flat_map(|plan| &plan.pulls).map(|pull| pull.force[0].hypot(pull.force[1]));
             forces.fold(0.0, f64::max)
         };
-        let closed = plans(0.0);
-        assert!(
-            closed.iter().all(|plan| (plan.command.compliance - 0.0105).abs() < 1e-12) && strongest(&closed) == 0.0
-        );
+        assert_eq!(strongest(&plans(0.0)), 0.0);
+        assert!((0.45..=0.5).contains(&(strongest(&plans(0.5)) / 50.0)));
         let open = plans(1.0);
-        let [low, high] = compliance.range_m_s_per_n;
-        let told: Vec<f64> = open.iter().map(|plan| plan.command.compliance).collect();
-        assert!(told.iter().all(|c| (low..=high).contains(c)) && told.iter().any(|c| *c > 0.9 * high));
-        assert!((0.9..=1.0).contains(&(strongest(&open) / compliance.force_n)));
+        assert!((0.9..=1.0).contains(&(strongest(&open) / 50.0)));
         // One after the other, with pauses, to the end of the episode.
+        let episode = &config.episode;
+        let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
         for pulls in open.iter().map(|plan| &plan.pulls) {
             assert!(pulls.windows(2).all(|pair| pair[1].from_s - pair[0].until_s >= 0.2));
-            assert!(pulls.last().is_some_and(|last| last.until_s + 1.5 >= 6.0));
+            assert!(pulls.last().is_some_and(|last| last.until_s + 1.5 >= length_s));
         }
         let first = open[0].pulls[0];
         assert_eq!(open[0].force(0.5 * (first.from_s + first.until_s)), first.force);
         assert_eq!(open[0].force(first.until_s + 0.1), [0.0; 2]);
-        // What there was before is drawn as before.
-        let without = Config { compliance: None, ..config.clone() };
+        // Everything else is drawn as without pulls.
         let plan = EpisodePlan::draw(&without, Curriculum::complete(), &mut stream(1, Purpose::Episode, 0, 0));
-        let command = Command { compliance: 0.0, ..open[0].command };
-        assert_eq!(plan, EpisodePlan { command, pulls: Vec::new(), ..open[0].clone() });
+        assert_eq!(plan, EpisodePlan { pulls: Vec::new(), ..open[0].clone() });
+        // The fraction grows only once there are pushes and the robot walks well.
+        let mut curriculum = Curriculum::new(&config.command);
+        curriculum.update(0.79, &config);
+        assert_eq!(curriculum.force_fraction, 0.0);
+        curriculum.update(0.95, &config);
+        assert_eq!(curriculum.force_fraction, 0.001);
     }
 }

@@ -7,7 +7,7 @@ pub mod compliance;
 pub mod episode;
 pub mod reward;
 
-pub use compliance::{OuterLoop, VirtualMass};
+pub use compliance::OuterLoop;
 pub use episode::{Curriculum, EpisodePlan, Stage, Stages};
 pub use reward::{SwingTracker, Terms};
 

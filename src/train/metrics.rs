@@ -27,7 +27,7 @@ pub struct IterationMetrics {
     /// Open fraction of the command range.
     #[serde(alias = "command_share")]
     pub command_fraction: f64,
-    /// Open fraction of pulls and of the outer loop, where there are such.
+    /// The open fraction of the pulls' largest force, if the configuration has pulls.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_fraction: Option<f64>,
     /// Mean standard deviation of the actions.

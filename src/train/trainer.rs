@@ -258,7 +258,7 @@ impl Trainer {
             step_reward: rewards / samples as f64,
             means,
             command_fraction: self.run.curriculum.command_fraction,
-            force_fraction: self.run.config.compliance.as_ref().map(|_| self.run.curriculum.force_fraction),
+            force_fraction: self.run.config.pulls.as_ref().map(|_| self.run.curriculum.force_fraction),
             action_std: log_std.iter().map(|value| f64::from(value.exp())).sum::<f64>() / log_std.len() as f64,
             explained_variance,
             learner: statistics,

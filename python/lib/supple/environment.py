@@ -36,7 +36,7 @@ class Curriculum(NamedTuple):
     pushes: bool
     """Whether there is a push, and the stages that follow it."""
     force_fraction: float = 0.0
-    """Fraction of the pulls' range and of the outer loop's gain, 0 to 1; where compliance is commanded."""
+    """Fraction of the largest force of sustained pulls, 0 to 1; for configurations with `pulls`."""
 
 
 def make_vec(

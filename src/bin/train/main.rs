@@ -29,7 +29,7 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 #[derive(Parser)]
 #[command(version)]
 struct Args {
-    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, go2, go2-baseline, commanded
+    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, go2, go2-baseline
     /// (unfinished), or a YAML file; with --resume, the one that the run must have [default: fast]
     #[arg(long, value_name = "NAME|FILE", value_parser = terminal::path_as_text())]
     config: Option<String>,
