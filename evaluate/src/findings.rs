@@ -8,7 +8,7 @@ use super::statistics::{Comparison, Expected, IntervalEstimate, Numbers, Spread,
 /// Everything that an experiment shows.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Findings {
-    /// What the paper says, and whether it is so here.
+    /// The claims of the paper, each with a verdict.
     pub claims: Vec<Claim>,
     /// Numbers.
     pub tables: Vec<Table>,
@@ -16,22 +16,22 @@ pub struct Findings {
     pub figures: Vec<Figure>,
     /// Points of what figures draw and no table has.
     pub lines: Vec<Lines>,
-    /// What a reader has to know about the numbers of this run.
+    /// Notes about the numbers of this run.
     pub notes: Vec<String>,
 }
 
 /// A statement of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Claim {
-    /// In our words.
+    /// The claim in our words.
     pub text: String,
     /// The paper's numbers, if it gives any.
     pub paper: String,
-    /// What is compared.
+    /// The quantity that is compared.
     pub quantity: Quantity,
     /// Our numbers.
     pub comparison: Comparison,
-    /// What they say.
+    /// The verdict of the numbers.
     pub verdict: Verdict,
 }
 
@@ -46,9 +46,9 @@ impl Claim {
 /// A line of a table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
-    /// What was varied; empty if nothing was.
+    /// The condition; empty if nothing was varied.
     pub condition: String,
-    /// What was measured.
+    /// The measured quantity.
     pub quantity: Quantity,
     /// The paper's numbers, first set / second set; empty if it gives none.
     pub paper: String,
@@ -61,11 +61,11 @@ pub struct Row {
 pub struct Table {
     /// File name without extension.
     pub name: String,
-    /// What it shows.
+    /// The caption of the table.
     pub caption: String,
-    /// In order.
+    /// The rows from top to bottom.
     pub rows: Vec<Row>,
-    /// Whether it is in the report's page, or only in the files beside it.
+    /// True if the table is part of the report's page; false if it is only in the files beside it.
     pub in_page: bool,
 }
 
@@ -82,7 +82,7 @@ impl Table {
 pub struct Figure {
     /// File name without extension.
     pub name: String,
-    /// What it shows.
+    /// The caption of the figure.
     pub caption: String,
     /// The drawing.
     pub svg: String,
@@ -93,9 +93,9 @@ pub struct Figure {
 pub struct Lines {
     /// File name without extension.
     pub name: String,
-    /// What the numbers of a point are, with units.
+    /// The names of the numbers of a point, with units.
     pub columns: Vec<&'static str>,
-    /// In order.
+    /// The lines in drawing order.
     pub lines: Vec<Line>,
 }
 
@@ -104,11 +104,11 @@ pub struct Lines {
 pub struct Line {
     /// Whose it is.
     pub label: String,
-    /// Its points, one number for each column.
+    /// The points of the line, one number for each column.
     pub rows: Vec<Vec<f64>>,
 }
 
-/// What stands in a cell without a number.
+/// The content of a cell without a number.
 pub const NOTHING: &str = "–";
 
 /// A number in its quantity's unit and digits, without the unit.
@@ -119,7 +119,7 @@ pub fn number(value: f64, quantity: Quantity) -> String {
     text.replace('-', "−")
 }
 
-/// Whether a printed number has no digit but zeros.
+/// Returns true if a printed number has no digit other than zero.
 fn is_zero(text: &str) -> bool {
     !text.contains(|c: char| ('1'..='9').contains(&c))
 }

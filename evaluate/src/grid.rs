@@ -10,7 +10,7 @@ pub struct Grid {
     pub values: Vec<f64>,
 }
 
-/// Means of tenths: a value that is the level but for rounding counts as above it.
+/// Tolerance of the level: means of tenths that differ from it by rounding only count as above it.
 const ROUNDING: f64 = 1e-9;
 
 /// Coordinates from `-limit` to `limit`.

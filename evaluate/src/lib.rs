@@ -33,7 +33,7 @@ use supple::scenario::Script;
 use supple::scenario::catalog::{ParameterError, Scenario};
 use trial::Trial;
 
-/// What an experiment is.
+/// The name, title and measured quantities of an experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Info {
     /// `E0` to `E14c`.
@@ -42,7 +42,7 @@ pub struct Info {
     pub number: u32,
     /// On the command line.
     pub name: &'static str,
-    /// In the report.
+    /// The title in the report.
     pub title: &'static str,
     /// Where the paper shows it.
     pub paper: &'static str,
@@ -57,9 +57,9 @@ pub struct Info {
 pub struct Quantity {
     /// Snake case, with the unit where it has one.
     pub name: &'static str,
-    /// For people.
+    /// The label that people read.
     pub label: &'static str,
-    /// Its unit; `%` for fractions, which are kept as 0 to 1.
+    /// The unit; `%` for fractions, which are kept as 0 to 1.
     pub unit: &'static str,
     /// Digits after the point.
     pub digits: usize,
@@ -71,7 +71,7 @@ impl Quantity {
         Quantity { name, label, unit, digits }
     }
 
-    /// From what is kept to what is printed in the unit.
+    /// Returns the factor from kept to printed values.
     pub fn scale(&self) -> f64 {
         if self.unit == "%" { 100.0 } else { 1.0 }
     }
@@ -88,18 +88,18 @@ pub const FELL: Quantity = Quantity::new("fell", "falls", "%", 0);
 /// One setting of what an experiment varies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Condition {
-    /// For tables.
+    /// The label in tables.
     pub label: String,
-    /// What is played; the trial's seed varies it.
+    /// The scenario; the trial's seed varies it.
     pub scenario: Scenario,
 }
 
-/// What an experiment takes from a trace.
+/// The numbers that an experiment takes from a trace.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Measured {
     /// One for each of the experiment's quantities.
     pub values: Vec<Option<f64>>,
-    /// What its figures draw.
+    /// The series that the experiment's figures draw.
     pub series: Vec<Vec<f32>>,
 }
 
@@ -111,7 +111,7 @@ impl From<Vec<Option<f64>>> for Measured {
 
 /// An experiment's section of the protocol; the table in [`experiments`] implements it.
 pub trait Parameters {
-    /// What the experiment is.
+    /// Returns the experiment's name, title and quantities.
     fn info(&self) -> Info;
 
     /// Trials of each condition with each policy.
@@ -123,7 +123,7 @@ pub trait Parameters {
 
 /// A table or figure of the paper: what is played, what is measured, what is shown.
 pub trait Experiment: Parameters + Sync {
-    /// What is varied.
+    /// Returns the conditions, one for each variation.
     ///
     /// # Errors
     /// None with the scenario files inside the program.
@@ -148,7 +148,7 @@ pub trait Experiment: Parameters + Sync {
     /// Shows claims, tables and figures.
     fn show(&self, show: &mut Show);
 
-    /// What it shows of its results.
+    /// Returns the claims, tables and figures of the experiment's results.
     fn findings(&self, results: &Results) -> Findings {
         let mut show = Show::new(self.info().name, results);
         self.show(&mut show);

@@ -50,7 +50,7 @@ pub enum ContestantError {
     /// A file is no good.
     #[error(transparent)]
     Agent(#[from] AgentError),
-    /// A policy cannot yield as it is to be told.
+    /// The commanded compliance is out of the policy's range.
     #[error("{} at @{compliance}: {source}", file.display())]
     Compliance {
         /// The policy.
@@ -76,7 +76,7 @@ pub struct Contestant {
 /// One of the sets.
 #[derive(Debug)]
 pub struct Side {
-    /// In tables and legends.
+    /// The name in tables and legends.
     pub name: String,
     /// By seed.
     pub members: Vec<Contestant>,

@@ -10,7 +10,7 @@ use supple::util::yaml::{Text, YamlError, layered};
 /// The protocol of the whole report.
 pub const FULL: &str = include_str!("../../configs/evaluation/full.yaml");
 
-/// What the coarse one has instead.
+/// The values that the quick protocol has in place of the full one's.
 pub const QUICK: &str = include_str!("../../configs/evaluation/quick.yaml");
 
 /// Why a protocol was refused.
@@ -24,7 +24,7 @@ pub enum ProtocolError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// Not YAML, an unknown or missing key, a wrong type.
+    /// The text is not YAML, a key is unknown or missing, or a value has another type.
     #[error("protocol {0}")]
     Parse(#[from] YamlError),
     /// The parameters of a scenario inside the program.
@@ -35,9 +35,9 @@ pub enum ProtocolError {
     Value {
         /// Dotted key.
         key: String,
-        /// What was found.
+        /// The value found.
         found: String,
-        /// What would be valid.
+        /// The valid values.
         expected: &'static str,
     },
 }

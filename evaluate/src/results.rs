@@ -14,9 +14,9 @@ pub type PolicyResult = Vec<Vec<Sample>>;
 pub struct Results {
     /// Names of the sets, two or more; the first two are those that are compared.
     pub names: Vec<String>,
-    /// What was varied.
+    /// The conditions that were varied.
     pub conditions: Vec<Condition>,
-    /// What was measured.
+    /// The quantities that were measured.
     pub quantities: &'static [Quantity],
     /// By set, by seed.
     pub sets: Vec<BTreeMap<u64, PolicyResult>>,
@@ -27,9 +27,9 @@ pub struct Results {
 pub struct Ends {
     /// All that were played.
     pub trials: usize,
-    /// With a fall.
+    /// The number of trials that ended in a fall.
     pub falls: usize,
-    /// With a failure of the physics.
+    /// The number of trials in which the physics failed.
     pub faults: usize,
     /// Not played, for their compliance is out of the policy's reach: beside the others.
     #[serde(skip_serializing_if = "is_zero")]
@@ -57,7 +57,7 @@ impl Results {
         self.quantities[self.index(name)]
     }
 
-    /// For each seed of a set, the mean over a condition's trials.
+    /// Returns the mean over a condition's trials for each seed of a set.
     pub fn per_seed(&self, set: usize, condition: usize, quantity: &str) -> PerSeed {
         self.per_seed_over(set, &[condition], quantity)
     }
@@ -79,8 +79,8 @@ impl Results {
         Comparison::new(sets.collect()).with_trials(self.trials(conditions, index))
     }
 
-    /// In how many of directions the first set's number is the larger one, over pairs, in words; of those in which there
-    /// are pairs.
+    /// Says in how many of the directions the first set's number is larger (over pairs of seeds), of those in which
+    /// there are pairs.
     pub fn larger_in(&self, directions: &[usize], quantity: &str) -> String {
         let differences: Vec<f64> =
             directions.iter().filter_map(|c| Some(self.compare(*c, quantity).difference?.value)).collect();

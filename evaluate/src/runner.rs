@@ -41,9 +41,9 @@ pub enum RunError {
 /// How to run.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Whether to measure again what is already there.
+    /// Repeats measurements that exist already.
     pub again: bool,
-    /// What policies act on.
+    /// The state that the policies act on.
     pub sensing: Sensing,
     /// Finished measurements.
     pub store: Store,
@@ -145,7 +145,7 @@ impl Measurement {
     }
 }
 
-/// All trials of one policy, shape (conditions, trials); of several failures one is told.
+/// Plays all trials of one policy, shape (conditions, trials); of several failures the first one is returned.
 fn play_all(
     experiment: &dyn Experiment,
     conditions: &[Condition],

@@ -22,7 +22,7 @@ pub const NAMES: [&str; 2] = ["estimated", "true state"];
 /// A number of the estimates of a rollout.
 type OfEstimation = (Quantity, fn(&Estimation) -> Option<f64>);
 
-/// What is told of the estimates.
+/// The errors of the estimates that are reported.
 const ERRORS: [OfEstimation; 4] = [
     (Quantity::new("estimate_velocity_rmse_m_s", "velocity, RMSE", "m/s", 3), |e| Some(e.velocity_rmse_m_s)),
     (Quantity::new("estimate_height_rmse_m", "height, RMSE", "m", 4), |e| Some(e.height_rmse_m)),
@@ -30,7 +30,7 @@ const ERRORS: [OfEstimation; 4] = [
     (Quantity::new("contact_f1", "contacts, F1", "", 3), |e| e.contact_f1),
 ];
 
-/// What acting on sensors changes, over all experiments that were run with it.
+/// The effect of acting on sensors, over all experiments that were run with it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensingFindings {
     /// Names of the sets of policies.
@@ -41,9 +41,9 @@ pub struct SensingFindings {
     pub all: Table,
     /// Errors of the estimates, by set of policies.
     pub errors: Table,
-    /// What a reader has to know about the numbers.
+    /// Notes about the numbers.
     pub notes: Vec<String>,
-    /// What was run.
+    /// The experiments that were run.
     pub experiments: Vec<&'static str>,
     /// Identity of the contact network.
     pub network: String,
@@ -52,7 +52,7 @@ pub struct SensingFindings {
 }
 
 impl SensingFindings {
-    /// Of no experiment yet.
+    /// Creates findings without any experiment.
     pub fn new(contest: &Contest) -> Self {
         let table = |name: &str, caption: &str, in_page| Table {
             name: name.to_owned(),

@@ -10,7 +10,7 @@ use super::statistics::{Expected, PerSeed, Spread};
 /// Conditions that belong together, such as all directions at one command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
-    /// What they have in common.
+    /// The name that the group's quantities share.
     pub name: String,
     /// Their indices.
     pub conditions: Vec<usize>,
@@ -28,9 +28,9 @@ impl Group {
 #[derive(Debug)]
 pub struct Show<'a> {
     name: &'static str,
-    /// What was measured.
+    /// The results of the experiment.
     pub results: &'a Results,
-    /// What there is so far.
+    /// The findings added so far.
     pub findings: Findings,
 }
 
@@ -50,12 +50,12 @@ impl<'a> Show<'a> {
         (0..self.results.conditions.len()).collect()
     }
 
-    /// What was varied, by condition.
+    /// Returns the label of each condition.
     pub fn labels(&self) -> Vec<String> {
         self.results.conditions.iter().map(|condition| condition.label.clone()).collect()
     }
 
-    /// Of the first condition.
+    /// Returns the label of the first condition.
     pub fn first_label(&self) -> &'a str {
         self.results.conditions.first().map_or("", |condition| &condition.label)
     }
@@ -153,7 +153,7 @@ impl<'a> Show<'a> {
         self.findings.lines.extend(lines);
     }
 
-    /// What a reader has to know.
+    /// Adds notes for the reader.
     pub fn notes(&mut self, notes: impl IntoIterator<Item = String>) {
         self.findings.notes.extend(notes);
     }

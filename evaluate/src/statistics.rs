@@ -40,7 +40,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of numbers by seed, if there are any.
+    /// Creates the spread of numbers by seed; none if there are no numbers.
     pub fn of(values: &PerSeed) -> Option<Self> {
         let seeds = values.len();
         let mean = mean(values.values().copied())?;
@@ -51,7 +51,7 @@ impl Spread {
         Some(Spread { mean, sd, seeds })
     }
 
-    /// In another unit.
+    /// Converts to another unit.
     pub fn times(self, factor: f64) -> Self {
         Spread { mean: factor * self.mean, sd: self.sd.map(|sd| factor * sd), ..self }
     }
@@ -60,7 +60,7 @@ impl Spread {
 /// A number and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct IntervalEstimate {
-    /// From all pairs of seeds.
+    /// The value over all pairs of seeds.
     pub value: f64,
     /// Expanded percentile bootstrap; none with fewer than five pairs, or if the number is undefined for a resample.
     pub interval: Option<[f64; 2]>,
@@ -80,7 +80,7 @@ pub struct Trials {
 /// One quantity of one set of policies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Numbers {
-    /// Of the policies that have the number; empty for a number of all of them together.
+    /// The numbers of the policies that have one; empty for a number of all policies together.
     pub by_seed: PerSeed,
     /// Over them.
     pub spread: Option<Spread>,
@@ -89,7 +89,7 @@ pub struct Numbers {
 }
 
 impl Numbers {
-    /// Of policies by seed, of so many in the set.
+    /// Creates the numbers of a set of `members` policies, by seed.
     pub fn new(by_seed: PerSeed, members: usize) -> Self {
         Numbers { spread: Spread::of(&by_seed), by_seed, members }
     }
@@ -102,7 +102,7 @@ impl Numbers {
         }
     }
 
-    /// Whether every policy of the set has the number.
+    /// Returns true if every policy of the set has the number.
     fn is_whole(&self) -> bool {
         self.spread.map_or(0, |spread| spread.seeds) == self.members
     }
@@ -213,7 +213,7 @@ pub enum Expected {
     Lower,
 }
 
-/// What the numbers say about a claim.
+/// The verdict of the numbers on a claim.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -238,7 +238,7 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// Of a comparison's difference.
+    /// Judges the difference of a comparison.
     pub fn of(comparison: &Comparison, expected: Expected) -> Self {
         let Some(estimate) = comparison.difference else {
             let both = comparison.pair().iter().all(|set| set.spread.is_some());
@@ -267,7 +267,7 @@ impl Verdict {
         }
     }
 
-    /// In words.
+    /// Returns the verdict as text.
     pub fn text(self) -> &'static str {
         match self {
             Verdict::AsExpected => "effect in the expected direction",
@@ -359,7 +359,7 @@ mod tests {
     }
 
     #[test]
-    fn five_pairs_without_an_effect_rarely_have_one_and_would_more_often_with_plain_percentiles() {
+    fn intervals_of_five_null_pairs_rarely_exclude_zero() {
         // One in thirteen, of which one in sixteen by the signs alone; and one in seven.
         let (expanded, plain) = (false_alarms(tail(5).unwrap()), false_alarms(TAIL));
         assert!(expanded < 0.1 && plain > 0.1, "{expanded} {plain}");

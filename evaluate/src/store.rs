@@ -35,7 +35,7 @@ pub struct Stored {
     pub experiment: String,
     /// Policy.
     pub sha256: String,
-    /// Its seed.
+    /// The policy's seed.
     pub seed: u64,
     /// Revision of the program that measured.
     pub revision: String,
@@ -146,7 +146,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "policy": contestant.agent.sha256,
         "seed": contestant.seed,
     });
-    // How far it yields by itself says nothing of one that is told nothing.
+    // A calibration does not affect trials without commanded compliance.
     if contestant.agent.told > 0.0 || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0) {
         parts["compliance"] = serde_json::json!([contestant.agent.told, contestant.agent.calibration]);
     }

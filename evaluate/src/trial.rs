@@ -44,7 +44,7 @@ pub enum TrialEnd {
 }
 
 impl TrialEnd {
-    /// Of a trace.
+    /// Returns how a trace ended.
     pub fn of(trace: &Trace) -> Self {
         let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
         match (happened(EventKind::Fall), happened(EventKind::Fault)) {
@@ -64,14 +64,14 @@ impl TrialEnd {
     }
 }
 
-/// What is kept of a trial.
+/// The numbers kept of one trial.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// How it ended.
     pub end: TrialEnd,
     /// The experiment's quantities in their order; none where the trial does not define one.
     pub values: Vec<Option<f64>>,
-    /// What the experiment's figures draw; its own order.
+    /// The series that the experiment's figures draw, in the experiment's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub series: Vec<Vec<f32>>,
     /// Errors of the estimates, if the policy acted on them.
@@ -82,11 +82,11 @@ pub struct Sample {
 /// A trial that was played, for an experiment to read.
 #[derive(Debug)]
 pub struct Trial<'a> {
-    /// What was played.
+    /// The scenario.
     pub scenario: &'a Scenario,
-    /// Its script.
+    /// The script of the scenario for the trial's seed.
     pub script: &'a Script,
-    /// What happened.
+    /// The trace of the trial.
     pub trace: &'a Trace,
     /// How it ended.
     pub end: TrialEnd,
@@ -94,12 +94,12 @@ pub struct Trial<'a> {
 }
 
 impl<'a> Trial<'a> {
-    /// Of a scenario, its script for a seed and what a policy made of it.
+    /// Creates a trial from a scenario, its script for a seed and the trace of a policy.
     pub fn new(scenario: &'a Scenario, script: &'a Script, trace: &'a Trace) -> Self {
         Trial { scenario, script, trace, end: TrialEnd::of(trace), metrics: OnceCell::new() }
     }
 
-    /// Whether the robot stayed on its feet to the end.
+    /// Returns true if the robot stayed on its feet to the end.
     pub fn is_upright(&self) -> bool {
         self.end == TrialEnd::Upright
     }
@@ -146,7 +146,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment; where its condition commands no compliance, the agent is told its own.
+/// Plays a trial of an experiment; the agent's commanded compliance applies where the condition has none.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -164,7 +164,7 @@ pub fn play(
         let values = vec![None; experiment.info().quantities.len()];
         return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), estimation: None });
     }
-    // What comes later, and what a fallen robot does, is nobody's result.
+    // End the playback at the last measured instant or at the fall.
     script.duration_s = experiment.until_s(&script);
     script.after_fall_s = 0.0;
     let rollout = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trial_that_commands_what_the_policy_cannot_give_is_not_played_and_has_no_value() {
+    fn trial_out_of_compliance_range_has_no_values() {
         let protocol = Protocol::quick().unwrap();
         let mut condition = protocol.leash.conditions().unwrap().remove(0);
         let Scenario::Leash(leash) = &mut condition.scenario else { panic!("{condition:?}") };

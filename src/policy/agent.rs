@@ -29,7 +29,7 @@ pub enum AgentError {
          one of: {known}"
     )]
     Unknown {
-        /// What was asked for.
+        /// The requested name.
         name: String,
         /// The shipped ones.
         known: String,
@@ -46,7 +46,7 @@ pub enum AgentError {
     /// It is not ours.
     #[error("{name} is an external policy: this works with policy files of Supple")]
     External {
-        /// What was asked for.
+        /// The requested name.
         name: String,
     },
 }
@@ -54,13 +54,13 @@ pub enum AgentError {
 /// A policy with the robot, rates, gains and latency that it runs with.
 #[derive(Debug)]
 pub struct Agent {
-    /// What it runs with.
+    /// The configuration that the policy runs with.
     pub config: Config,
     /// Identity of the policy: SHA-256 of its files.
     pub sha256: String,
     /// How far it yields, where that has been measured.
     pub calibration: Option<PolicyCalibration>,
-    /// The compliance that it is told wherever nothing else is commanded; 0 leaves it to itself [m/s/N].
+    /// The default commanded compliance [m/s/N]; 0 disables compliance control.
     pub told: f64,
     mind: Mind,
 }
@@ -119,7 +119,7 @@ impl Agent {
         }
     }
 
-    /// Whether it can yield by a commanded compliance [m/s/N].
+    /// Checks that the policy supports a commanded compliance [m/s/N].
     ///
     /// # Errors
     /// [`ComplianceError`]
@@ -131,7 +131,7 @@ impl Agent {
         }
     }
 
-    /// What turns states into joint targets.
+    /// Returns the inference from states to joint targets.
     pub fn inference(&self) -> &Inference {
         match &self.mind {
             Mind::Ours(policy) => policy.inference(),

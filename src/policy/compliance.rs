@@ -17,7 +17,7 @@ use crate::robot::{Joints, RobotState};
 use crate::task::OuterLoop;
 use crate::util::files::{self, FileError};
 
-/// What a policy does when it is pulled.
+/// The measured response of a policy to pulls.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyCalibration {
@@ -25,10 +25,10 @@ pub struct PolicyCalibration {
     pub sha256: String,
     /// Compliance by itself, `C₀` [m/s/N].
     pub own_m_s_per_n: f64,
-    /// What the velocity is off by undisturbed, forward and left [m/s], as a constant and the factors of the commanded
+    /// The velocity error of the undisturbed policy, forward and left [m/s], as a constant and the factors of the commanded
     /// forward [m/s], left [m/s] and yaw rate [rad/s].
     pub bias: [[f64; 4]; 2],
-    /// What settings come to, both rising.
+    /// The measured compliance for each setting of the outer loop; both columns increase.
     pub points: Vec<Point>,
 }
 
@@ -48,20 +48,20 @@ pub enum ComplianceError {
     /// Softer or stiffer than it can be.
     #[error("a compliance of {found} m/s/N is beyond it: it can be told {low:.4} to {high:.4} m/s/N")]
     OutOfReach {
-        /// What was commanded.
+        /// The commanded compliance.
         found: f64,
         /// The least that it can give.
         low: f64,
         /// The largest.
         high: f64,
     },
-    /// Its observation lacks what the outer loop needs.
+    /// The policy does not observe a quantity that the outer loop needs.
     #[error("its observation has no '{name}': lead it from outside, where that is known")]
     NotSeen {
         /// The number.
         name: String,
     },
-    /// Nobody knows how far it yields.
+    /// The policy has not been calibrated.
     #[error("how far it yields has not been measured: run `policy calibrate` with it first")]
     NotCalibrated,
 }
@@ -72,7 +72,7 @@ pub fn told(name: &str) -> (&str, Option<f64>) {
     split.unwrap_or((name, None))
 }
 
-/// What errors call the file.
+/// The name of the file's kind in errors.
 const WHAT: &str = "calibration";
 
 /// Larger files are no calibrations.
@@ -144,7 +144,7 @@ impl PolicyCalibration {
         [measured(self.points.first()), measured(self.points.last())]
     }
 
-    /// Whether it can give a compliance [m/s/N]; zero leaves it as it is.
+    /// Checks that a commanded compliance [m/s/N] is in the policy's range; zero commands none.
     ///
     /// # Errors
     /// [`ComplianceError::OutOfReach`]
@@ -165,7 +165,7 @@ impl PolicyCalibration {
         self.points.windows(2).find_map(between).unwrap_or(compliance)
     }
 
-    /// What the velocity is off by undisturbed, forward and left [m/s].
+    /// Returns the velocity error of the undisturbed policy, forward and left [m/s].
     fn bias(&self, command: &Command) -> [f64; 2] {
         let of = |[constant, forward, left, yaw]: [f64; 4]| {
             constant + forward * command.forward + left * command.left + yaw * command.yaw
@@ -184,20 +184,20 @@ struct Calibrated {
 }
 
 impl Calibrated {
-    /// For the rates and the commands that the policy was trained with.
+    /// Creates the loop for the rates and commands that the policy was trained with.
     fn new(calibration: PolicyCalibration, config: &Config) -> Self {
         let outer_loop = OuterLoop::new(config, calibration.own_m_s_per_n);
         Calibrated { calibration, outer_loop, led: [0.0; 2] }
     }
 
-    /// What to command of a policy that walks at `velocity`, forward and left [m/s], so that it yields as `command` says.
+    /// Returns the command that makes a policy, walking at `velocity` (forward and left [m/s]), yield as `command` says.
     fn asked(&mut self, velocity: [f64; 2], command: &Command) -> Command {
         let setting = self.calibration.nearest_setting(command.compliance);
         self.outer_loop.command(velocity, command, setting, self.calibration.bias(command), &mut self.led)
     }
 }
 
-/// The outer loop on raw observations, for whoever runs a policy outside of here: it puts what is to be asked of the policy in
+/// The outer loop on raw observations, for programs that run the policy themselves: it replaces the command in
 /// the place of the command.
 #[derive(Debug)]
 pub struct Led {
@@ -209,7 +209,7 @@ pub struct Led {
 }
 
 impl Led {
-    /// For a policy that is to yield by `compliance` [m/s/N]; its observations come one after another at its own rate.
+    /// Creates the loop for a commanded compliance [m/s/N]; observations arrive at the policy's own rate.
     ///
     /// # Errors
     /// [`ComplianceError`]
@@ -248,7 +248,7 @@ pub struct Compliant<'a> {
 }
 
 impl<'a> Compliant<'a> {
-    /// With an outer loop around a policy, for the rates and the commands that it was trained with.
+    /// Wraps a policy in an outer loop, for the rates and commands that it was trained with.
     pub fn new(policy: Box<dyn Controller + 'a>, calibration: PolicyCalibration, config: &Config) -> Self {
         Compliant { policy, around: Calibrated::new(calibration, config) }
     }

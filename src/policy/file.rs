@@ -30,7 +30,7 @@ const OLDEST_FORMAT: u32 = 1;
 /// Larger files are not policies.
 const MAX_BYTES: u64 = 64 << 20;
 
-/// What errors call it.
+/// The name of the file's kind in errors.
 const POLICY: &str = "policy";
 
 /// Stored pairs of observation and joint targets.
@@ -42,7 +42,7 @@ const GOLDEN_TOLERANCE: f64 = 1e-5;
 /// A stretch of the observation, in words for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BlockInfo {
-    /// What it is.
+    /// The quantity of the entry.
     quantity: String,
     /// Policy steps ago that it was measured.
     age: u32,
@@ -69,16 +69,16 @@ pub struct Provenance {
     pub mujoco_version: String,
 }
 
-/// In words and numbers, what a program in another language needs to run the policy.
+/// The facts that a program in another language needs to run the policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Usage {
     /// Name and unit of every number of the observation, in order.
     pub observation_elements: Vec<String>,
-    /// What the first layer sees.
+    /// The input of the first layer.
     pub network_input: String,
-    /// What is between the layers.
+    /// The activation between the layers.
     pub activation: String,
-    /// What the last layer's outputs are.
+    /// The meaning of the last layer's outputs.
     pub joint_target: String,
     /// Ranges of the joints \[rad\]; none in old files of imported robots.
     pub joint_limits_rad: Option<[[f64; 2]; JOINTS]>,
@@ -116,14 +116,14 @@ struct Metadata {
 /// A trained policy with what is needed to use it.
 #[derive(Debug)]
 pub struct Policy {
-    /// From normalised observation to action, mean only.
+    /// The network from normalised observation to the mean action.
     pub actor: Mlp,
     /// Where it came from; rates, gains and latency are those of its configuration.
     pub provenance: Provenance,
-    /// For other programs.
+    /// The facts that other programs need.
     pub usage: Usage,
     inference: Inference,
-    /// Of the file that it was read from, or would be written to.
+    /// SHA-256 of the file that the policy was read from, or would be written to.
     sha256: String,
 }
 
@@ -141,7 +141,7 @@ impl Policy {
         policy
     }
 
-    /// What it sees.
+    /// Returns the layout of the observation.
     pub fn layout(&self) -> &Layout {
         &self.inference.layout
     }
@@ -156,7 +156,7 @@ impl Policy {
         self.inference.action.scale_rad[0]
     }
 
-    /// What turns states into joint targets.
+    /// Returns the inference from states to joint targets.
     pub fn inference(&self) -> &Inference {
         &self.inference
     }
@@ -388,7 +388,7 @@ mod tests {
     }
 
     #[test]
-    fn a_weight_or_a_bias_that_is_far_off_is_caught_by_the_golden_pairs_in_every_layer() {
+    fn golden_pairs_catch_a_wrong_weight_in_every_layer() {
         let bytes = policy().to_bytes().unwrap();
         let (tensors, _) = tensors::deserialize(&bytes).unwrap();
         for name in ["0", "1", "2"]

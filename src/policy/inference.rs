@@ -10,7 +10,7 @@ use crate::network::{PackedMlp, Scratch};
 use crate::observation::{Command, Layout, Moment, Observer};
 use crate::robot::{JOINTS, Joints, RobotState};
 
-/// What an output of a network is.
+/// The meaning of a network's output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Meaning {
@@ -20,12 +20,12 @@ pub enum Meaning {
     JointAngle,
 }
 
-/// From outputs to joint targets.
+/// The map from outputs to joint targets.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Action {
     /// Our order \[rad\].
     pub nominal_pose: Joints,
-    /// What an output is.
+    /// The meaning of an output.
     pub meaning: Meaning,
     /// The policy's order \[rad\].
     pub scale_rad: Joints,
@@ -33,16 +33,16 @@ pub struct Action {
     pub clip: f64,
 }
 
-/// What maps what is seen, shape (length of the layout), to one output for each joint.
+/// A function from an observation, shape (length of the layout), to one output for each joint.
 pub type Function = Box<dyn Fn(&[f32]) -> [f32; JOINTS] + Send + Sync>;
 
 /// A network of ours or an external one.
 pub enum Network {
-    /// Of a policy file.
+    /// The network of a policy file.
     Mlp(PackedMlp),
-    /// Of an ONNX file.
+    /// The network of an ONNX file.
     Onnx(onnx::Network),
-    /// Of the program that this library is a part of.
+    /// A function of the program that uses this library.
     Function(Function),
 }
 
@@ -59,9 +59,9 @@ impl fmt::Debug for Network {
 /// Everything that turns states into joint targets.
 #[derive(Debug)]
 pub struct Inference {
-    /// What the network sees.
+    /// The layout of the observation.
     pub layout: Layout,
-    /// What it puts out.
+    /// The map from outputs to joint targets.
     pub action: Action,
     /// The network.
     pub network: Network,
@@ -140,7 +140,7 @@ impl Inference {
         (actions, targets)
     }
 
-    /// As a controller of one robot.
+    /// Returns a controller of one robot.
     pub fn controller(&self) -> PolicyController<&Inference> {
         PolicyController::new(self)
     }
@@ -168,14 +168,14 @@ pub struct PolicyController<I> {
 }
 
 impl<I: Borrow<Inference>> PolicyController<I> {
-    /// Of a policy that is borrowed or shared.
+    /// Creates a controller of a policy that is borrowed or shared.
     pub fn new(inference: I) -> Self {
         let Inference { layout, action, .. } = inference.borrow();
         let past = History { last_target: action.nominal_pose, ..History::default() };
         PolicyController { past, seen: vec![0.0; layout.length()], buffers: Buffers::default(), inference }
     }
 
-    /// What the network saw in the last step.
+    /// The observation of the last step.
     pub fn seen(&self) -> &[f32] {
         &self.seen
     }

@@ -52,7 +52,7 @@ fn position(names: &[&str], name: &str) -> Option<usize> {
     names.iter().position(|known| *known == name).or_else(|| of_seeds.min().map(|(_, index)| index))
 }
 
-/// As [`find`], for what only works with a policy file of ours.
+/// Like [`find`], for functions that need a policy file of Supple.
 ///
 /// # Errors
 /// As [`find`], and if the policy is external.

@@ -28,7 +28,7 @@ pub(super) const INFO: Info = Info {
     quantities: QUANTITIES,
 };
 
-/// Its numbers in the protocol.
+/// The parameters of the experiment in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BallPit {
@@ -38,7 +38,7 @@ pub struct BallPit {
     pub trials: u32,
 }
 
-/// What is in a pit, and how fast the robot is to cross it.
+/// A pit of balls and the speed at which the robot crosses it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Balls {

@@ -1,4 +1,4 @@
-//! E13: whether a policy yields as far as it is told (docs/compliance.md).
+//! E13: the measured compliance against the commanded one (docs/compliance.md).
 
 use super::prelude::*;
 use super::push;
@@ -9,12 +9,12 @@ use crate::results::Results;
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
 use supple::scenario::catalog::{Leash, PushAway};
 
-/// Its measured compliance; what it was told is in the condition.
+/// The measured compliance; the commanded one is in the condition.
 const MEASURED: Quantity = Quantity::new("compliance_m_s_per_n", "compliance", "m/s/N", 4);
 
 const QUANTITIES: &[Quantity] = &[MEASURED, push::TO_10, push::CARRIED, FELL];
 
-/// Of the line through what was measured over what was commanded.
+/// The line fitted to the measured over the commanded compliance.
 const LINE: [Quantity; 4] = [
     Quantity::new("slope", "slope", "", 2),
     Quantity::new("intercept_m_s_per_n", "intercept", "m/s/N", 4),
@@ -22,7 +22,7 @@ const LINE: [Quantity; 4] = [
     Quantity::new(SLOPE_ERROR, "slope, distance from 1", "", 2),
 ];
 
-/// What the claims are about.
+/// The quantity that the claims compare.
 const SLOPE_ERROR: &str = "slope_error";
 
 /// A slope this far from one is still called calibrated.
@@ -45,7 +45,7 @@ pub(super) const INFO: Info = Info {
     quantities: QUANTITIES,
 };
 
-/// Its numbers in the protocol.
+/// The parameters of the experiment in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
@@ -67,7 +67,7 @@ pub struct Calibration {
     pub average_s: f64,
 }
 
-/// What the robot is told in a condition, and by how much it is pulled, if it is.
+/// Returns the compliance commanded in a condition [m/s/N] and the pull \[N\], if there is one.
 fn told(condition: &Condition) -> (f64, Option<f64>) {
     let force = match &condition.scenario {
         Scenario::Leash(leash) => Some(leash.force_n),

@@ -23,7 +23,7 @@ pub(super) const INFO: Info = Info {
     quantities: QUANTITIES,
 };
 
-/// Its numbers in the protocol.
+/// The parameters of the experiment in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Directions {

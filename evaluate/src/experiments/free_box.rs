@@ -38,7 +38,7 @@ pub(super) const INFO: Info = Info {
     quantities: QUANTITIES,
 };
 
-/// Its numbers in the protocol.
+/// The parameters of the experiment in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FreeBox {
@@ -53,7 +53,7 @@ pub struct FreeBox {
 }
 
 impl FreeBox {
-    /// Whether the robot walks at its command in the direction in which it started, at the end.
+    /// Returns true if the robot ends up walking at its command in the direction in which it started.
     fn has_resumed(&self, script: &Script, trace: &Trace) -> bool {
         let frames = metrics::window(trace, script.duration_s - self.resumed_s, script.duration_s);
         let velocity = |frame: &Frame| {

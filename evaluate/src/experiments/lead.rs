@@ -1,4 +1,4 @@
-//! E14c: somebody walks away with the leash.
+//! E14c: a person walks away with the leash.
 
 use super::prelude::*;
 use crate::plot::polar::Scales;
@@ -24,7 +24,7 @@ pub(super) const INFO: Info = Info {
     quantities: QUANTITIES,
 };
 
-/// Its numbers in the protocol.
+/// The parameters of the experiment in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Lead {

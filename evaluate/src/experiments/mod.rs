@@ -9,7 +9,7 @@ use super::{Condition, Experiment, Info, Parameters};
 use crate::plot::polar::evenly;
 use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 
-/// What every experiment needs.
+/// The imports that every experiment needs.
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
@@ -81,7 +81,7 @@ experiments! {
     lead: lead::Lead,
 }
 
-/// What a robot does at a forward command \[m/s\].
+/// Returns the name of the gait at a forward command \[m/s\].
 fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
 }
@@ -188,7 +188,7 @@ mod tests {
         }
     }
 
-    /// Of seed 0 in the first condition.
+    /// Returns the scenario and the script of seed 0 in the first condition.
     fn script(experiment: &dyn Experiment) -> (Scenario, Script) {
         let scenario = experiment.conditions().unwrap().remove(0).scenario;
         let script = scenario.script(0, &Config::load("compliant").unwrap()).unwrap();
@@ -258,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_steps_and_what_follows_the_obstacles_are_no_peak_of_foot_force() {
+    fn peak_foot_force_ignores_first_steps_and_later_ground() {
         let protocol = Protocol::full().unwrap();
         let mut trace = steady(14.0, [0.4, 0.0, 0.0]);
         for frame in &mut trace.frames {

@@ -53,7 +53,7 @@ pub(super) fn sideways() -> Result<Vec<Condition>, ConfigError> {
     Ok(vec![Condition { label: "0.5 m/s to the left".into(), scenario: Scenario::Push(push) }])
 }
 
-/// In how many trials the push had not decayed by the end, in words; none if it always had.
+/// Says in how many trials the push had not decayed by the end; none if it always had.
 pub(super) fn undecayed(results: &Results, conditions: &[usize]) -> Option<String> {
     let index = results.index(UNDECAYED.name);
     let of_set = |set: usize| {

@@ -7,7 +7,7 @@ use crate::results::Results;
 use crate::show::Show;
 use supple::scenario::trace::Trace;
 
-/// What is shown before the push and after it \[s\].
+/// The time shown before and after the push \[s\].
 const SHOWN_S: [f64; 2] = [1.0, 3.0];
 
 /// Columns of [`lines`].

@@ -128,7 +128,7 @@ pub fn tick_text(tick: f64, all: &[f64]) -> String {
     if tick.abs() < 1e-12 { "0".to_owned() } else { text.replace('-', "−") }
 }
 
-/// From the least to the largest value.
+/// Returns the least and the largest value.
 pub fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }

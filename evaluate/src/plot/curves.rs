@@ -17,7 +17,7 @@ pub struct Curve {
     pub mark: Option<(f64, String)>,
     /// A band to draw around a level: level, half-width.
     pub tolerance: Option<[f64; 2]>,
-    /// Whether to draw the line on which both axes are alike.
+    /// Draws the line on which both axes have the same value.
     pub diagonal: bool,
 }
 

@@ -53,7 +53,7 @@ pub fn draw(title: &str, panels: &[Polar], names: &[String], axis: &str, scales:
     svg.finish(title)
 }
 
-/// From values to radii; negative values lie inside the circle of zero.
+/// The scale from values to radii; negative values lie inside the circle of zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Scale {
     low: f64,

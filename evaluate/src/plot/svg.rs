@@ -13,7 +13,7 @@ pub struct Svg {
 /// How a line looks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stroke {
-    /// As `#rrggbb`.
+    /// The colour as `#rrggbb`.
     pub colour: &'static str,
     /// \[px\]
     pub width: f64,
@@ -58,7 +58,7 @@ impl Stroke {
 pub enum Anchor {
     /// At its left end.
     Start,
-    /// In its middle.
+    /// The middle of the text.
     Middle,
     /// At its right end.
     End,
@@ -69,7 +69,7 @@ pub enum Anchor {
 pub struct Text {
     /// \[px\]
     pub size: f64,
-    /// As `#rrggbb`.
+    /// The colour as `#rrggbb`.
     pub colour: &'static str,
     /// Heavier.
     pub bold: bool,
@@ -77,7 +77,7 @@ pub struct Text {
     pub anchor: Anchor,
     /// Reads upwards.
     pub upwards: bool,
-    /// With a white rim, to be read over lines.
+    /// Draws a white rim, so that the text can be read over lines.
     pub rimmed: bool,
 }
 
@@ -87,7 +87,7 @@ impl Text {
         Text { size, colour: super::INK, bold: false, anchor, upwards: false, rimmed: false }
     }
 
-    /// In a colour.
+    /// Sets the colour.
     pub const fn coloured(mut self, colour: &'static str) -> Self {
         self.colour = colour;
         self
@@ -99,7 +99,7 @@ impl Text {
         self
     }
 
-    /// With a white rim.
+    /// Adds a white rim.
     pub const fn rimmed(mut self) -> Self {
         self.rimmed = true;
         self

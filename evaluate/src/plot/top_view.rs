@@ -16,7 +16,7 @@ pub struct Run {
     pub first: BoxPose,
     /// The box after.
     pub last: BoxPose,
-    /// Whether the robot fell at the end of the path.
+    /// True if the robot fell at the end of the path.
     pub fell: bool,
 }
 
@@ -25,7 +25,7 @@ pub struct Run {
 pub struct View {
     /// Above it.
     pub title: String,
-    /// In order of trials.
+    /// The paths in the order of trials.
     pub runs: Vec<Run>,
 }
 

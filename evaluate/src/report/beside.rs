@@ -12,7 +12,7 @@ use crate::findings::{NOTHING, difference, number, percent};
 use crate::statistics::{Comparison, IntervalEstimate, Numbers, PerSeed, Spread};
 use supple::util::files;
 
-/// Of the table.
+/// The title of the table.
 pub const TITLE: &str = "Beside other reports";
 
 /// Above the table.
@@ -39,7 +39,7 @@ pub enum BesideError {
     Content {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// The problem with the file.
         problem: String,
     },
 }
@@ -47,7 +47,7 @@ pub enum BesideError {
 /// Another report, by what it says of the claims.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Beside {
-    /// What it is called here.
+    /// The name of that report in this one.
     pub name: String,
     /// By name.
     experiments: BTreeMap<String, Measured>,
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_summary_is_read_by_experiment_and_place_and_only_for_what_was_measured_alike() {
+    fn summaries_match_by_experiment_and_protocol() {
         let folder = tempfile::tempdir().unwrap();
         let summary = r#"{"sets": ["soft", "stiff"], "experiments": [{"name": "decay", "parameters": {"trials": 20}, "claims": [
             {"quantity": "decay_10_s", "ours": {"sets": {"soft": {"mean": 0.6, "sd": null, "by_seed": {"0": 0.6}},

@@ -40,7 +40,7 @@ pub fn claim_columns(names: &[String]) -> Vec<String> {
     titled(paper, names, [difference, relative, "verdict".into()])
 }
 
-/// Of several sets, titles say which two are compared.
+/// Replaces the set names in titles when more than two sets are compared.
 fn of_pair<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
     titles.map(|title| match names {
         [a, b, _, ..] => format!("{title}, {a} and {b}"),

@@ -39,7 +39,7 @@ pub enum ReportError {
     /// A figure could not be rendered.
     #[error("figure {name}: {problem}")]
     Figure {
-        /// Its name.
+        /// The policy's name.
         name: String,
         /// Why.
         problem: String,
@@ -63,7 +63,7 @@ pub struct PolicyLine {
     pub revision: String,
 }
 
-/// What makes a report, as one would type it.
+/// The command line that makes a report.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Command {
     /// The experiments asked for; empty for all.
@@ -73,7 +73,7 @@ pub struct Command {
 }
 
 impl Command {
-    /// What runs one experiment, or makes the whole report.
+    /// Returns the command line for one experiment, or for the whole report.
     pub fn of(&self, experiment: Option<&str>) -> String {
         let program = std::iter::once("cargo run --release --bin evaluate --");
         let experiments = self.experiments.iter().map(String::as_str).filter(|_| experiment.is_none());
@@ -85,9 +85,9 @@ impl Command {
 /// One experiment in the report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
-    /// What it is.
+    /// The experiment's name, title and quantities.
     pub info: Info,
-    /// Its numbers in the protocol.
+    /// The experiment's parameters in the protocol.
     pub parameters: serde_json::Value,
     /// Number of conditions.
     pub conditions: usize,
@@ -95,7 +95,7 @@ pub struct Section {
     pub trials: u32,
     /// How the trials of each set ended.
     pub ends: Vec<Ends>,
-    /// What it shows.
+    /// The claims, tables and figures.
     pub findings: Findings,
     /// Time that its trials took \[s\].
     pub wall_s: f64,
@@ -104,7 +104,7 @@ pub struct Section {
 }
 
 impl Section {
-    /// From an experiment's measurement.
+    /// Creates the section of an experiment from its measurement.
     pub fn new(experiment: &dyn Experiment, measurement: &Measurement) -> Self {
         let results = &measurement.results;
         let mut findings = experiment.findings(results);
@@ -152,9 +152,9 @@ pub struct Report {
     pub policies: Vec<PolicyLine>,
     /// `full`, `quick` or a file.
     pub protocol: String,
-    /// What makes this report.
+    /// The command line that makes this report.
     pub command: Command,
-    /// What a reader has to know about the policies.
+    /// Notes about the policies.
     pub notes: Vec<String>,
     /// Finished experiments, in order.
     pub sections: Vec<Section>,
@@ -166,13 +166,13 @@ pub struct Report {
     pub beside: Vec<Beside>,
 }
 
-/// What a policy file of ours says of where it came from.
+/// Reads a fact from the provenance of a policy file of Supple.
 fn origin<T>(member: &super::policy_sets::Contestant, of: impl Fn(&Provenance) -> T) -> Option<T> {
     member.agent.policy().map(|policy| of(&policy.provenance))
 }
 
 impl PolicyLine {
-    /// For tables.
+    /// Returns the number of training samples as text.
     fn samples(&self) -> String {
         self.samples.map_or_else(|| "–".into(), |samples| format!("{:.1} M", samples as f64 / 1e6))
     }

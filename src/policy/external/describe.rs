@@ -7,10 +7,10 @@ use crate::observation::{Numbers, Observed, Quantity, Word};
 use crate::policy::{Policy, Provenance};
 use crate::robot::{Joints, joint_names};
 
-/// What the first line of such a file says.
+/// The first line of a file that [`describe`] writes.
 const OURS: &str = "is a policy of Supple:";
 
-/// Whether a YAML file is one that [`describe`] made.
+/// Returns true if [`describe`] wrote the YAML file.
 pub fn is_described_by_us(text: &str) -> bool {
     text.lines().next().is_some_and(|line| line.starts_with("# ") && line.contains(OURS))
 }

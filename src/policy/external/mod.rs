@@ -17,7 +17,7 @@ use super::inference::{Inference, Network};
 use super::{Agent, AgentError, onnx};
 use crate::util::files::{self, FileError};
 
-/// What errors call it.
+/// The name of the file's kind in errors.
 const POLICY: &str = "policy";
 
 /// Larger files are not descriptions of a policy.

@@ -5,7 +5,7 @@ use super::tensor::{Tensor, elements, strides};
 /// Multiplications of one matrix product: twice the largest layer.
 const MAX_PRODUCT: usize = 1 << 23;
 
-/// What most operators return.
+/// The result of most operators.
 pub(super) type Result<T> = std::result::Result<T, String>;
 
 pub(super) fn sigmoid(x: f32) -> f32 {

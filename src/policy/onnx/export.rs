@@ -114,7 +114,7 @@ fn float(name: &str, value: f32) -> Attribute {
     Attribute { name: name.into(), f: value, kind: ATTRIBUTE_FLOAT, ..Attribute::default() }
 }
 
-/// Of a number of rows that is open.
+/// Describes a tensor of `width` columns and any number of rows.
 pub(super) fn value_info(name: &str, width: usize, doc: &str) -> ValueInfo {
     let dim =
         vec![Dimension { size: Some(Size::Name("batch".into())) }, Dimension { size: Some(Size::Value(width as i64)) }];

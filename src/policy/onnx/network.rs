@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn networks_in_the_styles_of_torch_and_brax_and_every_operator_give_what_onnxruntime_gives() {
+    fn networks_agree_with_onnxruntime() {
         let golden: Vec<Golden> = serde_json::from_slice(&fixture("golden.json")).unwrap();
         assert_eq!(golden.len(), 3);
         for Golden { file, inputs, outputs } in golden {

@@ -19,7 +19,7 @@ pub const KNOWN: &str = "Abs Add BatchNormalization Cast Clip Concat Constant Di
 pub struct Call<'a> {
     /// The operator and its attributes.
     pub node: &'a Node,
-    /// In the operator's order.
+    /// The inputs in the operator's order.
     pub inputs: &'a [Option<&'a Tensor>],
 }
 

@@ -11,7 +11,7 @@ const MAX_RANK: usize = 6;
 /// Row-major values.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Values {
-    /// What networks compute with.
+    /// The numbers that networks compute with.
     Float(Vec<f32>),
     /// Shapes, axes, indices.
     Int(Vec<i64>),
@@ -80,7 +80,7 @@ impl Tensor {
         &self.shape
     }
 
-    /// Its values of either kind.
+    /// Returns the values of either kind.
     pub fn values(&self) -> &Values {
         &self.values
     }
