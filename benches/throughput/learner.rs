@@ -53,11 +53,11 @@ pub struct Update {
     pub kflop_per_sample_pass: f64,
     /// What `ppo.precision: auto` comes to.
     pub precision: Precision,
-    /// In that, on one thread.
+    /// The rates in that precision, on one thread.
     pub one_thread: Rates,
-    /// In that, on all threads.
+    /// The rates in that precision, on all threads.
     pub all_threads: Rates,
-    /// In f32, and in the others that there are, on all threads.
+    /// The rates of each precision that the machine supports, on all threads.
     pub precisions: Vec<(Precision, Rates)>,
     /// Median of the repetitions' own ratios: each of these over f32.
     pub over_f32: Vec<f64>,
@@ -154,7 +154,7 @@ fn rollout(config: &Config, network: &ActorCritic, threads: usize, effort: &Effo
     Ok(collection.collect(&mut environments)?)
 }
 
-/// Two for each weight and direction: forward, gradient of the weights, and but for the first layer of the inputs.
+/// Returns the operations per sample and pass, two for each weight and direction (the first layer has no gradient of inputs).
 fn flop_per_sample_pass(network: &ActorCritic) -> f64 {
     let of_mlp = |mlp: &Mlp| {
         let weights = mlp.layers.iter().map(|layer| layer.weight.len());

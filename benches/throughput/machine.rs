@@ -8,16 +8,16 @@ use crate::stopwatch::Effort;
 /// The machine during the run.
 #[derive(Debug, Serialize)]
 pub struct Machine {
-    /// Of the first processor.
+    /// The model of the first processor.
     pub processor: String,
     /// Cores in use.
     pub threads: usize,
     /// Share of the cores' time that went to anything but this run: above a few hundredths, only ratios mean anything,
     /// and above a tenth not even they.
     pub taken_by_others: f64,
-    /// Of the program.
+    /// The revision of the program.
     pub git_revision: &'static str,
-    /// Of the library.
+    /// The version of the library.
     pub mujoco_version: &'static str,
     /// Figures of a quick run mean nothing.
     pub quick: bool,
@@ -44,12 +44,12 @@ impl Machine {
     }
 }
 
-/// What Linux has counted since it started, in ticks; not a number on other systems.
+/// The ticks that Linux has counted since it started; not a number on other systems.
 #[derive(Debug, Clone, Copy)]
 pub struct Ticks {
     all: f64,
     busy: f64,
-    /// Of this process and those of its children that have ended.
+    /// The ticks of this process and of those of its children that have ended.
     own: f64,
 }
 

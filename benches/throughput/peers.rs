@@ -18,7 +18,7 @@ use supple::sim::Scene;
 
 use crate::stopwatch::Effort;
 
-/// What the peers' scripts say, see there.
+/// The rates that the peers' scripts report.
 #[derive(Debug, Serialize)]
 pub struct Peers {
     /// `benches/peers/torch_update.py`

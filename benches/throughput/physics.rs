@@ -28,7 +28,7 @@ pub struct Rates {
 /// All of it.
 #[derive(Debug, Serialize)]
 pub struct Physics {
-    /// What moved the robots.
+    /// The source of the robots' actions.
     pub moved_by: String,
     /// Environments.
     pub environments: usize,

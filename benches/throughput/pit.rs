@@ -26,7 +26,7 @@ const NAME: &str = "ball-pit";
 /// All of it.
 #[derive(Debug, Serialize)]
 pub struct Pit {
-    /// What moved the robot.
+    /// The source of the robot's actions.
     pub moved_by: String,
     /// Simulated in one repetition [s].
     pub simulated_s: f64,
@@ -40,7 +40,7 @@ pub struct Pit {
     pub slowest_second_real_time: f64,
     /// Most contacts at the end of any policy step, and room for them.
     pub contacts: [usize; 2],
-    /// What MuJoCo complained about, such as a full buffer; none if all went well.
+    /// The complaint of MuJoCo, such as a full buffer; none if there was none.
     pub fault: Option<String>,
 }
 

@@ -230,7 +230,7 @@ fn nominal(config: &Config) -> Joints {
     config.action.nominal_pose_rad.joints()
 }
 
-/// As the environment maps actions to joint targets.
+/// Maps an action to joint targets as the environment does.
 fn target(config: &Config, action: &[f32; JOINTS]) -> Joints {
     let nominal = nominal(config);
     std::array::from_fn(|joint| nominal[joint] + config.action.scale_rad * f64::from(action[joint]))

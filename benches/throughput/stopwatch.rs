@@ -6,7 +6,7 @@ use std::time::Instant;
 /// How much work the figures rest on.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// Whether the figures mean nothing.
+    /// True for a quick run, whose figures are meaningless.
     pub quick: bool,
     /// Repetitions behind a median.
     pub repetitions: usize,

@@ -65,11 +65,11 @@ pub struct Training {
     pub all_threads: Iteration,
     /// The whole iteration.
     pub whole: Scaling,
-    /// Its rollout.
+    /// The scaling of the rollout.
     pub rollout: Scaling,
-    /// Its update.
+    /// The scaling of the update.
     pub update: Scaling,
-    /// Not measured.
+    /// Projections, not measurements.
     pub projected: Vec<Projection>,
 }
 

@@ -28,9 +28,9 @@ pub enum ValueError {
     Range {
         /// Dotted key.
         key: &'static str,
-        /// What was found.
+        /// The value found.
         found: String,
-        /// What would be valid.
+        /// The valid values.
         expected: String,
     },
     /// A list of quantities that cannot be observed.

@@ -70,7 +70,7 @@ impl Config {
 }
 
 impl Config {
-    /// What another configuration has that this one has not, a key a line; empty if they are the same.
+    /// Lists the keys whose values another configuration has in place of this one's, one on a line; empty if they are the same.
     pub fn changes(&self, other: &Config) -> String {
         let lines =
             self.differences(other).into_iter().map(|(key, [own, other])| format!("{key}: {other} (was {own})\n"));
@@ -105,7 +105,7 @@ fn check_pose(robot: &Robot, pose: &Joints) -> Result<(), String> {
     }
 }
 
-/// To three digits: nobody reads more, and no rule is more exact.
+/// Rounds to three digits, the accuracy of the rules of scaling.
 fn rounded(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }
@@ -116,7 +116,7 @@ mod tests {
     use crate::robot::{Robot, same_in_every_leg};
 
     #[test]
-    fn a_robot_of_other_height_and_mass_gets_heights_gains_and_weights_of_its_own() {
+    fn fitted_config_scales_heights_gains_and_weights() {
         // Ten times as heavy, standing on a deeper knee: twice 0.213 m of leg and 0.02 m of foot,
         // (0.426 cos 1 + 0.02) / (0.426 cos 0.72 + 0.02) = 0.7352 times as high.
         let mut robot = Robot::clone(&Robot::load("go1").unwrap());

@@ -62,7 +62,7 @@ pub enum ConfigError {
         /// The system's reason.
         source: std::io::Error,
     },
-    /// Not YAML, an unknown key, a missing key or a wrong type.
+    /// The text is not YAML, a key is unknown or missing, or a value has another type.
     #[error("config {0}")]
     Parse(#[from] YamlError),
     /// A value outside its range.
@@ -76,7 +76,7 @@ pub enum ConfigError {
 }
 
 impl Config {
-    /// Checks that this is the same as another configuration but for the length of the run.
+    /// Checks that this equals another configuration except for the length of the run.
     ///
     /// # Errors
     /// In words: the keys in which they differ, with both values.

@@ -19,9 +19,9 @@ pub struct Config {
     pub robot: RobotModel,
     /// Rates, gains, latency.
     pub simulation: Simulation,
-    /// From network outputs to joint targets.
+    /// The map from network outputs to joint targets.
     pub action: Action,
-    /// What the policy sees, in order.
+    /// The entries of the observation, in order.
     #[serde(deserialize_with = "observation")]
     pub observation: Vec<Observed>,
     /// Velocity commands and their curriculum.
@@ -125,12 +125,12 @@ pub struct Action {
 pub enum LegPose {
     /// Hip, thigh, calf of every leg.
     Alike([f64; 3]),
-    /// Of each joint.
+    /// One value for each joint.
     Each(Joints),
 }
 
 impl LegPose {
-    /// Of each joint.
+    /// Returns the value of each joint.
     pub fn joints(&self) -> Joints {
         match *self {
             LegPose::Alike(leg) => same_in_every_leg(leg),
@@ -186,7 +186,7 @@ pub struct Episode {
     pub recovery_s: f64,
     /// Duration of the post-recovery stage \[s\].
     pub post_recovery_s: f64,
-    /// Whether tracking rewards are replaced in the recovery stage; false is the baseline.
+    /// Replaces tracking rewards in the recovery stage; false gives the baseline.
     pub recovery_stage: bool,
     /// Mean `r_lin` of an iteration's walking stages above which episodes go on to the push, from then on.
     pub push_gate: f64,
@@ -277,13 +277,13 @@ pub struct Ppo {
     /// Sums run within each and then over a tree of them: the result depends on it.
     #[serde(default = "one")]
     pub shards: usize,
-    /// What computes the updates.
+    /// The learner that computes the updates.
     #[serde(default)]
     pub learner: LearnerKind,
-    /// What it computes with.
+    /// The precision of the learner's arithmetic.
     #[serde(default)]
     pub precision: Precision,
-    /// Whether half of the samples are learnt from with left and right exchanged.
+    /// Learns from half of the samples with left and right exchanged.
     #[serde(alias = "mirror")]
     pub symmetry: bool,
     /// Clip range of the probability ratio.
@@ -375,7 +375,7 @@ impl Config {
         [self.command.forward_m_s, self.command.left_m_s]
     }
 
-    /// What the policy sees, made ready.
+    /// Builds the layout of the observation.
     ///
     /// # Errors
     /// In words: the entry, what was found and what was expected.
@@ -383,7 +383,7 @@ impl Config {
         Layout::new(&self.observation, &self.nominal())
     }
 
-    /// What offsets and scales in words stand for.
+    /// Returns the nominal values that offsets and scales refer to by name.
     pub fn nominal(&self) -> Nominal {
         Nominal {
             pose: self.action.nominal_pose_rad.joints(),

@@ -84,7 +84,7 @@ impl FilterNoise {
     }
 }
 
-/// What joints and gyro say about a foot, world axes.
+/// The position and velocity of a foot by joints and gyro, world axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FootMeasurement {
     /// The foot's centre from the IMU's site, `Δ_i` \[m\].

@@ -130,7 +130,7 @@ fn three_filters_row_by_row_are_the_filter_of_18_states_and_28_rows() {
 }
 
 #[test]
-fn innovations_are_as_large_as_the_filter_expects_of_a_walk_with_its_own_noise() {
+fn innovations_match_expected_size_with_own_noise() {
     for seed in 0..5 {
         let [squared, expected] = innovations(linear(), seed);
         // A sum of n squares has mean n and variance 2 n: five standard deviations.

@@ -35,13 +35,13 @@ pub enum SensorFault {
     NotFinite {
         /// Which one, such as `gyro x` or `rate of FR_thigh`.
         reading: String,
-        /// What it read.
+        /// The reading.
         found: f64,
     },
     /// The time since the last tick makes no sense.
     #[error("the time since the last tick is {dt_s} s, expected a positive number")]
     Timestep {
-        /// What was given \[s\].
+        /// The time step given \[s\].
         dt_s: f64,
     },
     /// A sensor has given nothing yet.
@@ -57,9 +57,9 @@ pub enum SensorFault {
     Silent {
         /// `IMU` or `encoders`.
         sensor: &'static str,
-        /// For how long \[s\].
+        /// The length of the silence \[s\].
         silent_s: f64,
-        /// For how long it may be \[s\].
+        /// The longest permitted silence \[s\].
         limit_s: f64,
     },
 }
@@ -72,7 +72,7 @@ pub struct EstimatorConfig {
     pub orientation_gain_per_s: f64,
     /// Time constant of the average of the specific force: about half a period of a trot \[s\].
     pub orientation_averaging_s: f64,
-    /// For how long a silent sensor is bridged.
+    /// The longest silence of a sensor that the others bridge.
     pub max_silence_s: f64,
     /// Noise that the Kalman filter expects.
     pub noise: FilterNoise,
@@ -90,7 +90,7 @@ impl Default for EstimatorConfig {
     }
 }
 
-/// What the robot knows about itself.
+/// The estimated state of the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Estimate {
     /// Height of the trunk's origin above the ground under the feet \[m\].
@@ -133,7 +133,7 @@ struct Filters {
 }
 
 impl Estimator {
-    /// Of a robot; starts with the first readings.
+    /// Creates the estimator of a robot; it starts with the first readings.
     pub fn new(robot: Arc<Robot>, config: EstimatorConfig) -> Self {
         Estimator { robot, config, filters: None }
     }

@@ -36,7 +36,7 @@ pub struct OrientationFilter {
     world_from_base: UnitQuaternion<f64>,
     /// Averaged specific force, world frame [m/s²].
     average: Vector3<f64>,
-    /// What the gyro reads too much, base frame [rad/s].
+    /// The bias of the gyro, base frame [rad/s].
     bias: Vector3<f64>,
 }
 

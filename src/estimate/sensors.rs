@@ -35,12 +35,12 @@ pub struct EncoderReading {
 }
 
 impl EncoderReading {
-    /// What perfect encoders read that are mounted off by `offsets` \[rad\].
+    /// Returns the reading of perfect encoders that are mounted with `offsets` \[rad\].
     pub fn exact(angles: &Joints, rates: Joints, offsets: &Joints) -> Self {
         EncoderReading { angles: std::array::from_fn(|joint| angles[joint] + offsets[joint]), rates }
     }
 
-    /// Whether these are numbers.
+    /// Checks that the readings are finite.
     ///
     /// # Errors
     /// [`SensorFault::NotFinite`] for the first that is not.
@@ -70,7 +70,7 @@ pub struct TrunkMotion {
 }
 
 impl ImuReading {
-    /// What an IMU without errors reads that sits at `arm` from the trunk's origin, base frame \[m\], under `gravity` in the
+    /// Returns the reading of an IMU without errors that sits at `arm` from the trunk's origin, base frame \[m\], under `gravity` in the
     /// world frame [m/s²].
     pub fn exact(motion: &TrunkMotion, arm: Vector3<f64>, gravity: Vector3<f64>) -> Self {
         let rate = motion.angular_velocity;
@@ -79,7 +79,7 @@ impl ImuReading {
         ImuReading { gyro: rate, specific_force: of_origin + of_arm }
     }
 
-    /// Whether these are numbers.
+    /// Checks that the readings are finite.
     ///
     /// # Errors
     /// [`SensorFault::NotFinite`] for the first that is not.
@@ -157,7 +157,7 @@ impl Sensors {
         }
     }
 
-    /// What the IMU makes of an exact reading, `dt_s` \[s\] after the last one.
+    /// Adds the IMU's errors to an exact reading, `dt_s` \[s\] after the last one.
     pub fn imu(&self, exact: &ImuReading, dt_s: f64, rng: &mut impl Rng) -> ImuReading {
         // White noise of density n, seen through the band up to half the sampling rate, has variance n² / (2 dt).
         let bandwidth = (0.5 / dt_s).sqrt();
@@ -169,7 +169,7 @@ impl Sensors {
         }
     }
 
-    /// What the encoders make of exact angles \[rad\] and rates [rad/s], `dt_s` \[s\] after the last reading.
+    /// Adds the encoders' errors to exact angles \[rad\] and rates [rad/s], `dt_s` \[s\] after the last reading.
     pub fn encoders(&mut self, exact: &EncoderReading, dt_s: f64, rng: &mut impl Rng) -> EncoderReading {
         let noise = &self.noise;
         let before = self.filtered_rates.unwrap_or(exact.rates);

@@ -51,7 +51,7 @@ impl Errors {
     }
 }
 
-/// What a tick's readings are, for a test to spoil.
+/// The readings of a tick, for a test to spoil.
 struct Tick {
     time_s: f64,
     imu: Option<ImuReading>,

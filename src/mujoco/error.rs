@@ -67,7 +67,7 @@ pub enum Error {
     /// What drives the simulation is NaN or infinite: no fault of MuJoCo, which does not get to see it.
     #[error("{what} is {found}, expected a finite number: whatever controls the robot is at fault, not the physics")]
     Input {
-        /// What it is, such as a joint's target.
+        /// The input, such as a joint's target.
         what: String,
         /// The number.
         found: String,
@@ -85,7 +85,7 @@ pub enum Error {
     BufferFull {
         /// Which buffer.
         buffer: Buffer,
-        /// Its size.
+        /// The size of the array.
         size: usize,
     },
 }

@@ -76,7 +76,7 @@ pub struct Geom {
     pub name: String,
     /// Body it is fixed to.
     pub body: usize,
-    /// Its shape.
+    /// The shape of the geometry.
     pub shape: Shape,
     /// Shape-specific sizes \[m\].
     pub size: [f64; 3],
@@ -90,7 +90,7 @@ pub struct Geom {
     pub group: i32,
 }
 
-/// What an actuator does to a joint.
+/// The effect of an actuator on a joint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actuator {
     /// The joint, if it acts on one.
@@ -99,7 +99,7 @@ pub struct Actuator {
     pub gear: f64,
     /// Force per unit of control.
     pub gain: f64,
-    /// Whether its force depends on the joint's state, as a servo's does.
+    /// True if the actuator's force depends on the joint's state, like that of a servo.
     pub has_bias: bool,
     /// Limits of its control, if it has any.
     pub control_range: Option<[f64; 2]>,
@@ -108,7 +108,7 @@ pub struct Actuator {
 }
 
 impl Actuator {
-    /// Whether it controls a position or velocity by itself.
+    /// Returns true if the actuator controls a position or velocity by itself.
     pub fn is_servo(&self) -> bool {
         self.has_bias
     }
@@ -143,7 +143,7 @@ pub struct GeomContact {
 }
 
 impl GeomContact {
-    /// Whether it takes part in contacts at all.
+    /// Returns true if the geometry takes part in contacts.
     pub fn collides(&self) -> bool {
         self.contype != 0 || self.conaffinity != 0
     }
@@ -456,12 +456,12 @@ impl Model {
         usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[body]).ok()
     }
 
-    /// Whether a joint leaves its body free in space.
+    /// Returns true if a joint leaves its body free in space.
     pub fn is_free(&self, joint: usize) -> bool {
         self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_FREE as i32
     }
 
-    /// What an actuator does.
+    /// Returns the effect of an actuator.
     pub fn actuator(&self, id: usize) -> Actuator {
         let raw = self.raw();
         let on_joint = self.slice(raw.actuator_trntype, raw.nu)[id] == sys::mjTRN_JOINT as i32;
@@ -505,7 +505,7 @@ impl Model {
         position
     }
 
-    /// Whether a body is another one or below it.
+    /// Returns true if a body is `ancestor` or below it.
     pub fn is_below(&self, mut body: usize, ancestor: usize) -> bool {
         while body != 0 && body != ancestor {
             body = self.body_parent(body);
@@ -634,7 +634,7 @@ fn load(what: &str, file: &CStr, vfs: *const sys::mjVFS) -> Result<Model> {
         LOCKED.store(true, Ordering::Release);
         return Err(failed(text_of(&message)));
     }
-    // SAFETY: MuJoCo keeps the last parsed XML in a global; free it, nobody else uses it.
+    // SAFETY: MuJoCo keeps the last parsed XML in a global; this is its only user.
     unsafe { sys::mj_freeLastXML() };
     NonNull::new(model).map(Model).ok_or_else(|| failed(text_of(&message)))
 }

@@ -45,12 +45,12 @@ impl Buffer {
         Self { storage, start, len }
     }
 
-    /// Its rows, if it is panels.
+    /// Returns the rows, if the matrix is stored in panels.
     pub fn rows(&self) -> &[Row] {
         self.as_chunks().0
     }
 
-    /// Its rows, if it is panels.
+    /// Returns the rows, if the matrix is stored in panels.
     pub fn rows_mut(&mut self) -> &mut [Row] {
         self.as_chunks_mut().0
     }
@@ -101,12 +101,12 @@ impl Matrix {
         &self.values.rows()[index * self.rows..][..self.rows]
     }
 
-    /// In order.
+    /// Iterates over the panels in order.
     pub fn panels(&self) -> impl Iterator<Item = &[Row]> {
         self.values.rows().chunks(self.rows)
     }
 
-    /// In order.
+    /// Iterates over the panels in order.
     pub fn panels_mut(&mut self) -> impl Iterator<Item = &mut [Row]> {
         self.values.rows_mut().chunks_mut(self.rows)
     }
@@ -136,7 +136,7 @@ pub struct Product<'a> {
     pub stretches: &'a [Stretch<'a>],
     /// `a` is stored as (k, m) rather than (m, k).
     pub a_transposed: bool,
-    /// What the sums begin and end with.
+    /// The start and the end of the sums.
     pub ends: Ends<'a>,
     /// Shape (m, n).
     pub c: &'a mut [Row],
@@ -151,7 +151,7 @@ pub struct Stretch<'a> {
     pub b: &'a [Row],
 }
 
-/// What a product's sums begin and end with.
+/// The start and the end of a product's sums.
 pub enum Ends<'a> {
     /// Begin with the bias and end with ELU, if asked for: a layer's output.
     Bias { bias: &'a Row, elu: bool },

@@ -50,12 +50,12 @@ impl Layer {
 /// A multilayer perceptron: ELU (α = 1) after each layer but the last.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mlp {
-    /// From the input on; never empty.
+    /// The layers from the input on; never empty.
     pub layers: Vec<Layer>,
 }
 
 impl Mlp {
-    /// Layers between these widths: orthogonal weights with gain √2, but for the last layer; no biases.
+    /// Creates layers between these widths: orthogonal weights with gain √2 except in the last layer; no biases.
     pub fn orthogonal(widths: &[usize], last_gain: f64, rng: &mut impl Rng) -> Self {
         let gain = |layer: usize| if layer + 2 == widths.len() { last_gain } else { 2.0_f64.sqrt() };
         let layer = |(k, ends): (usize, &[usize])| Layer::orthogonal(ends[0], ends[1], gain(k), rng);

@@ -16,7 +16,7 @@ pub(super) const MAX_LENGTH: usize = 1 << 16;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Observed {
-    /// What it is.
+    /// The quantity.
     pub quantity: Quantity,
     /// Parts of a vector, in order: forward, left, up, or backward, right, down; yaw of a command [forward, left, up].
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -33,13 +33,13 @@ pub struct Observed {
     /// Limit after that; none if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
-    /// Of clocks \[Hz\].
+    /// The frequency of a clock \[Hz\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frequency_hz: Option<f64>,
-    /// Of clocks, as fractions of a period \[0\].
+    /// The phases of a clock, as fractions of a period \[0\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phases: Option<Vec<f64>>,
-    /// Of constants.
+    /// The values of a constant.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<f64>>,
 }
@@ -67,7 +67,7 @@ impl Observed {
 pub enum Numbers {
     /// The same for all elements.
     All(f64),
-    /// In order.
+    /// One value for each element, in order.
     Each(Vec<f64>),
     /// See [`Word`].
     Word(Word),
@@ -93,7 +93,7 @@ pub enum Ages {
     Several(Vec<u32>),
 }
 
-/// What offsets and scales in words stand for.
+/// The nominal values that offsets and scales refer to by name.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nominal {
     /// Joint angles, our order \[rad\].
@@ -107,15 +107,15 @@ pub struct Nominal {
 /// A stretch of the observation, at one age or several.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Block {
-    /// What it is.
+    /// The quantity.
     pub quantity: Quantity,
-    /// For vectors, which of (forward, left, up or yaw) each element is, and its sign.
+    /// The axis of (forward, left, up or yaw) and the sign of each element of a vector.
     pub axes: Vec<(usize, f64)>,
     /// Policy steps ago, in order.
     pub steps_ago: Vec<u32>,
-    /// Of clocks \[Hz\].
+    /// The frequency of a clock \[Hz\].
     pub frequency_hz: f64,
-    /// Of clocks, their phases; of constants, their values.
+    /// The phases of a clock, or the values of a constant.
     pub values: Vec<f64>,
     pub(super) width: usize,
     /// Where it begins in a frame.
@@ -133,7 +133,7 @@ impl Block {
         self.quantity.about().2
     }
 
-    /// Its parts in words, such as left, up, forward; empty if it is no vector.
+    /// Returns the names of a vector's elements, such as left, up, forward; empty for other quantities.
     pub fn elements(&self) -> Vec<&'static str> {
         let command = self.quantity.about().0 == Kind::Command;
         self.axes.iter().map(|(axis, sign)| part(*axis, *sign, command)).collect()

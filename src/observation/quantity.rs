@@ -58,9 +58,9 @@ pub(super) enum Kind {
     Command,
     /// One for each joint.
     Joints,
-    /// As many as the layout gives phases, with a frequency.
+    /// As many numbers as the layout gives phases, with a frequency.
     Clock,
-    /// As many as the layout gives.
+    /// As many numbers as the layout gives values.
     Constant,
 }
 
@@ -126,7 +126,7 @@ impl Quantity {
     }
 }
 
-/// From our order of the joints to a policy's.
+/// Copies joint values from our order to a policy's.
 fn reorder(joints: &Joints, order: &[usize; JOINTS], out: &mut [f64]) {
     out.iter_mut().zip(order).for_each(|(out, joint)| *out = joints[*joint]);
 }

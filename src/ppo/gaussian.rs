@@ -18,7 +18,7 @@ pub struct DiagonalGaussian {
 }
 
 impl DiagonalGaussian {
-    /// From `ln σ`, one for each action.
+    /// Creates the distribution from `ln σ`, one for each action.
     pub fn new(log_std: &[f32]) -> Self {
         let log_std: Vec<f64> = log_std.iter().map(|&x| f64::from(x)).collect();
         let inverse_std = log_std.iter().map(|x| (-x).exp()).collect();
@@ -73,7 +73,7 @@ pub struct KlDivergence<'a> {
 }
 
 impl<'a> KlDivergence<'a> {
-    /// Of `new` from `old`.
+    /// Prepares the divergence of `new` from `old`.
     pub fn new(old: &DiagonalGaussian, new: &'a DiagonalGaussian) -> Self {
         let terms = old.log_std.iter().zip(&new.log_std).map(|(old, new)| {
             let log_ratio = old - new;

@@ -39,7 +39,7 @@ pub trait Ranks: Debug + Send + Sync {
         1
     }
 
-    /// Whether nobody started it as a rank, not even as the only one.
+    /// Returns true if the process was not started as a rank, not even as the only one.
     fn is_alone(&self) -> bool {
         false
     }
@@ -50,7 +50,7 @@ pub trait Ranks: Debug + Send + Sync {
     /// Replaces numbers by their sums over all ranks, over a fixed tree.
     fn sum(&self, singles: &mut Vec<f32>, doubles: &mut Vec<f64>);
 
-    /// What every rank has to say, rank by rank.
+    /// Gathers the bytes of every rank, in rank order.
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>>;
 
     /// The part of `whole` that is this rank's, `whole` being a multiple of their number.
@@ -65,7 +65,7 @@ pub trait Ranks: Debug + Send + Sync {
 pub struct Alone;
 
 impl Alone {
-    /// As it is passed around.
+    /// Returns a shared single rank.
     pub fn shared() -> Arc<dyn Ranks> {
         Arc::new(Alone)
     }
@@ -115,24 +115,24 @@ pub fn sum_over_samples(ranks: &dyn Ranks, shards: usize, samples: usize, of: im
     sum[0]
 }
 
-/// Whether it is so on any rank.
+/// Returns true if `own` is true on any rank.
 pub fn any(ranks: &dyn Ranks, own: bool) -> bool {
     let mut count = vec![f64::from(u8::from(own))];
     ranks.sum(&mut Vec::new(), &mut count);
     count[0] > 0.0
 }
 
-/// What went wrong on one of several ranks, known to all.
+/// An error on one of several ranks, known to all.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{name}: {problem}")]
 pub struct RankError {
     /// Rank and host.
     pub name: String,
-    /// In its own words.
+    /// The error's own message.
     pub problem: String,
 }
 
-/// What every rank has come to, rank by rank, or what the first one that failed says.
+/// Returns every rank's result in rank order, or the error of the first rank that failed.
 ///
 /// # Errors
 /// A single rank's own error; of several ranks, a [`RankError`] on all of them.

@@ -31,10 +31,10 @@ use ::mpi::{Tag, Threading};
 use super::Ranks;
 use crate::util::terminal;
 
-/// What numbers travel under.
+/// The tag of messages with numbers.
 const NUMBERS: Tag = 0;
 
-/// What a rank tells others under that has waited too long.
+/// The tag of messages from a rank that has waited too long.
 const WAITING: Tag = 1;
 
 /// Longest time that the others may take to say that they wait, too.
@@ -50,7 +50,7 @@ const SPINS: u32 = 100;
 #[derive(Debug)]
 pub struct Mpi {
     index: usize,
-    /// Of all of them.
+    /// The hosts of all ranks.
     hosts: Vec<String>,
     messenger: Mutex<Messenger>,
 }
@@ -62,7 +62,7 @@ struct Messenger {
     thread: Option<JoinHandle<()>>,
 }
 
-/// What is to be done with numbers, and the numbers, which come back done.
+/// An operation on numbers, which come back as its result.
 #[derive(Debug)]
 enum Call {
     Sum(Vec<f32>, Vec<f64>),
@@ -174,7 +174,7 @@ struct MpiComm {
     ranks: SimpleCommunicator,
     rank: usize,
     count: usize,
-    /// Of all of them; empty until they have told each other.
+    /// The hosts of all ranks; empty until they have been exchanged.
     hosts: Vec<String>,
     timeout: Duration,
 }

@@ -3,7 +3,7 @@
 use super::{JOINTS, Joints, Robot, joint_name};
 
 impl Robot {
-    /// What was read from its file, and what was changed to make it fit.
+    /// Describes the parts read from the robot's file and the changes made to it.
     pub fn description(&self) -> String {
         let height = self.standing_height_m(&self.nominal_pose);
         let mut text = format!("{}: {:.3} kg, trunk {height:.3} m above the ground\n", self.name, self.mass_kg);

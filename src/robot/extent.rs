@@ -5,7 +5,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use crate::mujoco::{Geom, Model, Shape};
 use crate::util::numbers::maximum;
 
-/// From the trunk's origin to where it ends \[m\].
+/// The distances from the trunk's origin to its ends \[m\].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Extent {
     /// Ahead, of all its shapes.
@@ -17,7 +17,7 @@ pub struct Extent {
 }
 
 impl Extent {
-    /// Of a body; zero if nothing of it collides.
+    /// Measures a body; zero if none of its geometries collides.
     pub(super) fn of(model: &Model, body: usize) -> Self {
         let is_shape = |geom: &usize| model.geom_body(*geom) == body && model.geom_contact(*geom).collides();
         let shapes: Vec<Geom> =

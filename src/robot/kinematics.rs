@@ -31,13 +31,13 @@ pub struct Leg {
     thigh_axis: Vector3<f64>,
     /// 1 if the calf turns about the thigh's axis, −1 if about the opposite one.
     calf_sign: f64,
-    /// From the trunk's origin to the hip joint.
+    /// The vector from the trunk's origin to the hip joint.
     hip: Vector3<f64>,
-    /// From the hip joint to the thigh joint.
+    /// The vector from the hip joint to the thigh joint.
     thigh: Vector3<f64>,
-    /// From the thigh joint to the knee.
+    /// The vector from the thigh joint to the knee.
     knee: Vector3<f64>,
-    /// From the knee to the foot's centre.
+    /// The vector from the knee to the foot's centre.
     foot: Vector3<f64>,
     /// Radius of the foot's sphere \[m\].
     pub foot_radius_m: f64,
@@ -123,7 +123,7 @@ impl Leg {
         }
     }
 
-    /// Whether thigh and calf are nearly in line, seen along the thigh's axis.
+    /// Returns true if thigh and calf are nearly in line, seen along the thigh's axis.
     pub(super) fn is_straight(&self, angles: [f64; 3]) -> bool {
         let (thigh, calf) = self.links(angles);
         (self.lean(&thigh) - self.lean(&calf)).abs() < STRAIGHT
@@ -168,7 +168,7 @@ pub fn feet(legs: &[Leg; 4], angles: &Joints, rates: &Joints) -> [Foot; 4] {
     std::array::from_fn(|leg| legs[leg].foot(of_leg(angles, leg), of_leg(rates, leg)))
 }
 
-/// From the frame of body `from` to that of body `to` below it, all joints at zero.
+/// Composes the transform from body `from` to body `to` below it, with all joints at zero.
 fn walk(model: &Model, from: usize, to: usize, place: &mut Vector3<f64>, turn: &mut UnitQuaternion<f64>) {
     let mut down = Vec::new();
     let mut body = to;

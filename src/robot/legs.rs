@@ -16,7 +16,7 @@ pub const JOINTS: usize = LEGS.len() * PARTS.len();
 /// One number for each joint.
 pub type Joints = [f64; JOINTS];
 
-/// What of a leg's three numbers, from the trunk downwards, belongs to each joint.
+/// Repeats a leg's three values, from the trunk downwards, for every leg.
 pub fn same_in_every_leg<T: Copy>(of_leg: [T; 3]) -> [T; JOINTS] {
     std::array::from_fn(|joint| of_leg[joint % PARTS.len()])
 }

@@ -36,10 +36,10 @@ const SHIPPED: &[(&str, &str)] =
 /// Name of the site at the trunk's centre of mass, to which ropes are tied.
 pub const HARNESS: &str = "harness";
 
-/// What errors call it.
+/// The name of the file's kind in errors.
 const ROBOT: &str = "robot";
 
-/// What is lost in every joint, beside what the controller's `K_d` takes.
+/// The losses of every joint, in addition to the controller's `K_d`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Losses {
     /// Dry friction [N·m].
@@ -74,7 +74,7 @@ pub struct Robot {
     pub name: String,
     mjcf: String,
     sha256: String,
-    /// What was changed in the file to make it fit and what was left out, a line each.
+    /// The changes made to the file and the parts left out, one on a line.
     pub report: Vec<String>,
     /// Ranges of the joints \[rad\].
     pub joint_limits: [[f64; 2]; JOINTS],
@@ -142,7 +142,7 @@ impl Robot {
         Ok(robot)
     }
 
-    /// Bends knees that are straight only because nobody has said otherwise. `places` are those of the joint angles in `stand`.
+    /// Bends knees that the file leaves straight. `places` are the indices of the joint angles in `stand`.
     fn bend_knees(&mut self, places: &[usize; JOINTS]) {
         let straight = |leg: usize| self.legs[leg].is_straight(of_leg(&self.nominal_pose, leg));
         if !(0..LEGS.len()).all(straight) {
@@ -167,7 +167,7 @@ impl Robot {
         if self.losses == losses { self } else { Arc::new(Robot { losses, ..Robot::clone(&self) }) }
     }
 
-    /// Whether a robot of this name ships.
+    /// Returns true if a robot of this name ships.
     pub fn ships(name: &str) -> bool {
         SHIPPED.iter().any(|(shipped, _)| *shipped == name)
     }

@@ -15,7 +15,7 @@ pub const GRAVITY_M_S2: f64 = 9.81;
 pub struct Foothold {
     /// Bottom of the foot's sphere above the ground under it \[m\].
     pub height: f64,
-    /// Whether it touches anything.
+    /// True if the foot touches anything.
     pub contact: bool,
 }
 
@@ -26,11 +26,11 @@ pub struct FootState {
     pub height: f64,
     /// Velocity of its centre, world frame [m/s].
     pub velocity: [f64; 3],
-    /// Whether it touches anything.
+    /// True if the part touches anything.
     pub contact: bool,
 }
 
-/// What there is to know about the robot at one instant.
+/// The state of the robot at one instant.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RobotState {
     /// Origin of the trunk, world frame \[m\].

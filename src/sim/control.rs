@@ -47,7 +47,7 @@ impl Latency {
         Latency { fraction: steps - whole, targets: vec![target; whole as usize + 2], next: 0 }
     }
 
-    /// Whether `other` is a state of the same delay.
+    /// Returns true if `other` is a state of the same delay.
     pub fn fits(&self, other: &Self) -> bool {
         let length = self.targets.len();
         other.targets.len() == length && other.next < length && other.fraction == self.fraction

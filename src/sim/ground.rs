@@ -1,6 +1,6 @@
 //! What the robot walks on: a plane, or elevations on a grid.
 
-/// What the robot walks on.
+/// The ground that the robot walks on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ground {
     /// An infinite plane at height zero.

@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ring_keeps_the_newest_steps_in_order_and_forgets_the_episode_before() {
+    fn ring_keeps_newest_steps_of_the_episode() {
         let mut ring = LastSecond::new(3, 2, 1);
         ring.note(&[9.0, 9.0], &[9.0], &[9.0; 12]);
         ring.clear();

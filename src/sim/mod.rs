@@ -40,7 +40,7 @@ const FOOT_PRIORITY: i32 = 3;
 /// Half the length of the square in which a robot stands, about \[m\].
 const FOOTPRINT_M: f64 = 0.25;
 
-/// What happened in one policy step.
+/// The effort and the falls of one policy step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepSummary {
     /// `Σ|τ·q̇|`, mean over the physics steps \[W\].
@@ -60,7 +60,7 @@ pub struct Conditions {
     pub gravity: [f64; 3],
     /// Sliding friction of the ground.
     pub friction: f64,
-    /// What the encoders read too much \[rad\].
+    /// The bias of the encoders \[rad\].
     #[serde(alias = "joint_offsets")]
     pub encoder_bias: Joints,
 }
@@ -341,7 +341,7 @@ impl Sim {
         &self.parts
     }
 
-    /// What the robot walks on.
+    /// Returns the ground.
     pub fn ground(&self) -> &Ground {
         &self.ground
     }
@@ -351,7 +351,7 @@ impl Sim {
         self.substeps as f64 * self.data.model().timestep_s()
     }
 
-    /// What has to be kept to go on exactly from here.
+    /// Returns the state from which the simulation continues exactly.
     pub fn save(&self) -> SimState {
         SimState {
             positions: self.unnormalised.clone(),

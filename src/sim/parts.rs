@@ -80,7 +80,7 @@ impl Parts {
         self.feet
     }
 
-    /// Whether a geometry belongs to the robot.
+    /// Returns true if a geometry belongs to the robot.
     pub fn is_part(&self, geom: usize) -> bool {
         self.is_body_part[geom] || self.feet.contains(&geom)
     }

@@ -44,7 +44,7 @@ pub struct Buffers {
 pub struct Scene {
     /// The robot.
     pub robot: Arc<Robot>,
-    /// What it walks on.
+    /// The ground that the robot walks on.
     pub ground: Ground,
     /// Physics step \[s\].
     pub timestep_s: f64,
@@ -192,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scene_that_is_compiled_again_is_neither_another_one_nor_what_was_made_of_a_copy() {
+    fn compiling_a_scene_again_gives_an_equal_model() {
         let flat = Scene::flat(Robot::load("go1").unwrap(), 1.0 / 240.0);
         let other = Scene { timestep_s: 1.0 / 480.0, ..flat.clone() };
         let mut changed = flat.compile().unwrap();

@@ -36,7 +36,7 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// From durations to steps.
+    /// Converts durations to steps.
     pub fn new(episode: &Episode, simulation: &Simulation) -> Self {
         let recovery_start = simulation.policy_steps(episode.walking_s);
         let post_recovery_start = recovery_start + simulation.policy_steps(episode.recovery_s);
@@ -59,7 +59,7 @@ impl Stages {
 /// Everything random about an episode but the policy's noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodePlan {
-    /// What the policy is asked to do.
+    /// The command of the episode.
     pub command: Command,
     /// Slope, friction, encoder offsets.
     pub conditions: Conditions,
@@ -132,7 +132,7 @@ pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
     [-GRAVITY_M_S2 * tilt.sin() * uphill.cos(), -GRAVITY_M_S2 * tilt.sin() * uphill.sin(), -GRAVITY_M_S2 * tilt.cos()]
 }
 
-/// What episodes ask for gets harder as walking gets better (section III-D).
+/// The curriculum: episodes get harder as walking gets better (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Curriculum {
     /// Open fraction of the command range, 0 to 1.
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn randomised_friction_fills_its_range_and_offsets_have_their_standard_deviation() {
+    fn randomised_friction_and_encoder_bias_have_their_ranges() {
         let mut config = config();
         config.randomisation.enabled = true;
         let drawn: Vec<Conditions> = (0..2000)

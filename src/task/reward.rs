@@ -25,11 +25,11 @@ use crate::sim::{StepObserver, StepSummary};
 pub struct RewardInput<'a> {
     /// At its end.
     pub state: &'a RobotState,
-    /// What was asked for.
+    /// The velocity command.
     pub command: &'a Command,
-    /// What it cost.
+    /// The effort of the step.
     pub summary: &'a StepSummary,
-    /// What has landed in it.
+    /// The feet that landed in the step.
     pub landings: &'a Landings,
     /// Targets and sharpnesses.
     pub config: &'a Reward,
@@ -38,7 +38,7 @@ pub struct RewardInput<'a> {
 /// A term of the reward: a line of [`TERMS`].
 #[derive(Debug)]
 pub struct Term {
-    /// Of its weight in a configuration, and in metrics.
+    /// The name of the term: its key in the configuration and its column in the metrics.
     pub name: &'static str,
     /// The paper's, with a unit where it has one, for plots.
     pub symbol: &'static str,
@@ -217,7 +217,7 @@ pub struct SwingTracker {
     looks_in_flight: usize,
 }
 
-/// What a [`SwingTracker`] has gathered since it was last asked.
+/// The landings that a [`SwingTracker`] collected since the last call.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Landings {
     /// `r_h`.
@@ -236,7 +236,7 @@ impl SwingTracker {
         SwingTracker { desired_m, in_contact: feet.map(|foot| foot.contact), ..SwingTracker::default() }
     }
 
-    /// What has landed since the last call.
+    /// Returns the landings since the last call.
     pub fn take(&mut self) -> Landings {
         let landings = Landings {
             foot_height: self.paid,

@@ -33,7 +33,7 @@ const FORMAT: u32 = 2;
 /// The oldest that is read: environments noted down the paper's observation only, and keys had other names.
 const OLDEST_FORMAT: u32 = 1;
 
-/// What errors call it.
+/// The name of the file's kind in errors.
 const CHECKPOINT: &str = "checkpoint";
 
 /// Larger files are not checkpoints.
@@ -42,9 +42,9 @@ const MAX_BYTES: u64 = 4 << 30;
 /// The state of a run after a whole number of iterations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checkpoint {
-    /// What is not a tensor.
+    /// The state of the run without tensors.
     pub run: RunState,
-    /// What the learner needs.
+    /// The state of the learner.
     pub learner: LearnerState,
 }
 
@@ -76,7 +76,7 @@ pub struct RunState {
 #[derive(Serialize, Deserialize)]
 struct Metadata {
     format: u32,
-    /// Of the run's JSON and the parameters' and moments' bytes.
+    /// SHA-256 of the run's JSON and of the bytes of parameters and moments.
     sha256: String,
     optimiser_steps: u64,
     learning_rate: f64,

@@ -41,7 +41,7 @@ pub struct Rollout {
     pub episodes: Vec<EpisodeReport>,
 }
 
-/// What the collection needs beside the environments.
+/// The inputs of the collection besides the environments.
 #[derive(Debug, Clone, Copy)]
 pub struct Collection<'a> {
     /// Policy and value function.
@@ -52,7 +52,7 @@ pub struct Collection<'a> {
     pub iteration: u64,
     /// Steps of each environment.
     pub steps: usize,
-    /// For episodes that start now.
+    /// The curriculum of episodes that start now.
     pub curriculum: Curriculum,
     /// Worker threads.
     pub threads: usize,
@@ -181,7 +181,7 @@ impl Rollout {
         self.rewards.len()
     }
 
-    /// Whether there are no samples.
+    /// Returns true if there are no samples.
     pub fn is_empty(&self) -> bool {
         self.rewards.is_empty()
     }
@@ -230,7 +230,7 @@ impl Rollout {
 mod tests {
     use super::*;
 
-    /// Of the paper's observation.
+    /// The length of the paper's observation.
     const LENGTH: usize = 83;
 
     fn rollout(ends: [Option<EpisodeEnd>; 3], bootstraps: [f32; 3]) -> Rollout {
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_limit_bootstraps_from_the_final_observation_and_keeps_the_next_episode_out() {
+    fn time_limit_bootstraps_from_the_final_observation() {
         // step 1 is cut with final value 24: δ₁ = 2 + 12 − 20 = −6; A₀ = 1 − 0.25·6
         let (advantages, _) =
             rollout([None, Some(EpisodeEnd::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_in_which_physics_failed_teaches_nothing_and_the_ones_before_it_go_by_its_value() {
+    fn physics_fault_ends_returns_without_learning_from_it() {
         // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
         let (advantages, returns) =
             rollout([None, Some(EpisodeEnd::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn physics_faults_end_their_episodes_are_counted_and_kept_and_leave_the_others_alone() {
+    fn physics_faults_are_counted_and_leave_other_environments_alone() {
         let calm = collect(2, |_| {});
         let faulty = collect(2, break_four);
         let faults: Vec<_> = faulty.episodes.iter().filter_map(|episode| episode.fault.as_ref()).collect();

@@ -42,7 +42,7 @@ pub struct EnvStep {
     pub end: Option<EpisodeEnd>,
     /// The stage that it was a step of.
     pub stage: Stage,
-    /// Its terms as measured (never replaced); zero if the physics failed.
+    /// The terms of the reward as measured (never replaced); zero if the physics failed.
     pub terms: Terms,
 }
 
@@ -53,7 +53,7 @@ pub struct EpisodeReport {
     pub end: EpisodeEnd,
     /// Steps it lasted.
     pub steps: usize,
-    /// Whether the robot was pushed.
+    /// True if the robot was pushed.
     pub pushed: bool,
     /// Sum of rewards.
     pub reward: f64,
@@ -63,14 +63,14 @@ pub struct EpisodeReport {
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
-    /// What led to a physics fault.
+    /// The cause of a physics fault.
     pub fault: Option<Box<EpisodeFault>>,
 }
 
 /// A physics fault, to be inspected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeFault {
-    /// What MuJoCo reported, in words.
+    /// The error of MuJoCo.
     pub error: String,
     /// Index of the environment in its run.
     pub environment: u64,
@@ -240,7 +240,7 @@ impl LocomotionEnv {
         p.observer.measure(&self.layout, &now);
     }
 
-    /// Its index in the run.
+    /// Returns the environment's index in the run.
     pub fn index(&self) -> u64 {
         self.index
     }
@@ -250,7 +250,7 @@ impl LocomotionEnv {
         self.sim.data().bytes()
     }
 
-    /// What was drawn for this episode.
+    /// Returns the random draws of this episode.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan
     }
@@ -260,7 +260,7 @@ impl LocomotionEnv {
         &self.progress.plan.command
     }
 
-    /// What the observation is made of.
+    /// Returns the layout of the observation.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
@@ -388,7 +388,7 @@ impl LocomotionEnv {
         self.layout = Arc::clone(layout);
     }
 
-    /// What has to be kept to go on exactly from here.
+    /// Returns the state from which the environment continues exactly.
     pub fn save(&self) -> EnvState {
         EnvState { sim: self.sim.save(), progress: self.progress.clone() }
     }

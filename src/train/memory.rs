@@ -21,7 +21,7 @@ const CANDLE_BYTES: u64 = 100;
 /// Bytes of an environment beside its simulation, of 900 KiB: last second, observations, its state in a checkpoint.
 const ENVIRONMENT_BYTES: u64 = 100 << 10;
 
-/// What a run takes \[bytes\].
+/// The memory that a run needs \[bytes\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryEstimate {
     /// All simulations.
@@ -39,14 +39,14 @@ pub struct MemoryEstimate {
     gibibytes(.left)
 )]
 pub struct MemoryError {
-    /// What is needed.
+    /// The memory needed.
     pub memory: MemoryEstimate,
-    /// What there is \[bytes\].
+    /// The memory available \[bytes\].
     pub left: u64,
 }
 
 impl MemoryEstimate {
-    /// What a configuration takes; one of its environments is made to see.
+    /// Estimates the memory of a configuration; it creates one of its environments.
     ///
     /// # Errors
     /// What does not fit in the robot or the observation, or a fault of MuJoCo.
@@ -112,7 +112,7 @@ fn gibibytes(bytes: &u64) -> String {
     format!("{:.1} GiB", *bytes as f64 / f64::from(1 << 30))
 }
 
-/// What the machine, or the container, has left \[bytes\]; nothing where the system does not say.
+/// Returns the memory that the machine or the container has left \[bytes\]; none if the system does not say.
 fn left() -> Option<u64> {
     let read = |path: &str| std::fs::read_to_string(path).ok();
     let of_machine = read("/proc/meminfo").and_then(|text| {
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_run_takes_grows_with_what_it_asks_for_and_is_refused_beyond_the_machine() {
+    fn memory_estimate_grows_with_the_run_and_has_a_bound() {
         let mut config = Config::load("fast").unwrap();
         let usual = MemoryEstimate::of(&config).unwrap();
         assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");

@@ -21,7 +21,7 @@ pub struct IterationMetrics {
     pub samples: u64,
     /// Mean reward of a step.
     pub step_reward: f64,
-    /// Of the episodes that finished.
+    /// The means over the episodes that finished.
     #[serde(flatten)]
     pub means: EpisodeMeans,
     /// Open fraction of the command range.
@@ -34,7 +34,7 @@ pub struct IterationMetrics {
     pub action_std: f64,
     /// Fraction of the variance of the returns that the values explain.
     pub explained_variance: f64,
-    /// What the learner did.
+    /// The statistics of the learner.
     pub learner: UpdateStatistics,
     /// How long it took; the only numbers that differ between two runs of the same seed.
     pub time: Timing,
@@ -54,7 +54,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// From the parts of an iteration.
+    /// Creates the metrics of an iteration from its parts.
     pub fn new(samples: usize, rollout: Duration, update: Duration, whole: Duration, elapsed_s: f64) -> Self {
         Timing {
             rollout_s: rollout.as_secs_f64(),
@@ -70,9 +70,9 @@ impl Timing {
 pub struct EpisodeMeans {
     /// Episodes that finished.
     pub episodes: usize,
-    /// Of those, how many fell.
+    /// The number of those that fell.
     pub falls: usize,
-    /// Of those, how many ended in a physics fault.
+    /// The number of those that ended in a physics fault.
     pub faults: usize,
     /// Falls over episodes.
     #[serde(alias = "fall_share")]
@@ -99,7 +99,7 @@ pub struct EpisodeMeans {
 }
 
 impl EpisodeMeans {
-    /// Of a rollout's finished episodes.
+    /// Averages the finished episodes of a rollout.
     pub fn new(episodes: &[EpisodeReport]) -> Self {
         let count = |end: EpisodeEnd| episodes.iter().filter(|episode| episode.end == end).count();
         let pushed = || episodes.iter().filter(|episode| episode.pushed);

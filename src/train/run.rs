@@ -71,7 +71,7 @@ pub enum RunError {
     /// There is no run to go on with.
     #[error("{} is not a run's folder: it has no checkpoint to go on from", .0.display())]
     NotARun(PathBuf),
-    /// Its files are not of one run.
+    /// The files belong to different runs.
     #[error("{}: two runs are mixed: {problem}", path.display())]
     Mixed {
         /// The folder.
@@ -79,7 +79,7 @@ pub enum RunError {
         /// Which files, and in what they differ.
         problem: String,
     },
-    /// Its configuration was changed after it began.
+    /// The configuration was changed after the run began.
     #[error(
         "{path}/config.yaml was changed after the run began: {keys} in the checkpoint; undo that, or start another run with \
          --config {path}/config.yaml", path = path.display()
@@ -87,7 +87,7 @@ pub enum RunError {
     Changed {
         /// The folder.
         path: PathBuf,
-        /// What was changed, with both values.
+        /// The changed keys, with both values.
         keys: String,
     },
     /// Its configuration cannot be understood, and may be what somebody has just written.
@@ -315,7 +315,7 @@ fn stage(path: &Path) -> Result<(PathBuf, File), RunError> {
     Ok((staged, lock))
 }
 
-/// Removes folders, and no links to any, whose names begin like this and in which nobody works any more.
+/// Removes folders (not links) whose names begin with `prefix` and that no process has locked.
 fn clear_cut_off_starts(parent: &Path, prefix: &OsStr) -> io::Result<()> {
     for entry in fs::read_dir(parent)? {
         let entry = entry?;
@@ -341,7 +341,7 @@ fn lock(folder: &Path) -> Result<File, RunError> {
     }
 }
 
-/// Whether there is a checkpoint to go on from, whole or not.
+/// Returns true if there is a checkpoint, intact or not.
 fn is_run(path: &Path) -> bool {
     [NEWEST, PREVIOUS].iter().any(|name| path.join(name).exists())
 }

@@ -25,7 +25,7 @@ fn reflect(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
 }
 
 impl Mirror {
-    /// For a robot, its nominal pose \[rad\] and what its policy sees.
+    /// Creates the mirror image for a robot, its nominal pose \[rad\] and the observation of its policy.
     ///
     /// # Errors
     /// In words: what has no mirror image.

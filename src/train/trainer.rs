@@ -44,7 +44,7 @@ pub enum TrainError {
     /// An environment could not be set up.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
-    /// What is to be learnt from in the mirror has no mirror image.
+    /// The configuration asks for symmetry, but the robot or observation has no mirror image.
     #[error("ppo.symmetry is true, but {0}: make it false")]
     Symmetry(String),
     /// More memory than the machine has.
@@ -55,17 +55,17 @@ pub enum TrainError {
     Learner {
         /// Iterations done before.
         iteration: u64,
-        /// What it met.
+        /// The fault that the update met.
         fault: Box<UpdateFault>,
         /// The minibatch it met it in, as CSV: a row for each sample. Empty if no minibatch is to blame.
         minibatch: String,
-        /// What the update and the rollout before it were like, as JSON.
+        /// The statistics of the update and of the rollout before it, as JSON.
         circumstances: String,
     },
     /// More or fewer ranks than sums over a tree can be shared among.
     #[error("there are {0} ranks, expected a power of two: change mpirun's -n")]
     Count(usize),
-    /// What went wrong on one of several ranks.
+    /// An error on one of several ranks.
     #[error(transparent)]
     Rank(#[from] RankError),
     /// A checkpoint that does not fit its own configuration.
@@ -76,11 +76,11 @@ pub enum TrainError {
 /// A training run.
 #[derive(Debug)]
 pub struct Trainer {
-    /// But for the environments, which are live.
+    /// The state of the run except the environments.
     run: RunState,
     robot: Arc<Robot>,
     layout: Arc<Layout>,
-    /// If samples are learnt from in it.
+    /// The mirror image, if samples are learnt from in it.
     mirror: Option<Mirror>,
     threads: usize,
     ranks: Arc<dyn Ranks>,
@@ -322,7 +322,7 @@ impl Trainer {
         &*self.ranks
     }
 
-    /// What was asked for and how far it is, without the environments.
+    /// Returns the configuration and progress of the run, without the environments.
     pub fn run(&self) -> &RunState {
         &self.run
     }
@@ -384,7 +384,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_with_shards_has_the_same_bits_with_any_number_of_threads_and_over_a_resumption() {
+    fn shards_give_same_bits_on_any_threads_and_after_resuming() {
         let run = |threads: [usize; 3]| {
             let mut trainer = Trainer::new("test", sharded(8), 3, threads[0]).unwrap();
             let mut metrics = Vec::new();
@@ -405,7 +405,7 @@ mod tests {
     }
 
     #[test]
-    fn each_minibatch_has_as_many_samples_of_every_shard_and_an_epoch_has_each_once() {
+    fn minibatches_cover_each_shard_evenly_and_each_sample_once() {
         let trainer = Trainer::new("test", sharded(4), 0, 1).unwrap();
         let orders = trainer.permutations(256);
         assert!(orders.len() == 8 && orders[0] != orders[1]);
@@ -444,7 +444,7 @@ mod tests {
     }
 
     #[test]
-    fn an_update_that_meets_nan_names_the_iteration_and_hands_over_the_minibatch() {
+    fn nan_in_update_names_iteration_and_keeps_minibatch() {
         let mut config = Config::load("compliant").unwrap();
         config.ppo.batch_size = 64;
         config.ppo.minibatch_size = 32;

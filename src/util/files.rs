@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what} {}: {problem}", path.display())]
 pub struct FileError {
-    /// What it should be, such as `policy`.
+    /// The expected kind of file, such as `policy`.
     pub what: &'static str,
     /// The file.
     pub path: PathBuf,
@@ -133,7 +133,7 @@ pub enum Target {
 }
 
 impl Target {
-    /// Of a path as a user gives it.
+    /// Resolves a path as a user gives it.
     ///
     /// # Errors
     /// The system's, or that it is a folder.
@@ -172,7 +172,7 @@ impl Target {
     }
 }
 
-/// As many links lead to one another as the system follows.
+/// The largest number of links in a chain, like the system's.
 const MAX_LINKS: usize = 40;
 
 /// The folder that a path is in.
@@ -211,7 +211,7 @@ pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// As [`read_bounded`], of a text in UTF-8; without the byte-order mark that some editors put first.
+/// Like [`read_bounded`], for text in UTF-8, without the byte-order mark that some editors put first.
 ///
 /// # Errors
 /// As [`read_bounded`], or that it is no such text.
@@ -245,7 +245,7 @@ fn utf8(bytes: Vec<u8>) -> io::Result<String> {
     String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text in UTF-8"))
 }
 
-/// Whether a file is a YAML file, by its name.
+/// Returns true if the name of a file is that of a YAML file.
 pub fn is_yaml(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "yaml" || extension == "yml")
 }

@@ -38,7 +38,7 @@ pub fn as_path(text: &str) -> PathBuf {
     OsString::from_vec(bytes).into()
 }
 
-/// Whether a character stands for a byte of a path, see [`as_text`].
+/// Returns true if a character stands for a byte of a path, see [`as_text`].
 pub fn is_byte(character: char) -> bool {
     private(character).is_some()
 }

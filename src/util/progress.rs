@@ -28,7 +28,7 @@ fn columns() -> usize {
     tcgetwinsize(std::io::stderr()).map_or(80, |size| usize::from(size.ws_col)).max(1)
 }
 
-/// What comes before the message in a line of so many columns; `left_s` is the time that is left, once that is known.
+/// Draws the part of a line of `columns` before the message; `left_s` is the remaining time, once that is known.
 fn gauge(columns: usize, fraction: f32, left_s: Option<u64>) -> String {
     let mut text = String::new();
     if columns >= BAR + 40 {

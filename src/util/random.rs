@@ -8,7 +8,7 @@ thread asks first.
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// What a stream is for.
+/// The purpose of a random stream.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
@@ -32,7 +32,7 @@ pub enum Purpose {
     Bootstrap = 9,
     /// Samples that are learnt from in the mirror. Counters: iteration, epoch.
     Mirror = 10,
-    /// What a scenario's encoders are off by.
+    /// The encoder bias of scenarios.
     Offsets = 11,
 }
 

@@ -27,7 +27,7 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// From single precision, row-major.
+    /// Creates a tensor from single precision, row-major.
     pub fn f32(name: impl Into<String>, shape: Vec<usize>, values: &[f32]) -> Self {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         Tensor { name: name.into(), dtype: Dtype::F32, shape, bytes }
@@ -38,7 +38,7 @@ impl Tensor {
         tensors.into_iter().map(|(name, shape, values)| Self::f32(name, shape, values)).collect()
     }
 
-    /// From double precision, row-major.
+    /// Creates a tensor from double precision, row-major.
     pub fn f64(name: impl Into<String>, shape: Vec<usize>, values: &[f64]) -> Self {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         Tensor { name: name.into(), dtype: Dtype::F64, shape, bytes }

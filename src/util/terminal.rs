@@ -80,7 +80,7 @@ pub fn plain(text: &str) -> Cow<'_, str> {
     text.chars().map(spelt).collect::<String>().into()
 }
 
-/// Writes a line to standard error, [`plain`], if there is still one: nobody is left to tell if not.
+/// Writes a [`plain`] line to standard error, if it is still open.
 pub fn note(text: impl Display) {
     let _ = writeln!(io::stderr(), "{}", plain(&text.to_string()));
 }

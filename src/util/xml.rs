@@ -16,7 +16,7 @@ const MAX_DEPTH: usize = 64;
 /// An element without comments and text, which mean nothing in MJCF.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Element {
-    /// Its tag.
+    /// The tag.
     pub name: String,
     /// Names and values, in order.
     pub attributes: Vec<(String, String)>,
@@ -46,7 +46,7 @@ impl Element {
         self.children.iter().filter(move |child| child.name == name)
     }
 
-    /// As XML.
+    /// Writes the element as XML.
     pub fn write(&self, text: &mut String) {
         // Writing into a String cannot fail.
         let _ = write!(text, "<{}", self.name);

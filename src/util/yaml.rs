@@ -21,7 +21,7 @@ pub struct YamlError {
 }
 
 impl YamlError {
-    /// Of a text with this name.
+    /// Creates the error of the text with this name.
     pub fn new(name: &str, message: impl ToString) -> Self {
         YamlError { name: name.to_owned(), line: None, message: message.to_string() }
     }
@@ -37,19 +37,19 @@ impl YamlError {
 pub struct Text {
     /// The file, or the name of an embedded text.
     pub name: String,
-    /// Its content.
+    /// The content.
     pub content: String,
-    /// Whether a line of it means something to whoever reads an error.
+    /// True if the reader of an error can find the line.
     has_lines: bool,
 }
 
 impl Text {
-    /// Of a name and a content.
+    /// Creates a text from its name and content.
     pub fn new(name: &str, content: &str) -> Self {
         Text { name: name.to_owned(), content: content.to_owned(), has_lines: true }
     }
 
-    /// What somebody wrote as `name` on the command line, which `content` spells out.
+    /// Creates the text of a flag: the user wrote `name` on the command line, which `content` spells out as YAML.
     pub fn of_flag(name: &str, content: &str) -> Self {
         Text { has_lines: false, ..Text::new(name, content) }
     }
@@ -62,7 +62,7 @@ impl Text {
         Ok(Text::new(&path.display().to_string(), &files::read_text(path, MAX_BYTES)?))
     }
 
-    /// Its keys and values.
+    /// Returns the keys and values.
     ///
     /// # Errors
     /// If it is not YAML, or anything but keys with values.

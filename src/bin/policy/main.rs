@@ -201,7 +201,7 @@ fn list() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What settings come to, for people.
+/// Prints the measured compliance for each setting as a table.
 fn calibration_table(calibration: &PolicyCalibration) -> String {
     let [low, high] = calibration.range();
     let own = calibration.own_m_s_per_n;
@@ -213,7 +213,7 @@ fn calibration_table(calibration: &PolicyCalibration) -> String {
     table
 }
 
-/// Refuses to write over a description that somebody has made by hand, or over the network with its description.
+/// Refuses to overwrite a description that was written by hand, or the network with its description.
 fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
     let (out, yaml) = (network.display(), description.display());
     anyhow::ensure!(network != description, "--out {out} is where the description goes: name it {out}.onnx or so");

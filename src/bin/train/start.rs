@@ -26,7 +26,7 @@ const PROCESSES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NU
 /// Shards of a run on up to so many ranks.
 const SHARDS: usize = 8;
 
-/// What takes less memory is not worth a word.
+/// A run that needs less memory than this says nothing about it.
 const WORTH_TELLING_BYTES: u64 = 1 << 30;
 
 /// The ranks of the run: those that mpirun has started, or this program alone.
@@ -53,12 +53,12 @@ pub fn join(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     Ok(Alone::shared())
 }
 
-/// Whether all ranks have met an error alike, and one of them is to tell it.
+/// Returns true for an error that all ranks met alike, so that one of them reports it.
 pub fn is_common(error: &anyhow::Error) -> bool {
     error.is::<RankError>() || matches!(error.downcast_ref(), Some(TrainError::Rank(_) | TrainError::Learner { .. }))
 }
 
-/// What this rank has come to, if all have come as far.
+/// Returns this rank's result if all ranks succeeded, else an error.
 pub fn together<T>(ranks: &dyn Ranks, own: anyhow::Result<T>) -> anyhow::Result<T> {
     if ranks.count() > 1 {
         let told = own.as_ref().map(|_| ()).map_err(|error| anyhow::anyhow!(terminal::complaint(error.as_ref())));

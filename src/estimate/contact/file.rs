@@ -17,7 +17,7 @@ use crate::util::tensors::{self, Tensor};
 /// Version of the file format.
 const FORMAT: u32 = 1;
 
-/// What errors call it.
+/// The name of the file's kind in errors.
 const CONTACT: &str = "contact network";
 
 /// Larger files are not contact networks.
@@ -26,9 +26,9 @@ const MAX_BYTES: u64 = 16 << 20;
 /// A policy that data were gathered from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PolicySource {
-    /// As it was called on the command line.
+    /// The name given on the command line.
     pub name: String,
-    /// Its identity.
+    /// SHA-256 of the policy.
     pub sha256: String,
 }
 
@@ -44,7 +44,7 @@ pub struct HeldOut {
 /// Where a contact network came from.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ContactProvenance {
-    /// What walked.
+    /// The policies that walked to make the data.
     pub policies: Vec<PolicySource>,
     /// Seed of episodes, noise and learning.
     pub seed: u64,

@@ -7,7 +7,7 @@ use rand::seq::SliceRandom;
 use crate::network::{Layer, Mlp};
 use crate::util::random::{Purpose, stream};
 
-/// What the network should say for what it sees.
+/// Training samples: inputs with their labels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Samples {
     /// Shape (n, inputs), row-major, physical units.
@@ -40,7 +40,7 @@ impl Default for Learning {
 /// A network, and how its inputs are normalised: `(x − offset) · scale`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learnt {
-    /// From normalised inputs to a logit for each output.
+    /// The network from normalised inputs to a logit for each output.
     pub mlp: Mlp,
     /// Mean of each input.
     pub offset: Vec<f32>,
@@ -48,7 +48,7 @@ pub struct Learnt {
     pub scale: Vec<f32>,
 }
 
-/// Learns from samples with rows of `inputs` numbers and `outputs` labels; `progress` is told each epoch and its mean
+/// Learns from samples with rows of `inputs` numbers and `outputs` labels; `progress` gets each epoch and its mean
 /// loss. On one machine, the same samples and seed give the same bits.
 ///
 /// # Errors

@@ -39,7 +39,7 @@ pub fn shipped_sha256() -> String {
     files::sha256(&[SHIPPED])
 }
 
-/// What the network sees, in physical units.
+/// The inputs of the network, in physical units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct History {
     inputs: [f32; INPUTS],
@@ -78,11 +78,11 @@ impl History {
 /// A trained network with what it was trained on.
 #[derive(Debug)]
 pub struct ContactNetwork {
-    /// From normalised inputs to a logit for each foot.
+    /// The network from normalised inputs to a logit for each foot.
     pub mlp: Mlp,
     /// Mean of each input in training, physical units.
     pub offset: Vec<f32>,
-    /// What its distance from the mean is multiplied by.
+    /// The factor on the distance of each input from its mean.
     pub scale: Vec<f32>,
     /// Where it came from.
     pub provenance: ContactProvenance,
@@ -90,7 +90,7 @@ pub struct ContactNetwork {
 }
 
 impl ContactNetwork {
-    /// From its parts.
+    /// Assembles the network and its normaliser.
     ///
     /// # Panics
     /// If the network does not lead from 144 numbers to 4, or the normaliser has another length.
@@ -182,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_network_states_scores_above_the_aim_and_answers_with_numbers() {
+    fn shipped_network_reaches_stated_scores() {
         let network = ContactNetwork::shipped().unwrap();
         assert!(network.provenance.held_out.iter().all(|foot| foot.f1 > 0.95), "{:?}", network.provenance.held_out);
         // With any inputs the answer is a number.

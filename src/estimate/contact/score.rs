@@ -7,7 +7,7 @@ pub struct Confusion {
     pub hits: u64,
     /// Said and not so.
     pub false_alarms: u64,
-    /// Not said though so.
+    /// Contacts that the network missed.
     pub misses: u64,
     /// Neither.
     pub rejections: u64,

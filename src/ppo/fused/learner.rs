@@ -33,14 +33,14 @@ use crate::ranks::{Ranks, tree_sum};
 /// Sums of [`FusedLearner::totals`] before those of `ln σ`.
 const LOSSES: usize = 4;
 
-/// What several ranks have summed.
+/// The sums over several ranks.
 #[derive(Debug, Default)]
 struct Exchanged {
     /// All panels, one after the other.
     gradient: Vec<f32>,
     /// See [`FusedLearner::totals`].
     totals: Vec<f64>,
-    /// Of the squares of each panel's gradient.
+    /// The sum of squares of each panel's gradient.
     squares: Vec<f64>,
 }
 
@@ -52,9 +52,9 @@ pub struct FusedLearner<A> {
     ranks: Arc<dyn Ranks>,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<Parameters>,
-    /// Of a chunk.
+    /// The blocks of a chunk.
     chunk_blocks: usize,
-    /// Of each block of the policy and of the value function.
+    /// The sums of each block of the policy and of the value function.
     sums: [Vec<Mutex<Sums>>; 2],
     exchanged: Mutex<Exchanged>,
     steps: u64,

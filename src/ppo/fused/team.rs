@@ -36,10 +36,10 @@ use std::thread;
 /// machine long spins cost more than half of the speed, on an idle one short spins cost nothing.
 const SPINS: u32 = 100;
 
-/// What the threads of a team share to keep in step.
+/// The shared state that keeps the threads of a team in step.
 #[derive(Debug)]
 pub struct Team {
-    /// For each thread, tasks of its share that have been taken, by whomever.
+    /// The number of tasks taken from each thread's part, by any thread.
     taken: Vec<CacheLine>,
     arrived: AtomicUsize,
     phase: AtomicUsize,
@@ -141,17 +141,17 @@ impl Drop for Alarm<'_> {
 
 // A lock is never used after its writer has panicked: the panic ends the whole team.
 
-/// What a phase does not write.
+/// Locks data that no task of this phase writes.
 pub fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
     lock.read().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What a task writes.
+/// Locks data that this task alone writes.
 pub fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
     lock.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// What threads hand on.
+/// Locks data that threads pass on.
 pub fn lock<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
     lock.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -23,9 +23,9 @@ use serde::{Deserialize, Serialize};
 pub(super) struct Imported {
     /// Compiler settings, defaults, assets, the trunk in a world body, motors, the starting pose.
     pub(super) mjcf: String,
-    /// What was changed and what was left out, a line each.
+    /// The changes made to the file and the parts left out, one on a line.
     pub(super) report: Vec<String>,
-    /// Whether somebody has chosen the starting pose, and it is not merely where all angles are zero.
+    /// True if the file gives a starting pose; false if all angles are merely zero.
     pub(super) has_pose: bool,
     /// Base height below which it has fallen, if its description says so \[m\].
     pub(super) fall_height_m: Option<f64>,

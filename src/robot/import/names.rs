@@ -37,7 +37,7 @@ struct RawDescription {
     torque_limits_n_m: Option<Vec<f64>>,
 }
 
-/// What a YAML file says about a robot; empty for an MJCF file alone.
+/// The robot's YAML description; empty for an MJCF file alone.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Description {
     /// The MJCF file.
@@ -55,13 +55,13 @@ pub(super) struct Description {
 }
 
 impl Description {
-    /// Of an MJCF file, or of a YAML file that names one.
+    /// Reads an MJCF file, or a YAML file that names one.
     pub(super) fn read(path: &Path) -> Result<Self, String> {
         if !files::is_yaml(path) {
             return Ok(Description { mjcf: path.to_owned(), ..Description::default() });
         }
         let text = Text::read(path).map_err(|error| error.to_string())?;
-        // Whoever reads the error is told which file.
+        // The caller adds the file's name to the error.
         let raw: RawDescription = layered(&[text]).map_err(|error| error.without_name())?;
         let pose = raw.nominal_pose_rad.map(|pose| of_joints("nominal_pose_rad", pose)).transpose()?;
         if pose.is_some_and(|pose| !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU)) {
@@ -119,7 +119,7 @@ fn of_joints(key: &str, numbers: Vec<f64>) -> Result<Joints, String> {
     }
 }
 
-/// Whether a name is one of those that joint `index` usually has, such as `FR_hip_joint`, `rf_haa` or `FR_abduction`.
+/// Returns true if a name is usual for joint `index`, such as `FR_hip_joint`, `rf_haa` or `FR_abduction`.
 fn usual(name: &str, index: usize) -> bool {
     let name = name.to_lowercase();
     let legs = [["fr", "rf"], ["fl", "lf"], ["rr", "rh"], ["rl", "lh"]][index / PARTS.len()];

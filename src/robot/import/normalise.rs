@@ -12,14 +12,14 @@ use crate::util::xml::Element;
 /// Class of what the file's top-level defaults were; those of a scene must not be changed by a robot.
 const MAIN_CLASS: &str = "robot_defaults";
 
-/// What MuJoCo makes of the file.
+/// The facts that MuJoCo reads from the file.
 struct Survey {
     model: Model,
     trunk: usize,
     joints: [usize; JOINTS],
     feet: [usize; 4],
     torque_limits: Joints,
-    /// For each body in order, the contact settings of its geometries.
+    /// The contact settings of the geometries of each body, in order.
     geoms: Vec<Vec<(usize, GeomContact)>>,
 }
 
@@ -287,7 +287,7 @@ impl Survey {
         Ok((trunk.chain(in_file.into_iter().map(|(_, angle)| angle)).collect(), has_pose))
     }
 
-    /// What is changed.
+    /// Lists the changes.
     fn report(&self) -> Vec<String> {
         let model = &self.model;
         let mut lines = Vec::new();

@@ -25,7 +25,7 @@ const NOT_TAKEN: [&str; 6] = ["option", "size", "sensor", "contact", "statistic"
 /// A robot as its files have it.
 #[derive(Debug)]
 pub(in crate::robot) struct Source {
-    /// What its YAML file says, if it has one.
+    /// The robot's YAML description, if there is one.
     pub(super) description: Description,
     /// The MJCF file with what it includes.
     pub(super) tree: Element,
@@ -48,7 +48,7 @@ impl Source {
         Ok(source)
     }
 
-    /// What MuJoCo gets to see of it.
+    /// Returns the elements that are passed to MuJoCo.
     pub(super) fn taken(&self) -> Element {
         let mut taken = self.tree.clone();
         taken.children.retain(|child| !NOT_TAKEN.contains(&child.name.as_str()));
@@ -93,7 +93,7 @@ fn check_finite(element: &Element) -> Result<(), String> {
 }
 
 struct Reader<'a> {
-    /// The file that whoever reads an error is told of anyway.
+    /// The file that errors name.
     given: &'a Path,
     /// Where included files lie, as MuJoCo has it: that of the first file.
     folder: &'a Path,

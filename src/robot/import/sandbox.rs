@@ -83,14 +83,14 @@ fn answer(child: &mut Child) -> Option<Vec<u8>> {
     let (sender, receiver) = mpsc::channel();
     std::thread::spawn(move || {
         let mut bytes = Vec::new();
-        // What cannot be read is missing in the answer. Nobody is left to tell after the deadline.
+        // An answer that cannot be read counts as missing, like one that comes after the deadline.
         let _ = out.take(MAX_ANSWER).read_to_end(&mut bytes);
         let _ = sender.send(bytes);
     });
     receiver.recv_timeout(PATIENCE).ok()
 }
 
-/// What the end of a child without an answer means.
+/// Explains the end of a child process without an answer.
 fn end(status: ExitStatus) -> String {
     let gibibytes = MEMORY_BYTES >> 30;
     match status.signal() {

@@ -18,7 +18,7 @@ pub type LayerPanels<'a, 'b> = &'a [RwLockReadGuard<'b, Panel>];
 /// Activations and loss gradients of up to [`BLOCK`] rows in one network.
 #[derive(Debug)]
 pub struct Block {
-    /// Of the network.
+    /// The number of the network's outputs.
     outputs: usize,
     /// Rows in use.
     pub rows: usize,
@@ -26,7 +26,7 @@ pub struct Block {
     pub activations: Vec<Matrix>,
     /// Gradient of the loss by each layer's output, ahead of ELU; shape (rows, outputs of the layer).
     pub deltas: Vec<Matrix>,
-    /// Of the last layer, row by row, for the loss; shape (rows, outputs).
+    /// The outputs of the last layer, row by row, for the loss; shape (rows, outputs).
     output: Buffer,
     output_deltas: Buffer,
 }

@@ -39,12 +39,12 @@ pub struct Block<const B: usize> {
     pub deltas: Vec<Vec<[Operand<B>; HALVES]>>,
     /// Sums of each layer's deltas over the rows.
     pub bias: Vec<Buffer>,
-    /// Of the last layer; shape (64, columns of the last layer).
+    /// The outputs of the last layer; shape (64, columns of the last layer).
     outputs: Buffer,
     output_deltas: Buffer,
 }
 
-/// What a thread needs for a block, kept from block to block.
+/// The buffers of one thread, kept from block to block.
 pub struct Workspace<const F: usize, const B: usize> {
     pub unit: TileUnit,
     /// Left operands of the forward product: a layer's input and output.
@@ -58,7 +58,7 @@ pub struct Workspace<const F: usize, const B: usize> {
 }
 
 impl<const F: usize, const B: usize> Workspace<F, B> {
-    /// For layers of up to so many columns, in 32s.
+    /// Creates buffers for layers of up to `widest` columns, in 32s.
     pub fn new(unit: TileUnit, widest: usize) -> Self {
         Self {
             unit,
@@ -250,7 +250,7 @@ struct Activate<'a, const F: usize, const B: usize> {
 }
 
 impl<'a, const F: usize, const B: usize> Activate<'a, F, B> {
-    /// Of one of a layer's products.
+    /// Prepares one of a layer's products.
     #[inline(always)]
     fn new(
         product: usize,
@@ -366,7 +366,7 @@ struct Differentiate<'a, const B: usize> {
 }
 
 impl<'a, const B: usize> Differentiate<'a, B> {
-    /// Of one of a layer's products.
+    /// Prepares one of a layer's products.
     #[inline(always)]
     fn new(
         product: usize,

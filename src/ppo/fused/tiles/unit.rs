@@ -68,7 +68,7 @@ thread_local! {
     static UNITS: Cell<usize> = const { Cell::new(0) };
 }
 
-/// What `ldtilecfg` reads.
+/// The operand of `ldtilecfg`.
 #[repr(C, align(64))]
 struct Shapes {
     palette: u8,
@@ -88,7 +88,7 @@ static SHAPES: Shapes = {
     Shapes { palette: 1, start_row: 0, reserved: [0; 14], bytes_per_row, rows }
 };
 
-/// Whether the processor has the unit and Linux lets this process use it.
+/// Returns true if the processor has the unit and Linux lets this process use it.
 pub fn available() -> bool {
     static AVAILABLE: OnceLock<bool> = OnceLock::new();
     *AVAILABLE.get_or_init(|| {
