@@ -109,20 +109,17 @@ impl From<Vec<Option<f64>>> for Measured {
     }
 }
 
-/// An experiment's section of the protocol; the table in [`experiments`] implements it.
-pub trait Parameters {
+erased_serde::serialize_trait_object!(Experiment);
+
+/// A table or figure of the paper: its section of the protocol, what is played, measured and shown. It serializes as its
+/// parameters.
+pub trait Experiment: erased_serde::Serialize + Sync {
     /// Returns the experiment's name, title and quantities.
     fn info(&self) -> Info;
 
-    /// Trials of each condition with each policy.
+    /// Returns the number of trials of each condition with each policy.
     fn trials(&self) -> u32;
 
-    /// All its numbers, by key.
-    fn parameters(&self) -> serde_json::Value;
-}
-
-/// A table or figure of the paper: what is played, what is measured, what is shown.
-pub trait Experiment: Parameters + Sync {
     /// Returns the conditions, one for each variation.
     ///
     /// # Errors

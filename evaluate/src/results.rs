@@ -160,8 +160,8 @@ fn mean_of(policy: &PolicyResult, partner: Option<&PolicyResult>, condition: usi
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Experiment;
     use crate::protocol::Protocol;
-    use crate::{Experiment, Parameters};
 
     /// Results of the decay experiment with one trial for each condition, by set and condition; none is a fall.
     fn results(sets: &[Vec<[Option<f64>; 2]>]) -> Results {

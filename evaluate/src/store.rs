@@ -140,7 +140,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "robot": robot.load().map(|robot| robot.sha256().to_owned()).unwrap_or_default(),
         "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],
         "experiment": [experiment.info().name, experiment.info().number],
-        "parameters": experiment.parameters(),
+        "parameters": experiment,
         "trials": experiment.trials(),
         "conditions": conditions,
         "policy": contestant.agent.sha256,

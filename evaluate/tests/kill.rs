@@ -17,7 +17,7 @@ leash: {directions: 3, trials: 1}
 ";
 
 #[test]
-fn an_evaluation_that_is_killed_at_any_moment_and_begun_again_gives_the_bytes_of_one_that_is_not() {
+fn resume_after_kill_gives_same_report() {
     let mut killer = Killer::new();
     let whole = tempfile::tempdir().unwrap();
     for folder in [whole.path(), killer.folder()] {

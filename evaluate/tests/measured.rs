@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use measured::{files_in, hash_of, measured_files};
 
 #[test]
-fn a_measurement_depends_on_what_it_imports_and_not_on_training_and_showing() {
+fn measurement_depends_on_imports_only() {
     let files = measured_files();
     let has = |file: &str| files.contains(&PathBuf::from(file));
     for file in ["evaluate/src/trial.rs", "src/sim/mod.rs", "src/task/reward.rs"] {

@@ -14,7 +14,7 @@ use supple::policy::compliance::{Point, PolicyCalibration};
 use supple_evaluate::experiments::Protocol;
 use support::{complaint, example, run, standing_policy, zero_policy};
 
-/// As little of everything as there can be.
+/// The smallest protocol that runs every experiment.
 const TINY: &str = "
 walk: {commands: [[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]}
 push_grid: {points_per_side: 3, trials: 2}
@@ -126,7 +126,7 @@ fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
 }
 
 #[test]
-fn claims_stand_beside_those_of_another_report_where_that_was_measured_alike() {
+fn claims_stand_beside_those_of_an_equal_report() {
     let pair = [("compliant-seed0.safetensors", standing_policy()), ("baseline-seed0.safetensors", standing_policy())];
     let folder = folder_with(&pair);
     let folder = folder.path();
@@ -201,7 +201,7 @@ fn two_evaluations_give_the_same_summary_and_a_third_runs_nothing_again() {
 }
 
 #[test]
-fn two_processes_share_a_folder_and_lose_nothing_and_measure_nothing_twice() {
+fn two_processes_share_a_folder_without_repeating_work() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
         ("baseline-seed0.safetensors", falling_policy()),
@@ -212,7 +212,7 @@ fn two_processes_share_a_folder_and_lose_nothing_and_measure_nothing_twice() {
         let mut command = Command::new(support::program("evaluate"));
         command.args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
     };
-    // An array over experiments: whoever ends last reports what all have measured.
+    // The process that ends last reports everything.
     assert!(evaluate(folder, &["walk", "decay", "leash", "box", "--out", "alone"]).status.success());
     let mut both = [spawn(&["walk", "box"]), spawn(&["decay", "leash"])];
     assert!(both.iter_mut().all(|process| process.wait().unwrap().success()));
@@ -250,7 +250,7 @@ fn the_recipe_for_slurm_has_a_task_for_every_experiment() {
 }
 
 #[test]
-fn standing_still_and_always_falling_show_as_what_they_are_in_a_page_that_browsers_open() {
+fn standing_and_falling_policies_make_a_page_that_browsers_open() {
     let folder = folder_with(&[("standing.safetensors", standing_policy()), ("falling.safetensors", falling_policy())]);
     let folder = folder.path();
     let sets = ["--a", "policies/standing.safetensors", "--b", "policies/falling.safetensors"];
@@ -385,7 +385,7 @@ fn browse(page: &Path) -> Option<(String, String)> {
 }
 
 #[test]
-fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
+fn estimated_sensing_is_reported_beside_the_true_state() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
         ("baseline-seed0.safetensors", falling_policy()),
@@ -429,7 +429,7 @@ fn estimated_sensing_stands_beside_the_true_state_and_changes_nothing_of_it() {
 }
 
 #[test]
-fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of_differences_only() {
+fn missing_seed_is_left_out_of_differences_only() {
     let mut config = Config::load("compliant").unwrap();
     config.episode.recovery_stage = false;
     config.ppo.epochs = 7;
@@ -467,7 +467,7 @@ fn a_missing_seed_and_another_configuration_are_told_and_the_seed_is_left_out_of
 }
 
 #[test]
-fn the_policies_that_ship_are_compared_where_there_is_no_folder_of_policies() {
+fn shipped_policies_are_compared_without_a_folder() {
     let folder = folder_with(&[]);
     std::fs::remove_dir(folder.path().join("policies")).unwrap();
     let output = evaluate(folder.path(), &["walk", "--out", "report"]);
@@ -479,7 +479,7 @@ fn the_policies_that_ship_are_compared_where_there_is_no_folder_of_policies() {
 }
 
 #[test]
-fn a_further_set_has_its_column_and_its_colour_and_changes_nothing_of_the_two_that_are_compared() {
+fn third_set_leaves_the_compared_two_unchanged() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
         ("baseline-seed0.safetensors", standing_policy()),
@@ -531,7 +531,7 @@ fn a_further_set_has_its_column_and_its_colour_and_changes_nothing_of_the_two_th
 }
 
 #[test]
-fn a_set_that_is_told_a_compliance_is_measured_apart_and_refused_where_it_cannot_be_given() {
+fn set_with_commanded_compliance_is_measured_apart() {
     let folder = folder_with(&[
         ("compliant-seed0.safetensors", standing_policy()),
         ("baseline-seed0.safetensors", falling_policy()),
@@ -558,7 +558,7 @@ fn a_set_that_is_told_a_compliance_is_measured_apart_and_refused_where_it_cannot
     let before = kept(&folder.join("report"));
     assert_eq!(before.len(), 4);
     assert!(evaluate(folder, &soft).status.success() && kept(&folder.join("report")) == before);
-    // Calibrated anew, it is measured anew where it is told something.
+    // A new calibration makes the measurement stale where compliance is commanded.
     calibrate(0.021);
     assert!(evaluate(folder, &soft).status.success());
     assert_eq!(kept(&folder.join("report")).len(), 5);

@@ -28,11 +28,11 @@ const MADE: usize = 64;
 /// When the next episode of an environment begins, as Gymnasium calls it.
 #[derive(Clone, Copy, PartialEq)]
 enum Autoreset {
-    /// In the step that ends one.
+    /// The next episode begins in the step that ends one.
     SameStep,
-    /// In the step after that, whose action counts for nothing.
+    /// The next episode begins in the step after that, whose action is ignored.
     NextStep,
-    /// When somebody asks for it.
+    /// The next episode begins when the caller resets.
     Disabled,
 }
 
@@ -63,12 +63,12 @@ struct VecWorld {
     config: Config,
     length: usize,
     environments: Vec<LocomotionEnv>,
-    /// Whether their episode is over, and the next one has not begun.
+    /// True where the episode is over and the next one has not begun.
     over: Vec<bool>,
     autoreset: Autoreset,
-    /// Whether first episodes are cut at random.
+    /// Cuts first episodes at random.
     stagger: bool,
-    /// Of the first episodes, as long as all of them are at their start.
+    /// The seed of the first episodes, as long as all of them are at their start.
     seed: Option<u64>,
     curriculum: Curriculum,
     /// That the curriculum starts from.
@@ -79,7 +79,7 @@ struct VecWorld {
     steps: usize,
     /// That ended since then, by environment.
     episodes: Vec<Vec<EpisodeReport>>,
-    /// Beside the thread that calls.
+    /// The threads besides the calling one.
     helpers: Option<ThreadPool>,
 }
 
@@ -88,7 +88,7 @@ struct Outcome {
     step: EnvStep,
     /// That the observation after the step belongs to.
     command: Command,
-    /// Of the episode that it ended.
+    /// The summary of the episode that the step ended.
     ended: Option<Ended>,
 }
 
@@ -237,7 +237,7 @@ impl Environments {
         })
     }
 
-    /// Of episodes that start from now on, for good.
+    /// Sets the curriculum of episodes that start from now on.
     fn set_curriculum(&self, py: Python<'_>, curriculum: (f64, bool, f64)) -> PyResult<()> {
         let curriculum = checked(curriculum)?;
         self.with(py, |world| {
@@ -486,7 +486,7 @@ fn table<T: numpy::Element>(py: Python<'_>, values: Vec<T>, width: usize) -> PyR
     values.into_pyarray(py).reshape([rows, width])
 }
 
-/// What there is to tell of the episodes that ended, if any did.
+/// Returns arrays about the episodes that ended, if any did.
 fn ends<'py>(py: Python<'py>, outcomes: &[Outcome], length: usize) -> PyResult<Option<Ends<'py>>> {
     let all = outcomes.iter().enumerate();
     let ended: Vec<(usize, &Ended)> =

@@ -13,7 +13,7 @@ use supple::robot::{JOINTS, joint_names};
 
 use crate::failure::{apart, refused};
 
-/// What a function in Python has raised.
+/// The exception that a Python function has raised.
 type Raised = Arc<Mutex<Option<PyErr>>>;
 
 /// A policy with the robot, rates, gains and latency that it runs with.
@@ -21,7 +21,7 @@ type Raised = Arc<Mutex<Option<PyErr>>>;
 pub struct Policy {
     pub(crate) name: String,
     pub(crate) agent: Agent,
-    /// Of functions.
+    /// The exception, for policies that are functions.
     raised: Option<Raised>,
 }
 
@@ -107,7 +107,7 @@ impl Policy {
 }
 
 impl Policy {
-    /// Whether it is a function in Python, which is called on the thread that asks for it.
+    /// Returns true for a Python function, which is called on the thread that steps it.
     pub(crate) fn is_function(&self) -> bool {
         self.raised.is_some()
     }

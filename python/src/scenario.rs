@@ -53,7 +53,7 @@ pub fn run_scenario<'py>(
     Ok((metrics.collect(), trace::arrays(py, &trace)?, events.collect(), script.too_late()))
 }
 
-/// What a policy acts on.
+/// Returns the state that a policy acts on.
 pub fn sensing(estimated: bool) -> Sensing {
     if estimated { Sensing::Estimated } else { Sensing::True }
 }
@@ -101,7 +101,7 @@ fn unfit(error: ScriptError) -> PyErr {
     }
 }
 
-/// As files spell it.
+/// Returns the kind as files spell it.
 fn kind(kind: EventKind) -> &'static str {
     match kind {
         EventKind::Disturbance => "disturbance",

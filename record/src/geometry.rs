@@ -15,12 +15,12 @@ use supple::mujoco::{Geom, Kind, Model, Shape};
 
 /// Visual groups that are drawn: looks, feet, obstacles. Group 3 is what only collides.
 const DRAWN_GROUPS: std::ops::RangeInclusive<i32> = 0..=2;
-/// From this many free balls on they are one entity.
+/// The number of free balls from which they become one entity.
 const FEWEST_BALLS: usize = 4;
 /// Share of the tint in light parts of a robot.
 const TINT_SHARE: f32 = 0.5;
 
-/// What moves in a model, and under which name.
+/// The moving parts of a model and their names.
 #[derive(Debug)]
 pub(super) struct Parts {
     /// Body id of the trunk.
@@ -87,7 +87,7 @@ pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
     child(&scene_path(root), "balls")
 }
 
-/// Whether there is anything but the robot and grounds.
+/// Returns true if the scene has more than the robot and the ground.
 pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
     let trunk = model.id(Kind::Body, "trunk")?;
     let is_obstacle =
@@ -182,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn capsule_turned_onto_the_x_axis_starts_half_its_length_behind_its_middle() {
+    fn capsule_along_x_starts_half_its_length_behind_its_middle() {
         // A quarter turn about y takes z to x.
         let half = std::f32::consts::FRAC_1_SQRT_2;
         let start = capsule_start(0.1, [1.0, 2.0, 3.0], [half, 0.0, half, 0.0]);

@@ -42,7 +42,7 @@ pub enum RecordError {
     /// No viewer answers.
     #[error("no rerun viewer answers at {url}: {reason}; start one with `rerun`, or record to a file")]
     Viewer {
-        /// Its URL.
+        /// The URL of the viewer.
         url: String,
         /// rerun's reason.
         reason: String,
@@ -82,7 +82,7 @@ pub enum RecordError {
     /// There is no such robot.
     #[error("there is no robot {index} in this recording of {count}")]
     Robot {
-        /// What was asked for.
+        /// The index asked for.
         index: usize,
         /// How many there are.
         count: usize,
@@ -98,11 +98,11 @@ pub enum RecordError {
 /// A robot to be recorded.
 #[derive(Debug, Clone, Copy)]
 pub struct RobotView<'a> {
-    /// Its name in views and legends, such as `compliant`.
+    /// The name in views and legends, such as `compliant`.
     pub name: &'a str,
     /// The model to be looked at, see [`supple::sim::Scene::compile_visual`].
     pub model: &'a Model,
-    /// What it walks on, for what is drawn on the ground.
+    /// The ground, for marks that are drawn on it.
     pub ground: &'a Ground,
     /// Colour of its light parts, its trail and its plots; without, it keeps its own colours and plots are blue.
     pub tint: Option<Rgb>,

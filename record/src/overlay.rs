@@ -17,18 +17,18 @@ use supple::sim::Ground;
 
 /// Time between two points of the trunk's trail \[s\], and how many there are.
 const TRUNK_TRAIL: (f64, usize) = (0.1, 100);
-/// As above, for the feet.
+/// The interval \[s\] and the number of points of the feet's trails.
 const FOOT_TRAIL: (f64, usize) = (1.0 / 30.0, 22);
 /// Height of trails and shadows above the ground, so that both are seen \[m\].
 const ABOVE_GROUND_M: f32 = 0.003;
 /// Height of an event's label above the trunk \[m\].
 const LABEL_HEIGHT_M: f32 = 0.28;
-/// From the trunk's origin to its side \[m\].
+/// The distance from the trunk's origin to its side \[m\].
 const TRUNK_RADIUS_M: f64 = 0.13;
-/// From the trunk's origin to its front \[m\].
+/// The distance from the trunk's origin to its front \[m\].
 const TRUNK_FRONT_M: f64 = 0.3;
 
-/// What is drawn now, and until when.
+/// The marks drawn now, and the times at which they end.
 #[derive(Debug)]
 pub(super) struct Overlay {
     root: EntityPath,
@@ -43,7 +43,7 @@ pub(super) struct Overlay {
     /// Until when, and the velocity.
     push: Option<(f64, [f64; 3])>,
     is_pulled: bool,
-    /// Whether a rope with a load is drawn.
+    /// True if a rope with a load is drawn.
     is_tied: bool,
     label_until_s: Option<f64>,
 }
@@ -278,7 +278,7 @@ fn arrow(origin: [f64; 3], vector: [f64; 3], colour: Rgb) -> Arrows3D {
         .with_colors([opaque(colour)])
 }
 
-/// Whether it is time again; if so, sets when next.
+/// Returns true once per period, and sets the next time.
 fn is_due(next_s: &mut f64, time_s: f64, period_s: f64) -> bool {
     // Frames are not exactly at multiples of the period.
     let due = time_s > *next_s - 1e-6;

@@ -20,7 +20,7 @@ pub(super) struct Plot {
     pub(super) title: &'static str,
     /// Tab that it belongs to.
     pub(super) tab: Tab,
-    /// What its series are.
+    /// The meaning of the series.
     pub(super) series: Series,
     /// Fixed range of its axis; without, that of its values.
     pub(super) range: Option<[f64; 2]>,
@@ -32,15 +32,15 @@ pub(super) struct Plot {
 pub(super) enum Tab {
     /// Where the robot goes.
     Motion,
-    /// What it costs.
+    /// Power, torque and forces.
     Effort,
-    /// What it is paid.
+    /// The reward and its terms.
     Reward,
-    /// What it believes.
+    /// The state estimated from sensors.
     Estimate,
 }
 
-/// What there is to show beside what every recording has.
+/// The optional plots of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Shown {
     /// There are obstacles.
@@ -63,9 +63,9 @@ pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
 pub(super) enum Series {
     /// One number in the robot's colour.
     Single,
-    /// What was commanded, drawn first, and what happened.
+    /// The command, drawn first, and the measured value.
     Tracking,
-    /// What is so, in the robot's colour, and what the robot believes, in a lighter one.
+    /// The true value in the robot's colour and the estimate in a lighter one.
     Belief,
     /// The terms of the reward, each robot in a plot of its own.
     Terms,
@@ -138,7 +138,7 @@ fn count(feet: [bool; 4]) -> f64 {
     feet.iter().filter(|touches| **touches).count() as f64
 }
 
-/// What is so, and what the robot believes; without a belief there is no second line.
+/// Returns the true value and the estimate; without an estimate there is no second line.
 fn believed(frame: &Frame, truth: f64, belief: fn(&Sensed) -> f64) -> Vec<f64> {
     vec![truth, frame.sensed.as_ref().map_or(f64::NAN, belief)]
 }

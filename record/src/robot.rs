@@ -202,7 +202,7 @@ pub(super) fn robot_path(name: &str) -> EntityPath {
     child(&EntityPath::from("world"), name)
 }
 
-/// What the camera follows.
+/// Returns the entity that the camera follows.
 pub(super) fn camera_path(name: &str) -> EntityPath {
     child(&overlay_path(&robot_path(name)), "camera")
 }

@@ -33,7 +33,7 @@ use super::style::PATIENCE;
 
 /// Name under which viewers file our recordings and layouts.
 pub(super) const APPLICATION: &str = "supple";
-/// Small batches, for somebody who is watching.
+/// Small batches, for a viewer that watches live.
 const LIVE: ChunkBatcherConfig =
     ChunkBatcherConfig { flush_tick: Duration::from_millis(30), ..ChunkBatcherConfig::LOW_LATENCY };
 /// The only timeline \[s\].
@@ -80,9 +80,9 @@ type Page = Box<dyn std::any::Any + Send>;
 pub(super) struct Stream {
     /// Nothing after a failure.
     recording: Option<RecordingStream>,
-    /// Whether all that there is is what is so now.
+    /// True for live streams, which keep only the latest value of each entity.
     is_live: bool,
-    /// What was logged and not yet taken, of a live stream.
+    /// The data that a live stream has logged and that has not been taken.
     memory: Option<BinaryStreamStorage>,
     file: Option<PathBuf>,
     /// Serves the viewer's page as long as it lives.
@@ -141,7 +141,7 @@ impl Stream {
         let mut stream = match sink {
             LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
             LiveSink::Memory => {
-                // Whoever takes what was logged flushes.
+                // The reader flushes before it takes the data.
                 let (recording, _) = builder(title).batcher_config(ChunkBatcherConfig::NEVER).memory()?;
                 let (sink, memory) = BinaryStreamSink::new(recording.clone());
                 recording.set_sink(Box::new(sink));
@@ -169,7 +169,7 @@ impl Stream {
         Ok(self)
     }
 
-    /// Whether all that there is is what is so now.
+    /// Returns true for live streams, which keep only the latest value of each entity.
     pub(super) fn is_live(&self) -> bool {
         self.is_live
     }
@@ -185,7 +185,7 @@ impl Stream {
         self.recording.as_ref().ok_or_else(|| RecordError::Closed { target: self.target.clone() })
     }
 
-    /// What is logged from now on belongs to this time \[s\].
+    /// Sets the time of everything that is logged from now on \[s\].
     pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
         if !self.is_live {
             self.recording()?.set_duration_secs(TIMELINE, time_s);
@@ -311,7 +311,7 @@ impl std::fmt::Debug for Stream {
 impl Drop for Stream {
     fn drop(&mut self) {
         if self.recording.is_some() {
-            // Nobody is left to tell.
+            // An error while dropping has no receiver.
             let _ = self.flush();
         }
     }
@@ -322,7 +322,7 @@ fn drop_in_background(recording: RecordingStream) -> Receiver<()> {
     let (done, wait) = std::sync::mpsc::channel();
     let close = move || {
         drop(recording);
-        // Nobody has to be waiting.
+        // The receiver may have gone.
         let _ = done.send(());
     };
     // Without a thread the closure is dropped here, and the recording with it.
@@ -330,7 +330,7 @@ fn drop_in_background(recording: RecordingStream) -> Receiver<()> {
     wait
 }
 
-/// Whether a file ends as a complete recording does.
+/// Returns true if a file ends like a complete recording.
 fn has_footer(path: &Path) -> bool {
     let tail = || -> io::Result<Vec<u8>> {
         let mut file = File::open(path)?;

@@ -25,7 +25,7 @@ pub(super) const YELLOW: Rgb = [240, 228, 66];
 pub(super) const SKY: Rgb = [86, 180, 233];
 /// More series of a plot.
 pub(super) const PURPLE: Rgb = [204, 121, 167];
-/// What was commanded.
+/// The colour of commands.
 pub(super) const GREY: Rgb = [160, 160, 160];
 
 /// Behind everything in 3D; the ground fades into it.

@@ -210,7 +210,7 @@ fn a_viewer_that_stopped_reading_is_an_error_and_not_a_wait_without_end() {
 }
 
 #[test]
-fn a_live_recording_takes_no_more_room_in_a_viewer_after_many_frames_than_after_a_few() {
+fn live_recording_stays_as_large_as_it_began() {
     let scene = scene(Ground::Flat);
     let model = scene.compile_visual().unwrap();
     let view =

@@ -214,7 +214,7 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
 }
 
 #[test]
-fn policies_in_the_styles_of_rsl_rl_and_playground_are_played_from_their_examples() {
+fn rsl_rl_and_playground_examples_are_played() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["rsl_rl", "playground"] {
         example(folder.path(), name);
@@ -228,7 +228,7 @@ fn policies_in_the_styles_of_rsl_rl_and_playground_are_played_from_their_example
 }
 
 #[test]
-fn policies_and_robots_that_do_not_fit_are_refused_in_one_line_with_exit_code_2() {
+fn unfit_policies_and_robots_are_refused_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(example(folder.path(), "rsl_rl")).unwrap();
     let write = |name: &str, from: &str, to: &str| {
@@ -351,7 +351,7 @@ fn seeds_give_means_and_spread_of_the_numbers_that_each_gives_alone() {
 }
 
 #[test]
-fn a_table_goes_to_standard_output_and_a_disk_that_is_full_leaves_no_half_of_one() {
+fn csv_is_whole_or_absent_on_a_full_disk() {
     let folder = tempfile::tempdir().unwrap();
     let base = ["walk", "--policy", "compliant", "--duration-s", "1", "--no-record"];
     let output = run("scenario", folder.path(), &[&base[..], &["--csv", "-"]].concat());
@@ -364,7 +364,7 @@ fn a_table_goes_to_standard_output_and_a_disk_that_is_full_leaves_no_half_of_one
 }
 
 #[test]
-fn a_robot_that_breaks_mujoco_is_refused_by_a_program_that_goes_on_to_the_end() {
+fn robot_that_crashes_mujoco_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let text = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
     // Each of them is within the limits; all of them take 6.7 GB.

@@ -90,7 +90,7 @@ pub enum RunError {
         /// The changed keys, with both values.
         keys: String,
     },
-    /// Its configuration cannot be understood, and may be what somebody has just written.
+    /// The configuration cannot be parsed; it may be half edited.
     #[error("{0}; mend it, or remove the file: it is written again from the checkpoint")]
     Unreadable(String),
     /// Another process trains there.

@@ -12,7 +12,7 @@ use clap::builder::{OsStringValueParser, TypedValueParser};
 
 use super::paths;
 
-/// Writes to standard output, [`plain`]. That nobody reads it any more is no error: whoever reads decides how much.
+/// Writes to standard output, [`plain`]. A closed pipe is no error.
 ///
 /// # Errors
 /// The system's, such as a full disk.

@@ -13,7 +13,7 @@ use crate::targets::{TARGETS, Target};
 
 /// Executions of a process before the next one takes over, so that leaks inside MuJoCo do not add up.
 const CHUNK: u64 = 20_000;
-/// What a quick run spends on each target.
+/// The time that a quick run spends on each target.
 const QUICK: Duration = Duration::from_secs(2);
 /// Longer with one input is a hang, also on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -22,7 +22,7 @@ const ADDRESS_SPACE_KIB: u64 = (1 << 20) + (256 << 10);
 /// A target with that many failures is given up.
 const MAX_FAILURES: usize = 20;
 
-/// What a target has been through.
+/// The outcomes of a target's runs.
 #[derive(Default)]
 struct Tally {
     executions: u64,

@@ -26,20 +26,20 @@ use crate::mutate::mutate;
 
 /// A reader of files.
 pub struct Target {
-    /// For the command line.
+    /// The name on the command line.
     pub name: &'static str,
     corpus: fn() -> Vec<Vec<u8>>,
     cache: OnceLock<Vec<Vec<u8>>>,
-    /// What such files are full of.
+    /// The words that such files consist of.
     pub words: &'static [&'static str],
-    /// Whether inputs are safetensors files, of which some are mutated within their header only.
+    /// True if inputs are safetensors files, some of which are mutated in their header only.
     pub framed: bool,
     /// Whether the input was accepted. Must not panic, abort, hang or take much memory.
     pub run: fn(&[u8]) -> bool,
 }
 
 impl Target {
-    /// What its inputs are made from.
+    /// Returns the valid inputs that mutations start from.
     pub fn seeds(&self) -> &[Vec<u8>] {
         self.cache.get_or_init(self.corpus)
     }

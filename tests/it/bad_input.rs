@@ -40,7 +40,7 @@ fn with_input(name: &str, folder: &Path, arguments: &[&str], input: &[u8]) -> Ou
 }
 
 #[test]
-fn exports_go_to_standard_output_and_through_links_and_never_replace_what_is_no_file() {
+fn exports_follow_links_and_never_replace_devices() {
     let folder = tempfile::tempdir().unwrap();
     standing_policy().save(&folder.path().join("p.safetensors")).unwrap();
     let export =
@@ -61,7 +61,7 @@ fn exports_go_to_standard_output_and_through_links_and_never_replace_what_is_no_
 }
 
 #[test]
-fn numbers_beyond_a_policy_are_told_with_their_line_and_never_answered_with_null() {
+fn numbers_out_of_range_are_reported_with_their_line() {
     let folder = tempfile::tempdir().unwrap();
     // A network with weights, of which a huge observation overflows.
     let output = run("policy", folder.path(), &["show", "compliant", "--json"]);
@@ -78,7 +78,7 @@ fn numbers_beyond_a_policy_are_told_with_their_line_and_never_answered_with_null
 }
 
 #[test]
-fn robots_that_would_eat_the_machine_are_refused_and_what_is_not_taken_over_does_no_harm() {
+fn robots_that_exhaust_memory_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());
     let whole = std::fs::read_to_string(robot("quadruped.xml")).unwrap();
@@ -137,7 +137,7 @@ fn a_run_is_one_thing() {
     std::fs::write(at("run/config.yaml"), config.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
     refused("train", folder.path(), &resume, "run/config.yaml was changed after the run began: ppo.epochs: 3 and 2");
     assert!(text("run/config.yaml").contains("epochs: 3"), "what somebody wrote is lost");
-    // Nor is what somebody tried to write.
+    // Nor is the faulty edit.
     std::fs::write(at("run/config.yaml"), config.replacen("epochs: 2", "epochs: 2e1", 1)).unwrap();
     refused("train", folder.path(), &resume, "run/config.yaml, line ");
     assert!(text("run/config.yaml").contains("epochs: 2e1"), "what somebody wrote is lost");
@@ -153,7 +153,7 @@ fn a_run_is_one_thing() {
     let cut: String = lines.lines().enumerate().filter(|(k, _)| *k != 1).map(|(_, line)| format!("{line}\n")).collect();
     std::fs::write(at("run/metrics.jsonl"), cut + "{\"iter").unwrap();
 
-    // How long it is to be may be changed, and what is lost is told.
+    // The length of the run may be changed; other changes are reported.
     std::fs::write(at("run/config.yaml"), config.replacen("samples: 768", "samples: 1280", 1)).unwrap();
     let output = run("train", folder.path(), &["--resume", "run"]);
     let words = complaint(&output);
@@ -221,7 +221,7 @@ fn ctrl_c_while_a_run_is_set_up_stops_it() {
 }
 
 #[test]
-fn errors_name_the_file_the_line_and_the_key_once_and_advice_is_never_circular() {
+fn errors_name_file_line_and_key_once() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());
     let write = |name: &str, text: &[u8]| std::fs::write(folder.path().join(name), text).unwrap();

@@ -28,7 +28,7 @@ fn send(signal: &str, child: &Child) {
 }
 
 #[test]
-fn a_checkpoint_that_cannot_be_written_leaves_the_one_before_and_the_run_can_be_resumed() {
+fn unwritable_checkpoint_leaves_the_one_before() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small_config();
     config.run.checkpoint_every = 1;
@@ -37,7 +37,7 @@ fn a_checkpoint_that_cannot_be_written_leaves_the_one_before_and_the_run_can_be_
     assert!(
         run("train", folder.path(), &["--config", "small.yaml", "--samples", "256", "--out", "probe"]).status.success()
     );
-    // Room for the first checkpoint, in which environments are at rest and their numbers short, but for no later one.
+    // Room for the first checkpoint, in which environments are at rest and their numbers short, and for no later one.
     let kibibytes = size("probe/checkpoint.safetensors").max(size("probe/policy.safetensors")) / 1024;
     let train = crate::support::program("train");
     let limited = format!(
@@ -102,7 +102,7 @@ fn a_start_that_was_cut_off_is_cleared_away_by_the_next() {
     small_config_file(folder.path());
     let left = folder.path().join(".run.starting-abc");
     std::fs::create_dir(&left).unwrap();
-    // Somebody else's folder, under such a name.
+    // Another owner's folder under such a name.
     let theirs = folder.path().join("theirs");
     std::fs::create_dir(&theirs).unwrap();
     std::fs::write(theirs.join("lock"), "").unwrap();
@@ -116,7 +116,7 @@ fn a_start_that_was_cut_off_is_cleared_away_by_the_next() {
 }
 
 #[test]
-fn a_damaged_checkpoint_is_set_aside_and_never_becomes_the_one_to_fall_back_to() {
+fn damaged_checkpoint_is_set_aside() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());
     assert!(
@@ -153,7 +153,7 @@ fn a_physics_fault_is_shown_kept_and_does_not_end_the_run() {
 }
 
 #[test]
-fn a_gradient_that_is_not_finite_stops_the_run_with_what_led_there_and_a_whole_checkpoint() {
+fn nonfinite_gradient_stops_the_run_with_a_whole_checkpoint() {
     let folder = tempfile::tempdir().unwrap();
     let mut config = small_config();
     // Finite in double precision, infinite in the single precision of the networks.

@@ -12,7 +12,7 @@ use crate::killing::{Killer, half_written, kills, undisturbed};
 use crate::support::{assert_same, complaint, metrics, run, small_config, standing_policy};
 
 #[test]
-fn a_run_that_is_killed_at_any_moment_and_resumed_gives_the_bits_of_one_that_is_not() {
+fn resume_after_kill_gives_same_bits() {
     let precisions: &[&str] = if tiles_available() { &["f32", "mixed", "bf16x3", "bf16"] } else { &["f32"] };
     let whole = tempfile::tempdir().unwrap();
     let mut config = small_config();
@@ -76,7 +76,7 @@ fn assert_same_run(a: &Path, b: &Path) {
 }
 
 #[test]
-fn a_contact_network_is_whole_or_not_there_whenever_its_training_is_killed() {
+fn contact_network_is_whole_or_absent_after_kill() {
     let mut killer = Killer::new();
     let whole = tempfile::tempdir().unwrap();
     for folder in [whole.path(), killer.folder()] {

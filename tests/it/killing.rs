@@ -22,7 +22,7 @@ pub fn kills() -> usize {
     std::env::var("SUPPLE_KILLS").map_or(3, |text| text.parse().expect("SUPPLE_KILLS is a number"))
 }
 
-/// What stood there after the kills.
+/// The states found after the kills.
 #[derive(Debug, Default)]
 struct Tally {
     killed: usize,

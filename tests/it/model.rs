@@ -90,7 +90,7 @@ impl StepObserver for First {
 }
 
 #[test]
-fn encoders_that_are_off_mislead_the_state_and_the_motors_by_the_same_angle() {
+fn encoder_bias_shifts_state_and_motors_alike() {
     let config = Config::load("compliant").unwrap();
     let target = same_in_every_leg([0.0, 0.72, -1.44]);
     let [exact, off] = [0.0, 0.01].map(|offset| {

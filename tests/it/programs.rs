@@ -99,7 +99,7 @@ fn both_learners_make_the_same_of_the_first_batch() {
 }
 
 #[test]
-fn a_run_and_its_policy_are_of_one_configuration_and_another_one_is_told_by_its_keys() {
+fn resuming_with_another_configuration_names_the_keys() {
     let folder = tempfile::tempdir().unwrap();
     let small = std::fs::read_to_string(small_config_file(folder.path())).unwrap();
     std::fs::write(folder.path().join("other.yaml"), small.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
@@ -134,7 +134,7 @@ fn a_run_and_its_policy_are_of_one_configuration_and_another_one_is_told_by_its_
 }
 
 #[test]
-fn a_run_of_another_robot_is_verified_and_has_a_card_and_without_its_robot_its_policy_takes_no_other() {
+fn run_of_another_robot_needs_that_robot() {
     let folder = tempfile::tempdir().unwrap();
     let small = std::fs::read_to_string(small_config_file(folder.path())).unwrap();
     let xml = robot("quadruped.xml");
@@ -220,7 +220,7 @@ fn bad_input_is_one_line_that_names_the_thing_and_exits_with_2() {
 }
 
 #[test]
-fn ctrl_c_finishes_the_iteration_and_says_how_to_go_on_and_nobody_else_trains_there() {
+fn ctrl_c_finishes_the_iteration_and_says_how_to_resume() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());
     let mut child = Command::new(program("train"))
@@ -298,7 +298,7 @@ fn policy_program_shows_verifies_and_exports() {
 }
 
 #[test]
-fn policy_calibrate_finds_what_ships_beside_the_policy_and_a_stiff_stand_has_none() {
+fn policy_calibrate_reproduces_the_shipped_calibration() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::copy(repository("policies/baseline-seed0.safetensors"), folder.path().join("b.safetensors")).unwrap();
     let output = run("policy", folder.path(), &["calibrate", "b.safetensors"]);

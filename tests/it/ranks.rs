@@ -21,7 +21,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// `train` on so many ranks, more than there are cores if need be, whoever runs the tests.
+/// The command that runs `train` on this many ranks, oversubscribed if need be, also as root.
 fn mpirun(ranks: usize, folder: &Path, arguments: &[&str]) -> Command {
     let mut command = Command::new("mpirun");
     command.args(["--oversubscribe", "--allow-run-as-root", "-n", &ranks.to_string(), program("train")]);
@@ -53,7 +53,7 @@ fn any_number_of_ranks_and_threads_gives_the_same_bits() {
         succeeds(train(ranks, folder.path(), &[&START[..], &arguments].concat()));
         assert_same_runs(&folder.path().join("1-1"), &folder.path().join(name));
     }
-    // As does the program by itself, if it is told of the shards.
+    // A single process with the same shards gives the same bits.
     let arguments = ["--samples", "1280", "--set", "ppo.shards=8", "--out", "alone"];
     succeeds(run("train", folder.path(), &[&START[..], &arguments].concat()));
     assert_same_runs(&folder.path().join("1-1"), &folder.path().join("alone"));
@@ -105,7 +105,7 @@ fn started(ranks: usize, folder: &Path) -> (Child, Vec<u32>) {
     (child, ranks.split_whitespace().map(|id| id.parse().unwrap()).collect())
 }
 
-/// Whether a process is there that has not ended; it may wait for somebody to take note of its end.
+/// Returns true if a process exists and has not ended; a zombie has ended.
 fn is_alive(process: u32) -> bool {
     std::fs::read_to_string(format!("/proc/{process}/stat")).is_ok_and(|text| !text.contains(") Z"))
 }
@@ -115,7 +115,7 @@ fn signal(name: &str, process: u32) {
 }
 
 #[test]
-fn a_rank_that_is_killed_or_hangs_ends_all_and_the_run_goes_on_from_its_checkpoint() {
+fn killed_rank_ends_all_and_the_run_can_be_resumed() {
     for (name, expected) in [("-KILL", "rank 3"), ("-STOP", "from rank 3 on ")] {
         let folder = folder();
         let (child, ranks) = started(4, folder.path());

@@ -1,4 +1,4 @@
-//! Training on any quadruped: robots that are told by a few numbers, in the style of several makers.
+//! Training on any quadruped: robots described by a few numbers, in the style of several makers.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -75,7 +75,7 @@ impl Robots {
 }
 
 #[test]
-fn a_robot_without_a_pose_is_trained_on_with_bent_knees_and_numbers_of_its_own() {
+fn robot_without_pose_trains_with_bent_knees() {
     let folder = tempfile::tempdir().unwrap();
     small_config_file(folder.path());
     anymal_like().write(folder.path());
@@ -143,7 +143,7 @@ fn a_robot_is_known_by_what_its_files_say_and_not_by_where_they_lie() {
 }
 
 #[test]
-fn a_robot_that_is_no_quadruped_is_refused_in_one_line_that_says_what_was_found() {
+fn non_quadruped_is_refused_in_one_line() {
     let folder = tempfile::tempdir().unwrap();
     let robot = anymal_like();
     for (robot, words) in [
@@ -179,7 +179,7 @@ fn a_robot_that_is_no_quadruped_is_refused_in_one_line_that_says_what_was_found(
 }
 
 #[test]
-fn a_robot_from_elsewhere_has_fallen_when_a_thigh_touches_the_ground_but_not_when_a_shank_does() {
+fn thigh_on_the_ground_is_a_fall_and_shank_is_not() {
     let config = Config::load("fast").unwrap();
     let low = "<geom type='capsule' size='0.03' fromto='0 0 -0.05 0.08 0 -0.33'/>";
     let fallen = |robots: Robots| {

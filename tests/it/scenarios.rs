@@ -26,7 +26,7 @@ pub fn scenario(name: &str, changes: &[&str]) -> Scenario {
 }
 
 #[test]
-fn a_scenario_by_name_is_that_of_the_command_line_and_says_what_it_does_not_have() {
+fn scenario_by_name_equals_that_of_the_command_line() {
     for (name, _) in DEFAULTS {
         assert_eq!(Scenario::named(name, "{}").unwrap(), scenario(name, &[]));
         let changed = Scenario::named(name, r#"{"duration_s": 3, "forward_m_s": -0.25}"#).unwrap();
@@ -362,7 +362,7 @@ fn getting_past_an_obstacle_is_an_event_and_happens_once_from_each_start() {
 }
 
 #[test]
-fn a_field_that_is_crossed_is_over_a_second_later_and_a_box_that_is_passed_is_not() {
+fn crossed_field_ends_a_second_later() {
     let policy = standing_policy();
     let seconds = |name: &str, options: &[&str]| {
         let mut script = scenario(name, options).script(0, &policy.provenance.config).unwrap();

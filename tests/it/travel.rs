@@ -68,7 +68,7 @@ fn our_own_model_imported_walks_bit_for_bit_as_before() {
 }
 
 #[test]
-fn a_public_style_quadruped_loses_servos_damping_and_soft_feet_and_the_report_says_so() {
+fn import_report_lists_what_was_left_out() {
     let path = robot("scene.xml");
     let report = Robot::load(path.to_str().unwrap()).unwrap().report.join("\n");
     for expected in [

@@ -67,6 +67,14 @@ impl Balls {
 }
 
 impl Experiment for BallPit {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Pit = defaults("ball-pit")?;
         // A single one goes without saying.

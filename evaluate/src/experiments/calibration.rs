@@ -131,6 +131,14 @@ impl Calibration {
 }
 
 impl Experiment for Calibration {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let (leash, push): (Leash, PushAway) = (defaults("leash")?, defaults("push")?);
         let mut conditions = Vec::new();

@@ -52,6 +52,14 @@ fn marked(results: &Results, curve: Curve, set: usize) -> Curve {
 }
 
 impl Experiment for Decay {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         push::sideways()
     }

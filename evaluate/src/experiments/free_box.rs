@@ -4,7 +4,7 @@ use super::prelude::*;
 use crate::findings::{Line, Lines};
 use crate::plot::top_view::{self, Run, View};
 use crate::results::Results;
-use crate::trial::{TrialEnd, Sample};
+use crate::trial::{Sample, TrialEnd};
 use supple::scenario::Script;
 use supple::scenario::catalog::FreeBox as Cube;
 use supple::scenario::trace::{Frame, Pose, Trace};
@@ -112,6 +112,14 @@ fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
 }
 
 impl Experiment for FreeBox {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Cube = defaults("box")?;
         let condition = |friction: &f64| Condition {

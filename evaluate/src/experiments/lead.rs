@@ -37,6 +37,14 @@ pub struct Lead {
 }
 
 impl Experiment for Lead {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Led = defaults("lead")?;
         Ok(by_gait_and_direction(&self.commands_m_s, self.directions, |forward_m_s, direction_deg| {

@@ -57,6 +57,14 @@ pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) 
 }
 
 impl Experiment for Leash {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         pulls(&self.forces_n, self.directions, [self.at_s, self.for_s])
     }

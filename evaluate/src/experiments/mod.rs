@@ -1,13 +1,48 @@
 //! The experiments E0 to E14, one file each: what is varied, what is measured, what is shown.
 
+mod ball_pit;
+mod calibration;
+mod decay;
+mod directions;
+mod free_box;
+mod lead;
+mod leash;
+mod outdoor;
+mod pendulum;
+mod pull;
+mod pulley;
 mod push;
+mod push_grid;
+mod rubble;
+mod table4;
+mod terrain;
 mod velocity;
+mod walk;
+mod wall;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Condition, Experiment, Info, Parameters};
+use super::{Condition, Experiment};
 use crate::plot::polar::evenly;
 use supple::scenario::catalog::{ParameterError, Scenario, in_range};
+
+pub use ball_pit::BallPit;
+pub use calibration::Calibration;
+pub use decay::Decay;
+pub use directions::Directions;
+pub use free_box::FreeBox;
+pub use lead::Lead;
+pub use leash::Leash;
+pub use outdoor::Outdoor;
+pub use pendulum::Pendulum;
+pub use pull::Pull;
+pub use pulley::Pulley;
+pub use push_grid::PushGrid;
+pub use rubble::Rubble;
+pub use table4::Table4;
+pub use terrain::Terrain;
+pub use walk::Walk;
+pub use wall::Wall;
 
 /// The imports that every experiment needs.
 mod prelude {
@@ -23,62 +58,53 @@ mod prelude {
     pub use supple::scenario::metrics;
 }
 
-/// Makes a line for each experiment into its module, its section of the protocol and its place in the report. (`cargo fmt`
-/// does not look into macros for modules: `.ci/run` formats these files by name.)
-macro_rules! experiments {
-    ($($section:ident: $module:ident::$experiment:ident,)*) => {
-        $(mod $module; pub use $module::$experiment;)*
-
-        /// Every experiment with its numbers.
-        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-        #[serde(deny_unknown_fields)]
-        #[allow(missing_docs)]
-        pub struct Protocol {
-            $(pub $section: $experiment,)*
-        }
-
-        impl Protocol {
-            /// The experiments in the order of the report.
-            pub fn experiments(&self) -> Vec<&dyn Experiment> {
-                vec![$(&self.$section),*]
-            }
-        }
-
-        $(impl Parameters for $experiment {
-            fn info(&self) -> Info {
-                $module::INFO
-            }
-
-            fn trials(&self) -> u32 {
-                self.trials
-            }
-
-            fn parameters(&self) -> serde_json::Value {
-                // Plain structs of numbers and lists.
-                serde_json::to_value(self).unwrap_or_default()
-            }
-        })*
-    };
+/// Every experiment with its parameters, in the order of the report.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+#[allow(missing_docs)]
+pub struct Protocol {
+    pub walk: Walk,
+    pub push_grid: PushGrid,
+    pub decay: Decay,
+    pub table4: Table4,
+    pub directions: Directions,
+    pub leash: Leash,
+    pub r#box: FreeBox,
+    pub ball_pit: BallPit,
+    pub terrain: Terrain,
+    pub pulley: Pulley,
+    pub pendulum: Pendulum,
+    pub rubble: Rubble,
+    pub outdoor: Outdoor,
+    pub calibration: Calibration,
+    pub pull: Pull,
+    pub wall: Wall,
+    pub lead: Lead,
 }
 
-experiments! {
-    walk: walk::Walk,
-    push_grid: push_grid::PushGrid,
-    decay: decay::Decay,
-    table4: table4::Table4,
-    directions: directions::Directions,
-    leash: leash::Leash,
-    r#box: free_box::FreeBox,
-    ball_pit: ball_pit::BallPit,
-    terrain: terrain::Terrain,
-    pulley: pulley::Pulley,
-    pendulum: pendulum::Pendulum,
-    rubble: rubble::Rubble,
-    outdoor: outdoor::Outdoor,
-    calibration: calibration::Calibration,
-    pull: pull::Pull,
-    wall: wall::Wall,
-    lead: lead::Lead,
+impl Protocol {
+    /// Returns the experiments in the order of the report.
+    pub fn experiments(&self) -> Vec<&dyn Experiment> {
+        vec![
+            &self.walk,
+            &self.push_grid,
+            &self.decay,
+            &self.table4,
+            &self.directions,
+            &self.leash,
+            &self.r#box,
+            &self.ball_pit,
+            &self.terrain,
+            &self.pulley,
+            &self.pendulum,
+            &self.rubble,
+            &self.outdoor,
+            &self.calibration,
+            &self.pull,
+            &self.wall,
+            &self.lead,
+        ]
+    }
 }
 
 /// Returns the name of the gait at a forward command \[m/s\].

@@ -34,6 +34,14 @@ pub struct Outdoor {
 }
 
 impl Experiment for Outdoor {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Hills = defaults("outdoor")?;
         let condition = |steepest: &f64| Condition {

@@ -43,6 +43,14 @@ pub struct Pendulum {
 }
 
 impl Experiment for Pendulum {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Ball = defaults("pendulum")?;
         let condition = |command: f64, release_height_m: f64| Condition {

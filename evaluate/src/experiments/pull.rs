@@ -37,6 +37,14 @@ pub struct Pull {
 }
 
 impl Experiment for Pull {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         pulls(&self.forces_n, self.directions, [self.at_s, self.for_s])
     }

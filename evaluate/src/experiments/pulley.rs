@@ -39,6 +39,14 @@ pub struct Pulley {
 }
 
 impl Experiment for Pulley {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Weight = defaults("pulley")?;
         let condition = |command: f64, direction_deg: f64| Condition {

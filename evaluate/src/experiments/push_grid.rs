@@ -112,6 +112,14 @@ impl PushGrid {
 }
 
 impl Experiment for PushGrid {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushAway = defaults("push")?;
         let coordinates = grid::coordinates(self.limit_m_s, self.points_per_side);

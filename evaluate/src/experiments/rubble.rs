@@ -37,6 +37,14 @@ pub struct Rubble {
 }
 
 impl Experiment for Rubble {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Blocks = defaults("rubble")?;
         let condition = |block_height_m: &f64| Condition {

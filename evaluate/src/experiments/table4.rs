@@ -54,6 +54,14 @@ pub struct Table4 {
 }
 
 impl Experiment for Table4 {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         push::sideways()
     }

@@ -35,6 +35,14 @@ pub struct Terrain {
 }
 
 impl Experiment for Terrain {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Ground = defaults("terrain")?;
         let condition = |height_m: f64, frequency_per_m: f64| Condition {

@@ -114,6 +114,14 @@ fn label([forward, left, turn]: [f64; 3]) -> String {
 }
 
 impl Experiment for Walk {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Undisturbed = defaults("walk")?;
         let condition = |command: &[f64; 3]| {

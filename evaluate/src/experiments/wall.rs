@@ -33,6 +33,14 @@ pub struct Wall {
 }
 
 impl Experiment for Wall {
+    fn info(&self) -> Info {
+        INFO
+    }
+
+    fn trials(&self) -> u32 {
+        self.trials
+    }
+
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: Across = defaults("wall")?;
         let condition = |command: &f64| Condition {

@@ -132,7 +132,8 @@ impl Section {
         }
         Section {
             info: experiment.info(),
-            parameters: experiment.parameters(),
+            // Plain structs of numbers and lists.
+            parameters: serde_json::to_value(experiment).unwrap_or_default(),
             conditions: results.conditions.len(),
             trials: experiment.trials(),
             ends,

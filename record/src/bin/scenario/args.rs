@@ -76,7 +76,7 @@ pub struct Args {
     /// Write the trace, one row for each policy step; `-` writes it to stdout, and the summary to stderr
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
     pub csv: Option<PathBuf>,
-    /// What to play.
+    /// The scenario or command.
     #[command(subcommand)]
     pub what: What,
 }

@@ -18,11 +18,11 @@ use crate::args::Args;
 pub struct Outcome<'a> {
     /// Name of the policy.
     pub policy: &'a str,
-    /// Its identity.
+    /// SHA-256 of the policy.
     pub sha256: String,
     /// Name or file of the robot.
     pub robot: &'a str,
-    /// What happened.
+    /// The trace of the playback.
     pub trace: &'a Trace,
     /// The scenario's numbers.
     pub metrics: Vec<Metric>,
@@ -168,7 +168,7 @@ const COLUMNS: [Column; 26] = [
     ("base_z_m_s", |frame| frame.velocity[2]),
 ];
 
-/// Of a rope with a load, a leash in somebody's hand, or a wall that gives.
+/// Returns the force of a rope with a load, a leash that is led, or a wall that gives \[N\].
 fn rope_force_n(frame: &Frame) -> f64 {
     let of_spring = frame.spring.map_or(0.0, |spring| spring.force_n);
     frame.rope.as_ref().map_or(of_spring, |rope| rope.force_n)

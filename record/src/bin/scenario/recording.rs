@@ -110,7 +110,7 @@ impl Recording {
 fn wait_for_interrupt() -> anyhow::Result<()> {
     let (interrupted, wait) = std::sync::mpsc::channel();
     ctrlc::set_handler(move || {
-        // Nobody is left to tell when the program is ending anyway.
+        // An error means that the program is ending anyway.
         let _ = interrupted.send(());
     })
     .context("cannot catch Ctrl-C")?;

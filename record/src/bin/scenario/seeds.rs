@@ -9,11 +9,11 @@ use supple::util::provenance::git_revision;
 
 use crate::output::undefined;
 
-/// What a policy made of all seeds.
+/// The outcomes of one policy over all seeds.
 pub struct OfSeeds {
     /// Name of the policy.
     pub policy: String,
-    /// Its identity.
+    /// SHA-256 of the policy.
     pub sha256: String,
     /// Name or file of the robot.
     pub robot: String,
