@@ -11,7 +11,6 @@ use tokio::sync::watch;
 
 use crate::clock::Clock;
 use crate::message::Message;
-use crate::message::Message;
 use crate::request::{PageId, RobotStatus, State};
 use crate::viewer_stream::{Cast, Snapshot};
 

@@ -7,7 +7,6 @@ use supple::scenario::session::{Input, ReplayStep, RobotStep, SavedSession, Sess
 use supple_record::{RecordError, Recorder, Sink};
 
 use crate::message::Message;
-use crate::message::Message;
 use crate::publisher::{Due, Publisher};
 use crate::request::Request;
 use crate::viewer_stream::Cast;

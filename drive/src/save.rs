@@ -11,7 +11,6 @@ use supple::scenario::session::{RobotStep, SavedSession};
 use supple_record::Sink;
 
 use crate::message::Message;
-use crate::message::Message;
 use crate::replay;
 use crate::viewer_stream::Cast;
 

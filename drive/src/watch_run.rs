@@ -13,8 +13,6 @@ use supple::util::{files, paths};
 
 use crate::message::Message;
 
-use crate::message::Message;
-
 /// Time between two checks.
 const PERIOD: Duration = Duration::from_millis(500);
 

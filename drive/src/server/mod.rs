@@ -29,7 +29,6 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
 use crate::message::Message;
-use crate::message::Message;
 use crate::publisher::Updates;
 use crate::request::Hello;
 

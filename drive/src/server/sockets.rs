@@ -14,7 +14,6 @@ use tokio::time::{interval, timeout};
 
 use super::Shared;
 use crate::message::Message;
-use crate::message::Message;
 use crate::request::{PageId, Request};
 use crate::viewer_stream;
 
