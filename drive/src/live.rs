@@ -17,7 +17,7 @@ use supple::task::Command;
 
 use crate::message::Message;
 use crate::publisher::{Due, Publisher, Updates};
-use crate::request::{Kept, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, PageId, Request, limited};
+use crate::request::{Kept, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, Request, limited};
 use crate::save::{self, Minute};
 use crate::watch_run;
 
