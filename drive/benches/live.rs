@@ -33,7 +33,7 @@ struct Args {
     /// How long
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// Nobody looks at the robots
+    /// No viewer
     #[arg(long)]
     blind: bool,
     /// rerun's viewer in headless Chromium looks at the robots
@@ -123,7 +123,7 @@ fn measure(args: &Args, drive: &Drive, page: &mut Page, mut browser: Option<chro
     println!("real time     {rate:.4} times, slowest 2 s {slowest:.3}");
     for (what, times) in [("takes effect", &mut effects), ("motion", &mut motions)] {
         times.sort_by(f64::total_cmp);
-        let at = |share: f64| 1e3 * times[((times.len() - 1) as f64 * share).round() as usize];
+        let at = |fraction: f64| 1e3 * times[((times.len() - 1) as f64 * fraction).round() as usize];
         println!(
             "{what:13} median {:.1} ms, 99 % {:.1} ms, worst {:.1} ms, of {}",
             at(0.5),

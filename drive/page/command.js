@@ -1,4 +1,4 @@
-// What is asked of the robots: keys, sticks and a gamepad, added up, as fractions of what the policies were trained for.
+// The command: the sum of keys, sticks and gamepad, as fractions of the policies' training range.
 
 const KEYS = {
   KeyW: [1, 0, 0], ArrowUp: [1, 0, 0],
@@ -8,11 +8,11 @@ const KEYS = {
   KeyE: [0, 0, -1], ArrowRight: [0, 0, -1],
 };
 
-/** Share of the range that a key asks for, without Shift. */
-const SHARE = 0.6;
+/** Fraction of the range that a key commands without Shift. */
+const FRACTION = 0.6;
 
-/** A gamepad's stick at rest is not quite at rest. */
-const REST = 0.12;
+/** Dead zone of a gamepad's stick. */
+const DEAD_ZONE = 0.12;
 
 const held = new Set();
 const sticks = { walk: [0, 0], turn: 0 };
@@ -21,10 +21,10 @@ let fast = false;
 /** Forward, left and yaw, each from -1 to 1. */
 export function fractions() {
   const sum = [sticks.walk[0], sticks.walk[1], sticks.turn];
-  for (const key of held) KEYS[key].forEach((part, axis) => (sum[axis] += part * (fast ? 1 : SHARE)));
+  for (const key of held) KEYS[key].forEach((part, axis) => (sum[axis] += part * (fast ? 1 : FRACTION)));
   for (const pad of navigator.getGamepads?.() ?? []) {
     if (!pad) continue;
-    const axis = (index) => (Math.abs(pad.axes[index] ?? 0) > REST ? pad.axes[index] : 0);
+    const axis = (index) => (Math.abs(pad.axes[index] ?? 0) > DEAD_ZONE ? pad.axes[index] : 0);
     sum[0] -= axis(1);
     sum[1] -= axis(0);
     sum[2] -= axis(2);
@@ -32,7 +32,7 @@ export function fractions() {
   return sum.map((part) => Math.max(-1, Math.min(1, part)));
 }
 
-/** Listens to keys; `changed` is told at once. */
+/** Listens to keys; calls `changed` at once. */
 export function listenToKeys(changed) {
   const note = (event, down) => {
     fast = event.shiftKey;
@@ -46,7 +46,7 @@ export function listenToKeys(changed) {
   };
   addEventListener("keydown", (event) => note(event, true));
   addEventListener("keyup", (event) => note(event, false));
-  // Keys that are let go elsewhere are not told of.
+  // Key releases outside the page are not reported.
   addEventListener("blur", () => letGo(changed));
   document.addEventListener("visibilitychange", () => letGo(changed));
 }
@@ -56,7 +56,7 @@ function letGo(changed) {
   changed();
 }
 
-/** Makes a knob follow the pointer within its face, and spring back; `changed` is told at once. */
+/** Makes a knob follow the pointer within its face, and spring back; calls `changed` at once. */
 export function listenToStick(svg, which, changed) {
   const knob = svg.querySelector(".knob");
   const move = (x, y) => {
@@ -70,7 +70,7 @@ export function listenToStick(svg, which, changed) {
   drag(svg, { start: move, move, end: () => move(0, 0) });
 }
 
-/** Follows one pointer from where it goes down, in the drawing's own units. */
+/** Follows one pointer from press to release, in the drawing's units. */
 export function drag(svg, { start, move, end }) {
   let pointer = null;
   const place = (event) => {

@@ -1,14 +1,14 @@
-// The way to the robots: one WebSocket that comes back by itself.
+// The connection to the robots: one WebSocket that reconnects by itself.
 
 const AGAIN_MS = 1000;
 
-/** The address of a socket of this server, with the token of the page's own address. */
+/** Returns the address of a socket of this server, with the token from the page's address. */
 export function address(path) {
   const token = new URLSearchParams(location.search).get("token") ?? "";
   return `ws://${location.host}${path}?token=${encodeURIComponent(token)}`;
 }
 
-/** Hands every message to `on.hello`, `on.state` or `on.refused`, and tells `on.lost` when there is nobody to talk to. */
+/** Hands every message to `on.hello`, `on.state` or `on.refused`, and calls `on.lost` when the connection closes. */
 export function connect(on) {
   let socket;
   const open = () => {

@@ -1,12 +1,12 @@
-// The page: what is asked goes to the robots, how they are comes back.
+// The page: sends requests to the robots and shows their state.
 
 import { fractions, listenToKeys, listenToStick } from "./command.js";
 import { connect } from "./link.js";
 import { show } from "./numbers.js";
 import { listenToPad } from "./pad.js";
-import { show as showYields } from "./yields.js";
+import { show as showCompliance } from "./compliance.js";
 
-/** Signs of life go out this often, and a gamepad is looked at. */
+/** Period at which commands are repeated and the gamepad is read. */
 const LIFE_MS = 60;
 
 const $ = (id) => document.getElementById(id);
@@ -29,20 +29,20 @@ const send = connect({
     const first = !state;
     state = now;
     window.state = now;
-    // A page that nobody sees draws nothing: what waits is one picture, not one for each state.
+    // Draw at most once per animation frame; a hidden page draws nothing.
     waiting ??= requestAnimationFrame(draw);
     if (first) chooseRobots();
   },
   refused: (problem) => notice(problem),
   lost() {
     state = null;
-    status("no connection to the robots: is drive still running?", true);
+    status("connection lost: check that drive is still running", true);
   },
 });
 
 const drives = () => state && state.driver === me;
 
-// ---- what is asked
+// ---- requests
 
 let last = [0, 0, 0];
 let sent = 0;
@@ -81,22 +81,22 @@ function pull(force) {
 
 listenToPad($("pad"), $("said"), () => $("unit").value, (unit) => most[unit], { push, pull });
 
-// The numbers beside the pad: pushes happen, a pull lasts as long as the button is held.
+// The number fields beside the pad: a push is sent once, a pull lasts while the button is held.
 const numbers = () => [Number($("ahead").value), Number($("left").value)];
 const pulls = () => $("unit").value === "N";
-$("unit").onchange = () => ($("shove").textContent = pulls() ? "Hold" : "Push");
+$("unit").onchange = () => ($("push-button").textContent = pulls() ? "Hold" : "Push");
 $("push").onsubmit = (event) => {
   event.preventDefault();
   if (!pulls()) push(numbers(), $("unit").value);
 };
 function hold(on) {
-  if (!pulls() || on === $("shove").classList.contains("held")) return;
-  $("shove").classList.toggle("held", on);
+  if (!pulls() || on === $("push-button").classList.contains("held")) return;
+  $("push-button").classList.toggle("held", on);
   pull(on ? numbers() : null);
 }
-$("shove").onpointerdown = () => hold(true);
-$("shove").onkeydown = (event) => ["Space", "Enter"].includes(event.code) && hold(true);
-for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) $("shove").addEventListener(end, () => hold(false));
+$("push-button").onpointerdown = () => hold(true);
+$("push-button").onkeydown = (event) => ["Space", "Enter"].includes(event.code) && hold(true);
+for (const end of ["pointerup", "pointerleave", "pointercancel", "keyup", "blur"]) $("push-button").addEventListener(end, () => hold(false));
 
 const pause = () => send({ pause: !state?.paused });
 $("take").onclick = () => send("drive");
@@ -130,7 +130,7 @@ function buttonsOfGamepad() {
 
 // ---- the viewer
 
-/** The same server by another name: the browser then gives the viewer a process of its own, and keys do not wait for pictures. */
+/** Another name of the same server: the browser then runs the viewer in its own process, and drawing does not delay keys. */
 const OTHER_NAME = { "127.0.0.1": "localhost", localhost: "127.0.0.1" };
 
 function openViewer() {
@@ -146,7 +146,7 @@ function openViewer() {
   });
 }
 
-// ---- who walks
+// ---- robots
 
 for (const form of document.querySelectorAll(".who")) {
   const index = Number(form.dataset.robot);
@@ -167,13 +167,13 @@ function chooseRobots() {
   }
 }
 
-// ---- how they are
+// ---- state
 
 function draw() {
   waiting = null;
   if (!state) return;
   show($("numbers"), state.robots);
-  showYields($("yields"), state.robots, (robot, compliance) => send({ comply: { robot, compliance } }));
+  showCompliance($("compliance"), state.robots, (robot, compliance) => send({ comply: { robot, compliance } }));
   const { rate, speed, paused, behind, driver } = state;
   const times = rate == null ? "" : ` ${rate.toFixed(2)} ×`;
   if (paused) status("paused");

@@ -1,11 +1,11 @@
-// The table of numbers, the two robots side by side.
+// The table of measurements, with the robots side by side.
 
 const dash = "–";
 const fixed = (digits) => (value) => (value == null ? dash : value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
 
 const OUTCOMES = { watching: "…", over: "", fell: " fell", disturbed: " cut short" };
 
-/** What becomes of a push is told with its number. */
+/** A number of the last push, followed by its outcome. */
 const ofPush = (of) => ({ reading }) => {
   const push = reading?.push;
   return push ? of(push) + OUTCOMES[push.outcome] : dash;
@@ -14,16 +14,16 @@ const ofPush = (of) => ({ reading }) => {
 const against = (axis) => ({ reading }) =>
   reading ? `${fixed(2)(reading.velocity[axis])} / ${fixed(2)(reading.command[axis])}` : dash;
 
-/** Each row: what it is called, its unit, how it is told of a robot. */
+/** Each row: name, unit, and the text for a robot. */
 const ROWS = [
-  ["forward / asked", "m/s", against(0)],
-  ["left / asked", "m/s", against(1)],
-  ["turn / asked", "rad/s", against(2)],
+  ["forward / command", "m/s", against(0)],
+  ["left / command", "m/s", against(1)],
+  ["turn / command", "rad/s", against(2)],
   ["last push", "m/s", ofPush((push) => fixed(2)(Math.hypot(...push.size_m_s)))],
-  ["carried by it", "m", ofPush((push) => fixed(2)(push.carried_m))],
-  ["gone after", "s", ofPush((push) => fixed(2)(push.decay_s))],
-  ["hand pulls", "N", ({ reading }) => fixed(0)(reading?.pull?.force_n)],
-  ["gives way", "m/s", ({ reading }) => fixed(2)(reading?.pull?.gives_m_s)],
+  ["carried by push", "m", ofPush((push) => fixed(2)(push.carried_m))],
+  ["decays within", "s", ofPush((push) => fixed(2)(push.decay_s))],
+  ["pull", "N", ({ reading }) => fixed(0)(reading?.pull?.force_n)],
+  ["velocity offset", "m/s", ({ reading }) => fixed(2)(reading?.pull?.gives_m_s)],
   ["power", "W", ({ reading }) => fixed(0)(reading?.power_w)],
   ["falls", "", ({ falls }) => String(falls)],
 ];

@@ -1,17 +1,18 @@
-// The push pad, seen from above: drag from the robot, release to push, hold still to pull for as long as it is held.
+// The push pad, seen from above: drag from the robot; release to push, hold still to pull.
 
 import { drag } from "./command.js";
 
-/** A pointer that rests for so long pulls. */
+/** Time for which a pointer rests before it pulls. */
 const HOLD_MS = 600;
 
-/** A pointer that moves less than this rests, in the drawing's units; so near to the middle it does nothing. */
+/** Largest movement of a resting pointer, in the drawing's units. */
 const STILL = 4;
+/** Radius around the middle within which nothing happens. */
 const MIDDLE = 12;
 
 /**
- * `most` says the size of a push or pull at the rim for a unit, `unit()` which unit pushes are in.
- * `on.push(size, unit)` and `on.pull(size or null)` are told, sizes being forward and left.
+ * `most(unit)` returns the size of a push or pull at the rim, `unit()` the unit of pushes.
+ * Calls `on.push(size, unit)` and `on.pull(size or null)` with sizes forward and left.
  */
 export function listenToPad(svg, said, unit, most, on) {
   const arrow = svg.querySelector(".arrow");
@@ -35,7 +36,7 @@ export function listenToPad(svg, said, unit, most, on) {
     const name = pulls ? "N" : unit();
     const [forward, left] = size(name);
     const total = Math.hypot(forward, left).toFixed(name === "m/s" ? 2 : 1);
-    said.textContent = inMiddle() ? "let go here to do nothing" : `${pulls ? "pull" : "push"} ${total} ${name}`;
+    said.textContent = inMiddle() ? "release here to cancel" : `${pulls ? "pull" : "push"} ${total} ${name}`;
   };
   const rest = () => {
     clearTimeout(timer);

@@ -1,16 +1,16 @@
-// rerun's viewer, fed over a WebSocket. Its own page would fetch fonts from elsewhere; this one fetches nothing.
+// rerun's viewer, fed over a WebSocket. Unlike the viewer's own page, this one loads nothing from other servers.
 
 import { address } from "./link.js";
 
 const CHANNEL = "robots";
 const AGAIN_MS = 1000;
 
-/** Each scene is another recording to the viewer, and it keeps old ones: beyond this it starts afresh. */
+/** The viewer keeps the recording of every scene: beyond this size the page reloads. */
 const MOST_BYTES = 1 << 30;
 
 const wait = document.getElementById("wait");
 
-// Keys are for the page around: the viewer would fly its camera with those that drive.
+// Forward keys to the outer page: otherwise the driving keys would move the viewer's camera.
 const tell = (kind, detail = {}) => parent.postMessage({ kind, detail }, "*");
 for (const kind of ["keydown", "keyup"]) {
   const forward = (event) => {
@@ -23,15 +23,15 @@ for (const kind of ["keydown", "keyup"]) {
 }
 addEventListener("blur", () => tell("blur"));
 
-// The viewer would report its use to its makers. The page's policy forbids that; here it is not even tried.
+// Block the viewer's usage reports; the content security policy would refuse them, too.
 const { fetch } = window;
 window.fetch = (what, ...more) => {
   const { origin } = new URL(what.url ?? what, location.href);
   return origin === location.origin ? fetch(what, ...more) : Promise.resolve(new Response(null, { status: 204 }));
 };
 
-// The viewer takes in what it was sent for ten milliseconds of a frame, and the rest later: on a slow machine that is a robot torn
-// apart, half of it now and half of it then, and work that piles up. A clock that ticks with its frames lets it finish.
+// The viewer reads new data for ten milliseconds of each frame and defers the rest: on a slow machine a robot is then drawn half
+// old, half new, and data pile up. A clock that advances once per frame lets it read everything.
 const { requestAnimationFrame } = window;
 const clock = performance.now.bind(performance);
 let ticked = clock();
@@ -74,7 +74,7 @@ function feed(viewer, memory) {
     socket.onmessage = ({ data }) => {
       if (memory.buffer.byteLength > MOST_BYTES) location.reload();
       viewer.send_rrd_to_channel(channel, new Uint8Array(data));
-      // More only when this has been shown: a slow viewer misses frames, and none pile up.
+      // Ask for more only when this has been shown: a slow viewer misses frames instead of queueing them.
       requestAnimationFrame(() => socket.readyState === WebSocket.OPEN && socket.send("shown"));
     };
     socket.onclose = () => {

@@ -1,19 +1,20 @@
-/*! Robots live in a browser.
+/*! Robots driven live in a browser.
 
-One thread owns the robots and plays them in real time ([`live`]); what it is told comes through a queue, what happens goes
-out as the newest state and the newest frames, of which everybody takes what they can ([`show`]). A web [`server`] carries
-both: a page of controls talks to it over one WebSocket, rerun's viewer beside it is fed over another. Everything that was
-done is kept as a session, from which it can be played again ([`replay`]).
+One thread owns the robots and plays them in real time ([`live`]). It receives [`message`]s through a queue and publishes
+the newest state and frames ([`publisher`]); each page and viewer takes as many of them as it can ([`viewer_stream`]). A web
+[`server`] carries both: the page of controls uses one WebSocket, the embedded rerun viewer another. Every input is recorded
+in a session, which can be played again bit for bit ([`replay`]).
 
-This package is the only one that knows a web server.
+This is the only package that contains a web server.
 */
 
 pub mod clock;
-pub mod display;
-pub mod keep;
 pub mod live;
+pub mod message;
+pub mod publisher;
 pub mod replay;
 pub mod request;
+pub mod save;
 pub mod server;
-pub mod show;
-mod watch;
+pub mod viewer_stream;
+mod watch_run;

@@ -1,8 +1,8 @@
 /*! The thread that owns the robots.
 
-It waits for the next step to be due and listens meanwhile; what it hears takes effect with that step, and is written down as an
-input of the session. Who drives must give signs of life: without one for [`SILENCE`], robots are asked to stand, and a hand
-at them lets go.
+It waits until the next step is due and reads messages meanwhile; they take effect with that step and are written into the
+session as inputs. The driving page must keep sending messages: after [`SILENCE`] without one, the command becomes zero and
+a pull ends.
 */
 
 use std::fs::File;
@@ -15,47 +15,24 @@ use supple::policy::Agent;
 use supple::scenario::session::{AgentCache, Input, LiveSession, PushUnit, RATE_HZ, Seat, Setup, Writer};
 use supple::task::Command;
 
-use crate::display::{Display, Due, News};
-use crate::keep::{self, Minute};
-use crate::request::{Kept, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, PageId, Request, limited};
-use crate::watch as policies;
+use crate::message::Message;
+use crate::publisher::{Due, Publisher, Updates};
+use crate::request::{Kept, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, Request, limited};
+use crate::save::{self, Minute};
+use crate::watch_run;
 
-/// How long robots go on without a sign of life of who drives.
+/// Longest silence of the driving page before the robots stop.
 pub const SILENCE: Duration = Duration::from_millis(350);
 
-/// A minute \[ticks\].
+/// One minute \[ticks\].
 const MINUTE: u64 = 60 * RATE_HZ;
 
-/// What the thread is told.
-#[derive(Debug)]
-pub enum Message {
-    /// A page came.
-    Came(PageId),
-    /// A page went.
-    Went(PageId),
-    /// A page asks for something.
-    Asked(PageId, Request),
-    /// A policy was read that a run saved.
-    Read {
-        /// From here.
-        path: PathBuf,
-        /// The policy.
-        agent: Box<Agent>,
-        /// Its file.
-        file: Option<Vec<u8>>,
-    },
-    /// Something to tell everybody.
-    Notice(String),
-    /// The end.
-    Stop,
-}
-
-/// What the thread owns.
+/// The state of the thread that owns the robots.
 #[derive(Debug)]
 pub struct Live {
     world: LiveSession,
-    shelf: AgentCache,
-    display: Display,
+    cache: AgentCache,
+    publisher: Publisher,
     writer: Writer,
     folder: PathBuf,
     minute: Minute,
@@ -66,30 +43,30 @@ pub struct Live {
 }
 
 impl Live {
-    /// A world that waits for its first step. The session is written into a file of its own; what is kept goes into a folder.
+    /// Builds the robots and their scene. Inputs are written into the file `session`; saved sessions go into `folder`.
     ///
     /// # Errors
-    /// A [`LiveSessionError`](supple::scenario::session::WorldError), or that there is no room for the session.
+    /// The scene cannot be built, or the session cannot be written.
     pub fn new(
         setup: Setup,
-        mut shelf: AgentCache,
+        mut cache: AgentCache,
         folder: PathBuf,
         session: File,
         to_self: SyncSender<Message>,
     ) -> anyhow::Result<Self> {
-        let world = LiveSession::new(setup, &mut shelf)?;
+        let world = LiveSession::new(setup, &mut cache)?;
         let mut writer = Writer::new(session);
-        writer.input(0, &Input::Setup(world.setup().clone()), &shelf)?;
+        writer.input(0, &Input::Setup(world.setup().clone()), &cache)?;
         let watched = Arc::default();
-        policies::start(Arc::clone(&watched), to_self.clone())?;
-        let display = Display::new(&world);
+        watch_run::start(Arc::clone(&watched), to_self.clone())?;
+        let publisher = Publisher::new(&world);
         let live = Live {
             world,
-            shelf,
+            cache,
             writer,
             folder,
-            minute: Minute::of(display.cast()),
-            display,
+            minute: Minute::new(publisher.cast()),
+            publisher,
             command: Command::default(),
             pull: None,
             watched,
@@ -99,22 +76,22 @@ impl Live {
         Ok(live)
     }
 
-    /// Where news come out.
-    pub fn news(&self) -> News {
-        self.display.news()
+    /// Returns the channels to pages and viewers.
+    pub fn updates(&self) -> Updates {
+        self.publisher.updates()
     }
 
-    /// Plays until it is told to stop.
+    /// Plays until a [`Message::Stop`] arrives.
     ///
     /// # Errors
-    /// A fault of the physics that nothing mends, or a session that cannot be written down any more.
+    /// The physics fails for good, or the session can no longer be written.
     pub fn run(mut self, messages: &Receiver<Message>) -> anyhow::Result<()> {
-        self.display.clock.restart(self.world.tick());
+        self.publisher.clock.restart(self.world.tick());
         loop {
-            if self.display.heard.0.elapsed() > SILENCE {
+            if self.publisher.heard.0.elapsed() > SILENCE {
                 self.let_go()?;
             }
-            match self.display.wait(&self.world, messages) {
+            match self.publisher.wait(&self.world, messages) {
                 Some(Due::Step) => self.step()?,
                 Some(Due::Message(Message::Stop)) => return Ok(()),
                 Some(Due::Message(message)) => self.take(message)?,
@@ -125,12 +102,12 @@ impl Live {
 
     fn step(&mut self) -> anyhow::Result<()> {
         let tick = self.world.tick();
-        // Frames of another world do not belong to the same recording.
-        if !self.minute.is_of(self.display.cast()) {
-            self.minute = Minute::of(self.display.cast());
+        // A recording holds the frames of one set-up.
+        if !self.minute.belongs_to(self.publisher.cast()) {
+            self.minute = Minute::new(self.publisher.cast());
         }
         let played = self.world.step()?;
-        self.display.note_steps(&self.world, tick, &played);
+        self.publisher.note_steps(&self.world, tick, &played);
         self.minute.add(tick, played);
         self.minute.forget(tick.saturating_sub(MINUTE));
         self.writer.tidy(tick.saturating_sub(MINUTE));
@@ -138,32 +115,32 @@ impl Live {
     }
 
     fn take(&mut self, message: Message) -> anyhow::Result<()> {
-        let display = &mut self.display;
+        let publisher = &mut self.publisher;
         match message {
-            Message::Came(page) if display.driver.is_none() => {
-                display.driver = Some(page);
-                display.heard.0 = Instant::now();
+            Message::PageOpened(page) if publisher.driver.is_none() => {
+                publisher.driver = Some(page);
+                publisher.heard.0 = Instant::now();
             }
-            Message::Went(page) if display.driver == Some(page) => {
-                display.driver = None;
+            Message::PageClosed(page) if publisher.driver == Some(page) => {
+                publisher.driver = None;
                 self.let_go()?;
             }
-            Message::Asked(page, Request::Drive) if display.driver != Some(page) => {
-                display.driver = Some(page);
-                display.heard.0 = Instant::now();
+            Message::Request(page, Request::Drive) if publisher.driver != Some(page) => {
+                publisher.driver = Some(page);
+                publisher.heard.0 = Instant::now();
                 self.let_go()?;
             }
-            Message::Asked(page, request) if display.driver == Some(page) => {
-                display.heard = (Instant::now(), display.heard.1 + 1);
+            Message::Request(page, request) if publisher.driver == Some(page) => {
+                publisher.heard = (Instant::now(), publisher.heard.1 + 1);
                 self.answer(request)?;
             }
-            Message::Read { path, agent, file } => self.renew(&path, *agent, file)?,
-            Message::Notice(text) => display.notice(text),
-            // Who does not drive is not heard.
+            Message::PolicySaved { path, agent, file } => self.renew(&path, *agent, file)?,
+            Message::Notice(text) => publisher.notice(text),
+            // Requests of pages that do not drive are ignored.
             _ => {}
         }
-        if self.display.clock.is_paused() {
-            self.display.tell(&self.world);
+        if self.publisher.clock.is_paused() {
+            self.publisher.publish(&self.world);
         }
         Ok(())
     }
@@ -177,7 +154,7 @@ impl Live {
                 let within = |value: f64, most: f64| value.clamp(-most, most);
                 let [forward, left, yaw] =
                     [within(forward, range.forward), within(left, range.left), within(yaw, range.yaw)];
-                self.ask(Command::velocity(forward, left, yaw))?;
+                self.command(Command::velocity(forward, left, yaw))?;
             }
             Request::Push { size, unit } => {
                 let most = match unit {
@@ -196,14 +173,14 @@ impl Live {
             }
             Request::Scene(scene) => self.set_up(Input::Setup(Setup { scene, ..self.world.setup().clone() }))?,
             Request::Robot { index, policy, robot } => self.change_robot(index, policy, robot)?,
-            Request::Pause(is_paused) => self.display.clock.pause(is_paused, tick),
-            Request::Speed(speed) => self.display.clock.set_speed(speed, tick),
+            Request::Pause(is_paused) => self.publisher.clock.pause(is_paused, tick),
+            Request::Speed(speed) => self.publisher.clock.set_speed(speed, tick),
             Request::Keep(what) => self.keep(what),
         }
         Ok(())
     }
 
-    fn ask(&mut self, command: Command) -> anyhow::Result<()> {
+    fn command(&mut self, command: Command) -> anyhow::Result<()> {
         if command == self.command {
             return Ok(());
         }
@@ -220,38 +197,38 @@ impl Live {
     }
 
     fn let_go(&mut self) -> anyhow::Result<()> {
-        self.ask(Command::default())?;
+        self.command(Command::default())?;
         self.hold(None)
     }
 
-    /// Does something to the world, and writes it down if it could be done.
+    /// Applies an input and writes it into the session; an input that fails becomes a notice.
     fn input(&mut self, input: Input) -> anyhow::Result<()> {
         let tick = self.world.tick();
-        if let Err(error) = self.world.apply(&input, &mut self.shelf) {
-            self.display.notice(error.to_string());
+        if let Err(error) = self.world.apply(&input, &mut self.cache) {
+            self.publisher.notice(error.to_string());
             return Ok(());
         }
-        self.writer.input(tick, &input, &self.shelf)?;
-        self.display.note_input(&self.world, &input);
+        self.writer.input(tick, &input, &self.cache)?;
+        self.publisher.note_input(&self.world, &input);
         Ok(())
     }
 
-    /// Another world, or other policies in it: what is asked and held goes on.
+    /// Applies a change of scene or policies, and keeps the command and the pull.
     fn set_up(&mut self, input: Input) -> anyhow::Result<()> {
         self.input(input)?;
-        self.shelf.tidy(&self.world.setup().robots);
+        self.cache.tidy(&self.world.setup().robots);
         let (command, pull) = (std::mem::take(&mut self.command), self.pull.take());
-        self.ask(command)?;
+        self.command(command)?;
         self.hold(pull)?;
         self.watch_policies();
         Ok(())
     }
 
-    /// Who walks with a policy that was read from here goes on with this one.
+    /// Replaces the policy of every robot whose policy comes from `path`.
     fn renew(&mut self, path: &Path, agent: Agent, file: Option<Vec<u8>>) -> anyhow::Result<()> {
         let sha256 = agent.sha256.clone();
         let is_older =
-            |seat: &Seat| seat.sha256 != sha256 && policies::file_of(&seat.policy).is_some_and(|file| file == path);
+            |seat: &Seat| seat.sha256 != sha256 && watch_run::file_of(&seat.policy).is_some_and(|file| file == path);
         let robots: Vec<usize> = self
             .world
             .setup()
@@ -265,22 +242,22 @@ impl Live {
             return Ok(());
         }
         let simulation = agent.config.simulation.clone();
-        self.shelf.put(agent, file);
+        self.cache.put(agent, file);
         for robot in robots {
             let input = if self.world.simulation(robot) == Some(&simulation) {
                 Input::Renew { robot, sha256: sha256.clone() }
             } else {
-                // Other rates, gains or latency: another body, in another world.
+                // Other rates, gains or latency need a new scene.
                 let mut setup = self.world.setup().clone();
                 let seat = &mut setup.robots[robot];
                 (seat.sha256, seat.compliance) = (sha256.clone(), 0.0);
                 Input::Setup(setup)
             };
             self.set_up(input)?;
-            // Else it has been told why not.
+            // If it failed, `set_up` has shown why.
             if self.world.setup().robots[robot].sha256 == sha256 {
-                let name = self.display.cast().names.get(robot).cloned().unwrap_or_default();
-                self.display.notice(format!("{name}: its run has saved a newer policy, which now walks"));
+                let name = self.publisher.cast().names.get(robot).cloned().unwrap_or_default();
+                self.publisher.notice(format!("{name}: now walks with the newer policy of its run"));
             }
         }
         Ok(())
@@ -289,17 +266,17 @@ impl Live {
     fn change_robot(&mut self, index: usize, policy: Option<String>, robot: Option<String>) -> anyhow::Result<()> {
         let mut setup = self.world.setup().clone();
         match policy {
-            Some(policy) => match self.shelf.find(&policy, robot.as_deref()) {
+            Some(policy) => match self.cache.find(&policy, robot.as_deref()) {
                 Ok(seat) if index < setup.robots.len() => setup.robots[index] = seat,
                 Ok(seat) => setup.robots.push(seat),
                 Err(error) => {
-                    self.display.notice(error.to_string());
+                    self.publisher.notice(error.to_string());
                     return Ok(());
                 }
             },
             None if setup.robots.len() > 1 && index < setup.robots.len() => drop(setup.robots.remove(index)),
             None => {
-                self.display.notice("one robot has to stay".to_owned());
+                self.publisher.notice("the last robot cannot be removed".to_owned());
                 return Ok(());
             }
         }
@@ -308,32 +285,32 @@ impl Live {
 
     fn keep(&mut self, what: Kept) {
         let tick = self.world.tick();
-        let (session, recording) = keep::names(&self.folder);
+        let (session, recording) = save::free_names(&self.folder);
         let from = (what == Kept::Minute).then(|| tick.saturating_sub(MINUTE));
         let kept = self.writer.keep(&session, from, tick, self.world.fingerprint());
         if let Err(error) = kept {
-            self.display.notice(format!("cannot write {}: {error}", session.display()));
+            self.publisher.notice(format!("cannot write {}: {error}", session.display()));
             return;
         }
-        self.display.notice(format!("kept the session {}; its recording is being written", session.display()));
+        self.publisher.notice(format!("saved the session as {}; its recording is being written", session.display()));
         let to_self = self.to_self.clone();
-        let shown = self.display.news().shown;
+        let shown = self.publisher.updates().shown;
         let started = match what {
             Kept::Minute => {
                 let minute = self.minute.clone();
-                keep::in_background(move || minute.record(&recording), to_self)
+                save::in_background(move || minute.record(&recording), to_self)
             }
             Kept::All => {
-                keep::in_background(move || keep::all(&session, &recording, || shown.borrow().is_behind), to_self)
+                save::in_background(move || save::write_all(&session, &recording, || shown.borrow().is_behind), to_self)
             }
         };
         if let Err(error) = started {
-            self.display.notice(format!("cannot write the recording: {error}"));
+            self.publisher.notice(format!("cannot write the recording: {error}"));
         }
     }
 
     fn watch_policies(&self) {
-        let files = self.world.setup().robots.iter().filter_map(|seat| policies::file_of(&seat.policy));
+        let files = self.world.setup().robots.iter().filter_map(|seat| watch_run::file_of(&seat.policy));
         if let Ok(mut watched) = self.watched.lock() {
             *watched = files.collect();
         }

@@ -1,4 +1,4 @@
-//! Plays a session again: the same inputs, the same code, the same bits.
+//! Replays a saved session: same inputs, same code, same bits.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
@@ -6,30 +6,30 @@ use std::sync::mpsc::Receiver;
 use supple::scenario::session::{Input, ReplayStep, RobotStep, SavedSession, SessionReplay};
 use supple_record::{RecordError, Recorder, Sink};
 
-use crate::display::{Display, Due};
-use crate::live::Message;
+use crate::message::Message;
+use crate::publisher::{Due, Publisher};
 use crate::request::Request;
-use crate::show::Cast;
+use crate::viewer_stream::Cast;
 
-/// How a session went when it was played again.
+/// The result of a replay.
 #[derive(Debug)]
 pub struct Replayed {
-    /// Policy steps of all robots.
+    /// Number of policy steps, summed over the robots.
     pub steps: usize,
-    /// Simulated time, as far as it is shown \[s\].
+    /// Shown simulated time \[s\].
     pub shown_s: f64,
-    /// How often each robot has fallen since the last set-up.
+    /// Falls of each robot since the last set-up.
     pub falls: Vec<u32>,
-    /// Whether the world ended as it had, to the last bit; none if the session was cut off.
+    /// True if the final state is the saved one, bit for bit; `None` if the session was cut off.
     pub is_as_it_was: Option<bool>,
-    /// Recordings that were written: one for each set-up.
+    /// Recordings written, one per set-up.
     pub recordings: Vec<PathBuf>,
 }
 
-/// Plays a session, writes recordings if asked to, and shows each step to `look`.
+/// Replays a session as fast as possible, optionally writes recordings, and calls `look` after each step.
 ///
 /// # Errors
-/// A policy or robot that is gone or has changed, a full disk.
+/// A policy or robot is missing or has changed, or a recording cannot be written.
 pub fn play(
     session: SavedSession,
     recording: Option<&Path>,
@@ -50,7 +50,7 @@ pub fn play(
             last = step.tick;
             if let (None, Some(path)) = (&recorder, recording) {
                 let path = numbered(path, replayed.recordings.len());
-                recorder = Some(Cast::of(&playback.world).record(Sink::File(path.clone()))?);
+                recorder = Some(Cast::new(&playback.world).record(Sink::File(path.clone()))?);
                 replayed.recordings.push(path);
             }
             if let Some(recorder) = &mut recorder {
@@ -69,7 +69,7 @@ pub fn play(
 /// Records a step.
 ///
 /// # Errors
-/// [`RecordError`], as of a full disk.
+/// The recording cannot be written, e.g. because the disk is full.
 pub fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordError> {
     let Some(frame) = &played.frame else { return Ok(()) };
     if played.is_beginning {
@@ -79,22 +79,22 @@ pub fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordE
     played.events.iter().try_for_each(|event| recorder.event(played.robot, event))
 }
 
-/// Plays a session again in real time, for pages and viewers; at its end, time stands still. Whoever drives can stop time, slow
-/// it down, and start over.
+/// Replays a session in real time on pages and viewers, and pauses at its end. The driving page can pause, slow down and start
+/// over.
 ///
 /// # Errors
-/// A policy or robot that is gone or has changed.
+/// A policy or robot is missing or has changed.
 pub fn watch(
     path: &Path,
     mut playback: SessionReplay,
-    mut display: Display,
+    mut publisher: Publisher,
     messages: &Receiver<Message>,
 ) -> anyhow::Result<()> {
     loop {
-        let message = match display.wait(&playback.world, messages) {
+        let message = match publisher.wait(&playback.world, messages) {
             Some(Due::Message(message)) => message,
             Some(Due::Step) => {
-                show(&mut playback, &mut display)?;
+                show(&mut playback, &mut publisher)?;
                 continue;
             }
             None => continue,
@@ -102,54 +102,57 @@ pub fn watch(
         let tick = playback.world.tick();
         match message {
             Message::Stop => return Ok(()),
-            Message::Came(page) => display.driver = display.driver.or(Some(page)),
-            Message::Went(page) => display.driver = display.driver.filter(|driver| *driver != page),
-            Message::Asked(page, Request::Drive) => display.driver = Some(page),
-            Message::Asked(page, request) if display.driver == Some(page) => match request {
-                Request::Pause(is_paused) => display.clock.pause(is_paused, tick),
-                Request::Speed(speed) => display.clock.set_speed(speed, tick),
+            Message::PageOpened(page) => publisher.driver = publisher.driver.or(Some(page)),
+            Message::PageClosed(page) => publisher.driver = publisher.driver.filter(|driver| *driver != page),
+            Message::Request(page, Request::Drive) => publisher.driver = Some(page),
+            Message::Request(page, request) if publisher.driver == Some(page) => match request {
+                Request::Pause(is_paused) => publisher.clock.pause(is_paused, tick),
+                Request::Speed(speed) => publisher.clock.set_speed(speed, tick),
                 Request::Reset => {
                     playback = begin(path)?;
-                    display.begin(&playback.world);
-                    display.clock.pause(false, playback.world.tick());
+                    publisher.begin(&playback.world);
+                    publisher.clock.pause(false, playback.world.tick());
                 }
                 _ => {}
             },
-            Message::Notice(text) => display.notice(text),
-            Message::Asked(..) | Message::Read { .. } => {}
+            Message::Notice(text) => publisher.notice(text),
+            Message::Request(..) | Message::PolicySaved { .. } => {}
         }
-        display.tell(&playback.world);
+        publisher.publish(&playback.world);
     }
 }
 
-/// A session at the place from which it is shown.
+/// Loads a session and plays it silently up to its first shown step.
 ///
 /// # Errors
-/// It is no session, or a policy or robot is gone or has changed.
+/// The file is not a session, or a policy or robot is missing or has changed.
 pub fn begin(path: &Path) -> anyhow::Result<SessionReplay> {
     let mut playback = SavedSession::load(path)?.play()?;
     while !playback.is_shown(playback.world.tick()) && playback.step()?.is_some() {}
     Ok(playback)
 }
 
-/// Plays a step and shows it; at the end, says whether it is the end that it was.
-fn show(playback: &mut SessionReplay, display: &mut Display) -> anyhow::Result<()> {
+/// Plays and publishes a step; at the end, shows whether the final state matches.
+fn show(playback: &mut SessionReplay, publisher: &mut Publisher) -> anyhow::Result<()> {
     let Some(step) = playback.step()? else {
-        display.clock.pause(true, playback.world.tick());
-        display.notice(match playback.is_as_it_was() {
-            Some(true) => "the end, as it was, to the last bit".to_owned(),
-            Some(false) => "the end, but not as it was: this program, or this machine, computes otherwise".to_owned(),
-            None => "the session was cut off here".to_owned(),
+        publisher.clock.pause(true, playback.world.tick());
+        publisher.notice(match playback.is_as_it_was() {
+            Some(true) => "end of the session: matches the original bit for bit".to_owned(),
+            Some(false) => {
+                "end of the session: differs from the original, because this build or machine computes differently"
+                    .to_owned()
+            }
+            None => "end of the session: the file was cut off here".to_owned(),
         });
-        display.tell(&playback.world);
+        publisher.publish(&playback.world);
         return Ok(());
     };
-    step.inputs.iter().for_each(|input| display.note_input(&playback.world, input));
-    display.note_steps(&playback.world, step.tick, &step.played);
+    step.inputs.iter().for_each(|input| publisher.note_input(&playback.world, input));
+    publisher.note_steps(&playback.world, step.tick, &step.played);
     Ok(())
 }
 
-/// The path itself for the first recording, with a number for those after it.
+/// Returns the path itself for the first recording, and the path with a number for later ones.
 fn numbered(path: &Path, count: usize) -> PathBuf {
     if count == 0 {
         return path.to_owned();

@@ -1,4 +1,4 @@
-//! What pages ask for, and what they are told: one JSON object for each message.
+//! The JSON messages between a page and the server: requests of the page, greeting and state from the server.
 
 use serde::{Deserialize, Serialize};
 use supple::scenario::session::{PushUnit, Reading, SceneKind};
@@ -8,59 +8,59 @@ pub type PageId = u64;
 
 /// Largest push [m/s].
 pub const MOST_PUSH_M_S: f64 = 3.0;
-/// Largest push [N·s]: of the paper's robot, 12 kg, about as much.
+/// Largest push [N·s]; about 3 m/s for the paper's robot of 12 kg.
 pub const MOST_PUSH_N_S: f64 = 40.0;
-/// Largest force of a hand \[N\]: twice the weight that the paper's leash pulls with.
+/// Largest pull \[N\].
 pub const MOST_PULL_N: f64 = 100.0;
 
-/// What a page asks for.
+/// A request of a page; all but `Drive` are obeyed only from the driving page.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Request {
-    /// To be the one that drives.
+    /// Request control.
     Drive,
-    /// Forward [m/s], left [m/s], yaw rate [rad/s]; again and again, as a sign of life.
+    /// Velocity command: forward [m/s], left [m/s], yaw rate [rad/s]. Repeated to show that the page is alive.
     Command([f64; 3]),
-    /// A push: forward and left, heading frame.
+    /// Push in the heading frame: forward, left.
     Push {
-        /// Size along each.
+        /// Size along each axis.
         size: [f64; 2],
-        /// Of what.
+        /// Unit of the size.
         unit: PushUnit,
     },
-    /// The force of a hand, forward and left in the heading frame \[N\], or to let go.
+    /// Pulling force in the heading frame, forward and left \[N\]; `None` ends the pull.
     Pull(Option<[f64; 2]>),
-    /// How far a robot is to yield [m/s/N]; zero leaves it to its policy.
+    /// Commanded compliance of a robot [m/s/N]; zero leaves the policy's own.
     Comply {
-        /// Which: 0 or 1.
+        /// Index of the robot: 0 or 1.
         robot: usize,
-        /// See above.
+        /// Compliance [m/s/N].
         compliance: f64,
     },
-    /// Everything back to the start.
+    /// Put all robots back to the start.
     Reset,
-    /// Another seed, or the next one.
+    /// Choose a seed; `None` takes the next one.
     Seed(Option<u64>),
-    /// Another scene.
+    /// Choose a scene.
     Scene(SceneKind),
-    /// Another policy for a robot, and another robot for it; a policy that is none takes the robot away.
+    /// Choose the policy and the model of a robot; no policy removes the robot.
     Robot {
-        /// Which: 0 or 1.
+        /// Index of the robot: 0 or 1.
         index: usize,
-        /// Name, file or run's folder.
+        /// Name, file or run folder of the policy.
         policy: Option<String>,
-        /// Name or file; without, the policy's own.
+        /// Name or file of the robot; `None` takes the policy's own.
         robot: Option<String>,
     },
-    /// To stop time, or let it go on.
+    /// Pause (true) or resume (false).
     Pause(bool),
-    /// Simulated time over real time.
+    /// Set the ratio of simulated to real time.
     Speed(f64),
-    /// To keep what happened.
+    /// Save the session.
     Keep(Kept),
 }
 
-/// What of a session is kept.
+/// The part of a session to save.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kept {
@@ -71,13 +71,13 @@ pub enum Kept {
 }
 
 impl Request {
-    /// Reads a message.
+    /// Parses a message.
     ///
     /// # Errors
-    /// In words: what is wrong with it.
+    /// Says in words why the message is invalid.
     pub fn parse(text: &str) -> Result<Self, String> {
         let request: Request = serde_json::from_str(text).map_err(|error| error.to_string())?;
-        // JSON has no infinities, but numbers that become one.
+        // JSON has no infinity, but 1e999 is read as one.
         let finite = match &request {
             Request::Command(numbers) => numbers.iter().all(|number| number.is_finite()),
             Request::Push { size: numbers, .. } | Request::Pull(Some(numbers)) => {
@@ -91,77 +91,76 @@ impl Request {
     }
 }
 
-/// A vector, no longer than `most`.
+/// Shortens a vector to at most `most`, keeping its direction.
 pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
     let length = vector[0].hypot(vector[1]);
     if length > most { vector.map(|part| part * most / length) } else { vector }
 }
 
-/// What a page is told when it comes.
+/// The greeting to a new page.
 #[derive(Debug, Clone, Serialize)]
 pub struct Hello {
-    /// Policies that ship.
+    /// Names of the shipped policies.
     pub policies: Vec<String>,
-    /// Scenes to choose from.
+    /// Available scenes.
     pub scenes: Vec<SceneKind>,
-    /// Largest push [m/s] and [N·s], and largest force of a hand \[N\].
+    /// Largest push [m/s] and [N·s], and largest pull \[N\].
     pub most: [f64; 3],
-    /// Whether rerun's viewer is beside the page, or runs on its own.
+    /// True if the page embeds the viewer, false if a separate viewer runs.
     pub viewer: bool,
 }
 
-/// What all pages are told in every step.
+/// The state sent to all pages after every step.
 #[derive(Debug, Clone, Serialize)]
 pub struct State {
-    /// The tick at which the next step begins.
+    /// Tick at which the next step begins.
     pub tick: u64,
-    /// Messages of the driver that have taken effect.
+    /// Number of the driving page's messages that have taken effect.
     pub heard: u64,
-    /// Simulated time over real time: measured, and asked for.
+    /// Measured ratio of simulated to real time.
     pub rate: Option<f64>,
-    /// See `rate`.
+    /// Requested ratio of simulated to real time.
     pub speed: f64,
-    /// Whether the machine is too slow.
+    /// True if the machine is too slow for `speed`.
     pub behind: bool,
-    /// Whether time stands still.
+    /// True while paused.
     pub paused: bool,
-    /// Who drives.
+    /// The driving page.
     pub driver: Option<PageId>,
-    /// Where.
+    /// Current scene.
     pub scene: SceneKind,
-    /// Of the scene.
+    /// Seed of the scene.
     pub seed: u64,
     /// Largest commands: forward [m/s], left [m/s], yaw rate [rad/s].
     pub range: [f64; 3],
-    /// The robots.
+    /// Status of each robot.
     pub robots: Vec<RobotStatus>,
     /// Number of the newest notice, and the last few.
     pub notices: (u64, Vec<String>),
 }
 
-/// What there is to say of a robot.
+/// The status of a robot.
 #[derive(Debug, Clone, Serialize)]
 pub struct RobotStatus {
-    /// Its name in the viewer.
+    /// Name in the viewer.
     pub name: String,
-    /// Policy and robot as they were asked for.
+    /// Policy as requested.
     pub policy: String,
-    /// See `policy`.
+    /// Robot as requested.
     pub robot: String,
-    /// Time on its clock \[s\].
+    /// Simulated time of the robot \[s\].
     pub time_s: f64,
-    /// World frame \[m\].
+    /// Position in the world frame \[m\].
     pub position: [f64; 3],
-    /// Velocity of now: forward [m/s], left [m/s], heading frame; yaw rate [rad/s].
+    /// Current velocity in the heading frame: forward [m/s], left [m/s], yaw rate [rad/s].
     pub velocity: [f64; 3],
-    /// Compliance that it is told [m/s/N]; zero leaves it to the policy.
+    /// Commanded compliance [m/s/N]; zero leaves the policy's own.
     pub compliance: f64,
-    /// Least and largest compliance that it can be told, and what it has by itself [m/s/N]; none if its policy is not
-    /// calibrated.
+    /// Range of commanded compliance, and own compliance [m/s/N]; `None` if the policy is not calibrated.
     pub reach: Option<([f64; 2], f64)>,
-    /// How often it has fallen.
+    /// Number of falls.
     pub falls: u32,
-    /// Numbers.
+    /// Measurements.
     pub reading: Option<Reading>,
 }
 
@@ -170,7 +169,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn messages_are_read_and_what_is_none_is_refused() {
+    fn requests_parse_and_invalid_ones_fail() {
         assert_eq!(Request::parse(r#"{"command":[0.5,0,-1]}"#), Ok(Request::Command([0.5, 0.0, -1.0])));
         assert_eq!(
             Request::parse(r#"{"push":{"size":[0,1.5],"unit":"m/s"}}"#),
@@ -195,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vector_that_is_too_long_keeps_its_direction() {
+    fn limited_vector_keeps_direction() {
         // 3-4-5, cut to half.
         assert_eq!(limited([3.0, -4.0], 2.5), [1.5, -2.0]);
         assert_eq!(limited([0.3, 0.4], 2.5), [0.3, 0.4]);

@@ -1,4 +1,4 @@
-//! `drive` in a real browser: headless Chromium presses keys and drags on the pad.
+//! Tests of `drive` in headless Chromium, with keys, mouse and gamepad.
 
 #[path = "common/chromium.rs"]
 mod chromium;
@@ -9,11 +9,11 @@ use std::time::Duration;
 use chromium::Chromium;
 use common::Drive;
 
-/// In the page: the state that it has.
+/// Expression for the first robot's forward velocity in the page.
 const FORWARD: &str = "state?.robots[0].reading?.velocity[0]";
 
 #[test]
-fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
+fn keys_walk_and_pad_pushes_and_pulls_robots() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
     let Some(mut browser) = Chromium::open(&drive.url(), 1280, 900, false) else { return };
@@ -21,7 +21,7 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     // The viewer takes the focus when it starts, and keys that are held are let go.
     browser.wait("document.querySelector('iframe').dataset.ready");
 
-    // Forward as long as W is held, at the share of the range that a key asks for.
+    // Forward as long as W is held, at the fraction of the range that a key commands.
     browser.key("KeyW", true);
     browser.wait(&format!("{FORWARD} > 0.6 * 0.6 * state.range[0] && state.robots[1].position[0] > 0.15"));
     browser.key("KeyW", false);
@@ -29,7 +29,7 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     browser.key("ArrowLeft", true);
     browser.wait("state.robots[0].reading.velocity[2] > 0.2 && state.robots[1].reading.velocity[2] > 0.2");
     browser.key("ArrowLeft", false);
-    // What turns or is told to falls more easily, and another command ends the reading of a push.
+    // A turning robot falls more easily, and another command ends the measurement of a push.
     let calm = "reading.command.every((part) => part === 0) && reading.velocity.every((part) => Math.abs(part) < 0.15)";
     browser.wait(&format!("state.robots.every(({{ reading }}) => {calm})"));
 
@@ -61,7 +61,7 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     assert_eq!(browser.value("state.robots[0].reading.push.size_m_s[1] > 0.9"), true, "letting go is no push");
 
     // By keyboard alone: the numbers beside the pad.
-    browser.value("document.querySelector('#left').value = '-0.7'; document.querySelector('#shove').focus()");
+    browser.value("document.querySelector('#left').value = '-0.7'; document.querySelector('#push-button').focus()");
     browser.value("document.querySelector('#ahead').value = '0'");
     browser.call(
         "Input.dispatchKeyEvent",
@@ -74,12 +74,12 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
     browser.wait("state.robots.every(({ reading }) => reading.command[0] === state.range[0])");
     browser.value("navigator.getGamepads = () => [], 0");
 
-    // The middle of the second slider: half of the largest compliance that the second robot can be told.
-    let (middle, _) = browser.place("#yields label:nth-child(2) input");
+    // The middle of the second slider: half of the second robot's largest commanded compliance.
+    let (middle, _) = browser.place("#compliance label:nth-child(2) input");
     browser.mouse(&[("mousePressed", middle), ("mouseReleased", middle)]);
     browser.wait("Math.abs(state.robots[1].compliance - 0.5 * state.robots[1].reach[0][1]) < 0.002");
     assert_eq!(browser.value("state.robots[0].compliance"), 0);
-    browser.wait("document.querySelector('#yields').innerText.includes('its own, 0.0')");
+    browser.wait("document.querySelector('#compliance').innerText.includes('own, 0.0')");
 
     assert_eq!(browser.complaints, [""; 0]);
     let ours = format!("http://{}", drive.host);
@@ -90,7 +90,7 @@ fn keys_walk_the_robots_a_drag_on_the_pad_pushes_them_and_holding_pulls() {
 }
 
 #[test]
-fn the_viewer_shows_the_robots_and_the_page_fits_a_telephone() {
+fn viewer_draws_and_page_fits_phone() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
     let Some(mut browser) = Chromium::open(&drive.url(), 390, 780, true) else { return };

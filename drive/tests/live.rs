@@ -1,4 +1,4 @@
-//! `drive` as pages use it, without a browser.
+//! Tests of `drive` through its sockets, without a browser.
 
 mod common;
 
@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use tungstenite::Message;
 
 #[test]
-fn a_command_moves_both_robots_and_goes_to_zero_when_the_driver_falls_silent_or_goes() {
+fn robots_stop_when_driver_falls_silent_or_leaves() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
     let mut page = drive.page();
@@ -22,14 +22,14 @@ fn a_command_moves_both_robots_and_goes_to_zero_when_the_driver_falls_silent_or_
         assert!((0.25..0.75).contains(&forward), "{}", page.state);
         assert!(page.number(&format!("/robots/{robot}/position/0")) > 0.2, "{}", page.state);
     }
-    // Connected, but silent.
+    // The page is connected, but silent.
     let silent = Instant::now();
     page.wait("a command of zero", |state, _| {
         (state["robots"][0]["reading"]["command"] == json!([0.0, 0.0, 0.0])).then_some(())
     });
     assert!(silent.elapsed() < Duration::from_millis(500), "{:?}", silent.elapsed());
 
-    // Gone, while it pulls and drives.
+    // The page disconnects while it pulls and drives.
     let mut watcher = drive.page();
     page.send(&json!({ "command": [0.5, 0.0, 0.0] }));
     page.send(&json!({ "pull": [0.0, 20.0] }));
@@ -37,13 +37,13 @@ fn a_command_moves_both_robots_and_goes_to_zero_when_the_driver_falls_silent_or_
     watcher.wait("a pull of 20 N", |state, _| (pull(state) == Some(20.0)).then_some(()));
     drop(page);
     let gone = Instant::now();
-    watcher.wait("nobody to pull", |state, _| (pull(state).is_none() && state["driver"].is_null()).then_some(()));
+    watcher.wait("the end of the pull", |state, _| (pull(state).is_none() && state["driver"].is_null()).then_some(()));
     assert!(gone.elapsed() < Duration::from_millis(500), "{:?}", gone.elapsed());
     assert_eq!(watcher.state["robots"][0]["reading"]["command"], json!([0.0, 0.0, 0.0]));
 }
 
 #[test]
-fn a_push_arrives_with_its_size_and_the_robots_take_it_differently() {
+fn push_has_its_size_and_moves_robots_differently() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
     let mut page = drive.page();
@@ -57,7 +57,7 @@ fn a_push_arrives_with_its_size_and_the_robots_take_it_differently() {
     let carried = [0, 1].map(|robot| page.number(&format!("/robots/{robot}/reading/push/carried_m")));
     assert!(carried.iter().all(|carried| *carried > 0.02) && carried[0] != carried[1], "{carried:?}");
 
-    // 12 kg: 6 N·s are about half a metre per second; and no push is larger than the largest.
+    // 12 kg: 6 N·s are about half a metre per second; and larger pushes are limited to the largest.
     page.send(&json!({ "push": { "size": [6.0, 0.0], "unit": "N·s" } }));
     let speed =
         |state: &Value| state["robots"][0]["reading"]["push"]["size_m_s"][0].as_f64().filter(|size| *size > 0.0);
@@ -68,7 +68,7 @@ fn a_push_arrives_with_its_size_and_the_robots_take_it_differently() {
 }
 
 #[test]
-fn time_stops_slows_down_and_scenes_and_robots_change_while_it_runs() {
+fn speed_scene_and_robots_change_while_running() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &["--policy", "compliant", "--seed", "3"]);
     let mut page = drive.page();
@@ -108,7 +108,7 @@ fn time_stops_slows_down_and_scenes_and_robots_change_while_it_runs() {
 }
 
 #[test]
-fn one_page_drives_until_another_takes_over_and_others_watch() {
+fn only_one_page_drives_at_a_time() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
     let (mut first, mut second) = (drive.page(), drive.page());
@@ -128,7 +128,7 @@ fn one_page_drives_until_another_takes_over_and_others_watch() {
 }
 
 #[test]
-fn strangers_are_refused() {
+fn wrong_origin_token_or_host_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
     let own = format!("http://{}", drive.host);
@@ -143,9 +143,9 @@ fn strangers_are_refused() {
         assert_eq!(refused(None, &drive.token), Some(403));
         assert_eq!(refused(Some(&own), &drive.token), None);
     }
-    // A name that was bent towards this machine.
-    let bent = drive.get("/", &format!("evil.example:{port}"));
-    assert!(bent.starts_with("HTTP/1.1 403") && !bent.contains("<html"), "{bent}");
+    // DNS rebinding: a foreign name that resolves to this machine.
+    let rebound = drive.get("/", &format!("evil.example:{port}"));
+    assert!(rebound.starts_with("HTTP/1.1 403") && !rebound.contains("<html"), "{rebound}");
     let page = drive.get("/", &drive.host);
     assert!(page.starts_with("HTTP/1.1 200"), "{page}");
     assert!(page.to_lowercase().contains("content-security-policy: default-src 'none'"), "{page}");
@@ -154,14 +154,14 @@ fn strangers_are_refused() {
 }
 
 #[test]
-fn hostile_and_half_open_connections_do_not_disturb_the_robots() {
+fn hostile_connections_do_not_disturb_robots() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
     let mut page = drive.page();
     page.wait("a state", |state, _| state.is_object().then_some(()));
     let (start, tick) = (Instant::now(), page.number("/tick"));
 
-    // Half-open ones, one that says half of what it wants, and one that never ends its head.
+    // Half-open connections, a cut-off request, and a head that never ends.
     let mut open: Vec<TcpStream> = (0..30).map(|_| TcpStream::connect(&drive.host).unwrap()).collect();
     open[0].write_all(b"GET / HTTP/1.1\r\nHost: ").unwrap();
     let endless = [b"GET / HTTP/1.1\r\n".to_vec(), b"A: b\r\n".repeat(20_000)].concat();
@@ -169,9 +169,9 @@ fn hostile_and_half_open_connections_do_not_disturb_the_robots() {
     let _ = open[2].write_all(&[0xff; 5000]);
 
     let own = format!("http://{}", drive.host);
-    let hangs_up = |message: Message| {
+    let closes_on = |message: Message| {
         let mut socket = drive.socket("/control", Some(&own), &drive.token).unwrap();
-        // It may hang up while we are still sending.
+        // The server may close the connection while we are still sending.
         let _ = socket.send(message);
         let start = Instant::now();
         while socket.read().is_ok() {
@@ -179,11 +179,11 @@ fn hostile_and_half_open_connections_do_not_disturb_the_robots() {
         }
     };
     for bad in ["", "{", "{\"command\":[1]}", "{\"sudo\":1}", "{\"command\":[1e999,0,0]}"] {
-        hangs_up(Message::text(bad));
+        closes_on(Message::text(bad));
     }
-    hangs_up(Message::binary(vec![0; 100]));
-    hangs_up(Message::text("[".repeat(1 << 20)));
-    // More messages than anybody needs.
+    closes_on(Message::binary(vec![0; 100]));
+    closes_on(Message::text("[".repeat(1 << 20)));
+    // Too many messages.
     let mut flood = drive.socket("/control", Some(&own), &drive.token).unwrap();
     let start_of_flood = Instant::now();
     while flood.send(Message::text(r#"{"command":[0,0,0]}"#)).is_ok() {
@@ -196,7 +196,7 @@ fn hostile_and_half_open_connections_do_not_disturb_the_robots() {
     let rate = (page.number("/tick") - tick) / 240.0 / start.elapsed().as_secs_f64();
     assert!((0.9..1.05).contains(&rate), "{rate}");
     assert_eq!(page.state["robots"][0]["reading"]["command"], json!([0.3, 0.0, 0.0]));
-    // Who says nothing is hung up on.
+    // A silent connection is closed.
     open[3].set_read_timeout(Some(PATIENCE)).unwrap();
     let mut answer = Vec::new();
     let _ = open[3].read_to_end(&mut answer);
@@ -205,7 +205,7 @@ fn hostile_and_half_open_connections_do_not_disturb_the_robots() {
 }
 
 #[test]
-fn what_is_kept_is_played_again_bit_for_bit_and_what_was_changed_is_not() {
+fn saved_session_replays_with_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let drive = Drive::start(folder.path(), &[]);
     let mut page = drive.page();
@@ -235,7 +235,11 @@ fn what_is_kept_is_played_again_bit_for_bit_and_what_was_changed_is_not() {
     for session in ["drive-1.jsonl", "drive-2.jsonl", "drive-3.jsonl"] {
         let output = replay(folder.path(), session, &["--record", "again.rrd"]);
         assert!(output.status.success(), "{}", text(&output.stderr));
-        assert!(text(&output.stdout).ends_with("it ended as it had, to the last bit"), "{}", text(&output.stdout));
+        assert!(
+            text(&output.stdout).ends_with("the final state matches the original bit for bit"),
+            "{}",
+            text(&output.stdout)
+        );
     }
     assert!(folder.path().join("again.rrd").exists());
     let session = std::fs::read_to_string(folder.path().join("drive-1.jsonl")).unwrap();
@@ -244,7 +248,7 @@ fn what_is_kept_is_played_again_bit_for_bit_and_what_was_changed_is_not() {
     std::fs::write(folder.path().join("changed.jsonl"), changed).unwrap();
     let output = replay(folder.path(), "changed.jsonl", &[]);
     assert_eq!(output.status.code(), Some(2));
-    assert!(text(&output.stderr).contains("it did not end as it had"), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("the final state differs from the original"), "{}", text(&output.stderr));
     let end = session.rfind(r#"{"end""#).unwrap();
     std::fs::write(folder.path().join("cut.jsonl"), &session[..end + 20]).unwrap();
     assert!(text(&replay(folder.path(), "cut.jsonl", &[]).stderr).contains("the session was cut off"));
@@ -254,7 +258,7 @@ fn what_is_kept_is_played_again_bit_for_bit_and_what_was_changed_is_not() {
 }
 
 #[test]
-fn a_run_that_is_trained_meanwhile_is_read_anew_and_its_session_needs_it_no_longer() {
+fn newer_policy_of_run_takes_over_while_driving() {
     let folder = tempfile::tempdir().unwrap();
     let run = folder.path().join("run");
     std::fs::create_dir(&run).unwrap();
@@ -269,9 +273,9 @@ fn a_run_that_is_trained_meanwhile_is_read_anew_and_its_session_needs_it_no_long
     page.ask_for([0.4, 0.0, 0.0], Duration::from_millis(500));
     assert_eq!(page.state["robots"][0]["compliance"], 0.04);
     save("compliant-seed1.safetensors");
-    page.notice("run: its run has saved a newer policy, which now walks");
+    page.notice("run: now walks with the newer policy of its run");
     page.ask_for([0.4, 0.0, 0.0], Duration::from_millis(500));
-    // Nobody has measured the newer one.
+    // The newer policy is not calibrated.
     assert_eq!(page.state["robots"][0]["compliance"], 0.0);
     assert!(page.state["robots"][0]["reach"].is_null());
     page.send(&json!({ "keep": "all" }));
@@ -280,5 +284,9 @@ fn a_run_that_is_trained_meanwhile_is_read_anew_and_its_session_needs_it_no_long
     drop(drive);
     std::fs::remove_dir_all(&run).unwrap();
     let output = replay(folder.path(), "drive-1.jsonl", &[]);
-    assert!(text(&output.stdout).ends_with("it ended as it had, to the last bit"), "{}", text(&output.stderr));
+    assert!(
+        text(&output.stdout).ends_with("the final state matches the original bit for bit"),
+        "{}",
+        text(&output.stderr)
+    );
 }

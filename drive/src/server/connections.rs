@@ -1,4 +1,4 @@
-//! Connections, bounded in number and patience.
+//! Connections, bounded in number and time.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,14 +11,14 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio::time::sleep;
 
-/// Connections at a time; more wait.
+/// Largest number of connections; more wait.
 const MOST: usize = 64;
-/// How long a request may take to say what it wants, also the next one of a connection.
+/// Longest time to read a request's head, also between requests of one connection.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Largest head of a request \[bytes\].
 const LARGEST_HEAD: usize = 16 << 10;
 
-/// Serves connections for as long as it is waited for.
+/// Serves connections until the future is dropped.
 pub(super) async fn serve(listener: TcpListener, router: Router) {
     let room = Arc::new(Semaphore::new(MOST));
     loop {
@@ -27,12 +27,12 @@ pub(super) async fn serve(listener: TcpListener, router: Router) {
         let stream = match listener.accept().await {
             Ok((stream, _)) => stream,
             Err(_) => {
-                // Too many open files, most likely: some will be closed.
+                // Most likely too many open files: some will be closed.
                 sleep(Duration::from_millis(100)).await;
                 continue;
             }
         };
-        // Small messages are not worth waiting for larger ones.
+        // Send small messages at once.
         let _ = stream.set_nodelay(true);
         let service = TowerToHyperService::new(router.clone());
         tokio::spawn(async move {
@@ -42,7 +42,7 @@ pub(super) async fn serve(listener: TcpListener, router: Router) {
                 .max_buf_size(LARGEST_HEAD)
                 .serve_connection(TokioIo::new(stream), service)
                 .with_upgrades();
-            // Whoever breaks a connection off has no use for a complaint.
+            // A broken connection needs no error message.
             let _ = connection.await;
             drop(permit);
         });

@@ -1,4 +1,4 @@
-//! The files of the page and of rerun's viewer, all inside the program.
+//! The files of the page and of rerun's viewer, embedded in the program.
 
 use std::sync::OnceLock;
 
@@ -23,12 +23,12 @@ const PAGE: &[(&str, &str, &str)] = &[
     ("/command.js", SCRIPT, include_str!("../../page/command.js")),
     ("/pad.js", SCRIPT, include_str!("../../page/pad.js")),
     ("/numbers.js", SCRIPT, include_str!("../../page/numbers.js")),
-    ("/yields.js", SCRIPT, include_str!("../../page/yields.js")),
+    ("/compliance.js", SCRIPT, include_str!("../../page/compliance.js")),
     ("/viewer.html", HTML, include_str!("../../page/viewer.html")),
     ("/viewer.js", SCRIPT, include_str!("../../page/viewer.js")),
 ];
 
-/// A part of rerun's viewer: path, type, and where it is.
+/// A file of rerun's viewer: path, type, content.
 type Part = (&'static str, &'static str, fn(&WebViewerData) -> &[u8]);
 
 const VIEWER: &[Part] = &[
@@ -44,16 +44,16 @@ pub(super) fn routes() -> Routes {
     };
     let part = |routes: Routes, (path, kind, bytes): &Part| {
         let (kind, bytes) = (*kind, *bytes);
-        routes.route(path, get(move || async move { of_viewer(kind, bytes) }))
+        routes.route(path, get(move || async move { viewer_file(kind, bytes) }))
     };
     let routes = PAGE.iter().fold(Routes::new(), page);
     VIEWER.iter().fold(routes, part)
 }
 
-fn of_viewer(kind: &'static str, bytes: fn(&WebViewerData) -> &[u8]) -> Response {
+fn viewer_file(kind: &'static str, bytes: fn(&WebViewerData) -> &[u8]) -> Response {
     static DATA: OnceLock<Option<WebViewerData>> = OnceLock::new();
     match DATA.get_or_init(|| WebViewerData::load(None).ok()) {
-        // They change with the program alone, and are 40 MB.
+        // 40 MB that change only with the program.
         Some(data) => ([(CONTENT_TYPE, kind), (CACHE_CONTROL, "max-age=3600")], bytes(data)).into_response(),
         None => (StatusCode::NOT_FOUND, "this program was built without rerun's web viewer\n").into_response(),
     }

@@ -1,4 +1,4 @@
-//! Who may ask at all.
+//! Access control: host, origin, token and content security policy.
 
 use std::fmt;
 use std::net::IpAddr;
@@ -13,8 +13,8 @@ use axum::response::{IntoResponse, Response};
 
 use super::Shared;
 
-/// What pages may load and talk to: what this server serves, and nothing else. rerun's viewer compiles its program, egui
-/// sets styles, and the viewer is a page of this server by its other name.
+/// Returns the content security policy: pages may load and contact this server only. The exceptions are for rerun's viewer,
+/// which compiles WebAssembly, sets styles (egui) and is loaded from this server's other name.
 fn policy(port: u16) -> String {
     let ours = format!("'self' http://localhost:{port} http://127.0.0.1:{port}");
     format!(
@@ -24,17 +24,17 @@ fn policy(port: u16) -> String {
     )
 }
 
-/// What an address must hold for its sockets to open.
+/// The secret in the printed address; sockets require it.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Token(String);
 
 impl Token {
-    /// 128 bits that nobody guesses.
+    /// Draws 128 random bits.
     pub fn random() -> Self {
         Token(format!("{:032x}", rand::random::<u128>()))
     }
 
-    /// Whether this is it, in a time that does not tell how much of it is.
+    /// Compares in constant time.
     fn is(&self, other: &str) -> bool {
         let differences = self.0.bytes().zip(other.bytes()).fold(0, |found, (a, b)| found | (a ^ b));
         self.0.len() == other.len() && differences == 0
@@ -53,7 +53,7 @@ impl fmt::Debug for Token {
     }
 }
 
-/// Refuses what was not sent to us, and says what pages may do.
+/// Refuses requests with a wrong host, origin or token, and adds the security headers.
 pub(super) async fn check(State(shared): State<Shared>, request: Request, next: Next) -> Response {
     let is_socket = matches!(request.uri().path(), "/control" | "/view");
     let mut response = match refusal(&shared, &request, is_socket) {
@@ -72,22 +72,22 @@ pub(super) async fn check(State(shared): State<Shared>, request: Request, next: 
 
 fn refusal(shared: &Shared, request: &Request, is_socket: bool) -> Option<&'static str> {
     let Some(host) = host(request.headers(), shared.port) else {
-        return Some("open this page by the number of its address, as the program printed it\n");
+        return Some("open this page by IP address (as printed at start), not by host name\n");
     };
     if !is_socket {
         return None;
     }
     if single(request.headers(), ORIGIN.as_str()) != Some(&format!("http://{host}")) {
-        return Some("this socket is for its own page\n");
+        return Some("this socket accepts only pages of this server\n");
     }
     let token = request.uri().query().and_then(|query| query.split('&').find_map(|pair| pair.strip_prefix("token=")));
     if !token.is_some_and(|token| shared.token.is(token)) {
-        return Some("the address lacks its token: open it as the program printed it\n");
+        return Some("the token is missing or wrong: open the address printed at start\n");
     }
     None
 }
 
-/// The host that was asked for, if it is this machine by its number and our port: a name could be bent towards us.
+/// Returns the requested host if it is localhost or an IP address with our port (guards against DNS rebinding).
 fn host(headers: &HeaderMap, port: u16) -> Option<&str> {
     let host = single(headers, HOST.as_str())?;
     let name = host.strip_suffix(&format!(":{port}"))?;
@@ -106,7 +106,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_numbers_of_addresses_and_our_port_are_hosts() {
+    fn only_ip_addresses_with_our_port_are_hosts() {
         let of = |values: &[&str]| {
             let mut headers = HeaderMap::new();
             for value in values {
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_is_itself_and_no_part_of_it() {
+    fn token_matches_only_itself() {
         let token = Token::random();
         let text = token.to_string();
         assert_eq!(text.len(), 32);

@@ -1,16 +1,15 @@
 /*! The web server: pages, rerun's viewer, and two WebSockets.
 
-| path | what |
+| path | content |
 |---|---|
-| `/` and what it names | the page of controls, and the viewer's page beside it; nothing secret |
-| `/rerun/…` | rerun's viewer: the files that its crate holds |
+| `/` and its files | the page of controls and the page of the viewer; nothing secret |
+| `/rerun/…` | rerun's viewer, from its crate |
 | `/control` | a WebSocket: requests and states as JSON |
 | `/view` | a WebSocket: `.rrd` files, one after another |
 
-What is done with the robots goes through the sockets alone, and they want the token of the address. Everything is refused that
-does not come to an address of this machine by its number, so that no name can be bent towards it, and every socket that a
-page of another origin opens. Connections, messages, their sizes and rates are bounded; who is slow misses frames, who says
-nothing is hung up on.
+Only the sockets control the robots, and they require the token of the printed address. Requests by host name are refused (DNS
+rebinding), and so are sockets opened by pages of another origin. Number of connections, size and rate of messages are
+bounded; a slow client misses frames, a silent one is disconnected.
 */
 
 mod connections;
@@ -29,51 +28,51 @@ use axum::routing::get;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
-use crate::display::News;
-use crate::live::Message;
+use crate::message::Message;
+use crate::publisher::Updates;
 use crate::request::Hello;
 
 pub use guard::Token;
 
-/// Viewers at a time: each has a recording of its own.
+/// Largest number of viewers; each has its own recording.
 const MOST_VIEWERS: usize = 4;
-/// Pages at a time.
+/// Largest number of pages.
 const MOST_PAGES: usize = 16;
 
-/// What handlers share.
+/// The state that all handlers share.
 #[derive(Debug, Clone)]
 struct Shared {
     token: Token,
     port: u16,
     robots: SyncSender<Message>,
-    news: News,
+    updates: Updates,
     hello: Arc<Hello>,
     pages: Arc<AtomicU64>,
     page_permits: Arc<Semaphore>,
     viewer_permits: Arc<Semaphore>,
 }
 
-/// A server that listens.
+/// A listening server.
 #[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
-    /// Where it listens.
+    /// Address it listens on.
     pub address: SocketAddr,
     token: Token,
 }
 
 impl Server {
-    /// Listens on a port of an address; port 0 is any that is free.
+    /// Listens on an address and port; port 0 takes any free one.
     ///
     /// # Errors
-    /// The system's, as if the port is taken.
+    /// The port cannot be opened, e.g. because it is in use.
     pub async fn bind(ip: IpAddr, port: u16) -> std::io::Result<Self> {
         let listener = TcpListener::bind((ip, port)).await?;
         let address = listener.local_addr()?;
         Ok(Server { listener, address, token: Token::random() })
     }
 
-    /// What to open in a browser.
+    /// Returns the address to open in a browser.
     pub fn url(&self) -> String {
         let address = match self.address.ip() {
             ip if ip.is_unspecified() && ip.is_ipv4() => {
@@ -85,13 +84,13 @@ impl Server {
         format!("http://{address}/?token={}", self.token)
     }
 
-    /// Serves for as long as it is waited for.
-    pub async fn serve(self, robots: SyncSender<Message>, news: News, hello: Hello) {
+    /// Serves until the future is dropped.
+    pub async fn serve(self, robots: SyncSender<Message>, updates: Updates, hello: Hello) {
         let shared = Shared {
             token: self.token,
             port: self.address.port(),
             robots,
-            news,
+            updates,
             hello: Arc::new(hello),
             pages: Arc::default(),
             page_permits: Arc::new(Semaphore::new(MOST_PAGES)),
@@ -106,5 +105,5 @@ impl Server {
     }
 }
 
-/// Routes before they know what they share.
+/// Routes that still lack the shared state.
 type Routes = Router<Shared>;

@@ -13,21 +13,23 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::time::{interval, timeout};
 
 use super::Shared;
-use crate::live::Message;
+use crate::message::Message;
 use crate::request::{PageId, Request};
-use crate::show;
+use crate::viewer_stream;
 
 /// Largest message of a page \[bytes\].
 const LARGEST: usize = 4 << 10;
-/// Messages of a page per second, for long, and how many more at once.
+/// Largest mean rate of a page's messages \[1/s\].
 const RATE: f64 = 150.0;
+/// Largest number of a page's messages at once.
 const BURST: f64 = 300.0;
-/// How long a page may take to read a message.
+/// Longest time a page may take to read a message.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// Files that a viewer may have that it has not shown.
+/// Largest number of files sent to a viewer and not yet shown.
 const AHEAD: u32 = 2;
-/// Time between two looks whether a page is still there, and after how long without a word it is not.
-const LOOK: Duration = Duration::from_secs(5);
+/// Time between two pings.
+const PING_EVERY: Duration = Duration::from_secs(5);
+/// Longest silence before a connection is closed.
 const SILENT: Duration = Duration::from_secs(15);
 
 /// Opens the socket of a page of controls.
@@ -35,9 +37,9 @@ pub(super) async fn control(State(shared): State<Shared>, upgrade: WebSocketUpgr
     let Some(permit) = room(&shared.page_permits) else { return full() };
     bounded(upgrade).on_upgrade(move |socket| async move {
         let page = shared.pages.fetch_add(1, Ordering::Relaxed) + 1;
-        if tell(&shared, Message::Came(page)).await {
+        if notify(&shared, Message::PageOpened(page)).await {
             talk(socket, page, &shared).await;
-            tell(&shared, Message::Went(page)).await;
+            notify(&shared, Message::PageClosed(page)).await;
         }
         drop(permit);
     })
@@ -57,26 +59,26 @@ fn room(permits: &Arc<Semaphore>) -> Option<OwnedSemaphorePermit> {
 }
 
 fn full() -> Response {
-    (StatusCode::SERVICE_UNAVAILABLE, "too many pages are open\n").into_response()
+    (StatusCode::SERVICE_UNAVAILABLE, "too many pages or viewers are open; close one and reload\n").into_response()
 }
 
 fn bounded(upgrade: WebSocketUpgrade) -> WebSocketUpgrade {
     upgrade.max_message_size(LARGEST).max_frame_size(LARGEST).read_buffer_size(LARGEST)
 }
 
-/// Tells the robots something that must not be lost, without keeping the server waiting; whether they are still there.
-async fn tell(shared: &Shared, message: Message) -> bool {
+/// Sends a message that must not be lost, without blocking the server; returns false if the robots are gone.
+async fn notify(shared: &Shared, message: Message) -> bool {
     let robots = shared.robots.clone();
     tokio::task::spawn_blocking(move || robots.send(message).is_ok()).await.unwrap_or(false)
 }
 
-/// Carries requests and states until the page goes, breaks a rule, or cannot be heard.
+/// Carries requests and states until the page disconnects, breaks a rule, or falls silent.
 async fn talk(mut socket: WebSocket, page: PageId, shared: &Shared) {
-    let mut states = shared.news.state.subscribe();
+    let mut states = shared.updates.state.subscribe();
     let hello = serde_json::json!({ "hello": { "page": page, "about": &*shared.hello } });
     let mut heard = Instant::now();
     let (mut allowance, mut counted) = (BURST, Instant::now());
-    let mut look = interval(LOOK);
+    let mut look = interval(PING_EVERY);
     if !send(&mut socket, Frame::text(hello.to_string())).await {
         return;
     }
@@ -88,9 +90,9 @@ async fn talk(mut socket: WebSocket, page: PageId, shared: &Shared) {
                 counted = Instant::now();
                 allowance = (allowance + RATE * since_s).min(BURST) - 1.0;
                 match message {
-                    Some(Ok(_)) if allowance < 0.0 => refuse(&mut socket, "more messages than anybody needs").await,
+                    Some(Ok(_)) if allowance < 0.0 => refuse(&mut socket, "too many messages per second").await,
                     Some(Ok(Frame::Text(text))) => ask(&mut socket, page, shared, &text).await,
-                    Some(Ok(Frame::Binary(_))) => refuse(&mut socket, "messages are JSON").await,
+                    Some(Ok(Frame::Binary(_))) => refuse(&mut socket, "binary message: expected JSON text").await,
                     Some(Ok(Frame::Ping(_) | Frame::Pong(_))) => true,
                     Some(Ok(Frame::Close(_)) | Err(_)) | None => false,
                 }
@@ -109,8 +111,8 @@ async fn talk(mut socket: WebSocket, page: PageId, shared: &Shared) {
 
 async fn ask(socket: &mut WebSocket, page: PageId, shared: &Shared, text: &str) -> bool {
     match Request::parse(text) {
-        // While a scene is being built requests wait; when too many do, the page asks again.
-        Ok(request) => match shared.robots.try_send(Message::Asked(page, request)) {
+        // Requests queue while a scene is built; a full queue drops them, and the page repeats its commands.
+        Ok(request) => match shared.robots.try_send(Message::Request(page, request)) {
             Ok(()) | Err(std::sync::mpsc::TrySendError::Full(_)) => true,
             Err(std::sync::mpsc::TrySendError::Disconnected(_)) => false,
         },
@@ -118,33 +120,33 @@ async fn ask(socket: &mut WebSocket, page: PageId, shared: &Shared, text: &str) 
     }
 }
 
-/// Says what was wrong and hangs up.
+/// Sends the reason and closes the connection.
 async fn refuse(socket: &mut WebSocket, problem: &str) -> bool {
     send(socket, Frame::text(serde_json::json!({ "refused": problem }).to_string())).await;
     send(socket, Frame::Close(None)).await;
     false
 }
 
-/// Whether a message could be sent in time.
+/// Sends a message; returns false if that fails or takes too long.
 async fn send(socket: &mut WebSocket, message: Frame) -> bool {
     matches!(timeout(PATIENCE, socket.send(message)).await, Ok(Ok(())))
 }
 
-/// Carries `.rrd` files to a viewer until it goes.
+/// Carries `.rrd` files to a viewer until it disconnects.
 async fn feed(mut socket: WebSocket, shared: &Shared) {
     let (files, mut arriving) = mpsc::channel(1);
-    let (news, runtime) = (shared.news.shown.subscribe(), Handle::current());
+    let (updates, runtime) = (shared.updates.shown.subscribe(), Handle::current());
     let notices = shared.robots.clone();
     let work = move || {
-        if let Err(error) = show::to_channel(news, &runtime, &files) {
+        if let Err(error) = viewer_stream::to_channel(updates, &runtime, &files) {
             // The robots go on without this viewer.
-            let _ = notices.try_send(Message::Notice(format!("a viewer stops: {error}")));
+            let _ = notices.try_send(Message::Notice(format!("a viewer stopped: {error}")));
         }
     };
     if std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work).is_err() {
         return;
     }
-    let (mut ahead, mut heard, mut look) = (0, Instant::now(), interval(LOOK));
+    let (mut ahead, mut heard, mut look) = (0, Instant::now(), interval(PING_EVERY));
     loop {
         let going_on = tokio::select! {
             file = arriving.recv(), if ahead < AHEAD => match file {
@@ -156,7 +158,7 @@ async fn feed(mut socket: WebSocket, shared: &Shared) {
             },
             message = socket.recv() => {
                 heard = Instant::now();
-                // A viewer has nothing to say but that it has shown something.
+                // A text means that the viewer has shown a file.
                 ahead = ahead.saturating_sub(u32::from(matches!(message, Some(Ok(Frame::Text(_))))));
                 matches!(message, Some(Ok(Frame::Text(_) | Frame::Ping(_) | Frame::Pong(_))))
             }

@@ -19,9 +19,9 @@ pub struct Chromium {
     socket: WebSocket<TcpStream>,
     session: String,
     count: u64,
-    /// Addresses that were asked for.
+    /// Requested addresses.
     pub requests: Vec<String>,
-    /// What was complained of.
+    /// Errors reported by the page.
     pub complaints: Vec<String>,
 }
 
@@ -125,7 +125,7 @@ impl Chromium {
         result["result"]["value"].clone()
     }
 
-    /// The value of an expression in the viewer, which is a page of its own beside.
+    /// The value of an expression in the viewer, which is a separate page.
     pub fn value_in_viewer(&mut self, expression: &str) -> Value {
         let targets = self.call("Target.getTargets", json!({}))["targetInfos"].clone();
         let is_viewer = |target: &&Value| target["url"].as_str().is_some_and(|url| url.contains("/viewer.html"));
@@ -158,7 +158,7 @@ impl Chromium {
         );
     }
 
-    /// What the mouse does, one thing right after the other.
+    /// Sends mouse events, one right after the other.
     pub fn mouse(&mut self, events: &[(&str, [f64; 2])]) {
         for (kind, [x, y]) in events {
             let event = json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": 1, "clickCount": 1 });

@@ -50,7 +50,7 @@ impl Drive {
         page
     }
 
-    /// Opens a socket, or is told why not: the status.
+    /// Opens a socket; returns the HTTP status if it is refused.
     pub fn socket(&self, path: &str, origin: Option<&str>, token: &str) -> Result<WebSocket<TcpStream>, u16> {
         let mut request = format!("ws://{}{path}?token={token}", self.host).into_client_request().unwrap();
         if let Some(origin) = origin {
@@ -68,7 +68,7 @@ impl Drive {
         }
     }
 
-    /// What a plain request gets.
+    /// Returns the answer to a plain GET request.
     pub fn get(&self, path: &str, host: &str) -> String {
         let mut stream = TcpStream::connect(&self.host).unwrap();
         stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -78,7 +78,7 @@ impl Drive {
         String::from_utf8_lossy(&answer).into_owned()
     }
 
-    /// Memory that it holds [MB].
+    /// Resident memory of the program [MB].
     pub fn memory_mb(&self) -> f64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
         let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
@@ -122,7 +122,7 @@ impl Page {
         }
     }
 
-    /// Asks the same again and again, as pages do, for so long.
+    /// Repeats a command, as pages do, for a given time.
     pub fn ask_for(&mut self, command: [f64; 3], time: Duration) {
         let start = Instant::now();
         while start.elapsed() < time {
@@ -137,7 +137,7 @@ impl Page {
         self.state.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("{pointer} of {}", self.state))
     }
 
-    /// Waits for a notice, and gives it.
+    /// Waits for a notice that contains `part` and returns it.
     pub fn notice(&mut self, part: &str) -> String {
         self.wait(part, |state, _| {
             let texts = state["notices"][1].as_array()?;
@@ -146,7 +146,7 @@ impl Page {
     }
 }
 
-/// Plays a session again.
+/// Replays a session.
 pub fn replay(folder: &Path, session: &str, arguments: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_drive"))
         .args(["--replay", session, "--headless"])

@@ -1,7 +1,7 @@
-/*! What is shown of the robots: the newest frames, of which every viewer takes what it can.
+/*! Streams the newest frames of the robots to rerun viewers.
 
-A viewer has a recording of its own, written on a thread of its own, of what is so now. One that comes late, or that is slow,
-misses frames and nothing else: each frame is logged in relation to what this viewer was sent before.
+Each viewer has its own live recording, written on its own thread. A late or slow viewer misses frames and nothing else,
+since each frame is logged relative to what this viewer has already received.
 */
 
 use std::sync::Arc;
@@ -17,36 +17,36 @@ use tokio::sync::{mpsc, watch};
 
 /// Least time between two frames of a viewer.
 const PERIOD: Duration = Duration::from_millis(15);
-/// The same while the machine is too slow for real time: pictures give way first.
+/// Least time between two frames while the machine is too slow for real time: the frame rate drops first.
 const PERIOD_BEHIND: Duration = Duration::from_millis(60);
 
-/// Who is played, in which scenes: of one set-up.
+/// The robots and scenes of one set-up.
 #[derive(Debug)]
 pub struct Cast {
-    /// Names of the robots, all different.
+    /// Unique names of the robots.
     pub names: Vec<String>,
-    /// Their scenes.
+    /// Scene of each robot.
     pub scenes: Vec<Scene>,
 }
 
-/// What is so now.
+/// The newest frames and events of all robots.
 #[derive(Debug, Clone)]
-pub struct Shown {
-    /// Who is played.
+pub struct Snapshot {
+    /// Robots and scenes.
     pub cast: Arc<Cast>,
-    /// The newest frame of each robot.
+    /// Newest frame of each robot.
     pub frames: Vec<Option<Arc<Frame>>>,
-    /// How often each robot was put somewhere.
+    /// Number of times each robot was placed (start, reset, after a fall).
     pub beginnings: Vec<u64>,
-    /// The newest event of each robot, and how many there were.
+    /// Number of events and newest event of each robot.
     pub events: Vec<(u64, Option<Event>)>,
-    /// Whether the machine is too slow for real time.
+    /// True if the machine is too slow for real time.
     pub is_behind: bool,
 }
 
 impl Cast {
-    /// Those of a world.
-    pub fn of(world: &LiveSession) -> Self {
+    /// Takes the robots and scenes of a live session.
+    pub fn new(world: &LiveSession) -> Self {
         let mut names: Vec<String> = Vec::new();
         for seat in &world.setup().robots {
             let name = seat.label();
@@ -55,18 +55,18 @@ impl Cast {
         Cast { names, scenes: world.scenes().cloned().collect() }
     }
 
-    /// Opens a recording of them into a file.
+    /// Opens a recording to a file.
     ///
     /// # Errors
-    /// [`RecordError`]
+    /// A scene does not compile, or the file cannot be written.
     pub fn record(&self, sink: Sink) -> Result<Recorder, RecordError> {
         self.with_views(|views| Recorder::new(sink, "drive", views))
     }
 
-    /// Opens a recording of what is so now.
+    /// Opens a live recording.
     ///
     /// # Errors
-    /// [`RecordError`]
+    /// A scene does not compile, or no viewer answers.
     pub fn show(&self, sink: LiveSink) -> Result<Recorder, RecordError> {
         self.with_views(|views| Recorder::live(sink, "drive", views))
     }
@@ -88,11 +88,11 @@ impl Cast {
     }
 }
 
-impl Shown {
-    /// Nobody has moved yet.
+impl Snapshot {
+    /// Creates the snapshot before the first step.
     pub fn new(cast: Cast) -> Self {
         let count = cast.names.len();
-        Shown {
+        Snapshot {
             cast: Arc::new(cast),
             frames: vec![None; count],
             beginnings: vec![0; count],
@@ -102,7 +102,7 @@ impl Shown {
     }
 }
 
-/// A viewer's recording, and what of each robot it has shown.
+/// The recording of one viewer, with the newest data it has received.
 struct View {
     cast: Arc<Cast>,
     recorder: Recorder,
@@ -112,7 +112,7 @@ struct View {
 }
 
 impl View {
-    fn open(shown: &Shown, sink: LiveSink) -> Result<Self, RecordError> {
+    fn open(shown: &Snapshot, sink: LiveSink) -> Result<Self, RecordError> {
         Ok(View {
             cast: Arc::clone(&shown.cast),
             recorder: shown.cast.show(sink)?,
@@ -122,8 +122,8 @@ impl View {
         })
     }
 
-    /// Logs what is new.
-    fn update(&mut self, shown: &Shown) -> Result<(), RecordError> {
+    /// Logs everything newer than the viewer's data.
+    fn update(&mut self, shown: &Snapshot) -> Result<(), RecordError> {
         for robot in 0..shown.frames.len() {
             let Some(frame) = &shown.frames[robot] else { continue };
             if self.beginnings[robot] != shown.beginnings[robot] {
@@ -145,19 +145,18 @@ impl View {
     }
 }
 
-/// Feeds a viewer until it or the robots are gone; `wait` says whether there is something new to show, `send` whether it was
-/// taken.
+/// Feeds a viewer until `wait` (for a new snapshot) or `send` (to the viewer) returns false.
 fn feed(
-    mut news: watch::Receiver<Shown>,
+    mut updates: watch::Receiver<Snapshot>,
     sink: &LiveSink,
-    wait: impl Fn(&mut watch::Receiver<Shown>) -> bool,
+    wait: impl Fn(&mut watch::Receiver<Snapshot>) -> bool,
     mut send: impl FnMut(&mut Recorder) -> Result<bool, RecordError>,
 ) -> Result<(), RecordError> {
     let mut view: Option<View> = None;
-    news.mark_changed();
-    while wait(&mut news) {
+    updates.mark_changed();
+    while wait(&mut updates) {
         let begun = Instant::now();
-        let shown = news.borrow_and_update().clone();
+        let shown = updates.borrow_and_update().clone();
         let mut current = match view.take().filter(|view| Arc::ptr_eq(&view.cast, &shown.cast)) {
             Some(view) => view,
             None => View::open(&shown, sink.clone())?,
@@ -173,33 +172,33 @@ fn feed(
     Ok(())
 }
 
-/// Writes what there is to see into a channel of `.rrd` files, one after another, until nobody reads them any more.
+/// Writes snapshots into a channel of `.rrd` files, one after another, until the receiver is dropped.
 ///
 /// # Errors
-/// [`RecordError`]
+/// A recording cannot be opened or written.
 pub fn to_channel(
-    news: watch::Receiver<Shown>,
+    updates: watch::Receiver<Snapshot>,
     runtime: &Handle,
     to: &mpsc::Sender<Vec<u8>>,
 ) -> Result<(), RecordError> {
-    let wait = |news: &mut watch::Receiver<Shown>| {
+    let wait = |updates: &mut watch::Receiver<Snapshot>| {
         runtime.block_on(async {
             tokio::select! {
-                changed = news.changed() => changed.is_ok(),
+                changed = updates.changed() => changed.is_ok(),
                 () = to.closed() => false,
             }
         })
     };
-    feed(news, &LiveSink::Memory, wait, |recorder| {
+    feed(updates, &LiveSink::Memory, wait, |recorder| {
         let bytes = recorder.take()?;
         Ok(bytes.is_empty() || to.blocking_send(bytes).is_ok())
     })
 }
 
-/// Shows what there is to see in a viewer that runs on its own, until it goes away.
+/// Streams snapshots to a separate viewer until it disconnects.
 ///
 /// # Errors
-/// [`RecordError`], as if no viewer answers.
-pub fn to_viewer(news: watch::Receiver<Shown>, runtime: &Handle, url: Option<String>) -> Result<(), RecordError> {
-    feed(news, &LiveSink::Connect(url), |news| runtime.block_on(news.changed()).is_ok(), |_| Ok(true))
+/// No viewer answers, or the connection breaks.
+pub fn to_viewer(updates: watch::Receiver<Snapshot>, runtime: &Handle, url: Option<String>) -> Result<(), RecordError> {
+    feed(updates, &LiveSink::Connect(url), |updates| runtime.block_on(updates.changed()).is_ok(), |_| Ok(true))
 }

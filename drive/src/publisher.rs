@@ -1,4 +1,4 @@
-//! How things are, for pages and viewers: whatever is played, live or again, is told here step by step.
+//! Publishes the state of the robots to pages and viewers after every step, for live play and replays alike.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -10,98 +10,98 @@ use supple::scenario::trace::{EventKind, Frame};
 use tokio::sync::watch;
 
 use crate::clock::Clock;
-use crate::live::Message;
+use crate::message::Message;
 use crate::request::{PageId, RobotStatus, State};
-use crate::show::{Cast, Shown};
+use crate::viewer_stream::{Cast, Snapshot};
 
-/// Longest wait, so that silence is noticed while time stands still.
+/// Longest wait for a message: silence of the driving page is noticed while paused, too.
 const LONGEST_WAIT: Duration = Duration::from_millis(50);
 
-/// Notices that are kept for pages to show.
+/// Number of notices that pages show.
 const NOTICES: usize = 6;
 
-/// What goes out.
+/// The channels to pages and viewers.
 #[derive(Debug, Clone)]
-pub struct News {
-    /// For pages, as JSON.
+pub struct Updates {
+    /// State for pages, as JSON.
     pub state: watch::Sender<Arc<str>>,
-    /// For viewers.
-    pub shown: watch::Sender<Shown>,
+    /// Frames for viewers.
+    pub shown: watch::Sender<Snapshot>,
 }
 
-/// How things are.
+/// The published state: clock, driver, measurements and notices.
 #[derive(Debug)]
-pub struct Display {
-    /// Simulated against real time.
+pub struct Publisher {
+    /// Clock that ties simulated to real time.
     pub clock: Clock,
-    /// Who drives.
+    /// The driving page.
     pub driver: Option<PageId>,
-    /// When the driver was last heard, and how often.
+    /// Time and number of the driving page's last message.
     pub heard: (Instant, u64),
     meters: Vec<LiveReadout>,
-    shown: Shown,
-    news: News,
+    shown: Snapshot,
+    updates: Updates,
     notices: VecDeque<String>,
     noticed: u64,
-    /// Something else is to be seen, although time stands still.
+    /// Redraws while paused.
     is_stale: bool,
 }
 
-impl Display {
-    /// Of a world that waits for its first step.
+impl Publisher {
+    /// Creates the published state of a live session before its first step.
     pub fn new(world: &LiveSession) -> Self {
-        let shown = Shown::new(Cast::of(world));
-        let news = News { state: watch::Sender::new(Arc::from("{}")), shown: watch::Sender::new(shown.clone()) };
-        let mut display = Display {
+        let shown = Snapshot::new(Cast::new(world));
+        let updates = Updates { state: watch::Sender::new(Arc::from("{}")), shown: watch::Sender::new(shown.clone()) };
+        let mut publisher = Publisher {
             clock: Clock::new(world.tick()),
             driver: None,
             heard: (Instant::now(), 0),
             meters: Vec::new(),
             shown,
-            news,
+            updates,
             notices: VecDeque::new(),
             noticed: 0,
             is_stale: false,
         };
-        display.begin(world);
-        display.tell(world);
-        display
+        publisher.begin(world);
+        publisher.publish(world);
+        publisher
     }
 
-    /// Where news come out.
-    pub fn news(&self) -> News {
-        self.news.clone()
+    /// Returns the channels to pages and viewers.
+    pub fn updates(&self) -> Updates {
+        self.updates.clone()
     }
 
-    /// Who is played.
+    /// Returns the robots and scenes that are played.
     pub fn cast(&self) -> &Arc<Cast> {
         &self.shown.cast
     }
 
-    /// The newest frame of a robot.
+    /// Returns the newest frame of a robot.
     pub fn frame(&self, robot: usize) -> Option<&Arc<Frame>> {
         self.shown.frames[robot].as_ref()
     }
 
-    /// Another set-up is played from now on.
+    /// Starts over for another set-up.
     pub fn begin(&mut self, world: &LiveSession) {
         self.meters = world.weights_and_periods().map(LiveReadout::new).collect();
-        self.shown = Shown::new(Cast::of(world));
+        self.shown = Snapshot::new(Cast::new(world));
         self.clock.restart(world.tick());
         self.is_stale = true;
     }
 
-    /// Something else is to be seen, also while time stands still.
+    /// Requests a redraw, also while paused.
     pub fn refresh(&mut self) {
         self.is_stale = true;
     }
 
-    /// Waits for the next step to be due, or for a message, whichever comes first; none if it is neither yet.
+    /// Waits for the next step or a message, whichever comes first; returns `None` after a short wait without either.
     pub fn wait(&mut self, world: &LiveSession, messages: &Receiver<Message>) -> Option<Due> {
         let due = self.clock.due(world.tick());
         let now = Instant::now();
         if self.is_stale || due.is_some_and(|due| due <= now) {
-            // Everything that has come by now takes effect with this step.
+            // All messages that have arrived take effect with this step.
             let message = messages.try_recv();
             self.is_stale &= message.is_ok();
             return Some(message.map_or(Due::Step, Due::Message));
@@ -114,7 +114,7 @@ impl Display {
         }
     }
 
-    /// An input has taken effect.
+    /// Updates the measurements after an input.
     pub fn note_input(&mut self, world: &LiveSession, input: &Input) {
         match input {
             Input::Push { size, unit } => {
@@ -129,7 +129,7 @@ impl Display {
         }
     }
 
-    /// Steps that began at a tick were played.
+    /// Publishes the steps that began at a tick.
     pub fn note_steps(&mut self, world: &LiveSession, tick: u64, steps: &[RobotStep]) {
         self.clock.stepped(tick);
         for played in steps {
@@ -150,11 +150,11 @@ impl Display {
             }
         }
         self.shown.is_behind = self.clock.is_behind();
-        self.news.shown.send_replace(self.shown.clone());
-        self.tell(world);
+        self.updates.shown.send_replace(self.shown.clone());
+        self.publish(world);
     }
 
-    /// Tells everybody something once.
+    /// Shows a text on all pages.
     pub fn notice(&mut self, text: String) {
         self.notices.push_back(text);
         self.noticed += 1;
@@ -163,8 +163,8 @@ impl Display {
         }
     }
 
-    /// Tells pages how things are.
-    pub fn tell(&self, world: &LiveSession) {
+    /// Publishes the state to pages.
+    pub fn publish(&self, world: &LiveSession) {
         let setup = world.setup();
         let range = world.range();
         let robots = setup.robots.iter().zip(world.reaches()).zip(world.falls()).enumerate();
@@ -198,17 +198,17 @@ impl Display {
             robots: robots.collect(),
             notices: (self.noticed, self.notices.iter().cloned().collect()),
         };
-        // Plain numbers and strings: writing them cannot fail.
+        // Numbers and strings always serialise.
         let text = serde_json::to_string(&serde_json::json!({ "state": state })).unwrap_or_default();
-        self.news.state.send_replace(text.into());
+        self.updates.state.send_replace(text.into());
     }
 }
 
-/// What is to be done.
+/// The next thing to do.
 #[derive(Debug)]
 pub enum Due {
-    /// The next step.
+    /// Play the next step.
     Step,
-    /// What somebody says.
+    /// Handle a message.
     Message(Message),
 }

@@ -1,11 +1,11 @@
-// How far each robot is told to yield: a slider for each, as far as its policy goes.
+// Commanded compliance: a slider for each robot, over the range of its policy.
 
-/** What a place of the slider means: far to the left the policy's own, elsewhere the nearest that it can be told. */
+/** The compliance for a slider position: far left the policy's own (0), elsewhere the nearest within the range. */
 const meaning = (value, [low, high]) => (value < low / 2 ? 0 : Math.min(Math.max(value, low), high));
 
-const inWords = (compliance, own) => (compliance ? compliance.toFixed(3) : `its own, ${own.toFixed(3)}`);
+const inWords = (compliance, own) => (compliance ? compliance.toFixed(3) : `own, ${own.toFixed(3)}`);
 
-/** Shows a slider for each robot; `tell(robot, compliance)` is told when one is let go. */
+/** Shows a slider for each robot; calls `tell(robot, compliance)` when one is released. */
 export function show(list, robots, tell) {
   const names = robots.map(({ name }) => name).join("\n");
   if (list.dataset.names !== names) {
@@ -16,7 +16,7 @@ export function show(list, robots, tell) {
     const [slider, said] = list.children[robot].querySelectorAll("input, output");
     slider.disabled = !reach;
     if (!reach) {
-      said.textContent = "not measured: see policy calibrate";
+      said.textContent = "not calibrated: run policy calibrate";
       return;
     }
     const [range, own] = reach;
@@ -33,7 +33,7 @@ function row(name) {
   const label = document.createElement("label");
   const of = (kind, more) => Object.assign(document.createElement(kind), more);
   const slider = of("input", { type: "range", min: 0, step: 0.001, value: 0 });
-  // Keys are for walking again.
+  // Give the keys back to walking.
   slider.onpointerup = () => slider.blur();
   label.append(of("span", { textContent: name }), slider, of("output"));
   return label;

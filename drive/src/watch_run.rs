@@ -1,4 +1,4 @@
-//! Looks after policies that are still being trained: reads them anew when their run has saved a better one.
+//! Watches policies of running training runs and reads each newer one.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -11,21 +11,21 @@ use supple::policy::shipped;
 use supple::scenario::session::AgentCache;
 use supple::util::{files, paths};
 
-use crate::live::Message;
+use crate::message::Message;
 
-/// Time between two looks.
+/// Time between two checks.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// Looks at the files of policies for as long as somebody listens, and reads those that have changed.
+/// Starts a thread that reads every watched policy file whenever it changes, until the receiver is dropped.
 ///
 /// # Errors
-/// There is no room for a thread.
+/// The thread cannot be started.
 pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std::io::Result<()> {
     let mut seen: HashMap<PathBuf, SystemTime> = HashMap::new();
     let look = move || {
         loop {
             thread::sleep(PERIOD);
-            // Whoever holds the lock only replaces the list.
+            // The lock is held only while the list is replaced.
             let paths = watched.lock().map(|paths| paths.clone()).unwrap_or_default();
             seen.retain(|path, _| paths.contains(path));
             for path in paths {
@@ -34,7 +34,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
                     continue;
                 }
                 let message = match AgentCache::read(&paths::as_text(&path)) {
-                    Ok((agent, file)) => Message::Read { path, agent: Box::new(agent), file },
+                    Ok((agent, file)) => Message::PolicySaved { path, agent: Box::new(agent), file },
                     Err(error) => Message::Notice(error.to_string()),
                 };
                 if to.send(message).is_err() {
@@ -46,7 +46,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
     thread::Builder::new().name("watching runs".to_owned()).spawn(look).map(drop)
 }
 
-/// The file that a policy is read from, if it is one that may change.
+/// Returns the file of a policy that may change while it is used, if it has one.
 pub fn file_of(policy: &str) -> Option<PathBuf> {
     shipped::file_of(policy).filter(|path| !files::is_yaml(path))
 }
