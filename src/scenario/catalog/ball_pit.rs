@@ -2,26 +2,37 @@
 
 use std::fmt::Write as _;
 
-use super::{ParameterError, Parameters, in_range, truth};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, truth};
 use crate::scenario::metrics::Metric;
 use crate::scenario::trace::Trace;
 use crate::scenario::{Goal, Script};
 use crate::sim::Buffers;
 
-parameters! {
-    /// Ball pit: cross a field of loose balls.
-    pub struct BallPit {
-        /// Number of balls, laid out in a square
-        pub balls: u32,
-        /// Mass of a ball (kg)
-        pub mass_kg: f64,
-        /// Radius of a ball (m)
-        pub radius_m: f64,
-        /// Gap between neighbours (m)
-        pub gap_m: f64,
-        /// From the robot's centre to the first row (m)
-        pub distance_m: f64,
-    }
+/// Ball pit: cross a field of loose balls.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BallPit {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Number of balls, laid out in a square
+    #[arg(long)]
+    pub balls: u32,
+    /// Mass of a ball (kg)
+    #[arg(long)]
+    pub mass_kg: f64,
+    /// Radius of a ball (m)
+    #[arg(long)]
+    pub radius_m: f64,
+    /// Gap between neighbours (m)
+    #[arg(long)]
+    pub gap_m: f64,
+    /// From the robot's centre to the first row (m)
+    #[arg(long)]
+    pub distance_m: f64,
 }
 
 impl BallPit {

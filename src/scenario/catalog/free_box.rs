@@ -1,28 +1,38 @@
 //! A free box in the way (E6).
 
+use clap::Args;
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, in_range, metric, truth};
+use super::{ParameterError, Parameters, Task, in_range, metric, truth};
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::{Frame, Trace};
 use crate::scenario::{Goal, Script};
 use crate::sim::Buffers;
 use crate::util::random::{Purpose, stream};
 
-parameters! {
-    /// Box: walk into a free box.
-    pub struct FreeBox {
-        /// Mass of the box (kg)
-        pub mass_kg: f64,
-        /// Edge length of the box (m)
-        pub size_m: f64,
-        /// From the robot's centre to the box's near face (m)
-        pub distance_m: f64,
-        /// Sliding friction of the box on the ground
-        pub friction: f64,
-        /// Largest sideways offset of the box, drawn from the seed (m)
-        pub max_offset_m: f64,
-    }
+/// Box: walk into a free box.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FreeBox {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Mass of the box (kg)
+    #[arg(long)]
+    pub mass_kg: f64,
+    /// Edge length of the box (m)
+    #[arg(long)]
+    pub size_m: f64,
+    /// From the robot's centre to the box's near face (m)
+    #[arg(long)]
+    pub distance_m: f64,
+    /// Sliding friction of the box on the ground
+    #[arg(long)]
+    pub friction: f64,
+    /// Largest sideways offset of the box, drawn from the seed (m)
+    #[arg(long)]
+    pub max_offset_m: f64,
 }
 
 impl Parameters for FreeBox {

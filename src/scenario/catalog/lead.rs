@@ -1,6 +1,9 @@
 //! Somebody walks away with the leash (E14).
 
-use super::{ParameterError, Parameters, in_range, metric, towards};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric, towards};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::spring::{Spring, SpringEnd};
@@ -9,22 +12,31 @@ use crate::scenario::trace::{Frame, Trace};
 /// At the end of the rollout, when the robot goes along as it will \[s\].
 const LAST_S: f64 = 3.0;
 
-parameters! {
-    /// Lead: somebody walks away with the leash.
-    pub struct Lead {
-        /// How fast the hand walks away, beside the commanded walk (m/s)
-        pub speed_m_s: f64,
-        /// Where to, in the world: 0 ahead, 90 left (deg)
-        pub direction_deg: f64,
-        /// Stiffness of the leash, with the hand and the arm at its end (N/m)
-        pub stiffness_n_per_m: f64,
-        /// Damping of the same (N s/m)
-        pub damping_n_s_per_m: f64,
-        /// How far the hand walks until the leash is taut (m)
-        pub slack_m: f64,
-        /// When it sets off (s)
-        pub at_s: f64,
-    }
+/// Lead: somebody walks away with the leash.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Lead {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// How fast the hand walks away, beside the commanded walk (m/s)
+    #[arg(long)]
+    pub speed_m_s: f64,
+    /// Where to, in the world: 0 ahead, 90 left (deg)
+    #[arg(long)]
+    pub direction_deg: f64,
+    /// Stiffness of the leash, with the hand and the arm at its end (N/m)
+    #[arg(long)]
+    pub stiffness_n_per_m: f64,
+    /// Damping of the same (N s/m)
+    #[arg(long)]
+    pub damping_n_s_per_m: f64,
+    /// How far the hand walks until the leash is taut (m)
+    #[arg(long)]
+    pub slack_m: f64,
+    /// When it sets off (s)
+    #[arg(long)]
+    pub at_s: f64,
 }
 
 impl Parameters for Lead {

@@ -1,23 +1,33 @@
 //! A constant pull on the trunk (E5).
 
-use super::{ParameterError, Parameters, in_range, metric, towards};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric, towards};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::Trace;
 use crate::sim::Pull;
 
-parameters! {
-    /// Leash: a constant pull on the trunk.
-    pub struct Leash {
-        /// Pulling force (N)
-        pub force_n: f64,
-        /// Direction of the pull in the world: 0 ahead, 90 left (deg)
-        pub direction_deg: f64,
-        /// When the pull begins (s)
-        pub at_s: f64,
-        /// How long it lasts (s)
-        pub for_s: f64,
-    }
+/// Leash: a constant pull on the trunk.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Leash {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Pulling force (N)
+    #[arg(long)]
+    pub force_n: f64,
+    /// Direction of the pull in the world: 0 ahead, 90 left (deg)
+    #[arg(long)]
+    pub direction_deg: f64,
+    /// When the pull begins (s)
+    #[arg(long)]
+    pub at_s: f64,
+    /// How long it lasts (s)
+    #[arg(long)]
+    pub for_s: f64,
 }
 
 impl Parameters for Leash {

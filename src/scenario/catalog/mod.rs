@@ -2,9 +2,21 @@
 
 Parameters are flags of the `scenario` program and keys of the YAML files under `configs/scenarios/`, by the same names;
 the files hold the defaults, which are the protocols of the paper's experiments. Each scenario is a file of its own here:
-its parameters, what they make of the script, and the numbers it is about; a line of the table below brings it into the
-programs.
+its parameters, what they add to the script, and its metrics.
 */
+
+mod ball_pit;
+mod free_box;
+mod lead;
+mod leash;
+mod outdoor;
+mod pendulum;
+mod pulley;
+mod push;
+mod rubble;
+mod terrain;
+mod walk;
+mod wall;
 
 use std::collections::BTreeMap;
 
@@ -27,89 +39,136 @@ use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
 use crate::util::yaml::{Text, YamlError, flat_parameters, layered, to_text};
 
-/// Makes a struct of parameters: each field is a flag of the `scenario` program and a key of the YAML file, beside what every
-/// scenario asks of the policy.
-macro_rules! parameters {
-    ($(#[$about:meta])* pub struct $name:ident { $($(#[$help:meta])* pub $field:ident: $type:ty,)* }) => {
-        $(#[$about])*
-        #[derive(clap::Args, Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
-        pub struct $name {
-            #[command(flatten)]
-            #[serde(flatten)]
-            #[allow(missing_docs)]
-            pub task: $crate::scenario::catalog::Task,
-            $($(#[$help])* #[arg(long)] pub $field: $type,)*
-        }
-    };
+pub use ball_pit::*;
+pub use free_box::*;
+pub use lead::*;
+pub use leash::*;
+pub use outdoor::*;
+pub use pendulum::*;
+pub use pulley::*;
+pub use push::*;
+pub use rubble::*;
+pub use terrain::*;
+pub use walk::*;
+pub use wall::*;
+
+/// Default parameters of every scenario: name and YAML text.
+pub const DEFAULTS: &[(&str, &str)] = &[
+    ("walk", include_str!("../../../configs/scenarios/walk.yaml")),
+    ("push", include_str!("../../../configs/scenarios/push.yaml")),
+    ("leash", include_str!("../../../configs/scenarios/leash.yaml")),
+    ("lead", include_str!("../../../configs/scenarios/lead.yaml")),
+    ("wall", include_str!("../../../configs/scenarios/wall.yaml")),
+    ("box", include_str!("../../../configs/scenarios/box.yaml")),
+    ("ball-pit", include_str!("../../../configs/scenarios/ball-pit.yaml")),
+    ("terrain", include_str!("../../../configs/scenarios/terrain.yaml")),
+    ("pulley", include_str!("../../../configs/scenarios/pulley.yaml")),
+    ("pendulum", include_str!("../../../configs/scenarios/pendulum.yaml")),
+    ("rubble", include_str!("../../../configs/scenarios/rubble.yaml")),
+    ("outdoor", include_str!("../../../configs/scenarios/outdoor.yaml")),
+];
+
+/// A scenario with its parameters.
+#[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Scenario {
+    /// Walk without disturbance (E0)
+    Walk(Walk),
+    /// Push the trunk once or again and again (E1 to E4)
+    Push(PushAway),
+    /// Pull the trunk with a constant force (E5)
+    Leash(Leash),
+    /// Walk away with the leash (E14)
+    Lead(Lead),
+    /// Walk into a wall that gives (E14)
+    Wall(Wall),
+    /// Walk into a free box (E6)
+    Box(FreeBox),
+    /// Cross a field of loose balls (E7)
+    BallPit(BallPit),
+    /// Walk over Perlin terrain, steps or a slope (E8)
+    Terrain(Terrain),
+    /// Pull the trunk with a weight over a pulley (E9)
+    Pulley(Pulley),
+    /// Swing a ball on a string into the trunk (E10)
+    Pendulum(Pendulum),
+    /// Walk over wooden blocks and soft mats (E11)
+    Rubble(Rubble),
+    /// Walk over hills of varied friction (E11)
+    Outdoor(Outdoor),
 }
 
-/// Makes a line for each scenario into its module, its variant and its name: `"name" => Variant(module::Type): "help"`. Its
-/// defaults are in `configs/scenarios/NAME.yaml`. (`cargo fmt` does not look into macros for modules: `.ci/run` formats
-/// these files by name.)
-macro_rules! scenarios {
-    ($($name:tt => $variant:ident($module:ident::$parameters:ident): $about:tt,)*) => {
-        $(mod $module; pub use $module::*;)*
+impl Scenario {
+    /// Returns the scenario `name` with its default parameters, except those given in `parameters` as YAML.
+    ///
+    /// # Errors
+    /// [`YamlError`] if there is no such scenario, or if a parameter is unknown or has the wrong type; it lists the names that
+    /// exist.
+    pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
+        Ok(match name {
+            "walk" => Scenario::Walk(with_parameters(name, parameters)?),
+            "push" => Scenario::Push(with_parameters(name, parameters)?),
+            "leash" => Scenario::Leash(with_parameters(name, parameters)?),
+            "lead" => Scenario::Lead(with_parameters(name, parameters)?),
+            "wall" => Scenario::Wall(with_parameters(name, parameters)?),
+            "box" => Scenario::Box(with_parameters(name, parameters)?),
+            "ball-pit" => Scenario::BallPit(with_parameters(name, parameters)?),
+            "terrain" => Scenario::Terrain(with_parameters(name, parameters)?),
+            "pulley" => Scenario::Pulley(with_parameters(name, parameters)?),
+            "pendulum" => Scenario::Pendulum(with_parameters(name, parameters)?),
+            "rubble" => Scenario::Rubble(with_parameters(name, parameters)?),
+            "outdoor" => Scenario::Outdoor(with_parameters(name, parameters)?),
+            _ => {
+                let known: Vec<&str> = DEFAULTS.iter().map(|(name, _)| *name).collect();
+                return Err(YamlError::new(name, format!("no such scenario; there are: {}", known.join(", "))));
+            }
+        })
+    }
 
-        /// Default parameters, one file for each scenario.
-        pub const DEFAULTS: &[(&str, &str)] =
-            &[$(($name, include_str!(concat!("../../../configs/scenarios/", $name, ".yaml")))),*];
+    /// Name on the command line.
+    pub fn name(&self) -> &'static str {
+        self.parts().0
+    }
 
-        /// All scenarios.
-        #[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
-        #[serde(untagged)]
-        pub enum Scenario {
-            $(#[doc = $about] $variant($parameters),)*
+    /// The parameters that every scenario has.
+    pub fn task(&self) -> &Task {
+        self.parts().1
+    }
+
+    /// Name, common parameters and all parameters.
+    fn parts(&self) -> (&'static str, &Task, &dyn Parameters) {
+        match self {
+            Scenario::Walk(it) => ("walk", &it.task, it),
+            Scenario::Push(it) => ("push", &it.task, it),
+            Scenario::Leash(it) => ("leash", &it.task, it),
+            Scenario::Lead(it) => ("lead", &it.task, it),
+            Scenario::Wall(it) => ("wall", &it.task, it),
+            Scenario::Box(it) => ("box", &it.task, it),
+            Scenario::BallPit(it) => ("ball-pit", &it.task, it),
+            Scenario::Terrain(it) => ("terrain", &it.task, it),
+            Scenario::Pulley(it) => ("pulley", &it.task, it),
+            Scenario::Pendulum(it) => ("pendulum", &it.task, it),
+            Scenario::Rubble(it) => ("rubble", &it.task, it),
+            Scenario::Outdoor(it) => ("outdoor", &it.task, it),
         }
+    }
 
-        impl Scenario {
-            /// Its name on the command line.
-            pub fn name(&self) -> &'static str {
-                match self { $(Scenario::$variant(_) => $name,)* }
-            }
-
-            /// What is asked of the policy.
-            pub fn task(&self) -> &Task {
-                match self { $(Scenario::$variant(scenario) => &scenario.task,)* }
-            }
-
-            /// A scenario by name, with parameters that differ from its defaults as YAML.
-            ///
-            /// # Errors
-            /// [`YamlError`] that lists the scenarios or the parameters that there are, or says what is of another type.
-            pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
-                match name {
-                    $($name => Ok(Scenario::$variant(with_parameters($name, parameters)?)),)*
-                    _ => {
-                        let known: Vec<&str> = DEFAULTS.iter().map(|(name, _)| *name).collect();
-                        Err(YamlError::new(name, format!("no such scenario; there are: {}", known.join(", "))))
-                    }
-                }
-            }
-
-            fn parameters(&self) -> &dyn Parameters {
-                match self { $(Scenario::$variant(scenario) => scenario,)* }
-            }
-
-            fn parameters_mut(&mut self) -> &mut dyn Parameters {
-                match self { $(Scenario::$variant(scenario) => scenario,)* }
-            }
+    fn parameters_mut(&mut self) -> &mut dyn Parameters {
+        match self {
+            Scenario::Walk(it) => it,
+            Scenario::Push(it) => it,
+            Scenario::Leash(it) => it,
+            Scenario::Lead(it) => it,
+            Scenario::Wall(it) => it,
+            Scenario::Box(it) => it,
+            Scenario::BallPit(it) => it,
+            Scenario::Terrain(it) => it,
+            Scenario::Pulley(it) => it,
+            Scenario::Pendulum(it) => it,
+            Scenario::Rubble(it) => it,
+            Scenario::Outdoor(it) => it,
         }
-    };
-}
-
-scenarios! {
-    "walk" => Walk(walk::Walk): "Walk without disturbance (E0)",
-    "push" => Push(push::PushAway): "Push the trunk once or again and again (E1 to E4)",
-    "leash" => Leash(leash::Leash): "Pull the trunk with a constant force (E5)",
-    "lead" => Lead(lead::Lead): "Walk away with the leash (E14)",
-    "wall" => Wall(wall::Wall): "Walk into a wall that gives (E14)",
-    "box" => Box(free_box::FreeBox): "Walk into a free box (E6)",
-    "ball-pit" => BallPit(ball_pit::BallPit): "Cross a field of loose balls (E7)",
-    "terrain" => Terrain(terrain::Terrain): "Walk over Perlin terrain, steps or a slope (E8)",
-    "pulley" => Pulley(pulley::Pulley): "Pull the trunk with a weight over a pulley (E9)",
-    "pendulum" => Pendulum(pendulum::Pendulum): "Swing a ball on a string into the trunk (E10)",
-    "rubble" => Rubble(rubble::Rubble): "Walk over wooden blocks and soft mats (E11)",
-    "outdoor" => Outdoor(outdoor::Outdoor): "Walk over hills of varied friction (E11)",
+    }
 }
 
 /// The default parameters of a scenario.
@@ -218,7 +277,7 @@ trait Parameters {
 impl Scenario {
     /// Work that a trial is, in seconds of simulation of the robot alone: for progress bars.
     pub fn cost(&self) -> f64 {
-        self.parameters().cost() * self.task().duration_s
+        self.parts().2.cost() * self.task().duration_s
     }
 
     /// The same with its disturbance later by this much \[s\], to meet the gait at another phase.
@@ -260,7 +319,7 @@ impl Scenario {
             rig: None,
             goal: None,
         };
-        self.parameters().prepare(&mut script, seed)?;
+        self.parts().2.prepare(&mut script, seed)?;
         Ok(script)
     }
 
@@ -301,7 +360,7 @@ impl Scenario {
             metric("peak_foot_force_n", "peak foot force", metrics::largest(all, |f| f.peak_foot_force_n), "N"),
             metric("distance_m", "distance ahead", trace.frames.last().map(|frame| frame.position[0]), "m"),
         ]);
-        self.parameters().metrics(script, trace, &mut found);
+        self.parts().2.metrics(script, trace, &mut found);
         let reason = if trace.fault().is_some() {
             "the simulation stopped"
         } else if fall.is_some() {

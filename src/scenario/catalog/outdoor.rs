@@ -5,9 +5,11 @@ exactly the wanted slope. The ground is divided into squares, each with a fricti
 friction of the square that it is on, looked up at every physics step.
 */
 
+use clap::Args;
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, in_range, metric};
+use super::{ParameterError, Parameters, Task, in_range, metric};
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::{Frame, Trace};
 use crate::scenario::{Script, terrain};
@@ -20,20 +22,28 @@ const HALF_SIZE_M: [f64; 2] = [6.0, 60.0];
 /// Ground beyond where the command leads to \[m\].
 const MARGIN_M: f64 = 3.0;
 
-parameters! {
-    /// Outdoor: hills of varied friction.
-    pub struct Outdoor {
-        /// Steepest slope of the hills, rise over run
-        pub steepest: f64,
-        /// Lattice cells of the hills per metre; a hill and a dale take about two cells (1/m)
-        pub frequency_per_m: f64,
-        /// Least sliding friction of a square of ground
-        pub least_friction: f64,
-        /// Largest sliding friction of a square of ground
-        pub largest_friction: f64,
-        /// Edge of the squares that differ in friction (m)
-        pub patch_m: f64,
-    }
+/// Outdoor: hills of varied friction.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outdoor {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Steepest slope of the hills, rise over run
+    #[arg(long)]
+    pub steepest: f64,
+    /// Lattice cells of the hills per metre; a hill and a dale take about two cells (1/m)
+    #[arg(long)]
+    pub frequency_per_m: f64,
+    /// Least sliding friction of a square of ground
+    #[arg(long)]
+    pub least_friction: f64,
+    /// Largest sliding friction of a square of ground
+    #[arg(long)]
+    pub largest_friction: f64,
+    /// Edge of the squares that differ in friction (m)
+    #[arg(long)]
+    pub patch_m: f64,
 }
 
 impl Outdoor {

@@ -8,7 +8,10 @@ rather than bare steel.
 
 use std::f64::consts::FRAC_PI_2;
 
-use super::{ParameterError, Parameters, in_range, lasting, metric, no_turn, towards};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, lasting, metric, no_turn, towards};
 use crate::robot::{Extent, GRAVITY_M_S2};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric, STRIDE_S};
@@ -21,22 +24,31 @@ const LONGEST_BLOW_S: f64 = 0.2;
 /// Length of the sum of impulses from the first contact on \[s\].
 const IMPULSE_S: f64 = 1.0;
 
-parameters! {
-    /// Pendulum: a ball on a string swings into the trunk.
-    pub struct Pendulum {
-        /// Mass of the ball (kg)
-        pub mass_kg: f64,
-        /// Radius of the ball (m)
-        pub radius_m: f64,
-        /// From the pivot to the ball's centre (m)
-        pub string_m: f64,
-        /// Height of the release above the ball's lowest point; at most the string's length (m)
-        pub release_height_m: f64,
-        /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
-        pub direction_deg: f64,
-        /// When the ball is let go (s)
-        pub at_s: f64,
-    }
+/// Pendulum: a ball on a string swings into the trunk.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Pendulum {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Mass of the ball (kg)
+    #[arg(long)]
+    pub mass_kg: f64,
+    /// Radius of the ball (m)
+    #[arg(long)]
+    pub radius_m: f64,
+    /// From the pivot to the ball's centre (m)
+    #[arg(long)]
+    pub string_m: f64,
+    /// Height of the release above the ball's lowest point; at most the string's length (m)
+    #[arg(long)]
+    pub release_height_m: f64,
+    /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
+    #[arg(long)]
+    pub direction_deg: f64,
+    /// When the ball is let go (s)
+    #[arg(long)]
+    pub at_s: f64,
 }
 
 /// The ball's first contact with the robot.

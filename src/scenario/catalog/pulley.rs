@@ -6,7 +6,10 @@ the rope's force is the weight's `m (g + a)`. Pulleys are points without frictio
 legs, as one that is tied to a harness on the back would not touch them.
 */
 
-use super::{ParameterError, Parameters, in_range, metric, no_turn, towards};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric, no_turn, towards};
 use crate::robot::HARNESS;
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
@@ -22,26 +25,37 @@ const UPPER_PULLEY_M: f64 = 0.25;
 /// Start of the averages of velocity and force, after the weight is let go: the rope has stopped jerking \[s\].
 const SETTLED_S: f64 = 1.0;
 
-parameters! {
-    /// Pulley: a hanging weight pulls the trunk.
-    pub struct Pulley {
-        /// Mass of the weight (kg)
-        pub mass_kg: f64,
-        /// Direction of the pull from the robot's heading: 0 ahead, 90 left, 180 back (deg)
-        pub direction_deg: f64,
-        /// From the robot's course to the pulley; abreast of the robot half-way through the pull if it walks as commanded (m)
-        pub distance_m: f64,
-        /// Height of the pulley that the rope comes from (m)
-        pub height_m: f64,
-        /// How far the weight can sink or rise, beyond what the commanded walk takes, before it meets ground or pulley (m)
-        pub drop_m: f64,
-        /// Slack of the rope when the weight is let go; the weight falls freely until the rope is taut (m)
-        pub slack_m: f64,
-        /// When the weight is let go (s)
-        pub at_s: f64,
-        /// How long the rope stays on the robot (s)
-        pub for_s: f64,
-    }
+/// Pulley: a hanging weight pulls the trunk.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Pulley {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Mass of the weight (kg)
+    #[arg(long)]
+    pub mass_kg: f64,
+    /// Direction of the pull from the robot's heading: 0 ahead, 90 left, 180 back (deg)
+    #[arg(long)]
+    pub direction_deg: f64,
+    /// From the robot's course to the pulley; abreast of the robot half-way through the pull if it walks as commanded (m)
+    #[arg(long)]
+    pub distance_m: f64,
+    /// Height of the pulley that the rope comes from (m)
+    #[arg(long)]
+    pub height_m: f64,
+    /// How far the weight can sink or rise, beyond what the commanded walk takes, before it meets ground or pulley (m)
+    #[arg(long)]
+    pub drop_m: f64,
+    /// Slack of the rope when the weight is let go; the weight falls freely until the rope is taut (m)
+    #[arg(long)]
+    pub slack_m: f64,
+    /// When the weight is let go (s)
+    #[arg(long)]
+    pub at_s: f64,
+    /// How long the rope stays on the robot (s)
+    #[arg(long)]
+    pub for_s: f64,
 }
 
 impl Pulley {

@@ -1,26 +1,35 @@
 //! Sudden changes of the trunk's velocity (E1 to E4).
 
+use clap::Args;
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, in_range, lasting, metric, towards};
+use super::{ParameterError, Parameters, Task, in_range, lasting, metric, towards};
 use crate::scenario::metrics::{self, Metric, PHASE_S, STRIDE_S};
 use crate::scenario::trace::Trace;
 use crate::scenario::{Script, TimedPush};
 use crate::sim::Push;
 use crate::util::random::{Purpose, stream};
 
-parameters! {
-    /// Push: a sudden change of the trunk's velocity.
-    pub struct PushAway {
-        /// Size of the velocity change (m/s)
-        pub push_m_s: f64,
-        /// Direction of the push: 0 forward, 90 left (deg)
-        pub direction_deg: f64,
-        /// Time of the push; up to 0.65 s later, as the seed has it (s)
-        pub at_s: f64,
-        /// Push again at this interval; 0 pushes once (s)
-        pub every_s: f64,
-    }
+/// Push: a sudden change of the trunk's velocity.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PushAway {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Size of the velocity change (m/s)
+    #[arg(long)]
+    pub push_m_s: f64,
+    /// Direction of the push: 0 forward, 90 left (deg)
+    #[arg(long)]
+    pub direction_deg: f64,
+    /// Time of the push; up to 0.65 s later, as the seed has it (s)
+    #[arg(long)]
+    pub at_s: f64,
+    /// Push again at this interval; 0 pushes once (s)
+    #[arg(long)]
+    pub every_s: f64,
 }
 
 impl Parameters for PushAway {

@@ -8,9 +8,11 @@ mat or on blocks is below 0.2 m and has fallen; a leg that brushes a block or th
 and the balls.
 */
 
+use clap::Args;
 use rand::RngExt;
+use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, in_range, metric, truth};
+use super::{ParameterError, Parameters, Task, in_range, metric, truth};
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::trace::Trace;
 use crate::scenario::{Goal, Script};
@@ -39,26 +41,37 @@ const MOST_DRAWS: u32 = 200;
 /// Layouts before it is given up.
 const MOST_LAYOUTS: u32 = 100;
 
-parameters! {
-    /// Rubble: wooden blocks and soft mats on the way.
-    pub struct Rubble {
-        /// Number of wooden blocks
-        pub blocks: u32,
-        /// Least and largest edge of a block seen from above are a half and all of this (m)
-        pub block_edge_m: f64,
-        /// Least and largest height of a block are a half and all of this (m)
-        pub block_height_m: f64,
-        /// Number of soft mats, squares of 0.7 m
-        pub mats: u32,
-        /// Thickness of a mat (m)
-        pub mat_height_m: f64,
-        /// From the robot's centre to where the rubble begins (m)
-        pub distance_m: f64,
-        /// How far it reaches along the way (m)
-        pub length_m: f64,
-        /// How far it reaches across the way (m)
-        pub width_m: f64,
-    }
+/// Rubble: wooden blocks and soft mats on the way.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rubble {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Number of wooden blocks
+    #[arg(long)]
+    pub blocks: u32,
+    /// Least and largest edge of a block seen from above are a half and all of this (m)
+    #[arg(long)]
+    pub block_edge_m: f64,
+    /// Least and largest height of a block are a half and all of this (m)
+    #[arg(long)]
+    pub block_height_m: f64,
+    /// Number of soft mats, squares of 0.7 m
+    #[arg(long)]
+    pub mats: u32,
+    /// Thickness of a mat (m)
+    #[arg(long)]
+    pub mat_height_m: f64,
+    /// From the robot's centre to where the rubble begins (m)
+    #[arg(long)]
+    pub distance_m: f64,
+    /// How far it reaches along the way (m)
+    #[arg(long)]
+    pub length_m: f64,
+    /// How far it reaches across the way (m)
+    #[arg(long)]
+    pub width_m: f64,
 }
 
 /// A block or a mat.

@@ -1,9 +1,9 @@
 //! Uneven ground (E8).
 
-use clap::ValueEnum;
+use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
 
-use super::{ParameterError, Parameters, in_range};
+use super::{ParameterError, Parameters, Task, in_range};
 use crate::scenario::{Script, terrain};
 use crate::sim::{Buffers, Ground};
 
@@ -26,23 +26,31 @@ pub enum TerrainKind {
     Slope,
 }
 
-parameters! {
-    /// Terrain: uneven ground.
-    pub struct Terrain {
-        /// Shape of the ground
-        #[arg(value_enum)]
-        pub kind: TerrainKind,
-        /// Perlin: peak to peak; steps: rise of each (m)
-        pub height_m: f64,
-        /// Perlin: lattice cells per metre (1/m)
-        pub frequency_per_m: f64,
-        /// Steps: length of each (m)
-        pub step_length_m: f64,
-        /// Steps: number up, and as many down
-        pub steps: u32,
-        /// Slope: rise over run
-        pub incline: f64,
-    }
+/// Terrain: uneven ground.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Terrain {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// Shape of the ground
+    #[arg(long, value_enum)]
+    pub kind: TerrainKind,
+    /// Perlin: peak to peak; steps: rise of each (m)
+    #[arg(long)]
+    pub height_m: f64,
+    /// Perlin: lattice cells per metre (1/m)
+    #[arg(long)]
+    pub frequency_per_m: f64,
+    /// Steps: length of each (m)
+    #[arg(long)]
+    pub step_length_m: f64,
+    /// Steps: number up, and as many down
+    #[arg(long)]
+    pub steps: u32,
+    /// Slope: rise over run
+    #[arg(long)]
+    pub incline: f64,
 }
 
 impl Parameters for Terrain {

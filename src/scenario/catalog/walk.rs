@@ -1,10 +1,17 @@
 //! Walking without disturbance (E0).
 
-use super::Parameters;
+use clap::Args;
+use serde::{Deserialize, Serialize};
 
-parameters! {
-    /// Walk without disturbance.
-    pub struct Walk {}
+use super::{Parameters, Task};
+
+/// Walk without disturbance.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Walk {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
 }
 
 impl Parameters for Walk {}

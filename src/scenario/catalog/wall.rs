@@ -1,6 +1,9 @@
 //! A wall that gives, across the way (E14).
 
-use super::{ParameterError, Parameters, in_range, metric};
+use clap::Args;
+use serde::{Deserialize, Serialize};
+
+use super::{ParameterError, Parameters, Task, in_range, metric};
 use crate::scenario::Script;
 use crate::scenario::metrics::{self, Metric};
 use crate::scenario::spring::{Spring, SpringEnd};
@@ -9,16 +12,22 @@ use crate::scenario::trace::{Frame, Stretch, Trace};
 /// What counts as the blow \[s\].
 const BLOW_S: f64 = 1.0;
 
-parameters! {
-    /// Wall: walk into a wall that gives.
-    pub struct Wall {
-        /// From the start to where the wall begins to press the trunk's centre of mass (m)
-        pub distance_m: f64,
-        /// Stiffness of the wall (N/m)
-        pub stiffness_n_per_m: f64,
-        /// Damping of the wall (N s/m)
-        pub damping_n_s_per_m: f64,
-    }
+/// Wall: walk into a wall that gives.
+#[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Wall {
+    /// The parameters that every scenario has.
+    #[command(flatten)]
+    #[serde(flatten)]
+    pub task: Task,
+    /// From the start to where the wall begins to press the trunk's centre of mass (m)
+    #[arg(long)]
+    pub distance_m: f64,
+    /// Stiffness of the wall (N/m)
+    #[arg(long)]
+    pub stiffness_n_per_m: f64,
+    /// Damping of the wall (N s/m)
+    #[arg(long)]
+    pub damping_n_s_per_m: f64,
 }
 
 impl Parameters for Wall {
