@@ -1,4 +1,4 @@
-//! What comes before the first disturbance, played once for many rollouts.
+//! The prelude: the steps before the first disturbance, played once for many playbacks.
 
 use super::metrics::PHASE_S;
 use super::playback::{Playback, PlaybackStep, Recorded};
@@ -10,7 +10,7 @@ use crate::sim::{Pull, Scene};
 
 /// The undisturbed steps of scripts that differ only in their disturbances, by one policy on the true state.
 ///
-/// A rollout that goes on [after it](Rollout::trace_after) has these steps at once, and all that follows with the same bits.
+/// [`Playback::trace_after`] starts with these steps and continues with the same bits.
 #[derive(Debug)]
 pub struct Prelude {
     calm: Script,
@@ -18,7 +18,7 @@ pub struct Prelude {
 }
 
 impl Script {
-    /// The same without disturbances and without an end, if they are pushes and pulls of a robot alone on a plane.
+    /// Returns the script without disturbances and end; `None` unless it only pushes or pulls a robot on a plane.
     pub fn calm(&self) -> Option<Script> {
         let is_alone = self.scene == Scene::flat(self.scene.robot.clone(), self.scene.timestep_s);
         let only_pushed = self.spring.is_none() && self.rig.is_none() && self.goal.is_none();
@@ -26,7 +26,7 @@ impl Script {
         (is_alone && only_pushed).then(calm)
     }
 
-    /// Steps before the first disturbance, or all.
+    /// Number of steps before the first disturbance.
     pub(super) fn calm_steps(&self, simulation: &Simulation) -> usize {
         let period_s = simulation.policy_period_s();
         let begins = |step: &usize| {
@@ -40,25 +40,25 @@ impl Script {
 }
 
 impl TimedPush {
-    /// Whether it comes no later than the step that starts at `time_s`.
+    /// True if the push comes no later than the step that starts at `time_s`.
     pub(super) fn is_due(&self, time_s: f64, period_s: f64) -> bool {
         self.time_s < time_s + 0.5 * period_s
     }
 }
 
 impl Pull {
-    /// Whether it acts in the step that starts at `time_s`.
+    /// True if the pull acts in the step that starts at `time_s`.
     pub(super) fn acts(&self, time_s: f64) -> bool {
         (self.from_s..self.until_s).contains(&(time_s + 1e-9))
     }
 }
 
 impl Prelude {
-    /// Plays the calm of a script, long enough for those whose disturbance comes at another phase of the gait. None if no other
-    /// script could share it.
+    /// Plays the undisturbed part of a script, long enough for disturbances at any phase of the gait; `None` if no other script
+    /// could share it.
     ///
     /// # Errors
-    /// As [`Playback::new`].
+    /// Same as [`Playback::new`].
     pub fn new(script: &Script, config: &Config, controller: Box<dyn Controller + '_>) -> mujoco::Result<Option<Self>> {
         let Some(calm) = script.calm() else { return Ok(None) };
         let simulation = &config.simulation;
@@ -69,7 +69,7 @@ impl Prelude {
         loop {
             let Some(before) = rollout.moment() else { return Ok(None) };
             match rollout.next() {
-                // A fall, or whatever else is told of, is left to the rollouts themselves.
+                // The prelude ends before the first event.
                 Some(PlaybackStep { frame: Some(frame), events }) if events.is_empty() => {
                     steps.push(before.followed_by(frame))
                 }
@@ -78,7 +78,7 @@ impl Prelude {
         }
     }
 
-    /// Whether it is that of a script.
+    /// True if the prelude fits the script.
     pub fn is_of(&self, script: &Script) -> bool {
         script.calm().is_some_and(|calm| calm == self.calm)
     }
