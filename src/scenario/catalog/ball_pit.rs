@@ -75,7 +75,7 @@ impl Parameters for BallPit {
         script.goal = Some(Goal {
             from: None,
             ahead_m: self.far_edge_m(),
-            // Nobody aims at a single ball.
+            // At least 0.5 m for a single ball.
             half_width_m: (0.5 * f64::from(side) * pitch).max(0.5),
             text: "got across the balls",
             is_end: true,
@@ -93,7 +93,7 @@ impl Parameters for BallPit {
         found.push(truth("crossed", "got across", Some(trace.reached_goal())));
     }
 
-    /// The obstacle is farther away by what the robot walks in that time.
+    /// Moves the obstacle away by the distance walked in that time.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

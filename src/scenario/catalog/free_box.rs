@@ -94,7 +94,7 @@ impl Parameters for FreeBox {
         ]);
     }
 
-    /// The obstacle is farther away by what the robot walks in that time.
+    /// Moves the obstacle away by the distance walked in that time.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

@@ -1,4 +1,4 @@
-/*! The scenarios: parameters in, script out, and which numbers each is about.
+/*! The catalog of scenarios: each turns parameters into a script and adds its own metrics.
 
 Parameters are flags of the `scenario` program and keys of the YAML files under `configs/scenarios/`, by the same names;
 the files hold the defaults, which are the protocols of the paper's experiments. Each scenario is a file of its own here:
@@ -171,15 +171,15 @@ impl Scenario {
     }
 }
 
-/// The default parameters of a scenario.
+/// Returns the default parameters of a scenario.
 ///
 /// # Errors
-/// [`ConfigError`] if there is no scenario of this name, or its parameters are of another type.
+/// There is no scenario of this name, or its parameters have another type.
 pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
     Ok(with_parameters(name, "{}")?)
 }
 
-/// The default parameters of a scenario and what is given beside them, which has to be one of them.
+/// Returns the default parameters of a scenario, overridden by those given.
 fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
     let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
     let texts = [Text::new(scenario, defaults), Text::new(scenario, parameters)];
@@ -204,7 +204,7 @@ fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Res
     })
 }
 
-/// Length still shown after a fall \[s\].
+/// Time still played after a fall \[s\].
 const AFTER_FALL_S: f64 = 1.0;
 
 /// A parameter outside its range.
@@ -213,24 +213,24 @@ const AFTER_FALL_S: f64 = 1.0;
 pub struct ParameterError {
     /// The flag's name.
     pub name: &'static str,
-    /// What was found.
+    /// The value found.
     pub found: String,
-    /// What would be valid.
+    /// The valid range.
     pub expected: &'static str,
 }
 
-/// Why a scenario cannot be played.
+/// Error while building a script.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ScriptError {
-    /// A parameter.
+    /// A parameter is out of range.
     #[error(transparent)]
     Parameter(#[from] ParameterError),
-    /// The robot.
+    /// The robot cannot be loaded.
     #[error(transparent)]
     Robot(#[from] FileError),
 }
 
-/// What every scenario asks of the policy.
+/// The parameters that every scenario has.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Task {
     /// Commanded forward velocity (m/s)
@@ -242,55 +242,55 @@ pub struct Task {
     /// Commanded yaw rate, counter-clockwise (rad/s)
     #[arg(long)]
     pub yaw_rad_s: f64,
-    /// Length of the rollout (s)
+    /// Length of the playback (s)
     #[arg(long)]
     pub duration_s: f64,
-    /// What the encoders are off by, as a standard deviation; drawn from the seed (rad)
+    /// Standard deviation of the encoder bias, drawn from the seed (rad)
     #[arg(long, alias = "joint-offset-sd-rad")]
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
-    /// Commanded compliance: how much velocity a newton of sustained pull is to buy (m/s/N); 0: whatever the policy has
+    /// Commanded compliance: velocity per newton of sustained pull (m/s/N); 0: the policy's own
     #[arg(long)]
     #[serde(default, skip_serializing_if = "numbers::is_zero")]
     pub compliance: f64,
 }
 
-/// What a scenario's parameters do; what they do not say is that of an undisturbed walk on a plane.
+/// Behaviour of a scenario's parameters; the defaults are an undisturbed walk on a plane.
 trait Parameters {
-    /// Checks the parameters and puts into the script what the scenario adds.
+    /// Checks the parameters and adds the scenario's parts to the script.
     fn prepare(&self, _: &mut Script, _seed: u64) -> Result<(), ParameterError> {
         Ok(())
     }
 
-    /// Adds the numbers that the scenario is about to those that all have.
+    /// Adds the metrics of this scenario to the common ones.
     fn metrics(&self, _: &Script, _: &Trace, _found: &mut Vec<Metric>) {}
 
-    /// Puts the disturbance off by this much \[s\]; nothing where no time is special.
+    /// Delays the disturbance \[s\]; does nothing if there is none.
     fn delay(&mut self, _phase_s: f64) {}
 
-    /// How much slower it is to simulate than the robot alone.
+    /// Cost of the simulation relative to the robot alone.
     fn cost(&self) -> f64 {
         1.0
     }
 }
 
 impl Scenario {
-    /// Work that a trial is, in seconds of simulation of the robot alone: for progress bars.
+    /// Cost of a trial in seconds of simulation of the robot alone, for progress bars.
     pub fn cost(&self) -> f64 {
         self.parts().2.cost() * self.task().duration_s
     }
 
-    /// The same with its disturbance later by this much \[s\], to meet the gait at another phase.
+    /// Returns the scenario with its disturbance delayed \[s\], to meet the gait at another phase.
     pub fn later(&self, phase_s: f64) -> Self {
         let mut scenario = self.clone();
         scenario.parameters_mut().delay(phase_s);
         scenario
     }
 
-    /// The script for a seed, for the robot and rates of a policy's configuration.
+    /// Builds the script for a seed, with the robot and rates of a policy's configuration.
     ///
     /// # Errors
-    /// [`ScriptError`] that names the flag, or says what does not fit in the robot.
+    /// A parameter is out of range, or the robot cannot be loaded.
     pub fn script(&self, seed: u64, config: &Config) -> Result<Script, ScriptError> {
         let task = self.task();
         in_range("forward-m-s", task.forward_m_s, -5.0, 5.0, "-5 to 5 m/s")?;
@@ -323,7 +323,7 @@ impl Scenario {
         Ok(script)
     }
 
-    /// The numbers this scenario is about: of the time that the robot is on its feet.
+    /// Computes the metrics of a trace over the time before a fall.
     pub fn metrics(&self, script: &Script, trace: &Trace) -> Vec<Metric> {
         let last_s = |trace: &Trace| trace.frames.last().map_or(0.0, |frame| frame.time_s);
         let fall = trace.fall().map(|fall| fall.time_s);
@@ -376,7 +376,7 @@ fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'s
     Metric::new(name, label, value, unit)
 }
 
-/// How long a disturbance lasts, if it is over by the end.
+/// Metric of a disturbance's duration, if it is over by the end.
 fn lasting(name: &'static str, label: &'static str, decay: Option<Decay>) -> Metric {
     let found = metric(name, label, decay.and_then(Decay::ended_s), "s");
     if decay.is_some() { found.because("it goes on to the end") } else { found }
@@ -392,7 +392,7 @@ fn towards(direction_deg: f64) -> [f64; 2] {
     [angle.cos(), angle.sin()]
 }
 
-/// Loads on ropes are aimed at where a straight walk leads.
+/// Refuses a commanded yaw rate: loads on ropes are aimed along a straight walk.
 fn no_turn(task: &Task) -> Result<(), ParameterError> {
     in_range("yaw-rad-s", task.yaw_rad_s, 0.0, 0.0, "0: the load is aimed at where a straight walk leads")
 }
