@@ -170,7 +170,7 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
 /// Duration of a velocity disturbance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decay {
-    /// From the push to the last time at which it exceeds the threshold \[s\].
+    /// Time from the push to the last time at which it exceeds the threshold \[s\].
     pub time_s: f64,
     /// False if the threshold is still exceeded at the end of the trace; `time_s` is then a lower bound.
     pub is_over: bool,
@@ -354,7 +354,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn displacement_counts_from_the_commanded_course_at_the_heading_of_the_start() {
+    fn displacement_counts_from_the_commanded_course() {
         // Commanded 0.5 m/s ahead, heading along the world's y. The robot goes 0.5 m/s along y and 0.1 m/s along −x,
         // which is to its left: 0.2 m to the left of its course in 2 s, nothing along it.
         let mut trace = synthetic(4.0, |_| [0.5, 0.1, 0.0]);

@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn the_controller_sees_the_estimates_that_the_frames_keep_and_never_the_truth() {
+    fn controller_sees_estimates_and_never_the_truth() {
         let (script, config) = walk(0.5);
         let (seen, trace) = play(&script, &config, 1);
         assert_eq!(seen.len(), trace.frames.len() + 1);

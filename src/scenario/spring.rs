@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leash_pulls_a_robot_that_stands_by_its_stretch_and_the_speed_of_the_hand() {
+    fn leash_force_follows_stretch_and_stretch_rate() {
         let (leash, mut state) = (leash(), state());
         // Before the hand sets off, and while the leash is slack: 0.5 · 0.3 = 0.15 m of 0.2 m.
         assert_eq!(state.force_n(&leash, -0.5, 1.0, STEP_S), 0.0);
@@ -166,13 +166,13 @@ mod tests {
         let (taut, text) = state.after_step(&leash).unwrap();
         assert!((taut.stretch_m - 0.1).abs() < 1e-12 && (taut.peak_force_n - 30.0).abs() < 1e-9, "{taut:?}");
         assert_eq!(text, Some("the leash is taut"));
-        // A robot that goes along as fast as the hand keeps the stretch: 200 · 0.1 = 20 N; that is told once.
+        // A robot that goes along as fast as the hand keeps the stretch: 200 · 0.1 = 20 N; the event comes once.
         assert!((state.force_n(&leash, 0.6 + STEP_S, 1.0 + 0.5 * STEP_S, STEP_S) - 20.0).abs() < 1e-9);
         assert_eq!(state.after_step(&leash).unwrap().1, None);
     }
 
     #[test]
-    fn a_wall_presses_who_walks_into_it_and_does_not_hold_who_leaves() {
+    fn walls_press_but_do_not_hold() {
         let wall = Spring {
             end: SpringEnd::Wall,
             direction: [-1.0, 0.0],

@@ -30,7 +30,7 @@ pub struct BallPit {
     /// Gap between neighbours (m)
     #[arg(long)]
     pub gap_m: f64,
-    /// From the robot's centre to the first row (m)
+    /// Distance from the robot's centre to the first row (m)
     #[arg(long)]
     pub distance_m: f64,
 }

@@ -24,7 +24,7 @@ pub struct FreeBox {
     /// Edge length of the box (m)
     #[arg(long)]
     pub size_m: f64,
-    /// From the robot's centre to the box's near face (m)
+    /// Distance from the robot's centre to the box's near face (m)
     #[arg(long)]
     pub distance_m: f64,
     /// Sliding friction of the box on the ground

@@ -63,7 +63,7 @@ pub struct Rubble {
     /// Thickness of a mat (m)
     #[arg(long)]
     pub mat_height_m: f64,
-    /// From the robot's centre to where the rubble begins (m)
+    /// Distance from the robot's centre to where the rubble begins (m)
     #[arg(long)]
     pub distance_m: f64,
     /// How far it reaches along the way (m)

@@ -507,7 +507,7 @@ impl Moment {
     }
 }
 
-/// What the frame of a step needs besides the state, the summary and the meter.
+/// Parts of a frame besides the state, the summary and the meter.
 struct StepOutcome {
     terms: Terms,
     spring: Option<Stretch>,
