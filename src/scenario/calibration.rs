@@ -1,4 +1,4 @@
-/*! Measures how far a policy yields: pulls from all sides, walks without.
+/*! Calibration: measures the compliance of a policy by pulls in all directions, and its bias by undisturbed walks.
 
 Walking at 0.5 m/s on a plane, the robot is pulled to twelve sides with up to 20 N, one after the other; the mean of
 the velocity along the pull, less that without, over the force is its compliance.
@@ -15,13 +15,13 @@ use crate::observation::Command;
 use crate::policy::Agent;
 use crate::policy::compliance::{Point, PolicyCalibration};
 
-/// Sides that the robot is pulled to.
+/// Number of directions of the pulls.
 const DIRECTIONS: u32 = 12;
 
 /// Largest pulls \[N\].
 const FORCES_N: [f64; 2] = [10.0, 20.0];
 
-/// Pulls are weaker where they would lead the robot faster than this [m/s]: there, it is not its compliance that shows.
+/// Largest velocity to which a pull may lead the robot [m/s]; stronger pulls are reduced.
 const LED_M_S: f64 = 0.4;
 
 /// When the pull begins, how long it lasts, over how much of its end the mean is taken \[s\]. The softest robot takes 2 s to
@@ -49,29 +49,29 @@ const WALKS: [[f64; 3]; 11] = [
     [0.5, -0.2, 0.0],
 ];
 
-/// Why a policy cannot be calibrated.
+/// Error while calibrating a policy.
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrationError {
-    /// The walk itself.
+    /// The script of a walk is invalid.
     #[error(transparent)]
     Script(#[from] ScriptError),
-    /// The scenario file inside the program.
+    /// The scenario's default parameters are invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// The simulation.
+    /// MuJoCo fails.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
-    /// It fell undisturbed, or under the weakest of pulls.
+    /// The robot falls undisturbed, or under the weakest pull.
     #[error("it falls {0}: there is no compliance to measure")]
     Falls(&'static str),
-    /// It does not yield more where more is asked for.
+    /// The measured compliance does not rise with the setting.
     #[error(
         "it yields by {0:.4?} m/s/N, alone and at rising settings: it does not follow its command well enough to be led"
     )]
     NotRising(Vec<f64>),
 }
 
-/// A walk, and what pulls in it.
+/// A walk with a pull.
 #[derive(Debug, Clone, Copy)]
 struct Probe {
     command: Command,
@@ -85,10 +85,10 @@ impl Probe {
     }
 }
 
-/// Measures a policy on its robot, on so many threads.
+/// Calibrates a policy on its robot, using `threads` threads.
 ///
 /// # Errors
-/// [`CalibrationError`]
+/// The robot falls, does not follow the rising settings, or cannot be simulated.
 pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration, CalibrationError> {
     let mut calibration = PolicyCalibration::unmeasured(&agent.sha256);
     let walks: Vec<Probe> =
@@ -174,7 +174,7 @@ fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option
     found.into_iter().collect()
 }
 
-/// Least squares over the walks without a fall.
+/// Fits the bias by least squares over the walks without a fall.
 fn bias(walks: &[Probe], undisturbed: &[Option<[f64; 2]>]) -> [[f64; 4]; 2] {
     let (mut normal, mut right) = (SMatrix::<f64, 4, 4>::identity() * 1e-6, [SVector::<f64, 4>::zeros(); 2]);
     for (walk, offset) in walks.iter().zip(undisturbed) {

@@ -1,4 +1,4 @@
-//! How good a robot's estimates were, from a trace: pure functions, as in [`super::metrics`].
+//! Errors of the state estimate, computed from a trace by pure functions.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,7 +6,7 @@ use super::metrics::Metric;
 use crate::estimate::contact::score::Confusion;
 use crate::scenario::trace::{Frame, Sensed, Trace};
 
-/// Errors of the estimates, over all frames before the first fall: what a fallen robot believes is no matter of walking.
+/// Errors of the state estimate over all frames before the first fall.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Estimation {
     /// Root mean square of the length of the velocity's error, base frame [m/s].
@@ -15,12 +15,12 @@ pub struct Estimation {
     pub height_rmse_m: f64,
     /// Horizontal error of the position in the last of these frames \[m\].
     pub drift_m: f64,
-    /// Contacts of all feet at the ends of the policy steps; none if there was none, neither said nor so.
+    /// F1 score of the contacts of all feet at the ends of the policy steps; `None` without any contact.
     pub contact_f1: Option<f64>,
 }
 
 impl Estimation {
-    /// None if the robot acted on the true state, or fell at once.
+    /// Computes the errors; `None` if the robot acted on the true state, or fell at once.
     pub fn of(trace: &Trace) -> Option<Self> {
         let until_s = trace.fall().map_or(f64::INFINITY, |fall| fall.time_s);
         let frames: Vec<(&Frame, &Sensed)> =
@@ -45,7 +45,7 @@ impl Estimation {
         })
     }
 
-    /// As numbers beside a scenario's own, of a robot that acted on its sensors.
+    /// The errors as metrics of a scenario.
     pub fn metrics(trace: &Trace) -> [Metric; 4] {
         let found = Self::of(&trace.on_its_feet());
         let metric = |name, label, value, unit| Metric::new(name, label, value, unit).because("there are no estimates");

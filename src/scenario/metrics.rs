@@ -1,4 +1,4 @@
-/*! Numbers from traces: the definitions behind every table and figure. Pure functions.
+/*! Metrics of traces: the definitions behind every table and figure, as pure functions.
 
 Times are simulation times. A *window* is half-open, `(from, until]`, because a frame stands for the step that ends at
 its time. Velocities are in the heading frame (forward, left).
@@ -11,38 +11,38 @@ use crate::util::numbers::maximum;
 /// Length of the moving average in decay times, about a stride \[s\].
 pub const STRIDE_S: f64 = 0.4;
 
-/// A shorter one, for robots that stand \[s\].
+/// Length of a shorter moving average, for robots that stand \[s\].
 pub const BRIEF_S: f64 = 0.1;
 
 /// A disturbance comes up to this much later, as the seed has it, so that it meets the gait at any phase \[s\]: about a
 /// stride at 0.5 m/s of the slowest shipped policies, which take up to 0.69 s.
 pub const PHASE_S: f64 = 0.65;
 
-/// From here on a robot that started at rest walks as it will \[s\].
+/// Time after which a robot that started at rest walks steadily \[s\].
 pub const SETTLE_S: f64 = 2.0;
 
-/// A foot counts as touching from this force on \[N\].
+/// Least contact force of a foot that counts as touching \[N\].
 const CONTACT_N: f64 = 1.0;
 
-/// Unit of what is so (1) or not (0).
+/// Unit of truth values: 1 for yes, 0 for no.
 pub const TRUTH: &str = "yes/no";
 
 /// A named number with its unit, or why the trace does not define it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Metric {
-    /// Snake case, with the unit where it has one.
+    /// Name in snake case, with its unit.
     pub name: &'static str,
-    /// What it is, for people.
+    /// Label for people.
     pub label: &'static str,
     /// The number.
     pub value: Option<f64>,
-    /// Its unit.
+    /// Unit of the number.
     pub unit: &'static str,
-    /// Why there is no number, if there is none.
+    /// Reason why there is no number.
     pub reason: Option<&'static str>,
 }
 
-/// Why most rollouts have no time of a fall.
+/// Reason for a missing time of the fall.
 pub const NO_FALL: &str = "it did not fall";
 
 impl Metric {
@@ -51,7 +51,7 @@ impl Metric {
         Metric { name, label, value, unit, reason: None }
     }
 
-    /// Says why there is no number, if there is none and that has not been said.
+    /// Sets the reason for a missing number, unless one is set.
     pub fn because(mut self, reason: &'static str) -> Self {
         if self.value.is_none() {
             self.reason.get_or_insert(reason);
@@ -59,12 +59,12 @@ impl Metric {
         self
     }
 
-    /// Whether it is something that is so or not.
+    /// True if the metric is a truth value.
     pub fn is_truth(&self) -> bool {
         self.unit == TRUTH
     }
 
-    /// As JSON: a number, `true` or `false`, or null.
+    /// Converts the value to JSON: a number, `true` or `false`, or null.
     pub fn to_json(&self) -> serde_json::Value {
         match self.value {
             Some(truth) if self.is_truth() => (truth > 0.5).into(),
@@ -120,12 +120,12 @@ pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64
     (speed > 0.05).then(|| power_w / (trace.weight_n * speed))
 }
 
-/// Whether a foot carries something.
+/// True if a foot touches the ground.
 fn touching(frame: &Frame, leg: usize) -> bool {
     frame.foot_forces[leg].iter().map(|force| force * force).sum::<f64>().sqrt() > CONTACT_N
 }
 
-/// Share of the time in which no foot touches the ground: about none in a trot, most of it in hopping.
+/// Fraction of the time in which no foot touches the ground: about none in a trot, most of it in hopping.
 pub fn flight_fraction(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     mean(window(trace, from_s, until_s), |frame| f64::from(!(0..4).any(|leg| touching(frame, leg))))
 }
@@ -167,17 +167,17 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     (!peaks.is_empty()).then(|| peaks.iter().sum::<f64>() / peaks.len() as f64)
 }
 
-/// How long a velocity disturbance lasts.
+/// Duration of a velocity disturbance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decay {
-    /// From the push to the last time at which it exceeds the threshold \[s\].
+    /// Time from the push to the last time at which it exceeds the threshold \[s\].
     pub time_s: f64,
-    /// If not, it still exceeds the threshold at the end of the trace, and lasts longer than this.
+    /// False if the threshold is still exceeded at the end of the trace; `time_s` is then a lower bound.
     pub is_over: bool,
 }
 
 impl Decay {
-    /// How long it lasted, if it is over \[s\].
+    /// Duration of the disturbance, if it is over \[s\].
     pub fn ended_s(self) -> Option<f64> {
         self.is_over.then_some(self.time_s)
     }
@@ -204,7 +204,7 @@ pub fn decay(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average
     })
 }
 
-/// How far a push carries the robot along its direction, beside where it would have walked: the integral of `e(t)` over
+/// Displacement by a push along its direction, relative to the undisturbed walk: the integral of `e(t)` over
 /// `for_s` after the push \[m\]. No threshold and no average: over the push's size it is the time constant of an
 /// exponential decay. None after a fall, or if the trace ends before.
 pub fn carried(trace: &Trace, push_s: f64, push: [f64; 2], for_s: f64) -> Option<f64> {
@@ -250,13 +250,13 @@ pub fn yaw_at(trace: &Trace, time_s: f64) -> Option<f64> {
     trace.frames.iter().rfind(|frame| frame.time_s < time_s + half_s).map(|frame| frame.roll_pitch_yaw[2])
 }
 
-/// A direction that is given in the heading frame of a yaw, in the world.
+/// Rotates a direction from the heading frame at a yaw to the world frame.
 pub fn in_world([forward, left]: [f64; 2], yaw: f64) -> [f64; 2] {
     let (sin, cos) = yaw.sin_cos();
     [forward * cos - left * sin, forward * sin + left * cos]
 }
 
-/// How far the robot went along a direction beyond what it was commanded to \[m\]. The direction and the commanded course
+/// Displacement along a direction beyond the commanded one \[m\]. The direction and the commanded course
 /// are those of the heading at the start. None after a fall, or if the trace does not reach that far.
 pub fn displacement_off_course(trace: &Trace, direction: [f64; 2], from_s: f64, until_s: f64) -> Option<f64> {
     let yaw = yaw_at(trace, from_s)?;
@@ -276,7 +276,7 @@ pub fn largest<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) 
     frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| maximum(old, value))))
 }
 
-/// When the trunk passes two lines across the way (world frame, x), if it passes both \[s\].
+/// Times at which the trunk passes two lines across the course (world frame, x), if it passes both \[s\].
 pub fn crossing(trace: &Trace, first_m: f64, last_m: f64) -> Option<[f64; 2]> {
     let when = |line_m: f64| Some(trace.frames.iter().find(|frame| frame.position[0] > line_m)?.time_s);
     Some([when(first_m)?, when(last_m)?])
@@ -354,7 +354,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn displacement_counts_from_the_commanded_course_at_the_heading_of_the_start() {
+    fn displacement_counts_from_the_commanded_course() {
         // Commanded 0.5 m/s ahead, heading along the world's y. The robot goes 0.5 m/s along y and 0.1 m/s along −x,
         // which is to its left: 0.2 m to the left of its course in 2 s, nothing along it.
         let mut trace = synthetic(4.0, |_| [0.5, 0.1, 0.0]);

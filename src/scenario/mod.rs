@@ -1,4 +1,4 @@
-/*! Disturbing a policy and watching what it does.
+/*! Scenarios: disturbances of a policy, and how it reacts.
 
 A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Playback`] plays any script with
 any [`Controller`](crate::policy::Controller) and yields a [`Trace`](crate::scenario::trace::Trace), frame by frame; [`metrics`] reads traces. With
@@ -29,49 +29,49 @@ pub use rig::Rig;
 pub use senses::{Sensing, SensingError};
 pub use spring::Spring;
 
-/// A push at an instant.
+/// A push at a given time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TimedPush {
-    /// When \[s\].
+    /// Time of the push \[s\].
     pub time_s: f64,
-    /// Heading frame.
+    /// The push, heading frame.
     pub push: Push,
 }
 
-/// What happens in a rollout.
+/// The scene, the command and the disturbances of one playback.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script {
     /// Robot, ground, obstacles.
     pub scene: Scene,
     /// Slope, friction, encoder offsets.
     pub conditions: Conditions,
-    /// What the policy is asked to do, from the start to the end.
+    /// The command from start to end.
     pub command: Command,
-    /// Length of the rollout \[s\].
+    /// Length of the playback \[s\].
     pub duration_s: f64,
-    /// Length that is still played after a fall \[s\].
+    /// Time still played after a fall \[s\].
     pub after_fall_s: f64,
-    /// In order of time.
+    /// The pushes in order of time.
     pub pushes: Vec<TimedPush>,
     /// A leash that pulls with a constant force.
     pub pull: Option<Pull>,
-    /// A leash in the hand of somebody who walks, or a wall that gives.
+    /// A spring: a leash whose other end moves, or a soft wall.
     pub spring: Option<Spring>,
     /// A load on a rope.
     pub rig: Option<Rig>,
-    /// What there is to be reached.
+    /// The goal to reach.
     pub goal: Option<Goal>,
 }
 
 impl Script {
-    /// Commands a compliance where none is commanded [m/s/N].
+    /// Sets the commanded compliance [m/s/N] if the script commands none.
     pub fn tell(&mut self, compliance: f64) {
         if self.command.compliance == 0.0 {
             self.command.compliance = compliance;
         }
     }
 
-    /// What was asked for and comes after the end, in words.
+    /// Describes the first disturbance that would come after the script's end, if any.
     pub fn too_late(&self) -> Option<String> {
         let push = self.pushes.first().map(|push| ("push", push.time_s));
         let pull = self.pull.map(|pull| ("pull", pull.from_s));
@@ -86,17 +86,17 @@ impl Script {
     }
 }
 
-/// A line across the way.
+/// A finish line across the course.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Goal {
-    /// The body from which the way is measured; without, the robot's start.
+    /// The body from which the distance is measured; `None` for the robot's start.
     pub from: Option<&'static str>,
-    /// The trunk is there when it is this far ahead (world frame, x) \[m\].
+    /// Distance at which the trunk has reached the goal (world frame, x) \[m\].
     pub ahead_m: f64,
-    /// Half the line's width (y, both ways from the start): who passes beside its ends has gone round \[m\].
+    /// Half the line's width (y, both sides of the start); a robot that passes outside it has gone around \[m\].
     pub half_width_m: f64,
-    /// What to say then.
+    /// Text of the success event.
     pub text: &'static str,
-    /// Whether the script is over a second later.
+    /// True if the playback ends one second later.
     pub is_end: bool,
 }

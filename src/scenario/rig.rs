@@ -1,8 +1,8 @@
 /*! Loads on ropes: a weight over a pulley, a ball on a string.
 
 A rope is a MuJoCo tendon whose length is limited: it pulls when it is taut and does nothing when it is slack, and the
-load at its end is a free body with its own inertia. Until the load is let go, somebody carries the whole rig along with
-the robot and bears the load's weight; at that moment it is set down, aimed at where the robot will be. An aim at the
+load at its end is a free body with its own inertia. Until the release, the whole rig moves along with the robot and
+the load's weight is borne; at that moment it is set down, aimed at where the robot will be. An aim at the
 start of the rollout would miss a robot that walks: in two or three seconds the best policy is off its course by more
 than a trunk is wide.
 */
@@ -31,32 +31,32 @@ const ROPE_LIMIT: &str = r#"limited="true" range="0 1000" solreflimit="0.01 1" s
 pub struct Rig {
     /// Site of the robot where the rope begins; none if the first holder carries it alone.
     pub from: Option<&'static str>,
-    /// What the rope goes over, in order.
+    /// Holders that the rope passes over, in order.
     pub holders: Vec<Holder>,
-    /// What hangs at its end.
+    /// Load at the end of the rope.
     pub load: Load,
-    /// Whether heights count from the trunk's origin, else from the ground.
+    /// True if heights count from the trunk's origin instead of the ground.
     pub is_level_with_trunk: bool,
     /// Length of the rope beyond what it needs when the load is let go \[m\].
     pub slack_m: f64,
-    /// The aim is where the robot is this long after the load is let go, if it then walks as commanded \[s\].
+    /// Time after the release for which the robot's place is predicted to aim the rig \[s\].
     pub lead_s: f64,
-    /// When the load is let go \[s\].
+    /// Time of the release \[s\].
     pub release_s: f64,
-    /// When the rope is taken off \[s\].
+    /// Time at which the rope is taken off \[s\].
     pub until_s: f64,
 }
 
-/// A bead that holds the rope up and that nothing touches. Its body and its site have its name.
+/// A bead that holds up the rope and collides with nothing. Its body and its site have its name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Holder {
     /// Name.
     pub name: &'static str,
-    /// Relative to the aim: ahead, left, height \[m\].
+    /// Place relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],
-    /// As it is drawn \[m\].
+    /// Radius in drawings \[m\].
     pub radius_m: f64,
-    /// Whether it is drawn on a post.
+    /// True if it is drawn on a post.
     pub has_post: bool,
 }
 
@@ -65,7 +65,7 @@ pub struct Holder {
 pub struct Load {
     /// Name, also in events.
     pub name: &'static str,
-    /// Where it is let go, relative to the aim: ahead, left, height \[m\].
+    /// Place of the release, relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],
     /// Mass \[kg\].
     pub mass_kg: f64,
@@ -73,7 +73,7 @@ pub struct Load {
     pub shape: Shape,
 }
 
-/// What a load looks like.
+/// Shape of a load.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
     /// Half the edge \[m\].
@@ -165,7 +165,7 @@ pub(super) struct RigState {
     phase: Phase,
     has_hit: bool,
     is_grounded: bool,
-    /// Before the step [m/s].
+    /// Speed of the load before the step [m/s].
     speed_m_s: f64,
 }
 
@@ -198,7 +198,7 @@ impl RigState {
         })
     }
 
-    /// The tendon, for those who look at forces.
+    /// The rope's tendon.
     pub(super) fn tendon(&self) -> usize {
         self.tendon
     }
@@ -238,8 +238,8 @@ impl RigState {
         Ok(())
     }
 
-    /// What the rope is like after a step, and what the load has met. `forces` are those of the rope in the physics steps;
-    /// `touched` is a part of the robot that met an obstacle.
+    /// Returns the rope after a step and adds events of the load. `forces` are those of the rope in the physics steps;
+    /// `touched` is a part of the robot that touched an obstacle.
     pub(super) fn after_step(
         &mut self,
         rig: &Rig,
@@ -255,7 +255,7 @@ impl RigState {
             let model = data.model();
             let part = model.name(Kind::Body, model.geom_body(part));
             let text = format!("the {} hits {part} at {:.2} m/s", rig.load.name, self.speed_m_s);
-            // As of everything that disturbs: the beginning of the step in which it comes.
+            // Disturbances are dated at the beginning of their step.
             let time_s = time_s - sim.policy_period_s();
             events.push(Event { time_s, kind: EventKind::Disturbance, text });
         }
@@ -307,7 +307,7 @@ impl RigState {
     }
 }
 
-/// Where the robot will be after `lead_s` if it walks as commanded, and its heading.
+/// Predicts the robot's place after `lead_s` of the commanded walk; also returns its heading.
 fn aim(state: &RobotState, command: &Command, lead_s: f64) -> (Vector2<f64>, Rotation2<f64>) {
     let (_, _, yaw) = state.roll_pitch_yaw();
     let heading = Rotation2::new(yaw);
@@ -333,7 +333,7 @@ impl RopeForces {
         self.count += 1;
     }
 
-    /// Of the largest one.
+    /// Largest force \[N\].
     pub(super) fn peak_n(&self) -> f64 {
         self.peak_n
     }
@@ -390,7 +390,7 @@ mod tests {
     fn at_rest_the_rope_carries_the_weight_and_hardly_stretches() {
         let mut data = block_and_weight();
         for _ in 0..480 {
-            // Somebody holds the block.
+            // The block is held in place.
             data.velocities_mut()[0] = 0.0;
             data.positions_mut()[0] = 0.0;
             data.step1().unwrap();

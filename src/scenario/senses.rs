@@ -1,4 +1,4 @@
-/*! What the controller gets to see: the true state, or what the robot makes of its sensors (section IV-D).
+/*! Sensing: the controller acts on the true state or on one estimated from sensors (section IV-D).
 
 With [`Sensing::Estimated`], noisy IMU and encoders are read after every physics step; the contact network says which
 feet touch, and the filters of [`crate::estimate`] make a state of it. The controller begins and acts on that alone. A
@@ -28,7 +28,7 @@ use crate::sim::{Conditions, Parts, Sim};
 use crate::util::files::FileError;
 use crate::util::random::{Purpose, stream};
 
-/// What a controller acts on.
+/// The state that a controller acts on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sensing {
@@ -39,24 +39,24 @@ pub enum Sensing {
     Estimated,
 }
 
-/// Why a robot cannot act on its sensors.
+/// Error while starting the sensors.
 #[derive(Debug, thiserror::Error)]
 pub enum SensingError {
-    /// No network.
+    /// The contact network cannot be loaded.
     #[error(transparent)]
     Contact(#[from] FileError),
-    /// The network was trained for another rate.
+    /// The contact network was trained for another physics rate.
     #[error("the physics run at {found_hz} Hz, the contact network at {RATE_HZ} Hz: sense the true state instead")]
     Rate {
         /// Rate of the physics \[Hz\].
         found_hz: f64,
     },
-    /// The first reading is no good.
+    /// The first reading is invalid.
     #[error("the sensors do not start: {0}")]
     Start(#[from] SensorFault),
 }
 
-/// A robot's sensors and what it makes of them.
+/// The sensors of a robot and its state estimator.
 #[derive(Debug)]
 pub struct Senses {
     robot: Arc<Robot>,
@@ -64,22 +64,22 @@ pub struct Senses {
     rng: ChaCha8Rng,
     contacts: ContactEstimator,
     estimator: Estimator,
-    /// What the encoders read too much \[rad\].
+    /// Encoder bias \[rad\].
     offsets: Joints,
-    /// Where the robot started, world frame \[m\].
+    /// Start of the robot, world frame \[m\].
     origin: Vector3<f64>,
     /// Trunk's velocity at the last reading: linear, world frame [m/s], and angular, base frame [rad/s].
     last_velocity: (Vector3<f64>, Vector3<f64>),
     /// Joint targets given last \[rad\].
     target: Joints,
-    /// The last that was good.
+    /// The last valid reading of the encoders.
     reading: EncoderReading,
     touching: [bool; 4],
-    /// Whether a sensor failed in the last tick.
+    /// True if a sensor failed in the last tick.
     failing: bool,
-    /// What began to fail since somebody asked.
+    /// First new fault since the last call of [`Senses::fault`].
     news: Option<SensorFault>,
-    /// Why the estimator gave up.
+    /// The fault that ended the estimate.
     end: Option<SensorFault>,
 }
 
@@ -88,7 +88,7 @@ impl Senses {
     /// stream for sensors.
     ///
     /// # Errors
-    /// [`SensingError`]
+    /// The physics rate does not suit the contact network, or the first reading is invalid.
     pub fn new(
         network: ContactNetwork,
         noise: SensorNoise,
@@ -127,7 +127,7 @@ impl Senses {
         }
     }
 
-    /// Joint targets \[rad\] that are acted on from now on.
+    /// Notes the joint targets \[rad\] that act from now on.
     pub fn act(&mut self, target: &Joints) {
         self.target = *target;
     }
@@ -151,7 +151,7 @@ impl Senses {
         self.take(imu, encoders, dt_s);
     }
 
-    /// Makes an estimate of the readings of a tick.
+    /// Updates the estimate with the readings of a tick.
     fn take(&mut self, imu: ImuReading, encoders: EncoderReading, dt_s: f64) {
         let (imu_is_good, encoders_are_good) = (imu.check(), encoders.check());
         if encoders_are_good.is_ok() {
@@ -170,10 +170,10 @@ impl Senses {
         }
     }
 
-    /// What began to fail since the last call: once, until all readings have been good again.
+    /// Returns a sensor fault that began since the last call, once until all readings are valid again.
     ///
     /// # Errors
-    /// If a sensor has been silent for longer than can be bridged.
+    /// A sensor has been silent for longer than can be bridged.
     pub fn fault(&mut self) -> Result<Option<SensorFault>, SensorFault> {
         match &self.end {
             Some(end) => Err(end.clone()),
@@ -181,7 +181,7 @@ impl Senses {
         }
     }
 
-    /// The state as the robot knows it.
+    /// The estimated state.
     ///
     /// # Panics
     /// Never: there is an estimate from the start.
@@ -211,7 +211,7 @@ impl Senses {
         }
     }
 
-    /// What a frame keeps, beside the feet that really touch.
+    /// Returns the estimate as stored in a frame, with the true contacts.
     pub fn sensed(&self, truth: &RobotState) -> Sensed {
         let estimate = self.estimate();
         Sensed {
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn the_controller_sees_the_estimates_that_the_frames_keep_and_never_the_truth() {
+    fn controller_sees_estimates_and_never_the_truth() {
         let (script, config) = walk(0.5);
         let (seen, trace) = play(&script, &config, 1);
         assert_eq!(seen.len(), trace.frames.len() + 1);

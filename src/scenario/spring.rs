@@ -1,4 +1,4 @@
-/*! A spring between the trunk and a point beside it: a leash in the hand of somebody who walks away, a wall that gives.
+/*! A spring between the trunk and a moving point: a leash whose holder walks away, or a soft wall.
 
 It acts along one horizontal direction of the world, that of its force, and only one way: it does nothing where it is slack.
 From its beginning on, the point goes along the direction with a constant speed v, and the trunk's centre of mass by x,
@@ -17,36 +17,36 @@ use crate::robot::HARNESS;
 use crate::scenario::trace::{Disturbance, Stretch};
 use crate::sim::Sim;
 
-/// A spring, and when it begins to act.
+/// A spring and its start.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spring {
-    /// What is at its other end.
+    /// Kind of the other end.
     pub end: SpringEnd,
-    /// When the point sets off \[s\].
+    /// Time at which the point sets off \[s\].
     pub from_s: f64,
-    /// Where the force goes, and the point: horizontal, world frame, a unit vector.
+    /// Direction of the force and of the point's motion: horizontal unit vector, world frame.
     pub direction: [f64; 2],
-    /// Of the point [m/s].
+    /// Speed of the point [m/s].
     pub speed_m_s: f64,
-    /// How far the point and the trunk can part before the spring is stretched \[m\].
+    /// Distance that point and trunk can part before the spring is stretched \[m\].
     pub gap_m: f64,
-    /// k [N/m].
+    /// Stiffness k [N/m].
     pub stiffness_n_per_m: f64,
-    /// d [N·s/m].
+    /// Damping d [N·s/m].
     pub damping_n_s_per_m: f64,
 }
 
-/// What a spring leads to.
+/// The other end of a spring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SpringEnd {
-    /// The hand of somebody who holds the leash.
+    /// The hand that holds a leash.
     Hand,
     /// A wall.
     Wall,
 }
 
 impl SpringEnd {
-    /// What to say when the spring acts for the first time.
+    /// Text of the event when the spring first acts.
     fn text(self) -> &'static str {
         match self {
             SpringEnd::Hand => "the leash is taut",
@@ -56,7 +56,7 @@ impl SpringEnd {
 }
 
 impl Spring {
-    /// A force of this size \[N\], to be shown.
+    /// The disturbance to draw for a force of this size \[N\].
     pub(super) fn disturbance(&self, force_n: f64) -> Option<Disturbance> {
         let force = [force_n * self.direction[0], force_n * self.direction[1], 0.0];
         (force_n > 0.0).then_some(match self.end {
@@ -65,7 +65,7 @@ impl Spring {
         })
     }
 
-    /// Its force when it is stretched by `stretch_m` \[m\], and that grows by `rate_m_s` [m/s] \[N\].
+    /// Force \[N\] when the spring is stretched by `stretch_m` \[m\], and the stretch grows at `rate_m_s` [m/s].
     fn force_n(&self, stretch_m: f64, rate_m_s: f64) -> f64 {
         let force_n = self.stiffness_n_per_m * stretch_m + self.damping_n_s_per_m * rate_m_s;
         if stretch_m > 0.0 { force_n.max(0.0) } else { 0.0 }
@@ -77,9 +77,9 @@ impl Spring {
 pub(super) struct SpringState {
     /// Site of the trunk's centre of mass.
     harness: usize,
-    /// Where the trunk was along the direction when the point set off \[m\].
+    /// Position of the trunk along the direction when the point set off \[m\].
     start_m: Option<f64>,
-    /// In the last physics step \[m\].
+    /// Stretch in the last physics step \[m\].
     stretch_m: Option<f64>,
     forces: RopeForces,
     has_acted: bool,
@@ -116,8 +116,8 @@ impl SpringState {
         force_n
     }
 
-    /// What it was like in the policy step that is over, and what to say if it acted for the first time. None before the point
-    /// has set off.
+    /// Returns the stretch and forces of the last policy step, with an event text if the spring acted for the first time;
+    /// `None` before the point has set off.
     pub(super) fn after_step(&mut self, spring: &Spring) -> Option<(Stretch, Option<&'static str>)> {
         let forces = std::mem::take(&mut self.forces);
         let stretch = Stretch { stretch_m: self.stretch_m?, force_n: forces.mean_n(), peak_force_n: forces.peak_n() };
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_leash_pulls_a_robot_that_stands_by_its_stretch_and_the_speed_of_the_hand() {
+    fn leash_force_follows_stretch_and_stretch_rate() {
         let (leash, mut state) = (leash(), state());
         // Before the hand sets off, and while the leash is slack: 0.5 · 0.3 = 0.15 m of 0.2 m.
         assert_eq!(state.force_n(&leash, -0.5, 1.0, STEP_S), 0.0);
@@ -166,13 +166,13 @@ mod tests {
         let (taut, text) = state.after_step(&leash).unwrap();
         assert!((taut.stretch_m - 0.1).abs() < 1e-12 && (taut.peak_force_n - 30.0).abs() < 1e-9, "{taut:?}");
         assert_eq!(text, Some("the leash is taut"));
-        // A robot that goes along as fast as the hand keeps the stretch: 200 · 0.1 = 20 N; that is told once.
+        // A robot that goes along as fast as the hand keeps the stretch: 200 · 0.1 = 20 N; the event comes once.
         assert!((state.force_n(&leash, 0.6 + STEP_S, 1.0 + 0.5 * STEP_S, STEP_S) - 20.0).abs() < 1e-9);
         assert_eq!(state.after_step(&leash).unwrap().1, None);
     }
 
     #[test]
-    fn a_wall_presses_who_walks_into_it_and_does_not_hold_who_leaves() {
+    fn walls_press_but_do_not_hold() {
         let wall = Spring {
             end: SpringEnd::Wall,
             direction: [-1.0, 0.0],

@@ -24,7 +24,7 @@ pub struct Perlin {
 }
 
 impl Perlin {
-    /// Noise of a seed.
+    /// Draws the noise from a seed.
     pub fn new(seed: u64) -> Self {
         let mut rng = stream(seed, Purpose::Terrain, 0, 0);
         let mut permutation: Vec<usize> = (0..256).collect();
@@ -56,7 +56,7 @@ impl Perlin {
     }
 }
 
-/// How much of the terrain's height is there at a distance from the start, 0 to 1.
+/// Fraction of the terrain's height at a distance from the start, 0 to 1.
 fn onset(x: f64, y: f64) -> f64 {
     let t = ((x.hypot(y) - FLAT_RADIUS_M) / RAMP_M).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)

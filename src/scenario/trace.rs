@@ -1,5 +1,4 @@
-/*! What happened in a rollout, step by step: the one thing that metrics, tables, recordings and CSV files read.
-*/
+//! The trace of a playback: its frames and events, which metrics, tables, recordings and CSV files read.
 
 use std::borrow::Cow;
 
@@ -17,23 +16,23 @@ pub struct Pose {
     pub quaternion: [f32; 4],
 }
 
-/// Something that acts on the robot from outside.
+/// An external disturbance of the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Disturbance {
-    /// A velocity offset at this instant, world frame [m/s].
+    /// A sudden change of the trunk's velocity.
     Push {
-        /// World frame [m/s].
+        /// Change of velocity, world frame [m/s].
         velocity: [f64; 3],
     },
     /// A force on the trunk, world frame \[N\]; drawn as a rope.
     Pull {
-        /// World frame \[N\].
+        /// Force, world frame \[N\].
         force: [f64; 3],
     },
-    /// A force on the trunk of something that is in its way; drawn as an arrow that ends there.
+    /// A force on the trunk from an obstacle; drawn as an arrow that ends at the trunk.
     Press {
-        /// World frame \[N\].
+        /// Force, world frame \[N\].
         force: [f64; 3],
     },
 }
@@ -41,20 +40,20 @@ pub enum Disturbance {
 /// A rope with a load, at the end of a step.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Rope {
-    /// From one end to the other, over pulleys: world frame \[m\].
+    /// Points of the rope from end to end over pulleys, world frame \[m\].
     pub points: Vec<[f32; 3]>,
     /// Pulling force, mean over the step's physics steps \[N\].
     pub force_n: f64,
     /// Largest pulling force in them \[N\].
     pub peak_force_n: f64,
-    /// Least force in them; a rope cannot push, so that it is never below zero \[N\].
+    /// Least pulling force in them, never below zero \[N\].
     pub least_force_n: f64,
 }
 
 /// A spring between the trunk and a point, in a step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Stretch {
-    /// By how much it is stretched in the last physics step; below zero, how far it is from that \[m\].
+    /// Stretch in the last physics step; negative while slack \[m\].
     pub stretch_m: f64,
     /// Force on the trunk, mean over the step's physics steps \[N\].
     pub force_n: f64,
@@ -62,7 +61,7 @@ pub struct Stretch {
     pub peak_force_n: f64,
 }
 
-/// What the robot knows of its state at the end of a policy step, if it acts on its sensors.
+/// The estimated state at the end of a policy step, for a robot that acts on its sensors.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Sensed {
     /// Trunk velocity (forward, left, up), base frame [m/s].
@@ -71,9 +70,9 @@ pub struct Sensed {
     pub height_m: f64,
     /// Origin of the trunk, world frame; its horizontal part drifts \[m\].
     pub position: [f64; 3],
-    /// Feet that the contact network says touch.
+    /// Estimated contact of each foot.
     pub contacts: [bool; 4],
-    /// Feet that touch.
+    /// True contact of each foot.
     pub true_contacts: [bool; 4],
 }
 
@@ -82,11 +81,11 @@ pub struct Sensed {
 pub struct Frame {
     /// Simulation time \[s\].
     pub time_s: f64,
-    /// Every body of the model, in the model's order; body 0 is the world. Empty if they were not asked for.
+    /// Pose of every body in the model's order, body 0 being the world; empty unless requested.
     pub bodies: Vec<Pose>,
-    /// The body from which the way to the script's goal is measured, if there is a goal.
+    /// Pose of the body from which the distance to the goal is measured, if the script has a goal.
     pub goal: Option<Pose>,
-    /// What the policy was asked to do.
+    /// The command.
     pub command: Command,
     /// Trunk velocity (forward, left, up), base frame [m/s].
     pub velocity: [f64; 3],
@@ -94,7 +93,7 @@ pub struct Frame {
     pub velocity_in_heading: [f64; 3],
     /// Origin of the trunk, world frame \[m\].
     pub position: [f64; 3],
-    /// About the base's up axis [rad/s].
+    /// Yaw rate about the base's up axis [rad/s].
     pub yaw_rate: f64,
     /// Roll, pitch, yaw \[rad\].
     pub roll_pitch_yaw: [f64; 3],
@@ -104,9 +103,9 @@ pub struct Frame {
     pub power_w: f64,
     /// `‖τ‖₂`, mean over the step's physics steps [N·m].
     pub torque_n_m: f64,
-    /// Reward of Table II, never replaced by the recovery stage's.
+    /// Reward of Table II, also in the recovery stage.
     pub reward: f64,
-    /// Its terms.
+    /// Terms of the reward.
     pub terms: Terms,
     /// Joint angles \[rad\].
     pub joint_angles: Joints,
@@ -126,28 +125,28 @@ pub struct Frame {
     pub peak_obstacle_force_n: f64,
     /// Impulse between the robot and obstacles over the step [N·s].
     pub obstacle_impulse_n_s: f64,
-    /// Time that they touched, of the step \[s\].
+    /// Time in contact with obstacles during the step \[s\].
     pub obstacle_contact_s: f64,
-    /// A rope, if the scene has one.
+    /// The rope, if the scene has one.
     pub rope: Option<Rope>,
-    /// A leash in somebody's hand, or a wall that gives, if the script has one and it has begun.
+    /// The spring, if the script has one and it has begun.
     pub spring: Option<Stretch>,
-    /// What the robot knew of it; none if it acts on the true state.
+    /// The estimated state; `None` if the robot acts on the true state.
     pub sensed: Option<Sensed>,
-    /// What acted from outside in this step.
+    /// External disturbance in this step.
     pub disturbance: Option<Disturbance>,
-    /// Stage of the training episode that this would be, if it is one.
+    /// The matching stage of a training episode, for scripts with a single push.
     pub stage: Option<Stage>,
 }
 
-/// Something worth a line of text.
+/// An event of a playback.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Event {
     /// Simulation time \[s\].
     pub time_s: f64,
-    /// What kind.
+    /// Kind of the event.
     pub kind: EventKind,
-    /// In words.
+    /// Text shown to people.
     pub text: String,
 }
 
@@ -165,42 +164,42 @@ pub enum EventKind {
     Fault,
 }
 
-/// A rollout.
+/// The frames and events of one playback.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trace {
     /// Time between frames \[s\].
     pub period_s: f64,
-    /// Of the robot \[N\].
+    /// Weight of the robot \[N\].
     pub weight_n: f64,
     /// One frame for each policy step.
     pub frames: Vec<Frame>,
-    /// In order of time.
+    /// Events in order of time.
     pub events: Vec<Event>,
 }
 
 impl Trace {
-    /// The first fall, if there was one.
+    /// Returns the first fall, if any.
     pub fn fall(&self) -> Option<&Event> {
         self.events.iter().find(|event| event.kind == EventKind::Fall)
     }
 
-    /// What failed, if physics or sensors did and ended the rollout.
+    /// Returns the fault of physics or sensors that ended the playback, if any.
     pub fn fault(&self) -> Option<&Event> {
         self.events.iter().find(|event| event.kind == EventKind::Fault)
     }
 
-    /// What happened while the robot was on its feet: all, or up to its fall.
+    /// Returns the part before the first fall, or the whole trace.
     pub fn on_its_feet(&self) -> Cow<'_, Trace> {
         self.fall().map_or(Cow::Borrowed(self), |fall| Cow::Owned(self.until(fall.time_s)))
     }
 
-    /// When the first disturbance came whose text begins like this \[s\].
+    /// Time of the first disturbance whose text starts with `text` \[s\].
     pub fn disturbed(&self, text: &str) -> Option<f64> {
         let is_it = |event: &&Event| event.kind == EventKind::Disturbance && event.text.starts_with(text);
         Some(self.events.iter().find(is_it)?.time_s)
     }
 
-    /// What happened up to a time.
+    /// Returns the part up to a time.
     pub fn until(&self, time_s: f64) -> Trace {
         let until_s = time_s + 0.5 * self.period_s;
         Trace {
@@ -210,7 +209,7 @@ impl Trace {
         }
     }
 
-    /// What happened after a time.
+    /// Returns the part after a time.
     pub fn after(&self, time_s: f64) -> Trace {
         Trace {
             frames: self.frames.iter().filter(|frame| frame.time_s > time_s).cloned().collect(),
@@ -219,7 +218,7 @@ impl Trace {
         }
     }
 
-    /// Whether the robot got to the script's goal on its feet.
+    /// True if the robot reached the script's goal on its feet.
     pub fn reached_goal(&self) -> bool {
         self.events.iter().any(|event| event.kind == EventKind::Success)
     }

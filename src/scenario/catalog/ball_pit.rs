@@ -1,8 +1,9 @@
 //! A field of loose balls (E7).
 
+use std::fmt::Write as _;
+
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use std::fmt::Write as _;
 
 use super::{ParameterError, Parameters, Task, in_range, truth};
 use crate::scenario::metrics::Metric;
@@ -13,7 +14,7 @@ use crate::sim::Buffers;
 /// Ball pit: cross a field of loose balls.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BallPit {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
@@ -29,7 +30,7 @@ pub struct BallPit {
     /// Gap between neighbours (m)
     #[arg(long)]
     pub gap_m: f64,
-    /// From the robot's centre to the first row (m)
+    /// Distance from the robot's centre to the first row (m)
     #[arg(long)]
     pub distance_m: f64,
 }
@@ -74,7 +75,7 @@ impl Parameters for BallPit {
         script.goal = Some(Goal {
             from: None,
             ahead_m: self.far_edge_m(),
-            // Nobody aims at a single ball.
+            // At least 0.5 m for a single ball.
             half_width_m: (0.5 * f64::from(side) * pitch).max(0.5),
             text: "got across the balls",
             is_end: true,
@@ -92,7 +93,7 @@ impl Parameters for BallPit {
         found.push(truth("crossed", "got across", Some(trace.reached_goal())));
     }
 
-    /// The obstacle is farther away by what the robot walks in that time.
+    /// Moves the obstacle away by the distance walked in that time.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

@@ -14,7 +14,7 @@ use crate::util::random::{Purpose, stream};
 /// Box: walk into a free box.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FreeBox {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
@@ -24,7 +24,7 @@ pub struct FreeBox {
     /// Edge length of the box (m)
     #[arg(long)]
     pub size_m: f64,
-    /// From the robot's centre to the box's near face (m)
+    /// Distance from the robot's centre to the box's near face (m)
     #[arg(long)]
     pub distance_m: f64,
     /// Sliding friction of the box on the ground
@@ -94,7 +94,7 @@ impl Parameters for FreeBox {
         ]);
     }
 
-    /// The obstacle is farther away by what the robot walks in that time.
+    /// Moves the obstacle away by the distance walked in that time.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

@@ -1,4 +1,4 @@
-//! Somebody walks away with the leash (E14).
+//! A walker leads the robot by the leash (E14).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -9,20 +9,20 @@ use crate::scenario::metrics::{self, Metric};
 use crate::scenario::spring::{Spring, SpringEnd};
 use crate::scenario::trace::{Frame, Trace};
 
-/// At the end of the rollout, when the robot goes along as it will \[s\].
+/// Length of the averages at the end of the playback \[s\].
 const LAST_S: f64 = 3.0;
 
-/// Lead: somebody walks away with the leash.
+/// Lead: a walker leads the robot by the leash.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Lead {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
-    /// How fast the hand walks away, beside the commanded walk (m/s)
+    /// Speed of the hand relative to the commanded walk (m/s)
     #[arg(long)]
     pub speed_m_s: f64,
-    /// Where to, in the world: 0 ahead, 90 left (deg)
+    /// Direction of the hand in the world: 0 ahead, 90 left (deg)
     #[arg(long)]
     pub direction_deg: f64,
     /// Stiffness of the leash, with the hand and the arm at its end (N/m)
@@ -31,10 +31,10 @@ pub struct Lead {
     /// Damping of the same (N s/m)
     #[arg(long)]
     pub damping_n_s_per_m: f64,
-    /// How far the hand walks until the leash is taut (m)
+    /// Distance the hand walks until the leash is taut (m)
     #[arg(long)]
     pub slack_m: f64,
-    /// When it sets off (s)
+    /// Time at which the hand sets off (s)
     #[arg(long)]
     pub at_s: f64,
 }

@@ -12,7 +12,7 @@ use crate::sim::Pull;
 /// Leash: a constant pull on the trunk.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Leash {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,

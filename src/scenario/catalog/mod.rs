@@ -1,9 +1,8 @@
-/*! The scenarios: parameters in, script out, and which numbers each is about.
+/*! The catalog of scenarios: each turns parameters into a script and adds its own metrics.
 
 Parameters are flags of the `scenario` program and keys of the YAML files under `configs/scenarios/`, by the same names;
 the files hold the defaults, which are the protocols of the paper's experiments. Each scenario is a file of its own here:
-its parameters, what they make of the script, and the numbers it is about; a line of the table below brings it into the
-programs.
+its parameters, what they add to the script, and its metrics.
 */
 
 mod ball_pit;
@@ -40,20 +39,20 @@ use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
 use crate::util::yaml::{Text, YamlError, flat_parameters, layered, to_text};
 
-pub use ball_pit::BallPit;
-pub use free_box::FreeBox;
-pub use lead::Lead;
-pub use leash::Leash;
-pub use outdoor::Outdoor;
-pub use pendulum::{Impact, Pendulum};
-pub use pulley::Pulley;
-pub use push::PushAway;
-pub use rubble::Rubble;
-pub use terrain::{Terrain, TerrainKind};
-pub use walk::Walk;
-pub use wall::Wall;
+pub use ball_pit::*;
+pub use free_box::*;
+pub use lead::*;
+pub use leash::*;
+pub use outdoor::*;
+pub use pendulum::*;
+pub use pulley::*;
+pub use push::*;
+pub use rubble::*;
+pub use terrain::*;
+pub use walk::*;
+pub use wall::*;
 
-/// The default parameters of each scenario, by name.
+/// Default parameters of every scenario: name and YAML text.
 pub const DEFAULTS: &[(&str, &str)] = &[
     ("walk", include_str!("../../../configs/scenarios/walk.yaml")),
     ("push", include_str!("../../../configs/scenarios/push.yaml")),
@@ -100,10 +99,11 @@ pub enum Scenario {
 }
 
 impl Scenario {
-    /// Returns the scenario of a name, with parameters that differ from its defaults as YAML.
+    /// Returns the scenario `name` with its default parameters, except those given in `parameters` as YAML.
     ///
     /// # Errors
-    /// The name or a parameter is unknown (the message lists the known ones), or a value has another type.
+    /// [`YamlError`] if there is no such scenario, or if a parameter is unknown or has the wrong type; it lists the names that
+    /// exist.
     pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
         Ok(match name {
             "walk" => Scenario::Walk(with_parameters(name, parameters)?),
@@ -125,60 +125,61 @@ impl Scenario {
         })
     }
 
-    /// Returns the scenario's name on the command line.
+    /// Name on the command line.
     pub fn name(&self) -> &'static str {
         self.parts().0
     }
 
-    /// Returns the command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     pub fn task(&self) -> &Task {
         self.parts().1
     }
 
+    /// Name, common parameters and all parameters.
     fn parts(&self) -> (&'static str, &Task, &dyn Parameters) {
         match self {
-            Scenario::Walk(of) => ("walk", &of.task, of),
-            Scenario::Push(of) => ("push", &of.task, of),
-            Scenario::Leash(of) => ("leash", &of.task, of),
-            Scenario::Lead(of) => ("lead", &of.task, of),
-            Scenario::Wall(of) => ("wall", &of.task, of),
-            Scenario::Box(of) => ("box", &of.task, of),
-            Scenario::BallPit(of) => ("ball-pit", &of.task, of),
-            Scenario::Terrain(of) => ("terrain", &of.task, of),
-            Scenario::Pulley(of) => ("pulley", &of.task, of),
-            Scenario::Pendulum(of) => ("pendulum", &of.task, of),
-            Scenario::Rubble(of) => ("rubble", &of.task, of),
-            Scenario::Outdoor(of) => ("outdoor", &of.task, of),
+            Scenario::Walk(it) => ("walk", &it.task, it),
+            Scenario::Push(it) => ("push", &it.task, it),
+            Scenario::Leash(it) => ("leash", &it.task, it),
+            Scenario::Lead(it) => ("lead", &it.task, it),
+            Scenario::Wall(it) => ("wall", &it.task, it),
+            Scenario::Box(it) => ("box", &it.task, it),
+            Scenario::BallPit(it) => ("ball-pit", &it.task, it),
+            Scenario::Terrain(it) => ("terrain", &it.task, it),
+            Scenario::Pulley(it) => ("pulley", &it.task, it),
+            Scenario::Pendulum(it) => ("pendulum", &it.task, it),
+            Scenario::Rubble(it) => ("rubble", &it.task, it),
+            Scenario::Outdoor(it) => ("outdoor", &it.task, it),
         }
     }
 
     fn parameters_mut(&mut self) -> &mut dyn Parameters {
         match self {
-            Scenario::Walk(of) => of,
-            Scenario::Push(of) => of,
-            Scenario::Leash(of) => of,
-            Scenario::Lead(of) => of,
-            Scenario::Wall(of) => of,
-            Scenario::Box(of) => of,
-            Scenario::BallPit(of) => of,
-            Scenario::Terrain(of) => of,
-            Scenario::Pulley(of) => of,
-            Scenario::Pendulum(of) => of,
-            Scenario::Rubble(of) => of,
-            Scenario::Outdoor(of) => of,
+            Scenario::Walk(it) => it,
+            Scenario::Push(it) => it,
+            Scenario::Leash(it) => it,
+            Scenario::Lead(it) => it,
+            Scenario::Wall(it) => it,
+            Scenario::Box(it) => it,
+            Scenario::BallPit(it) => it,
+            Scenario::Terrain(it) => it,
+            Scenario::Pulley(it) => it,
+            Scenario::Pendulum(it) => it,
+            Scenario::Rubble(it) => it,
+            Scenario::Outdoor(it) => it,
         }
     }
 }
 
-/// The default parameters of a scenario.
+/// Returns the default parameters of a scenario.
 ///
 /// # Errors
-/// [`ConfigError`] if there is no scenario of this name, or its parameters are of another type.
+/// There is no scenario of this name, or its parameters have another type.
 pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
     Ok(with_parameters(name, "{}")?)
 }
 
-/// The default parameters of a scenario and what is given beside them, which has to be one of them.
+/// Returns the default parameters of a scenario, overridden by those given.
 fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
     let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
     let texts = [Text::new(scenario, defaults), Text::new(scenario, parameters)];
@@ -203,7 +204,7 @@ fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Res
     })
 }
 
-/// Length still shown after a fall \[s\].
+/// Time still played after a fall \[s\].
 const AFTER_FALL_S: f64 = 1.0;
 
 /// A parameter outside its range.
@@ -212,24 +213,24 @@ const AFTER_FALL_S: f64 = 1.0;
 pub struct ParameterError {
     /// The flag's name.
     pub name: &'static str,
-    /// What was found.
+    /// The value found.
     pub found: String,
-    /// What would be valid.
+    /// The valid range.
     pub expected: &'static str,
 }
 
-/// Why a scenario cannot be played.
+/// Error while building a script.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ScriptError {
-    /// A parameter.
+    /// A parameter is out of range.
     #[error(transparent)]
     Parameter(#[from] ParameterError),
-    /// The robot.
+    /// The robot cannot be loaded.
     #[error(transparent)]
     Robot(#[from] FileError),
 }
 
-/// What every scenario asks of the policy.
+/// The parameters that every scenario has.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Task {
     /// Commanded forward velocity (m/s)
@@ -241,55 +242,55 @@ pub struct Task {
     /// Commanded yaw rate, counter-clockwise (rad/s)
     #[arg(long)]
     pub yaw_rad_s: f64,
-    /// Length of the rollout (s)
+    /// Length of the playback (s)
     #[arg(long)]
     pub duration_s: f64,
-    /// What the encoders are off by, as a standard deviation; drawn from the seed (rad)
+    /// Standard deviation of the encoder bias, drawn from the seed (rad)
     #[arg(long, alias = "joint-offset-sd-rad")]
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
-    /// Commanded compliance: how much velocity a newton of sustained pull is to buy (m/s/N); 0: whatever the policy has
+    /// Commanded compliance: velocity per newton of sustained pull (m/s/N); 0: the policy's own
     #[arg(long)]
     #[serde(default, skip_serializing_if = "numbers::is_zero")]
     pub compliance: f64,
 }
 
-/// What a scenario's parameters do; what they do not say is that of an undisturbed walk on a plane.
+/// Behaviour of a scenario's parameters; the defaults are an undisturbed walk on a plane.
 trait Parameters {
-    /// Checks the parameters and puts into the script what the scenario adds.
+    /// Checks the parameters and adds the scenario's parts to the script.
     fn prepare(&self, _: &mut Script, _seed: u64) -> Result<(), ParameterError> {
         Ok(())
     }
 
-    /// Adds the numbers that the scenario is about to those that all have.
+    /// Adds the metrics of this scenario to the common ones.
     fn metrics(&self, _: &Script, _: &Trace, _found: &mut Vec<Metric>) {}
 
-    /// Puts the disturbance off by this much \[s\]; nothing where no time is special.
+    /// Delays the disturbance \[s\]; does nothing if there is none.
     fn delay(&mut self, _phase_s: f64) {}
 
-    /// How much slower it is to simulate than the robot alone.
+    /// Cost of the simulation relative to the robot alone.
     fn cost(&self) -> f64 {
         1.0
     }
 }
 
 impl Scenario {
-    /// Work that a trial is, in seconds of simulation of the robot alone: for progress bars.
+    /// Cost of a trial in seconds of simulation of the robot alone, for progress bars.
     pub fn cost(&self) -> f64 {
         self.parts().2.cost() * self.task().duration_s
     }
 
-    /// The same with its disturbance later by this much \[s\], to meet the gait at another phase.
+    /// Returns the scenario with its disturbance delayed \[s\], to meet the gait at another phase.
     pub fn later(&self, phase_s: f64) -> Self {
         let mut scenario = self.clone();
         scenario.parameters_mut().delay(phase_s);
         scenario
     }
 
-    /// The script for a seed, for the robot and rates of a policy's configuration.
+    /// Builds the script for a seed, with the robot and rates of a policy's configuration.
     ///
     /// # Errors
-    /// [`ScriptError`] that names the flag, or says what does not fit in the robot.
+    /// A parameter is out of range, or the robot cannot be loaded.
     pub fn script(&self, seed: u64, config: &Config) -> Result<Script, ScriptError> {
         let task = self.task();
         in_range("forward-m-s", task.forward_m_s, -5.0, 5.0, "-5 to 5 m/s")?;
@@ -322,7 +323,7 @@ impl Scenario {
         Ok(script)
     }
 
-    /// The numbers this scenario is about: of the time that the robot is on its feet.
+    /// Computes the metrics of a trace over the time before a fall.
     pub fn metrics(&self, script: &Script, trace: &Trace) -> Vec<Metric> {
         let last_s = |trace: &Trace| trace.frames.last().map_or(0.0, |frame| frame.time_s);
         let fall = trace.fall().map(|fall| fall.time_s);
@@ -375,7 +376,7 @@ fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'s
     Metric::new(name, label, value, unit)
 }
 
-/// How long a disturbance lasts, if it is over by the end.
+/// Metric of a disturbance's duration, if it is over by the end.
 fn lasting(name: &'static str, label: &'static str, decay: Option<Decay>) -> Metric {
     let found = metric(name, label, decay.and_then(Decay::ended_s), "s");
     if decay.is_some() { found.because("it goes on to the end") } else { found }
@@ -391,7 +392,7 @@ fn towards(direction_deg: f64) -> [f64; 2] {
     [angle.cos(), angle.sin()]
 }
 
-/// Loads on ropes are aimed at where a straight walk leads.
+/// Refuses a commanded yaw rate: loads on ropes are aimed along a straight walk.
 fn no_turn(task: &Task) -> Result<(), ParameterError> {
     in_range("yaw-rad-s", task.yaw_rad_s, 0.0, 0.0, "0: the load is aimed at where a straight walk leads")
 }

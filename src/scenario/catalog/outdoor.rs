@@ -25,7 +25,7 @@ const MARGIN_M: f64 = 3.0;
 /// Outdoor: hills of varied friction.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Outdoor {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
@@ -52,7 +52,7 @@ impl Outdoor {
         self.task.forward_m_s.hypot(self.task.left_m_s) * self.task.duration_s
     }
 
-    /// As far as the command leads, and a margin.
+    /// Half-length of the ground: the commanded distance and a margin, within limits \[m\].
     fn half_size_m(&self) -> f64 {
         (self.way_m() + MARGIN_M).clamp(HALF_SIZE_M[0], HALF_SIZE_M[1])
     }
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn feet_feel_the_friction_of_their_square_and_not_that_of_the_whole_ground() {
+    fn feet_feel_the_friction_of_their_own_square() {
         // The ground's own friction is 0.8 in both.
         let (slippery, rough) = (slide_m(0.02), slide_m(1.0));
         assert!(slippery > 3.0 * rough.abs(), "{slippery} {rough}");

@@ -6,9 +6,10 @@ long a contact lasts and how hard it is are those of MuJoCo's default contact, w
 rather than bare steel.
 */
 
+use std::f64::consts::FRAC_PI_2;
+
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use std::f64::consts::FRAC_PI_2;
 
 use super::{ParameterError, Parameters, Task, in_range, lasting, metric, no_turn, towards};
 use crate::robot::{Extent, GRAVITY_M_S2};
@@ -26,7 +27,7 @@ const IMPULSE_S: f64 = 1.0;
 /// Pendulum: a ball on a string swings into the trunk.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pendulum {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
@@ -36,7 +37,7 @@ pub struct Pendulum {
     /// Radius of the ball (m)
     #[arg(long)]
     pub radius_m: f64,
-    /// From the pivot to the ball's centre (m)
+    /// Distance from the pivot to the ball's centre (m)
     #[arg(long)]
     pub string_m: f64,
     /// Height of the release above the ball's lowest point; at most the string's length (m)
@@ -181,7 +182,7 @@ mod tests {
     use crate::scenario::catalog::defaults;
 
     #[test]
-    fn a_small_swing_takes_a_quarter_of_two_pi_root_l_over_g_and_a_right_angle_takes_18_percent_longer() {
+    fn swing_time_matches_pendulum_theory() {
         let mut pendulum: Pendulum = defaults("pendulum").unwrap();
         // 1 m: 2π √(1 / 9.81) / 4 = 0.50152 s; from 90° the period is 1.18034 times as long.
         pendulum.release_height_m = 1e-6;

@@ -19,7 +19,7 @@ use crate::scenario::trace::{Frame, Trace};
 /// Density of the weight, a cube of steel [kg/m³].
 const STEEL_KG_M3: f64 = 7850.0;
 
-/// From the lower to the upper pulley, outwards \[m\].
+/// Horizontal distance from the lower to the upper pulley \[m\].
 const UPPER_PULLEY_M: f64 = 0.25;
 
 /// Start of the averages of velocity and force, after the weight is let go: the rope has stopped jerking \[s\].
@@ -28,7 +28,7 @@ const SETTLED_S: f64 = 1.0;
 /// Pulley: a hanging weight pulls the trunk.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Pulley {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
@@ -38,7 +38,7 @@ pub struct Pulley {
     /// Direction of the pull from the robot's heading: 0 ahead, 90 left, 180 back (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// From the robot's course to the pulley; abreast of the robot half-way through the pull if it walks as commanded (m)
+    /// Distance from the robot's course to the pulley; abreast of the robot half-way through the pull if it walks as commanded (m)
     #[arg(long)]
     pub distance_m: f64,
     /// Height of the pulley that the rope comes from (m)

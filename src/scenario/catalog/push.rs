@@ -14,7 +14,7 @@ use crate::util::random::{Purpose, stream};
 /// Push: a sudden change of the trunk's velocity.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PushAway {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,

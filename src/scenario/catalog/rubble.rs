@@ -19,13 +19,13 @@ use crate::scenario::{Goal, Script};
 use crate::sim::Buffers;
 use crate::util::random::{Purpose, stream};
 
-/// Of the blocks. Density of dry beech, spruce is lighter and oak heavier [kg/m³].
+/// Material of the blocks. Density of dry beech, spruce is lighter and oak heavier [kg/m³].
 const WOOD: &str = r#"density="650" priority="1" friction="0.5 0.005 0.0001""#;
 
 /// Edge of a mat \[m\].
 const MAT_EDGE_M: f64 = 0.7;
 
-/// Of the mats. Density of the composite foam of gymnastics mats, 1.5 kg each [kg/m³]. Softness: under a Go1 that stands
+/// Material of the mats. Density of the composite foam of gymnastics mats, 1.5 kg each [kg/m³]. Softness: under a Go1 that stands
 /// still, whose front feet carry some 21 N each and whose rear feet 42 N, they give by 9 and 13 mm (the floor by 1 mm),
 /// about as much as a gymnastics mat of foam under a small hard ball that is pressed with as much. The impedance grows
 /// over 2 cm as foam hardens; a damping ratio of 1 keeps the mat from throwing the foot back. Found by trying: MuJoCo's
@@ -35,16 +35,16 @@ const FOAM: &str = r#"density="100" priority="2" friction="0.8 0.005 0.0001" sol
 /// Space between neighbours, so that nothing is stuck at the start \[m\].
 const GAP_M: f64 = 0.01;
 
-/// Draws of a place before there is none.
+/// Number of draws for a piece before the layout is given up.
 const MOST_DRAWS: u32 = 200;
 
-/// Layouts before it is given up.
+/// Number of layouts before an error.
 const MOST_LAYOUTS: u32 = 100;
 
 /// Rubble: wooden blocks and soft mats on the way.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Rubble {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
@@ -63,7 +63,7 @@ pub struct Rubble {
     /// Thickness of a mat (m)
     #[arg(long)]
     pub mat_height_m: f64,
-    /// From the robot's centre to where the rubble begins (m)
+    /// Distance from the robot's centre to where the rubble begins (m)
     #[arg(long)]
     pub distance_m: f64,
     /// How far it reaches along the way (m)
@@ -81,7 +81,7 @@ struct Piece {
     centre: [f64; 2],
     /// Half-lengths \[m\].
     half: [f64; 3],
-    /// About the vertical \[rad\].
+    /// Rotation about the vertical \[rad\].
     yaw: f64,
 }
 
@@ -196,7 +196,7 @@ impl Parameters for Rubble {
         found.push(metric("peak_contact_force_n", "peak force on blocks and mats", peak, "N"));
     }
 
-    /// The obstacle is farther away by what the robot walks in that time.
+    /// Moves the obstacle away by the distance walked in that time.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

@@ -29,13 +29,12 @@ pub enum TerrainKind {
 /// Terrain: uneven ground.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Terrain {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
     /// Shape of the ground
-    #[arg(value_enum)]
-    #[arg(long)]
+    #[arg(long, value_enum)]
     pub kind: TerrainKind,
     /// Perlin: peak to peak; steps: rise of each (m)
     #[arg(long)]
@@ -66,7 +65,7 @@ impl Parameters for Terrain {
             let found = self.task.duration_s.to_string();
             return Err(ParameterError { name: "duration-s", found, expected: "a way of at most 30 m at the command" });
         }
-        // Whoever turns may get anywhere.
+        // A robot that turns may walk in any direction.
         let way = if self.task.yaw_rad_s == 0.0 { way } else { [way[0].hypot(way[1]); 2] };
         let half = [0, 1].map(|axis| LEAST_HALF_SIZE_M[axis].max(way[axis] + MARGIN_M));
         let field = match self.kind {

@@ -8,7 +8,7 @@ use super::{Parameters, Task};
 /// Walk without disturbance.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Walk {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,

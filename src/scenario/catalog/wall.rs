@@ -1,4 +1,4 @@
-//! A wall that gives, across the way (E14).
+//! A soft wall across the course (E14).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -9,17 +9,17 @@ use crate::scenario::metrics::{self, Metric};
 use crate::scenario::spring::{Spring, SpringEnd};
 use crate::scenario::trace::{Frame, Stretch, Trace};
 
-/// What counts as the blow \[s\].
+/// Length of the first impact \[s\].
 const BLOW_S: f64 = 1.0;
 
 /// Wall: walk into a wall that gives.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Wall {
-    /// The command, the length of the playback and the encoder bias.
+    /// The parameters that every scenario has.
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
-    /// From the start to where the wall begins to press the trunk's centre of mass (m)
+    /// Distance from the start at which the wall begins to press on the trunk's centre of mass (m)
     #[arg(long)]
     pub distance_m: f64,
     /// Stiffness of the wall (N/m)
@@ -52,7 +52,7 @@ impl Parameters for Wall {
         let met = trace.frames.iter().find(|frame| spring(frame).peak_force_n > 0.0);
         let met_s = met.map(|frame| frame.time_s - trace.period_s);
         let last_s = trace.frames.last().map_or(0.0, |frame| frame.time_s);
-        // What presses a robot that lies there is nobody's number.
+        // Forces on a fallen robot do not count.
         let end_s = trace.fall().map_or(last_s, |fall| fall.time_s);
         let pressed = |until_s: f64| metrics::window(trace, met_s.unwrap_or(f64::INFINITY), until_s);
         let impulse = |until_s: f64| {
@@ -71,7 +71,7 @@ impl Parameters for Wall {
         ]);
     }
 
-    /// The wall is farther away by what the robot walks in that time.
+    /// Moves the wall away by the distance walked in that time.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
         self.task.duration_s += phase_s;

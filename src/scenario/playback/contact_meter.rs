@@ -1,4 +1,4 @@
-//! Forces over the physics steps of one policy step, and readings after each.
+//! The contact meter: forces and sensor readings over the physics steps of one policy step.
 
 use nalgebra::Vector3;
 
@@ -11,13 +11,13 @@ use crate::scenario::spring::SpringState;
 use crate::sim::{Parts, StepObserver};
 use crate::task::SwingTracker;
 
-/// What is summed over the physics steps of one policy step.
+/// Sums and maxima over the physics steps of one policy step.
 #[derive(Default)]
 pub(super) struct ContactMeter<'a> {
     pub(super) senses: Option<&'a mut Senses>,
     /// The constant force on the trunk, world frame \[N\].
     pub(super) pull: Vector3<f64>,
-    /// What pulls besides, by how far it is stretched.
+    /// The spring that also acts on the trunk.
     pub(super) spring: Option<(&'a Spring, &'a mut SpringState)>,
     pub(super) swings: SwingTracker,
     pub(super) substeps: u32,
@@ -28,9 +28,9 @@ pub(super) struct ContactMeter<'a> {
     pub(super) obstacle_force_sum_n: f64,
     /// Physics steps with a force between the robot and obstacles.
     pub(super) obstacle_substeps: u32,
-    /// A part of the robot that touched an obstacle.
+    /// The first part of the robot that touched an obstacle.
     pub(super) touched: Option<usize>,
-    /// The tendon that is a rope.
+    /// The rope's tendon.
     pub(super) rope: Option<usize>,
     pub(super) rope_forces: RopeForces,
 }
@@ -57,7 +57,7 @@ impl StepObserver for ContactMeter<'_> {
         let (mut feet, mut obstacles) = ([[0.0; 3]; 4], [0.0; 3]);
         for contact in data.contacts() {
             let [first, second] = contact.geoms;
-            // The robot's share: forces are given on the second geometry.
+            // MuJoCo gives the force on the second geometry; the sign turns it into the force on the robot.
             let (geom, other, sign) = match (parts.is_part(first), parts.is_part(second)) {
                 (true, false) => (first, second, -1.0),
                 (false, true) => (second, first, 1.0),

@@ -1,4 +1,4 @@
-//! What somebody does to a robot that is being played. It takes effect with the next step.
+//! Interactive commands, pushes, pulls and resets during a playback; they take effect with the next step.
 
 use super::Playback;
 use crate::mujoco;
@@ -7,12 +7,12 @@ use crate::sim::Push;
 use crate::task::{Command, SwingTracker};
 
 impl<'a> Playback<'a> {
-    /// What is asked of the policy.
+    /// The current command.
     pub fn command(&self) -> &Command {
         &self.command
     }
 
-    /// Asks something else of the policy.
+    /// Changes the command.
     pub fn ask(&mut self, command: Command) {
         self.command = command;
     }
@@ -22,52 +22,52 @@ impl<'a> Playback<'a> {
         self.pushes_due.push(push);
     }
 
-    /// Takes the trunk in hand and pulls with this force, forward and left in the heading frame \[N\], or lets it go.
+    /// Pulls the trunk with a constant force, forward and left in the heading frame \[N\]; `None` ends the pull.
     pub fn pull(&mut self, force: Option<[f64; 2]>) {
-        self.pull_in_heading = force;
+        self.pull = force;
     }
 
-    /// Gives the robot to another controller as it stands.
+    /// Replaces the controller without changing the robot's state.
     pub fn hand_over(&mut self, controller: Box<dyn Controller + 'a>) {
         self.controller = controller;
-        self.starts_afresh = true;
+        self.controller_must_begin = true;
     }
 
-    /// Sets the robot on its feet where it is, facing as it does: see [`Sim::set_on_feet`](crate::sim::Sim::set_on_feet).
+    /// Sets the robot on its feet at its present place and heading: see [`Sim::set_on_feet`](crate::sim::Sim::set_on_feet).
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails.
     pub fn set_on_feet(&mut self) -> mujoco::Result<()> {
         self.sim.set_on_feet(&self.controller.rest())?;
-        self.begin_afresh();
+        self.begin_again();
         Ok(())
     }
 
-    /// Puts robot and scene back to their start. Time goes on; the script's own disturbances are not repeated.
+    /// Resets robot and scene to their start. Time goes on; the script's own disturbances are not repeated.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails.
     pub fn restart(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.script.conditions, &self.controller.rest())?;
-        // The force of a hand is gone with all else: it is set anew where it is still held.
-        self.pull_in_world = None;
+        // The reset clears the force of an interactive pull; the next step applies it again.
+        self.pull_force = None;
         self.passed_goal_since = None;
-        self.begin_afresh();
+        self.begin_again();
         Ok(())
     }
 
-    /// Whether physics or sensors have failed: only [`Playback::restart`] helps.
+    /// True if physics or sensors have failed; only [`Playback::restart`] helps.
     pub fn has_failed(&self) -> bool {
         self.failed
     }
 
-    fn begin_afresh(&mut self) {
+    fn begin_again(&mut self) {
         self.state = self.sim.state();
         self.swings = SwingTracker::new(&self.state.feet, self.config.reward.foot_height_m);
         self.fallen_since = None;
         self.failed = false;
         self.last_disturbance = None;
         self.shown_push = None;
-        self.starts_afresh = true;
+        self.controller_must_begin = true;
     }
 }

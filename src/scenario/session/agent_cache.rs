@@ -1,4 +1,4 @@
-//! Policies at hand: found by name when somebody asks for one, by identity when a session is played again.
+//! The cache of policies: found by name when requested, by SHA-256 when a session is replayed.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -10,44 +10,44 @@ use crate::policy::{Agent, AgentError, Policy, shipped};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
 
-/// Larger files are not policies.
+/// Largest size of a policy file \[bytes\].
 const MAX_BYTES: u64 = 64 << 20;
 
-/// Why a policy is not at hand.
+/// Error while loading a policy.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentCacheError {
-    /// There is none of this name, or it is no good.
+    /// The policy does not exist or is invalid.
     #[error(transparent)]
     Agent(#[from] AgentError),
-    /// It is no policy file, or the robot is no good.
+    /// The file is not a policy, or the robot is invalid.
     #[error(transparent)]
     File(#[from] FileError),
-    /// It is there, but it is another one.
-    #[error("{what} has changed since: it was {expected}, and is now {found}; put back the one that it was")]
+    /// The policy or robot differs from the saved one.
+    #[error("{what} has changed: its SHA-256 is {found}, expected {expected}; restore the original")]
     Changed {
-        /// Policy or robot.
+        /// The policy or robot.
         what: String,
-        /// Identity that was kept.
+        /// Start of the saved SHA-256.
         expected: String,
-        /// Identity that was found.
+        /// Start of the SHA-256 found.
         found: String,
     },
 }
 
-/// Policies by identity, and the files of those that do not ship.
+/// Policies by SHA-256, with the files of those that do not ship.
 #[derive(Debug, Default)]
 pub struct AgentCache {
     agents: HashMap<String, Arc<Agent>>,
     files: HashMap<String, Vec<u8>>,
-    /// Out of a session: they go before those that lie beside the policies.
+    /// Calibrations from a saved session; they take precedence over those stored beside the policies.
     calibrations: HashMap<String, PolicyCalibration>,
 }
 
 impl AgentCache {
-    /// Finds a policy for a robot, its own one if none is named, and puts it on the shelf.
+    /// Loads a policy for a robot (by default its own) and adds it to the cache.
     ///
     /// # Errors
-    /// [`AgentCacheError`]
+    /// The policy or robot does not exist or is invalid.
     pub fn find(&mut self, policy: &str, robot: Option<&str>) -> Result<Seat, AgentCacheError> {
         let (mut agent, file) = AgentCache::read(policy)?;
         let robot = Robot::load(robot.unwrap_or(&agent.config.robot.model))?;
@@ -63,7 +63,7 @@ impl AgentCache {
         Ok(seat)
     }
 
-    /// Puts a policy on the shelf, with its file if it does not ship.
+    /// Adds a policy, with its file if it does not ship.
     pub fn put(&mut self, mut agent: Agent, file: Option<Vec<u8>>) {
         if let Some(calibration) = self.calibrations.get(&agent.sha256) {
             agent.calibration = Some(calibration.clone());
@@ -74,25 +74,25 @@ impl AgentCache {
         self.agents.insert(agent.sha256.clone(), Arc::new(agent));
     }
 
-    /// Puts the file of a policy on the shelf.
+    /// Adds a policy given as the bytes of its file.
     ///
     /// # Errors
-    /// It is no policy file.
+    /// The bytes are not a policy file.
     pub fn put_file(&mut self, name: &str, file: Vec<u8>) -> Result<(), AgentCacheError> {
         let agent = Agent::from(Policy::from_bytes(&file, Path::new(name))?);
         self.put(agent, Some(file));
         Ok(())
     }
 
-    /// Puts a calibration on the shelf, for a policy that is put there later.
+    /// Adds a calibration for a policy that is added later.
     pub fn put_calibration(&mut self, calibration: PolicyCalibration) {
         self.calibrations.insert(calibration.sha256.clone(), calibration);
     }
 
-    /// The policy of a seat, on its robot.
+    /// Returns the policy of a seat, adapted to its robot.
     ///
     /// # Errors
-    /// [`AgentCacheError`] if policy or robot are gone or have changed.
+    /// The policy or robot no longer exists or has changed.
     pub fn take(&mut self, seat: &Seat) -> Result<Arc<Agent>, AgentCacheError> {
         if !self.agents.contains_key(&seat.sha256) {
             let (agent, file) = AgentCache::read(&seat.policy)?;
@@ -105,7 +105,7 @@ impl AgentCache {
         if agent.config.robot.model == seat.robot {
             return Ok(agent);
         }
-        // The policy comes out of the session, which knows where its robot is.
+        // The policy comes from a saved session, which names its robot.
         let (mut agent, _) = match self.files.get(&seat.sha256) {
             Some(file) => (Agent::from(Policy::from_bytes(file, Path::new(&seat.policy))?), None),
             None => AgentCache::read(&seat.policy)?,
@@ -122,28 +122,28 @@ impl AgentCache {
         self.files.get(sha256).map(Vec::as_slice)
     }
 
-    /// How far a policy yields, if that has been measured.
+    /// The calibration of a policy, if it has been measured.
     pub fn calibration(&self, sha256: &str) -> Option<&PolicyCalibration> {
         self.agents.get(sha256)?.calibration.as_ref()
     }
 
-    /// Leaves only the policies of these seats: a run that is watched saves many.
+    /// Removes all policies except those of these seats.
     pub fn tidy(&mut self, seats: &[Seat]) {
         let used = |sha256: &String| seats.iter().any(|seat| seat.sha256 == *sha256);
         self.agents.retain(|sha256, _| used(sha256));
         self.files.retain(|sha256, _| used(sha256));
     }
 
-    /// Reads a policy by name or path, and its file if it is one of ours that does not ship.
+    /// Reads a policy by name or path, with its file if it does not ship.
     ///
     /// # Errors
-    /// [`AgentCacheError`]
+    /// The policy does not exist or is invalid.
     pub fn read(name: &str) -> Result<(Agent, Option<Vec<u8>>), AgentCacheError> {
         let agent = shipped::find(name)?;
         let Some(path) = shipped::file_of(name).filter(|_| agent.policy().is_some()) else { return Ok((agent, None)) };
         let file = files::read_bounded(&path, MAX_BYTES).map_err(FileError::of("policy", &path))?;
         if files::sha256(&[&file]) != agent.sha256 {
-            // Training has saved another one between the two looks.
+            // Training has replaced the file in between.
             return AgentCache::read(name);
         }
         Ok((agent, Some(file)))

@@ -1,7 +1,7 @@
-//! Robots on one clock.
+//! The live session: robots on one clock.
 //!
 //! The clock ticks at [`RATE_HZ`]. A robot's policy step begins at the first tick at or after the time that its own rate
-//! gives it, so that robots of different rates share a world; inputs take effect with the first step that begins at their
+//! gives it, so that robots of different rates share a session; inputs take effect with the first step that begins at their
 //! tick or later.
 
 use std::sync::Arc;
@@ -22,56 +22,56 @@ use crate::util::files;
 /// Ticks per second: the physics rate of the paper.
 pub const RATE_HZ: u64 = 240;
 
-/// Robots that there is room for.
+/// Largest number of robots in a session.
 const MOST_ROBOTS: usize = 2;
 
-/// Why a world cannot be played.
+/// Error of a live session.
 #[derive(Debug, thiserror::Error)]
 pub enum LiveSessionError {
-    /// A policy or robot.
+    /// A policy or robot cannot be loaded.
     #[error(transparent)]
     AgentCache(#[from] AgentCacheError),
-    /// The scene.
+    /// The scene cannot be built.
     #[error(transparent)]
     Scene(#[from] SceneError),
-    /// It cannot yield so far.
+    /// The policy does not support the commanded compliance.
     #[error(transparent)]
     Compliance(#[from] ComplianceError),
-    /// It does not compile.
+    /// MuJoCo fails.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
-    /// A newer policy that runs at other rates, gains or latency.
+    /// The newer policy needs other rates, gains or latency.
     #[error("the newer policy runs at other rates, gains or latency: it needs a world of its own")]
     OtherBody,
-    /// A set-up of no or too many robots, or an input for one that is not there.
+    /// The setup has too few or too many robots, or an input names one that does not exist.
     #[error("{found} of robots, expected {expected}")]
     Robots {
-        /// What was found.
+        /// The number found.
         found: String,
-        /// What would fit.
+        /// The numbers allowed.
         expected: String,
     },
 }
 
-/// A step of one of the robots.
+/// A policy step of one robot.
 #[derive(Debug, Clone)]
 pub struct RobotStep {
-    /// Which.
+    /// Index of the robot.
     pub robot: usize,
-    /// Whether it stands there because it was put there before this step: at the start, on its feet after a fall.
+    /// True if the robot was placed before this step: at the start, or on its feet after a fall.
     pub is_beginning: bool,
-    /// The state after the step; none if the physics failed in it.
+    /// The state after the step; `None` if the physics failed.
     pub frame: Option<Arc<Frame>>,
-    /// What happened in it.
+    /// Events of the step.
     pub events: Vec<Event>,
 }
 
-/// Robots that meet the same.
+/// One or two robots that receive the same inputs.
 #[derive(Debug)]
 pub struct LiveSession {
     setup: Setup,
     players: Vec<Player>,
-    /// When this set-up began \[ticks\].
+    /// Start of this setup \[ticks\].
     since: u64,
 }
 
@@ -91,15 +91,15 @@ impl std::fmt::Debug for Player {
 }
 
 impl LiveSession {
-    /// A world at its start.
+    /// Starts a session.
     ///
     /// # Errors
-    /// [`LiveSessionError`]
+    /// A policy, robot or scene cannot be loaded, or the setup does not fit.
     pub fn new(setup: Setup, shelf: &mut AgentCache) -> Result<Self, LiveSessionError> {
         Self::since(0, setup, shelf)
     }
 
-    /// As [`LiveSession::new`], on a clock that has already run.
+    /// Like [`LiveSession::new`], but starts the clock at `since`.
     pub(super) fn since(since: u64, setup: Setup, shelf: &mut AgentCache) -> Result<Self, LiveSessionError> {
         if !(1..=MOST_ROBOTS).contains(&setup.robots.len()) {
             return Err(LiveSessionError::Robots {
@@ -112,17 +112,17 @@ impl LiveSession {
         Ok(LiveSession { setup, players, since })
     }
 
-    /// What is played.
+    /// The present setup.
     pub fn setup(&self) -> &Setup {
         &self.setup
     }
 
-    /// Scenes of the robots, to be looked at.
+    /// The scene of each robot.
     pub fn scenes(&self) -> impl Iterator<Item = &Scene> {
         self.players.iter().map(|player| &player.script.scene)
     }
 
-    /// Weight \[N\] and policy period \[s\] of a robot, for [`LiveReadout`](super::Meter)s.
+    /// Weight \[N\] and policy period \[s\] of each robot, for [`LiveReadout`](super::LiveReadout).
     pub fn weights_and_periods(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         self.players.iter().map(|player| {
             let trace = player.rollout.empty_trace();
@@ -130,14 +130,13 @@ impl LiveSession {
         })
     }
 
-    /// Compliance that each robot can be told, least and largest, and what it has by itself [m/s/N]; none if its policy is not
-    /// calibrated.
+    /// Range of commanded compliance and own compliance of each robot [m/s/N]; `None` if its policy is not calibrated.
     pub fn reaches(&self) -> impl Iterator<Item = Option<([f64; 2], f64)>> + '_ {
         let calibrations = self.players.iter().map(|player| player.agent.calibration.as_ref());
         calibrations.map(|calibration| calibration.map(|found| (found.range(), found.own_m_s_per_n)))
     }
 
-    /// Rates, gains and latency that a robot runs with.
+    /// Rates, gains and latency of a robot.
     pub fn simulation(&self, robot: usize) -> Option<&Simulation> {
         Some(&self.players.get(robot)?.agent.config.simulation)
     }
@@ -147,7 +146,7 @@ impl LiveSession {
         self.players.iter().map(|player| player.script.scene.robot.mass_kg)
     }
 
-    /// How often each robot has fallen.
+    /// Number of falls of each robot.
     pub fn falls(&self) -> impl Iterator<Item = u32> + '_ {
         self.players.iter().map(|player| player.falls)
     }
@@ -167,10 +166,10 @@ impl LiveSession {
         self.since + self.players.iter().map(Player::due).min().unwrap_or(0)
     }
 
-    /// Takes an input: it takes effect with the next step of each robot.
+    /// Applies an input, which takes effect with the next step of each robot.
     ///
     /// # Errors
-    /// [`LiveSessionError`]; the world is then as it was.
+    /// The input does not fit the session, or MuJoCo fails.
     pub fn apply(&mut self, input: &Input, shelf: &mut AgentCache) -> Result<(), LiveSessionError> {
         match input {
             Input::Command(command) => self.rollouts().for_each(|rollout| {
@@ -221,7 +220,7 @@ impl LiveSession {
     /// Plays the step of every robot whose step begins at [`LiveSession::tick`], side by side.
     ///
     /// # Errors
-    /// A fault of MuJoCo that setting the robot back does not mend.
+    /// MuJoCo fails even after a reset of the robot.
     pub fn step(&mut self) -> Result<Vec<RobotStep>, LiveSessionError> {
         let tick = self.tick() - self.since;
         let mut due: Vec<(usize, &mut Player)> =
@@ -230,7 +229,7 @@ impl LiveSession {
             [(first, one), (second, two)] => thread::scope(|scope| {
                 let second = scope.spawn(|| two.step(*second));
                 let first = one.step(*first);
-                // A panic there is one here.
+                // A panic of the second robot's thread is passed on.
                 let second = second.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
                 vec![first, second]
             }),
@@ -239,7 +238,7 @@ impl LiveSession {
         Ok(played.into_iter().collect::<mujoco::Result<_>>()?)
     }
 
-    /// Identity of the state of everything that moves, to the last bit.
+    /// SHA-256 of all positions and velocities, to compare states bit by bit.
     pub fn fingerprint(&self) -> String {
         let numbers = self.players.iter().flat_map(|player| {
             let data = player.rollout.sim().data();
@@ -260,13 +259,13 @@ impl Player {
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })
     }
 
-    /// When the next step begins, since the set-up's start \[ticks\].
+    /// Start of the next step, counted from the start of the setup \[ticks\].
     fn due(&self) -> u64 {
         (self.steps * RATE_HZ).div_ceil(u64::from(self.agent.config.simulation.policy_rate_hz))
     }
 
-    /// One policy step; before it, a robot that has lain for a while is set on its feet, and one whose physics failed is
-    /// put back to its start.
+    /// Plays one policy step. Before it, a robot that has lain for a while is set on its feet, and one whose physics failed
+    /// is reset to its start.
     fn step(&mut self, robot: usize) -> mujoco::Result<RobotStep> {
         self.steps += 1;
         let played = match self.rollout.next() {

@@ -1,4 +1,4 @@
-//! The numbers of a session: what was measured while it was driven, of all of it.
+//! Metrics of a saved session.
 
 use super::{
     Input, LiveReadout, LiveSession, Outcome, PullReading, PushReading, SceneKind, Seat, SessionError, SessionReplay,
@@ -6,32 +6,32 @@ use super::{
 use crate::scenario::metrics::{Metric, STRIDE_S};
 use crate::scenario::trace::{EventKind, Frame, Trace};
 
-/// A robot for as long as scene, policy and compliance stay what they are.
+/// A part of a session in which scene, policy and compliance of one robot do not change.
 #[derive(Debug)]
 pub struct Take {
-    /// Where.
+    /// The scene.
     pub scene: SceneKind,
-    /// Of the scene.
+    /// Seed of the scene.
     pub seed: u64,
-    /// Who.
+    /// The robot and its policy.
     pub seat: Seat,
-    /// What happened, without the poses of bodies.
+    /// The trace without the poses of bodies.
     pub trace: Trace,
-    /// Every push, and what it did.
+    /// Every push with its effect.
     pub pushes: Vec<PushReading>,
-    /// Every pull that lasted a stride, and what it did at its end.
+    /// Every pull that lasted a stride, with its effect at its end.
     pub pulls: Vec<PullReading>,
 }
 
-/// Plays a session and measures what is shown of it: each robot with each of its policies and compliances.
+/// Replays a session and measures the part that is shown: one take for each robot, policy and compliance.
 ///
 /// # Errors
-/// [`SessionError`], as if a policy has changed.
+/// The session cannot be replayed, for example because a policy has changed.
 pub fn takes(playback: &mut SessionReplay) -> Result<Vec<Take>, SessionError> {
     let mut takes = Vec::new();
     let mut current = Watched::all(&playback.world);
     while let Some(step) = playback.step()? {
-        // The world is as all inputs of this tick have left it: what came before it was set up met robots that are gone.
+        // All inputs of this tick are already applied; those before its last setup concern robots that no longer exist.
         let is_setup = |input: &Input| matches!(input, Input::Setup(_));
         let first = step.inputs.iter().rposition(is_setup).map_or(0, |last| last + 1);
         if first > 0 {
@@ -77,7 +77,7 @@ pub fn takes(playback: &mut SessionReplay) -> Result<Vec<Take>, SessionError> {
 struct Watched {
     take: Take,
     meter: LiveReadout,
-    /// When the hand that pulls took hold \[s\].
+    /// Start of the present pull \[s\].
     pulls_since_s: Option<f64>,
 }
 
@@ -99,7 +99,7 @@ impl Watched {
         setup.robots.iter().zip(world.weights_and_periods()).map(watched).collect()
     }
 
-    /// Writes down what became of a push.
+    /// Stores the result of a concluded push.
     fn look(&mut self) {
         self.take.pushes.extend(self.meter.concluded());
     }
@@ -113,29 +113,29 @@ impl Watched {
         self.look();
     }
 
-    /// The take so far; another one begins, of the same robot in the same hand.
+    /// Ends the take and begins another of the same robot, under the same pull.
     fn go_on_as(&mut self, seat: Seat) -> Take {
-        let hand = self.meter.pulled();
+        let pull = self.meter.pulled();
         self.pull(None);
         let Trace { period_s, weight_n, .. } = self.take.trace;
         let trace = Trace { period_s, weight_n, ..Trace::default() };
         let (pushes, pulls) = (Vec::new(), Vec::new());
         let next = Take { scene: self.take.scene, seed: self.take.seed, seat, trace, pushes, pulls };
         let take = std::mem::replace(&mut self.take, next);
-        self.pull(hand);
+        self.pull(pull);
         take
     }
 
     fn end(mut self) -> Take {
         self.pull(None);
-        // One that was still looked at when the session ended counts as cut short.
+        // A push still being measured at the end of the session counts as cut short.
         self.look();
         self.take
     }
 }
 
 impl Take {
-    /// Its numbers: means over the pushes that ended undisturbed, and over the pulls.
+    /// Metrics of the take: means over the undisturbed pushes, and over the pulls.
     pub fn metrics(&self) -> Vec<Metric> {
         let count = |kind: EventKind| self.trace.events.iter().filter(|event| event.kind == kind).count() as f64;
         let over: Vec<&PushReading> = self.pushes.iter().filter(|push| push.outcome == Outcome::Over).collect();

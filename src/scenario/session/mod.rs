@@ -1,9 +1,8 @@
-/*! Robots that somebody drives: the same playback, whose inputs come while it runs and can be kept.
+/*! Interactive sessions: playbacks whose inputs arrive while they run and can be saved.
 
-A [`LiveSession`] is one robot or two in the same scene, on one clock. Whatever is done to it is an [`Input`] at a tick: commands,
-pushes, the force of a hand, another policy. A [`SavedSession`] is a file of them, and so of everything that happened: the
-world is played again from it bit for bit, by the code that played it first. [`LiveReadout`] has the numbers of a robot that is
-being watched.
+A [`LiveSession`] plays one or two robots in the same scene on one clock. Commands, pushes, pulls and changes of policy are
+[`Input`]s at a tick. A [`SavedSession`] is a file of these inputs, from which the session is replayed bit for bit by the
+same code. [`LiveReadout`] computes the numbers shown while a robot is driven.
 */
 
 mod agent_cache;
@@ -26,37 +25,37 @@ pub use scene::SceneKind;
 
 use crate::task::Command;
 
-/// What is played: its start is the same each time.
+/// The setup of a session; the same setup always starts in the same state.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Setup {
-    /// Where.
+    /// The scene.
     pub scene: SceneKind,
     /// Seed of everything random in the scene.
     pub seed: u64,
-    /// Who: one robot, or two that meet the same.
+    /// One or two robots, which receive the same inputs.
     pub robots: Vec<Seat>,
 }
 
-/// A robot and who moves it.
+/// A robot and its policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Seat {
-    /// The policy as it was asked for: a name that ships, a file, a run's folder.
+    /// The requested policy: name of a shipped policy, file, or folder of a training run.
     pub policy: String,
-    /// Identity of the policy.
+    /// SHA-256 of the policy.
     pub sha256: String,
-    /// The robot: a name that ships, or its file.
+    /// The robot: name of a shipped robot, or its file.
     pub robot: String,
-    /// Identity of the robot.
+    /// SHA-256 of the robot.
     pub robot_sha256: String,
-    /// Compliance that it is told [m/s/N]; zero leaves it to the policy.
+    /// Commanded compliance [m/s/N]; 0 for the policy's own.
     #[serde(default)]
     pub compliance: f64,
 }
 
 impl Seat {
-    /// What the policy is called for short: a file or folder by its name alone.
+    /// Short name of the policy: that of its file or folder without the path.
     pub fn label(&self) -> String {
         let name = std::path::Path::new(&self.policy).file_stem();
         name.map_or_else(|| self.policy.clone(), |name| name.to_string_lossy().into_owned())
@@ -69,13 +68,13 @@ pub enum PushUnit {
     /// Change of the trunk's velocity.
     #[serde(rename = "m/s")]
     Velocity,
-    /// Momentum: the change of velocity is that over the robot's mass.
+    /// Momentum: divided by the robot's mass, it is the change of velocity.
     #[serde(rename = "N·s", alias = "N s")]
     Momentum,
 }
 
 impl PushUnit {
-    /// The change of velocity [m/s] that a push of this size is to a robot of this mass \[kg\].
+    /// Converts a push of this size to the change of velocity [m/s] of a robot of this mass \[kg\].
     pub fn velocity(self, size: [f64; 2], mass_kg: f64) -> [f64; 2] {
         match self {
             PushUnit::Velocity => size,
@@ -84,37 +83,37 @@ impl PushUnit {
     }
 }
 
-/// Something that is done to the robots of a world, to all of them unless it names one.
+/// An input to a session, for all of its robots unless it names one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Input {
-    /// They are asked to walk so from now on; each keeps its own compliance.
+    /// Changes the velocity command; each robot keeps its compliance.
     Command(Command),
-    /// Their trunks are pushed: forward and left, heading frame.
+    /// Pushes the trunks, forward and left in the heading frame.
     Push {
-        /// Size along each.
+        /// Size forward and left.
         size: [f64; 2],
-        /// Of what.
+        /// Unit of the size.
         unit: PushUnit,
     },
-    /// Their trunks are pulled from now on, forward and left in the heading frame \[N\], or let go.
+    /// Pulls the trunks from now on, forward and left in the heading frame \[N\]; `None` ends the pull.
     Pull(Option<[f64; 2]>),
-    /// A robot is told to yield so far from now on: see [`Seat::compliance`].
+    /// Changes the commanded compliance of one robot: see [`Seat::compliance`].
     Comply {
-        /// The robot.
+        /// Index of the robot.
         robot: usize,
-        /// [m/s/N]
+        /// Commanded compliance [m/s/N].
         compliance: f64,
     },
-    /// Robots and scene are put back to their start.
+    /// Resets robots and scene to their start.
     Reset,
-    /// The policy of a robot has become another one: its run has saved a better one.
+    /// Replaces the policy of one robot by a newer one from the same training run.
     Renew {
-        /// The robot.
+        /// Index of the robot.
         robot: usize,
-        /// Identity of the new policy.
+        /// SHA-256 of the new policy.
         sha256: String,
     },
-    /// Another world; the command is zero, and nobody pulls.
+    /// Replaces the whole setup; command and pull are zero afterwards.
     Setup(Setup),
 }

@@ -1,7 +1,7 @@
-/*! Numbers of a robot that is being watched: is it softer?
+/*! The live readout: numbers of a robot while it is driven.
 
-The same definitions as in [`metrics`], on what is there so far: a push is looked at for [`WATCHED_S`] or until something
-else happens that it would be confounded with, a fall or another command or push.
+The definitions are those of [`metrics`], applied to the frames so far. A push is measured for [`WATCHED_S`], or until a
+fall, another command or another push.
 */
 
 use serde::Serialize;
@@ -11,75 +11,75 @@ use crate::scenario::metrics::{self, STRIDE_S};
 use crate::scenario::trace::{Event, EventKind, Frame, Trace};
 use crate::task::Command;
 
-/// How long a push is looked at \[s\].
+/// Time for which a push is measured \[s\].
 pub const WATCHED_S: f64 = 4.0;
 
-/// Within which a push carries the robot \[s\].
+/// Time over which the displacement by a push is measured \[s\].
 pub const CARRIED_S: f64 = 2.0;
 
-/// What of the push is left when it has decayed.
+/// Remaining fraction at which a push counts as decayed.
 const DECAYED: f64 = 0.1;
 
-/// Frames that are kept: what metrics need of the time before a push \[s\].
+/// Time before a push for which frames are kept \[s\].
 const BEFORE_S: f64 = 1.0;
 
-/// What became of a push.
+/// The outcome of a push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// It is still looked at.
+    /// The push is still being measured.
     Watching,
-    /// It is over.
+    /// The measurement is complete.
     Over,
     /// The robot fell.
     Fell,
-    /// Something else happened before it was over: another command or push, a hand.
+    /// Another command, push or pull came before the measurement was complete.
     Disturbed,
 }
 
-/// What a push did.
+/// The effect of a push.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PushReading {
-    /// When it came, on the robot's clock \[s\].
+    /// Time of the push on the robot's clock \[s\].
     pub at_s: f64,
-    /// Forward and left, heading frame [m/s].
+    /// Change of velocity, forward and left in the heading frame [m/s].
     pub size_m_s: [f64; 2],
-    /// How far it has carried the robot along its direction, beside where it would have walked; within [`CARRIED_S`] \[m\].
+    /// Displacement along the push, relative to the undisturbed walk, within [`CARRIED_S`] \[m\].
     pub carried_m: Option<f64>,
-    /// How long it took until a tenth of it was left, if it has \[s\].
+    /// Time until a tenth of the push was left, if it has decayed so far \[s\].
     pub decay_s: Option<f64>,
-    /// What became of it.
+    /// Outcome of the push.
     pub outcome: Outcome,
 }
 
-/// What a hand at the trunk does.
+/// The effect of a pull.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PullReading {
-    /// Its force \[N\].
+    /// Force of the pull \[N\].
     pub force_n: f64,
-    /// How fast the robot gives way along it, beside what is asked of it: mean over a stride [m/s].
+    /// Velocity along the pull minus the commanded one, mean over a stride [m/s].
     pub gives_m_s: f64,
 }
 
-/// Numbers of now.
+/// The current numbers of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reading {
     /// Velocity: forward [m/s], left [m/s], yaw rate [rad/s]; mean over a stride.
     pub velocity: [f64; 3],
-    /// What is asked for, in the same.
+    /// Commanded velocity, in the same order and units.
     pub command: [f64; 3],
     /// Mechanical power, mean over a second \[W\].
     pub power_w: f64,
     /// The last push.
     pub push: Option<PushReading>,
-    /// A hand at the trunk.
+    /// The current pull.
     pub pull: Option<PullReading>,
 }
 
-/// Reads the numbers of one robot, step by step.
+/// Computes the numbers of one robot, step by step.
 #[derive(Debug)]
 pub struct LiveReadout {
-    /// The last second, and everything since a push that is looked at.
+    /// The last second, and all frames since the push being measured.
     trace: Trace,
     pushed: Option<Pushed>,
     pulled: Option<[f64; 2]>,
@@ -89,18 +89,18 @@ pub struct LiveReadout {
 struct Pushed {
     reading: PushReading,
     command: Command,
-    /// Whether [`LiveReadout::concluded`] has told of it.
-    is_told: bool,
+    /// True if [`LiveReadout::concluded`] has returned it.
+    is_reported: bool,
 }
 
 impl LiveReadout {
-    /// Of a robot of this weight \[N\] and policy period \[s\].
+    /// Starts a readout of a robot with this weight \[N\] and policy period \[s\].
     pub fn new((weight_n, period_s): (f64, f64)) -> Self {
         let trace = Trace { period_s, weight_n, ..Trace::default() };
         LiveReadout { trace, pushed: None, pulled: None }
     }
 
-    /// The robot is about to be pushed: forward and left, heading frame [m/s]. Returns the push that this one disturbs.
+    /// Notes a push before it is applied, forward and left in the heading frame [m/s]. Returns the push that it disturbs.
     pub fn push(&mut self, size_m_s: [f64; 2]) -> Option<PushReading> {
         self.conclude(Outcome::Disturbed);
         let disturbed = self.concluded();
@@ -108,25 +108,25 @@ impl LiveReadout {
         self.forget_before(at_s);
         let command = self.trace.frames.last().map_or_else(Command::default, |frame| frame.command);
         let reading = PushReading { at_s, size_m_s, carried_m: None, decay_s: None, outcome: Outcome::Watching };
-        self.pushed = Some(Pushed { reading, command, is_told: false });
+        self.pushed = Some(Pushed { reading, command, is_reported: false });
         disturbed
     }
 
-    /// A hand pulls from now on, forward and left in the heading frame \[N\], or lets go.
+    /// Notes a pull from now on, forward and left in the heading frame \[N\]; `None` ends it.
     pub fn pull(&mut self, force_n: Option<[f64; 2]>) {
         self.conclude(Outcome::Disturbed);
         self.pulled = force_n;
     }
 
-    /// The hand that pulls, as in [`LiveReadout::pull`].
+    /// The current pull, as given to [`LiveReadout::pull`].
     pub fn pulled(&self) -> Option<[f64; 2]> {
         self.pulled
     }
 
-    /// A step of the robot.
+    /// Adds a step of the robot.
     pub fn note(&mut self, step: &RobotStep) {
         if step.is_beginning {
-            // It was put somewhere else.
+            // The robot was placed somewhere else.
             self.conclude(Outcome::Disturbed);
             self.trace.frames.clear();
         }
@@ -154,10 +154,10 @@ impl LiveReadout {
         }
     }
 
-    /// A push that is no longer looked at, once.
+    /// Returns the push whose measurement has ended, once.
     pub fn concluded(&mut self) -> Option<PushReading> {
         let pushed = self.pushed.as_mut().filter(|pushed| pushed.reading.outcome != Outcome::Watching)?;
-        (!std::mem::replace(&mut pushed.is_told, true)).then_some(pushed.reading)
+        (!std::mem::replace(&mut pushed.is_reported, true)).then_some(pushed.reading)
     }
 
     /// The robot's clock \[s\].
@@ -165,7 +165,7 @@ impl LiveReadout {
         self.trace.frames.last().map_or(0.0, |frame| frame.time_s)
     }
 
-    /// Ends the look at a push, with the numbers that there are.
+    /// Ends the measurement of the push with the numbers so far.
     fn conclude(&mut self, outcome: Outcome) {
         let reading = self.push_reading();
         if let (Some(pushed), Some(reading)) = (&mut self.pushed, reading)
@@ -193,7 +193,7 @@ impl LiveReadout {
         self.trace.frames.drain(..first);
     }
 
-    /// The numbers of now; none before the first step.
+    /// The current numbers; `None` before the first step.
     pub fn read(&self) -> Option<Reading> {
         let trace = &self.trace;
         let last = trace.frames.last()?;
@@ -225,7 +225,7 @@ impl LiveReadout {
     }
 }
 
-/// A frame without the poses of bodies.
+/// Copies the parts of a frame that the readout needs.
 fn light(frame: &Frame) -> Frame {
     Frame {
         time_s: frame.time_s,

@@ -18,25 +18,25 @@ use super::{AgentCache, AgentCacheError, Input, LiveSession, LiveSessionError, R
 use crate::policy::compliance::PolicyCalibration;
 use crate::util::files::{self, FileError};
 
-/// Version of the format; what is only added does not change it.
+/// Version of the format; additions do not change it.
 const FORMAT: u32 = 1;
 
-/// What errors call it.
+/// Name of the file type in errors.
 const SESSION: &str = "session";
 
-/// A line of a session that is longer is none: a policy of 64 MiB in hexadecimal.
+/// Longest line \[bytes\]: a policy of 64 MiB in hexadecimal.
 const LONGEST_LINE: u64 = 130 << 20;
 
-/// Why a session cannot be played.
+/// Error while loading or replaying a session.
 #[derive(Debug, thiserror::Error)]
 pub enum SessionError {
-    /// Not a session.
+    /// The file is not a session.
     #[error(transparent)]
     File(#[from] FileError),
-    /// A policy of it.
+    /// A policy cannot be loaded.
     #[error(transparent)]
     AgentCache(#[from] AgentCacheError),
-    /// What happens in it.
+    /// An input cannot be applied.
     #[error(transparent)]
     LiveSession(#[from] LiveSessionError),
 }
@@ -47,13 +47,13 @@ enum Line {
     Session {
         format: u32,
         program: String,
-        /// Whoever plays it again shows it from here on.
+        /// First tick that a replay shows.
         from_tick: u64,
     },
     Policy {
         name: String,
         sha256: String,
-        /// Hexadecimal; none of a policy that ships or is external.
+        /// Hexadecimal bytes; absent for shipped and external policies.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         file: Option<String>,
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -74,14 +74,14 @@ enum Line {
 pub struct Writer {
     file: BufWriter<File>,
     length: u64,
-    /// Set-ups: tick, and where their line begins.
+    /// Tick and file offset of each setup.
     setups: VecDeque<(u64, u64)>,
-    /// Where lines of policies begin, and where they end; one that is calibrated meanwhile has another.
+    /// File offsets of begin and end of each policy's line; a policy calibrated later has a second line.
     policies: HashMap<(String, bool), (u64, u64)>,
 }
 
 impl Writer {
-    /// Into an empty file that can be read too.
+    /// Starts writing into an empty file, which must also be readable.
     pub fn new(file: File) -> Self {
         Writer { file: BufWriter::new(file), length: 0, setups: VecDeque::new(), policies: HashMap::new() }
     }
@@ -89,7 +89,7 @@ impl Writer {
     /// Writes an input that takes effect at a tick.
     ///
     /// # Errors
-    /// The system's, such as a full disk.
+    /// I/O error, for example a full disk.
     pub fn input(&mut self, tick: u64, input: &Input, shelf: &AgentCache) -> io::Result<()> {
         let needed: Vec<(&str, &str)> = match input {
             Input::Setup(setup) => {
@@ -123,11 +123,11 @@ impl Writer {
     /// to show it from `from` on.
     ///
     /// # Errors
-    /// The system's, such as a full disk.
+    /// I/O error, for example a full disk.
     pub fn keep(&mut self, to: &Path, from: Option<u64>, end: u64, state: String) -> io::Result<()> {
         self.file.flush()?;
         let from_tick = from.unwrap_or(0);
-        // What is kept begins with the last set-up before it: nothing from before that matters.
+        // The saved part begins with the last setup at or before `from`.
         let at_or_before =
             |setups: &VecDeque<(u64, u64)>| setups.iter().rev().find(|(tick, _)| *tick <= from_tick).copied();
         let (_, begin) = at_or_before(&self.setups).unwrap_or((0, 0));
@@ -151,7 +151,7 @@ impl Writer {
         kept
     }
 
-    /// Forgets where set-ups begin that are no longer needed to show the session from a tick on.
+    /// Forgets the offsets of setups that are not needed to show the session from a tick on.
     pub fn tidy(&mut self, from: u64) {
         while self.setups.get(1).is_some_and(|(tick, _)| *tick <= from) {
             self.setups.pop_front();
@@ -159,12 +159,12 @@ impl Writer {
     }
 }
 
-/// A session that was kept.
+/// A session loaded from a file.
 #[derive(Debug)]
 pub struct SavedSession {
-    /// It is shown from here on.
+    /// First tick that a replay shows.
     pub from_tick: u64,
-    /// The tick at which it was kept, and the identity of the world's state then; without, it was cut off.
+    /// Tick and fingerprint of the state at the end; `None` if the file was cut off.
     pub end: Option<(u64, String)>,
     inputs: Vec<(u64, Input)>,
     shelf: AgentCache,
@@ -174,7 +174,7 @@ impl SavedSession {
     /// Reads a session.
     ///
     /// # Errors
-    /// [`SessionError`] that names the line, what was found and what was expected.
+    /// The file is not a valid session; the error names the line.
     pub fn load(path: &Path) -> Result<Self, SessionError> {
         let fail = FileError::of(SESSION, path);
         let mut reader = BufReader::new(File::open(path).map_err(fail)?);
@@ -235,7 +235,7 @@ impl SavedSession {
         Ok(())
     }
 
-    /// The set-up that it begins with.
+    /// The first setup.
     pub fn setup(&self) -> Option<&Setup> {
         match self.inputs.first() {
             Some((_, Input::Setup(setup))) => Some(setup),
@@ -248,10 +248,10 @@ impl SavedSession {
         &self.inputs
     }
 
-    /// Plays it from its beginning.
+    /// Starts a replay.
     ///
     /// # Errors
-    /// [`SessionError`] if a policy or robot is gone or has changed.
+    /// A policy or robot no longer exists or has changed.
     pub fn play(mut self) -> Result<SessionReplay, SessionError> {
         let (since, setup) = match self.inputs.first() {
             Some((since, Input::Setup(setup))) => (*since, setup.clone()),
@@ -271,37 +271,37 @@ fn bytes(hex: &str) -> Option<Vec<u8>> {
     digits.len().is_multiple_of(2).then(|| digits.chunks_exact(2).map(pair).collect())?
 }
 
-/// A session being played again.
+/// A replay of a saved session.
 #[derive(Debug)]
 pub struct SessionReplay {
     session: SavedSession,
-    /// The world, to look at.
+    /// The session being replayed.
     pub world: LiveSession,
     end: u64,
     next: usize,
 }
 
-/// What happened between two looks at a [`SessionReplay`].
+/// One step of a [`SessionReplay`].
 #[derive(Debug)]
 pub struct ReplayStep {
     /// The tick at which the step began.
     pub tick: u64,
-    /// Inputs that took effect with it.
+    /// Inputs that took effect with the step.
     pub inputs: Vec<Input>,
-    /// What was played.
+    /// Steps of the robots.
     pub played: Vec<RobotStep>,
 }
 
 impl SessionReplay {
-    /// Whether the step that begins at this tick is shown.
+    /// True if the step that begins at this tick is shown.
     pub fn is_shown(&self, tick: u64) -> bool {
         tick >= self.session.from_tick
     }
 
-    /// Applies what is due, and plays one step; none at the end.
+    /// Applies the inputs that are due and plays one step; `None` at the end.
     ///
     /// # Errors
-    /// [`SessionError`]
+    /// An input cannot be applied, or MuJoCo fails.
     pub fn step(&mut self) -> Result<Option<ReplayStep>, SessionError> {
         let mut inputs = Vec::new();
         while let Some((_, input)) = self.session.inputs.get(self.next).filter(|(tick, _)| *tick <= self.world.tick()) {
@@ -316,7 +316,7 @@ impl SessionReplay {
         Ok(Some(ReplayStep { tick, inputs, played: self.world.step()? }))
     }
 
-    /// At the end: whether the world is as it was when the session was kept; none if that is not known.
+    /// At the end: true if the state equals the saved one to the last bit; `None` if the file has no saved state.
     pub fn is_as_it_was(&self) -> Option<bool> {
         self.session.end.as_ref().map(|(_, state)| *state == self.world.fingerprint())
     }

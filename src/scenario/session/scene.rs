@@ -1,4 +1,4 @@
-//! Scenes to walk about in: those of the catalog, with ground in every direction.
+//! Scenes of interactive sessions: those of the catalog, with ground in every direction.
 
 use clap::ValueEnum;
 use serde::{Deserialize, Serialize};
@@ -10,13 +10,13 @@ use crate::scenario::catalog::{
 use crate::scenario::{Goal, Script};
 use crate::task::Command;
 
-/// How long a robot lies before it is set on its feet \[s\].
+/// Time for which a fallen robot lies before it is set on its feet \[s\].
 const LIES_S: f64 = 2.0;
 
-/// A command, and how long it is followed: for scenes whose ground is as large as the way.
+/// Command and duration that determine the size of the ground.
 const WAY: ([f64; 3], f64) = ([0.5, 0.0, 0.5], 18.0);
 
-/// Where robots are driven.
+/// The scene of a session.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SceneKind {
@@ -35,7 +35,7 @@ pub enum SceneKind {
 }
 
 impl SceneKind {
-    /// Its name in files.
+    /// Name of the scene in files.
     pub fn name(self) -> &'static str {
         match self {
             SceneKind::Flat => "flat",
@@ -68,10 +68,10 @@ impl SceneKind {
         })
     }
 
-    /// The script of a robot that stands in this scene and waits: it has no end, wherever the robot goes.
+    /// Returns the script of a robot that stands in this scene; it has no end.
     ///
     /// # Errors
-    /// [`ScriptError`], as for a robot whose file does not fit.
+    /// The scene cannot be built for this robot.
     pub fn script(self, seed: u64, config: &Config) -> Result<Script, SceneError> {
         let script = self.scenario()?.script(seed, config)?;
         let goal = script.goal.map(|goal| Goal { is_end: false, ..goal });
@@ -79,13 +79,13 @@ impl SceneKind {
     }
 }
 
-/// Why there is no scene.
+/// Error while building a scene.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
-    /// Its parameters.
+    /// The scene's parameters are invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// What it makes of them, or its robot.
+    /// The script or the robot is invalid.
     #[error(transparent)]
     Script(#[from] ScriptError),
 }
@@ -95,7 +95,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_scene_has_an_end_for_those_who_walk_about_in_it() {
+    fn interactive_scenes_never_end() {
         let config = Config::load("compliant").unwrap();
         for scene in SceneKind::value_variants() {
             let script = scene.script(0, &config).unwrap();

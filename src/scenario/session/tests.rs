@@ -69,7 +69,7 @@ fn walk(forward: f64) -> Input {
 }
 
 #[test]
-fn a_session_is_played_again_to_the_last_bit_from_its_beginning_and_from_its_last_set_up() {
+fn sessions_replay_to_the_last_bit_from_any_setup() {
     let mut shelf = AgentCache::default();
     let robots = ["baseline", "compliant"].map(|name| shelf.find(name, None).unwrap()).to_vec();
     let boxed = Setup { scene: SceneKind::Box, seed: 7, robots };
@@ -157,7 +157,7 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
 }
 
 #[test]
-fn a_compliance_that_a_policy_cannot_give_is_refused_and_forgotten_with_a_policy_that_has_none() {
+fn unsupported_compliance_is_refused_or_reset() {
     let mut shelf = AgentCache::default();
     let Setup { robots: standing, .. } = setup(&[UPRIGHT], SceneKind::Flat, &mut shelf);
     let robots = vec![shelf.find("baseline", None).unwrap(), standing[0].clone()];
@@ -169,7 +169,7 @@ fn a_compliance_that_a_policy_cannot_give_is_refused_and_forgotten_with_a_policy
     }
     assert!(comply(0, 0.03) && comply(1, 0.0) && !comply(1, 0.03) && !comply(2, 0.03));
     assert_eq!(world.setup().robots[0].compliance, 0.03);
-    // Another scene, and a command, leave it as it is; a policy that nobody has measured does not have it.
+    // Another scene, and a command, leave it as it is; an uncalibrated policy resets it.
     let hills = Setup { scene: SceneKind::Box, ..world.setup().clone() };
     world.apply(&Input::Setup(hills), &mut shelf).unwrap();
     world.apply(&walk(0.5), &mut shelf).unwrap();
@@ -198,7 +198,7 @@ fn a_command_moves_a_robot_in_the_second_frame_after_it() {
 }
 
 #[test]
-fn a_robot_that_falls_is_set_on_its_feet_after_two_seconds_where_it_lies_and_the_count_goes_up() {
+fn fallen_robots_are_set_on_their_feet_and_counted() {
     let mut shelf = AgentCache::default();
     let mut world = LiveSession::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
     let mut frames: Vec<(bool, std::sync::Arc<Frame>)> = Vec::new();
