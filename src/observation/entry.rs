@@ -16,7 +16,7 @@ pub(super) const MAX_LENGTH: usize = 1 << 16;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Observed {
-    /// What it is.
+    /// The quantity.
     pub quantity: Quantity,
     /// Parts of a vector, in order: forward, left, up, or backward, right, down; yaw of a command [forward, left, up].
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -33,13 +33,13 @@ pub struct Observed {
     /// Limit after that; none if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
-    /// Of clocks \[Hz\].
+    /// Frequency of the clocks \[Hz\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frequency_hz: Option<f64>,
-    /// Of clocks, as fractions of a period \[0\].
+    /// Phases of the clocks, as fractions of a period \[0\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phases: Option<Vec<f64>>,
-    /// Of constants.
+    /// Values of the constants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<f64>>,
 }
@@ -67,7 +67,7 @@ impl Observed {
 pub enum Numbers {
     /// The same for all elements.
     All(f64),
-    /// In order.
+    /// The entries, in the order of the observation.
     Each(Vec<f64>),
     /// See [`Word`].
     Word(Word),
@@ -93,7 +93,7 @@ pub enum Ages {
     Several(Vec<u32>),
 }
 
-/// What offsets and scales in words stand for.
+/// The numbers that named offsets and scales stand for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nominal {
     /// Joint angles, our order \[rad\].
@@ -107,15 +107,15 @@ pub struct Nominal {
 /// A stretch of the observation, at one age or several.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Block {
-    /// What it is.
+    /// The quantity.
     pub quantity: Quantity,
-    /// For vectors, which of (forward, left, up or yaw) each element is, and its sign.
+    /// Axis of each element of a vector (forward, left, up or yaw), and its sign.
     pub axes: Vec<(usize, f64)>,
     /// Policy steps ago, in order.
     pub steps_ago: Vec<u32>,
-    /// Of clocks \[Hz\].
+    /// Frequency of the clocks \[Hz\].
     pub frequency_hz: f64,
-    /// Of clocks, their phases; of constants, their values.
+    /// Phases of clocks, or values of constants.
     pub values: Vec<f64>,
     pub(super) width: usize,
     /// Where it begins in a frame.
@@ -133,7 +133,7 @@ impl Block {
         self.quantity.about().2
     }
 
-    /// Its parts in words, such as left, up, forward; empty if it is no vector.
+    /// Names of the elements, such as left, up, forward; empty if the quantity is no vector.
     pub fn elements(&self) -> Vec<&'static str> {
         let command = self.quantity.about().0 == Kind::Command;
         self.axes.iter().map(|(axis, sign)| part(*axis, *sign, command)).collect()

@@ -20,7 +20,7 @@ pub(super) struct Source {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layout {
     blocks: Vec<Block>,
-    /// For each of the policy's joints, its place in our order.
+    /// Index in our joint order of each of the policy's joints.
     order: [usize; JOINTS],
     /// Steps ago of each repetition of the whole, in order.
     history: Vec<u32>,
@@ -113,7 +113,7 @@ impl Layout {
         &self.history
     }
 
-    /// For each of the policy's joints, its place in our order.
+    /// Index in our joint order of each of the policy's joints.
     pub fn order(&self) -> &[usize; JOINTS] {
         &self.order
     }
@@ -123,7 +123,7 @@ impl Layout {
         &self.offset
     }
 
-    /// What each number is multiplied with after that, shape (length).
+    /// Scale of each number, applied after the offset; shape (length).
     pub fn scale(&self) -> &[f64] {
         &self.scale
     }
@@ -133,7 +133,7 @@ impl Layout {
         &self.clip
     }
 
-    /// Whether any number is limited.
+    /// True if any number is limited.
     pub fn clips(&self) -> bool {
         self.clip.iter().any(|clip| clip.is_finite())
     }
@@ -204,7 +204,7 @@ impl Layout {
         names
     }
 
-    /// For each number, the one that becomes it in a mirror between left and right, and its sign.
+    /// Source index and sign of each number under a left-right mirror.
     ///
     /// # Errors
     /// In words: what has no mirror image, or is not scaled like its image.

@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::util::numbers;
 
-/// What a policy is asked to do, base frame.
+/// The command to a policy, base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Command {
     /// `v_z*` of the paper [m/s].

@@ -10,7 +10,7 @@ use crate::robot::{Joints, RobotState};
 pub struct Moment<'a> {
     /// The robot, as its sensing has it.
     pub state: &'a RobotState,
-    /// What is asked for.
+    /// The command.
     pub command: &'a Command,
     /// The network's last outputs, clipped, in the policy's order; zero at first.
     pub last_action: &'a Joints,
@@ -71,7 +71,7 @@ impl Observer {
         Observer { frames }
     }
 
-    /// Whether its past is one of this layout.
+    /// True if the stored history fits this layout.
     pub fn fits(&self, layout: &Layout) -> bool {
         self.frames.len() == layout.depth() && self.frames.iter().all(|frame| frame.len() == layout.frame_width())
     }

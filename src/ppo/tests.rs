@@ -20,7 +20,7 @@ use crate::network::{ActorCritic, Layer, PackedMlp, Scratch};
 use crate::ranks::Alone;
 
 impl Samples {
-    /// From a policy somewhat away from the one to be trained.
+    /// Samples a batch from a policy somewhat away from the one to be trained.
     fn new(network: &ActorCritic, samples: usize, seed: u64) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
         let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());

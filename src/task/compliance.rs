@@ -27,23 +27,23 @@ use crate::robot::RobotState;
 /// Time constant of the low-pass, which takes out the gait \[s\].
 const SMOOTHING_S: f64 = 0.1;
 
-/// How far off its command a robot is led at most [m/s]. Without a bound, pulls of 50 N bring 22 to 29 % of the robots down
-/// that are told 0.03 and 0.05 m/s/N, with this one 9 % (docs/compliance.md).
+/// Largest bias of the velocity command [m/s]. Without a bound, pulls of 50 N bring down 22 to 29 % of the robots
+/// at commanded 0.03 and 0.05 m/s/N, with this one 9 % (docs/compliance.md).
 const LED_M_S: f64 = 0.5;
 
-/// What the outer loop knows of a policy.
+/// The outer loop around a policy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OuterLoop {
-    /// `C₀` [m/s/N].
+    /// Own compliance `C₀` [m/s/N].
     pub own_m_s_per_n: f64,
     /// Fastest walk that it asks for, forward and left, unless the command is faster [m/s].
     pub limits_m_s: [f64; 2],
-    /// Between two policy steps \[s\].
+    /// Time between two policy steps \[s\].
     pub period_s: f64,
 }
 
 impl OuterLoop {
-    /// Around a policy of this configuration that yields by `own_m_s_per_n` by itself.
+    /// Creates the loop around a policy of this configuration whose own compliance is `own_m_s_per_n`.
     pub fn of(config: &Config, own_m_s_per_n: f64) -> Self {
         let (limits_m_s, period_s) = (config.led_limits_m_s(), config.simulation.policy_period_s());
         OuterLoop { own_m_s_per_n, limits_m_s, period_s }
@@ -81,19 +81,19 @@ pub struct VirtualMass {
     velocity: [f64; 2],
 }
 
-/// What acts on a virtual mass for a while.
+/// Parameters of a virtual mass over one time step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pulled {
-    /// World frame, horizontal \[N\].
+    /// Horizontal force, world frame \[N\].
     pub force: [f64; 2],
-    /// Of the robot \[kg\].
+    /// Mass of the robot \[kg\].
     pub mass_kg: f64,
-    /// How long \[s\].
+    /// Duration \[s\].
     pub time_s: f64,
 }
 
 impl VirtualMass {
-    /// As fast as a robot is.
+    /// Creates a virtual mass at the robot's velocity.
     pub fn of(state: &RobotState) -> Self {
         let velocity = state.velocity_in_world();
         VirtualMass { velocity: [velocity.x, velocity.y] }
@@ -114,7 +114,7 @@ impl VirtualMass {
         self.velocity = [self.velocity[0] + change.x, self.velocity[1] + change.y];
     }
 
-    /// Its velocity in the robot's heading, in place of the commanded one.
+    /// Returns the command with the virtual mass's velocity, in the robot's heading, in place of the commanded one.
     pub fn command(&self, state: &RobotState, command: &Command) -> Command {
         let velocity = state.heading().inverse() * Vector3::new(self.velocity[0], self.velocity[1], 0.0);
         Command { forward: velocity.x, left: velocity.y, ..*command }
@@ -148,7 +148,7 @@ mod tests {
         (0..600).for_each(|_| mass.step(&state, &command, 0.02, pulled([10.0, 0.0]), 2.0));
         let reached = mass.command(&state, &command);
         assert!((reached.forward - 0.5).abs() < 1e-9 && (reached.left + 0.2).abs() < 1e-9, "{reached:?}");
-        // Nobody leads it faster than the bound: 0.5 and 10 · 0.1 m/s would be 1.118 m/s.
+        // The bound limits the speed: 0.5 and 10 · 0.1 m/s would be 1.118 m/s.
         (0..600).for_each(|_| mass.step(&state, &command, 0.1, pulled([10.0, 0.0]), 1.0));
         let reached = mass.command(&state, &command);
         assert!((reached.forward.hypot(reached.left) - 1.0).abs() < 1e-9, "{reached:?}");

@@ -31,12 +31,12 @@ pub struct Stages {
     pub recovery_start: usize,
     /// First step of the post-recovery stage.
     pub post_recovery_start: usize,
-    /// Steps in all.
+    /// Number of steps of the episode.
     pub end: usize,
 }
 
 impl Stages {
-    /// From durations to steps.
+    /// Converts durations to steps.
     pub fn new(episode: &Episode, simulation: &Simulation) -> Self {
         let recovery_start = simulation.policy_steps(episode.walking_s);
         let post_recovery_start = recovery_start + simulation.policy_steps(episode.recovery_s);
@@ -44,7 +44,7 @@ impl Stages {
         Stages { recovery_start, post_recovery_start, end }
     }
 
-    /// The stage that a step, counted from 0, belongs to.
+    /// Returns the stage that a step, counted from 0, belongs to.
     pub fn at(&self, step: usize) -> Stage {
         if step < self.recovery_start {
             Stage::Walking
@@ -56,16 +56,16 @@ impl Stages {
     }
 }
 
-/// Everything random about an episode but the policy's noise.
+/// Everything random about an episode except the policy's noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodePlan {
-    /// What the policy is asked to do.
+    /// The velocity command.
     pub command: Command,
     /// Slope, friction, encoder offsets.
     pub conditions: Conditions,
     /// The push at the start of the recovery stage; the episode ends after the walking stage without one.
     pub push: Option<Push>,
-    /// What pulls, in order of time; only where compliance is commanded.
+    /// Pulls in order of time; only where compliance is commanded.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pulls: Vec<Pull>,
 }
@@ -111,7 +111,7 @@ impl EpisodePlan {
         EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls }
     }
 
-    /// The force that acts at a time of the episode, world frame \[N\].
+    /// Returns the force that acts at a time of the episode, world frame \[N\].
     pub fn force(&self, time_s: f64) -> [f64; 2] {
         let acting = self.pulls.iter().find(|pull| (pull.from_s..pull.until_s).contains(&time_s));
         acting.map_or([0.0; 2], |pull| pull.force)
@@ -141,26 +141,26 @@ pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
     [-GRAVITY_M_S2 * tilt.sin() * uphill.cos(), -GRAVITY_M_S2 * tilt.sin() * uphill.sin(), -GRAVITY_M_S2 * tilt.cos()]
 }
 
-/// What episodes ask for gets harder as walking gets better (section III-D).
+/// The curriculum: episodes get harder as walking gets better (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Curriculum {
     /// Open fraction of the command range, 0 to 1.
     #[serde(alias = "command_share")]
     pub command_fraction: f64,
-    /// Whether episodes go on to the push and what follows it. Once they do, they always do.
+    /// True if episodes include the push and recovery. Never becomes false again.
     pub pushes: bool,
-    /// Open fraction of the pulls and of the outer loop's gain, 0 to 1; where there are such. It grows once there are pushes.
+    /// Open fraction of the pulls and of the outer loop's gain, 0 to 1, where they exist. Grows once there are pushes.
     #[serde(default)]
     pub force_fraction: f64,
 }
 
 impl Curriculum {
-    /// A part of the command range, and no pushes.
+    /// Returns the start: a part of the command range, and no pushes.
     pub fn new(range: &CommandRange) -> Self {
         Curriculum { command_fraction: range.initial_fraction, pushes: false, force_fraction: 0.0 }
     }
 
-    /// Everything that a configuration asks for.
+    /// Returns the end: everything that the configuration asks for.
     pub fn complete() -> Self {
         Curriculum { command_fraction: 1.0, pushes: true, force_fraction: 1.0 }
     }

@@ -20,16 +20,16 @@ use crate::observation::Command;
 use crate::robot::{FootState, Foothold, RobotState};
 use crate::sim::{StepObserver, StepSummary};
 
-/// Everything that a term can be made of: one policy step.
+/// Inputs of the reward terms: one policy step.
 #[derive(Debug, Clone, Copy)]
 pub struct RewardInput<'a> {
-    /// At its end.
+    /// State at the end of the step.
     pub state: &'a RobotState,
-    /// What was asked for.
+    /// The command.
     pub command: &'a Command,
-    /// What it cost.
+    /// Power and torque over the step.
     pub summary: &'a StepSummary,
-    /// What has landed in it.
+    /// Swings that ended in the step.
     pub landings: &'a Landings,
     /// Targets and sharpnesses.
     pub config: &'a Reward,
@@ -38,11 +38,11 @@ pub struct RewardInput<'a> {
 /// A term of the reward: a line of [`TERMS`].
 #[derive(Debug)]
 pub struct Term {
-    /// Of its weight in a configuration, and in metrics.
+    /// Name of the term: its key in the configuration and its column in the metrics.
     pub name: &'static str,
-    /// The paper's, with a unit where it has one, for plots.
+    /// The paper's symbol, with a unit where it has one, for plots.
     pub symbol: &'static str,
-    /// Where it enters.
+    /// The sum that the term enters.
     part: Part,
     weight: fn(&Reward) -> f64,
     of: fn(&RewardInput<'_>) -> f64,
@@ -104,12 +104,12 @@ const TRACKING: usize = 2;
 pub struct Terms([f64; TERMS.len()]);
 
 impl Terms {
-    /// All terms of a step.
+    /// Computes all terms of a step.
     pub fn new(step: &RewardInput<'_>) -> Self {
         Terms(std::array::from_fn(|k| (TERMS[k].of)(step)))
     }
 
-    /// Equations 1 to 3.
+    /// Returns the reward of equations 1 to 3.
     pub fn total(&self, weights: &Reward) -> f64 {
         let sum = |part: Part| {
             let terms = TERMS.iter().zip(self.0).filter(|(term, _)| term.part == part);
@@ -123,13 +123,13 @@ impl Terms {
         self.0.iter_mut().zip(other.0).for_each(|(sum, value)| *sum += value);
     }
 
-    /// The terms divided by a number.
+    /// Returns the terms divided by a number.
     pub fn divided(mut self, divisor: f64) -> Terms {
         self.0.iter_mut().for_each(|value| *value /= divisor);
         self
     }
 
-    /// These terms with the tracking terms of others: what the recovery stage pays.
+    /// Returns these terms with the tracking terms of `other`, as in the recovery stage.
     pub fn with_tracking_of(mut self, other: &Terms) -> Terms {
         self.0[..TRACKING].copy_from_slice(&other.0[..TRACKING]);
         self
@@ -161,7 +161,7 @@ impl Serialize for Terms {
     }
 }
 
-/// Terms that a file does not know are zero.
+/// Missing terms are read as zero.
 impl<'de> Deserialize<'de> for Terms {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let found = BTreeMap::<String, f64>::deserialize(deserializer)?;
@@ -200,8 +200,8 @@ pub fn foot_clearance(feet: &[FootState; 4], desired_m: f64) -> f64 {
 
 /// Follows every foot through its swing for `r_h = Σ_i (p_i,peak / p_des − 1)²`, paid once when the foot touches down.
 ///
-/// It looks at every physics step: a foot that chatters on the ground at 240 Hz touches down again and again, at a peak
-/// of nothing, and pays for it.
+/// Contacts are checked at every physics step: a foot that chatters on the ground at 240 Hz lands repeatedly with a peak
+/// of zero and is penalised.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SwingTracker {
     desired_m: f64,
@@ -217,12 +217,12 @@ pub struct SwingTracker {
     looks_in_flight: usize,
 }
 
-/// What a [`SwingTracker`] has gathered since it was last asked.
+/// Landings that a [`SwingTracker`] has counted since the last call of [`SwingTracker::take`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Landings {
     /// `r_h`.
     pub foot_height: f64,
-    /// Swings that ended.
+    /// Number of swings that ended.
     pub count: usize,
     /// Sum of their peak heights \[m\].
     pub peak_sum_m: f64,
@@ -236,7 +236,7 @@ impl SwingTracker {
         SwingTracker { desired_m, in_contact: feet.map(|foot| foot.contact), ..SwingTracker::default() }
     }
 
-    /// What has landed since the last call.
+    /// Returns the landings since the last call.
     pub fn take(&mut self) -> Landings {
         let landings = Landings {
             foot_height: self.paid,
@@ -288,7 +288,7 @@ mod tests {
         }
     }
 
-    /// Table II in order, and `r_f`; what has come since is zero.
+    /// The terms of Table II in order, and `r_f`; later ones are zero.
     fn terms(values: [f64; 8]) -> Terms {
         let mut terms = Terms::default();
         terms.0[..8].copy_from_slice(&values);

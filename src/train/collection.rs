@@ -32,7 +32,7 @@ pub struct Rollout {
     pub rewards: Vec<f32>,
     /// Values of the observations, shape (n).
     pub values: Vec<f32>,
-    /// Which steps ended an episode, shape (n).
+    /// Ends of episodes by step, shape (n).
     pub ends: Vec<Option<EpisodeEnd>>,
     /// Value of the state after each step that the return goes on with: at time limits and at the end of the batch;
     /// 0 elsewhere. Shape (n).
@@ -41,7 +41,7 @@ pub struct Rollout {
     pub episodes: Vec<EpisodeReport>,
 }
 
-/// What the collection needs beside the environments.
+/// Parameters of a collection, besides the environments.
 #[derive(Debug, Clone, Copy)]
 pub struct Collection<'a> {
     /// Policy and value function.
@@ -52,7 +52,7 @@ pub struct Collection<'a> {
     pub iteration: u64,
     /// Steps of each environment.
     pub steps: usize,
-    /// For episodes that start now.
+    /// Curriculum of the episodes that start now.
     pub curriculum: Curriculum,
     /// Worker threads.
     pub threads: usize,
@@ -62,7 +62,7 @@ impl Collection<'_> {
     /// Steps all environments.
     ///
     /// # Errors
-    /// A fault of MuJoCo while an episode is set up. Faults within an episode end that episode only.
+    /// MuJoCo fails while an episode is set up. Faults within an episode end that episode only.
     pub fn collect(&self, envs: &mut [LocomotionEnv]) -> mujoco::Result<Rollout> {
         let chunk = envs.len().div_ceil(self.threads.max(1)).max(1);
         let networks = Networks {
@@ -176,17 +176,17 @@ struct Networks {
 }
 
 impl Rollout {
-    /// Number of samples.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.rewards.len()
     }
 
-    /// Whether there are no samples.
+    /// Returns true if there are no samples.
     pub fn is_empty(&self) -> bool {
         self.rewards.is_empty()
     }
 
-    /// What a learner needs of it. `log_std` is that of the policy which acted; advantages and returns have shape (n).
+    /// Returns the learner's batch. `log_std` is that of the policy which acted; advantages and returns have shape (n).
     pub fn batch<'a>(&'a self, log_std: &'a [f32], advantages: &'a [f32], returns: &'a [f32]) -> Batch<'a> {
         Batch {
             observations: &self.observations,
@@ -230,7 +230,7 @@ impl Rollout {
 mod tests {
     use super::*;
 
-    /// Of the paper's observation.
+    /// A rollout of the paper's observation.
     const LENGTH: usize = 83;
 
     fn rollout(ends: [Option<EpisodeEnd>; 3], bootstraps: [f32; 3]) -> Rollout {

@@ -41,20 +41,20 @@ pub struct EnvStep {
     pub reward: f64,
     /// Set if this step ended the episode. The observation afterwards is the final one.
     pub end: Option<EpisodeEnd>,
-    /// The stage that it was a step of.
+    /// Stage of the episode that the step belongs to.
     pub stage: Stage,
-    /// Its terms as measured (never replaced); zero if the physics failed.
+    /// Reward terms as measured (never replaced); zero if the physics failed.
     pub terms: Terms,
 }
 
 /// Summary of a finished episode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeReport {
-    /// How it ended.
+    /// The way it ended.
     pub end: EpisodeEnd,
-    /// Steps it lasted.
+    /// Length \[steps\].
     pub steps: usize,
-    /// Whether the robot was pushed.
+    /// True if the robot was pushed.
     pub pushed: bool,
     /// Sum of rewards.
     pub reward: f64,
@@ -64,14 +64,14 @@ pub struct EpisodeReport {
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
-    /// What led to a physics fault.
+    /// The physics fault that ended it, if any.
     pub fault: Option<Box<EpisodeFault>>,
 }
 
 /// A physics fault, to be inspected.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeFault {
-    /// What MuJoCo reported, in words.
+    /// Message of MuJoCo.
     pub error: String,
     /// Index of the environment in its run.
     pub environment: u64,
@@ -90,7 +90,7 @@ struct EpisodeState {
     step: usize,
     /// Episodes started before this one.
     episode: u64,
-    /// Steps after which the first episode is cut, so that environments are not all in the same phase.
+    /// Length of the first episode \[steps\]; staggers the environments.
     cut: usize,
     pushed: bool,
     reward: f64,
@@ -104,24 +104,24 @@ struct EpisodeState {
     #[serde(default)]
     last_action: Joints,
     last_target: Joints,
-    /// Where compliance is commanded.
+    /// Outer loop, where compliance is commanded.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     yielding: Option<Yielding>,
-    /// Of checkpoints from before observations were lists: `ô_{t−1}` and `ô_t`.
+    /// `ô_{t−1}` and `ô_t`, in old checkpoints whose observation was fixed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     previous: Vec<f64>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     current: Vec<f64>,
 }
 
-/// What an outer loop asks for, and what is to be tracked in it.
+/// State of the outer loop: the command to the policy and the velocity to be tracked.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 struct Yielding {
     /// State of the low-pass.
     led: [f64; 2],
-    /// What the policy is commanded.
+    /// Command to the policy.
     asked: Command,
-    /// What is to be tracked.
+    /// Velocity to be tracked.
     mass: VirtualMass,
 }
 
@@ -130,7 +130,7 @@ impl EpisodeState {
         self.yielding.as_ref().map_or(&self.plan.command, |yielding| &yielding.asked)
     }
 
-    /// What the observer of the paper's 83 numbers had noted down: a frame is `ô`, the last target, `ô` again, the command.
+    /// History of the observer of the paper's 83 numbers: a frame is `ô`, the last target, `ô` again, the command.
     fn observer_of_old(&self) -> Observer {
         let command = &self.plan.command;
         let frame = |reduced: &[f64]| {
@@ -140,7 +140,7 @@ impl EpisodeState {
     }
 }
 
-/// Everything an environment needs to go on with the same bits.
+/// Complete state of an environment, from which it continues with the same bits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EnvState {
     sim: SimState,
@@ -159,25 +159,25 @@ pub struct LocomotionEnv {
     index: u64,
     sim: Sim,
     progress: EpisodeState,
-    /// Not part of the saved state: nothing depends on it, and after a resumption it starts anew.
+    /// Not part of the saved state: nothing depends on it, and it is empty after a resumption.
     last_second: LastSecond,
 }
 
 impl LocomotionEnv {
-    /// Environment `index` of a run, at the start of its first episode.
+    /// Creates environment `index` of a run, at the start of its first episode.
     ///
     /// # Errors
-    /// What does not fit in the robot or the observation, or a fault of MuJoCo.
+    /// The robot and the observation do not fit together, or MuJoCo fails.
     pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
         let layout = config.layout().map_err(ValueError::Observation)?;
         let robot = config.robot.load()?;
         Ok(Self::of(config, robot, Arc::new(layout), seed, index, curriculum)?)
     }
 
-    /// As [`LocomotionEnv::new`] with the robot and the observation of `config`, for many environments.
+    /// Like [`LocomotionEnv::new`], but shares the robot and the observation of `config` with other environments.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails.
     pub fn of(
         config: &Config,
         robot: Arc<Robot>,
@@ -214,7 +214,7 @@ impl LocomotionEnv {
     /// Starts the next episode.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails.
     pub fn reset(&mut self, curriculum: Curriculum) -> mujoco::Result<()> {
         let episode = self.progress.episode + 1;
         let cut = usize::MAX;
@@ -225,7 +225,7 @@ impl LocomotionEnv {
     /// Starts the first episode of another seed: the same bits as a new environment of that seed.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails.
     pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
         self.seed = seed;
         let cut = first_cut(seed, self.index, &self.stages);
@@ -233,7 +233,7 @@ impl LocomotionEnv {
         self.begin()
     }
 
-    /// Lets the first episode go on to its end, which otherwise comes early at random, so that environments that are stepped
+    /// Runs the first episode to its full length, which is otherwise cut at random so that environments that are stepped
     /// together are not in the same phase.
     pub fn without_stagger(&mut self) {
         self.progress.cut = usize::MAX;
@@ -270,45 +270,45 @@ impl LocomotionEnv {
         p.observer.measure(&self.layout, &now);
     }
 
-    /// Its index in the run.
+    /// Returns the index in the run.
     pub fn index(&self) -> u64 {
         self.index
     }
 
-    /// Memory that its simulation takes \[bytes\].
+    /// Returns the memory of the simulation \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
         self.sim.data().bytes()
     }
 
-    /// What was drawn for this episode.
+    /// Returns the plan drawn for this episode.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan
     }
 
-    /// What the observation asks for: the command of the plan, or where compliance is commanded what the outer loop makes of it.
+    /// Returns the command in the observation: the plan's, or the outer loop's where compliance is commanded.
     pub fn command(&self) -> &Command {
         self.progress.command()
     }
 
-    /// What the observation is made of.
+    /// Returns the observation's layout.
     pub fn layout(&self) -> &Layout {
         &self.layout
     }
 
-    /// The observation now, in physical units.
+    /// Returns the observation now, in physical units.
     pub fn observation(&self) -> Vec<f64> {
         self.progress.observer.raw(&self.layout)
     }
 
-    /// The observation now as the networks see it, into a slice of the layout's length.
+    /// Writes the observation now, normalised for the networks, into a slice of the layout's length.
     pub fn normalised_observation(&self, out: &mut [f32]) {
         self.progress.observer.normalised(&self.layout, out);
     }
 
-    /// One policy step with an action, one number for each joint.
+    /// Advances one policy step with an action, one number for each joint.
     ///
     /// # Panics
-    /// If the action is shorter.
+    /// The action is shorter than the number of joints.
     pub fn step(&mut self, action: &[f32]) -> (EnvStep, Option<EpisodeReport>) {
         match self.try_step(action) {
             Ok((step, report)) => (step, report),
@@ -417,26 +417,26 @@ impl LocomotionEnv {
         }
     }
 
-    /// The simulation, to look at or to disturb.
+    /// Returns the simulation, to inspect or to disturb.
     pub fn sim_mut(&mut self) -> &mut Sim {
         &mut self.sim
     }
 
-    /// Sees another observation from now on, of the same quantities.
+    /// Switches to another observation of the same quantities.
     #[cfg(test)]
     pub(super) fn see(&mut self, layout: &Arc<Layout>) {
         self.layout = Arc::clone(layout);
     }
 
-    /// What has to be kept to go on exactly from here.
+    /// Saves the state from which the environment continues exactly.
     pub fn save(&self) -> EnvState {
         EnvState { sim: self.sim.save(), progress: self.progress.clone() }
     }
 
-    /// Goes back to a saved state.
+    /// Restores a saved state.
     ///
     /// # Errors
-    /// A state of another model, or a fault of MuJoCo.
+    /// The state belongs to another model, or MuJoCo fails.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
         self.sim.restore(&state.sim)?;
         self.last_second.clear();
@@ -454,7 +454,7 @@ impl LocomotionEnv {
     }
 }
 
-/// Steps after which the first episode is cut.
+/// Draws the length of the first episode \[steps\].
 fn first_cut(seed: u64, index: u64, stages: &Stages) -> usize {
     stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start)
 }
@@ -618,7 +618,7 @@ mod tests {
         assert!(asked.abs() < 0.02, "{asked}");
         let (pulled, asked) = stand([0.0, 20.0], 0.03);
         assert!(pulled < 0.8 * at_ease, "{pulled} {at_ease}");
-        // The trunk gives way to the left a little: the loop goes with it when it is to be softer, against it when stiffer.
+        // The trunk yields to the left a little: a softer loop follows it, a stiffer one opposes it.
         assert!(asked > 0.0 && stand([0.0, 20.0], 0.005).1 < 0.0);
     }
 }

@@ -21,7 +21,7 @@ const CANDLE_BYTES: u64 = 100;
 /// Bytes of an environment beside its simulation, of 900 KiB: last second, observations, its state in a checkpoint.
 const ENVIRONMENT_BYTES: u64 = 100 << 10;
 
-/// What a run takes \[bytes\].
+/// Estimated memory of a run \[bytes\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryEstimate {
     /// All simulations.
@@ -32,24 +32,24 @@ pub struct MemoryEstimate {
     pub networks: u64,
 }
 
-/// More than the machine has.
+/// The run needs more memory than the machine has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "this configuration takes {memory}, and the machine has {} left: lower ppo.environments, ppo.batch_size or ppo.hidden_layers",
     gibibytes(.left)
 )]
 pub struct MemoryError {
-    /// What is needed.
+    /// Memory that is needed.
     pub memory: MemoryEstimate,
-    /// What there is \[bytes\].
+    /// Memory that is available \[bytes\].
     pub left: u64,
 }
 
 impl MemoryEstimate {
-    /// What a configuration takes; one of its environments is made to see.
+    /// Estimates the memory of a configuration by creating one of its environments.
     ///
     /// # Errors
-    /// What does not fit in the robot or the observation, or a fault of MuJoCo.
+    /// The robot and the observation do not fit together, or MuJoCo fails.
     pub fn of(config: &Config) -> Result<Self, TrainError> {
         let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
         let ppo = &config.ppo;
@@ -71,7 +71,7 @@ impl MemoryEstimate {
         })
     }
 
-    /// What of it one machine takes that has `here` of all `ranks`: their shares of environments and samples, and the networks for
+    /// Returns the part for one machine with `here` of all `ranks`: their environments and samples, and the networks for
     /// each of them.
     pub fn of_ranks(self, here: usize, ranks: usize) -> Self {
         let (here, ranks) = (here as u64, ranks as u64);
@@ -83,15 +83,15 @@ impl MemoryEstimate {
         }
     }
 
-    /// All of it \[bytes\].
+    /// Returns the total \[bytes\].
     pub fn total(&self) -> u64 {
         self.environments.saturating_add(self.samples).saturating_add(self.networks)
     }
 
-    /// Checks that the machine has it.
+    /// Checks that the machine has enough memory.
     ///
     /// # Errors
-    /// [`MemoryError`]
+    /// [`MemoryError`] if the run needs more memory than is available.
     pub fn check(self) -> Result<(), MemoryError> {
         match left() {
             Some(left) if self.total() > left => Err(MemoryError { memory: self, left }),
@@ -112,7 +112,7 @@ fn gibibytes(bytes: &u64) -> String {
     format!("{:.1} GiB", *bytes as f64 / f64::from(1 << 30))
 }
 
-/// What the machine, or the container, has left \[bytes\]; nothing where the system does not say.
+/// Returns the free memory of the machine or container \[bytes\], or `None` if the system does not report it.
 fn left() -> Option<u64> {
     let read = |path: &str| std::fs::read_to_string(path).ok();
     let of_machine = read("/proc/meminfo").and_then(|text| {

@@ -34,14 +34,14 @@ pub struct Piece {
     pub blocks: Range<usize>,
     /// Counted from zero.
     pub shard: usize,
-    /// Whether the shard begins with it.
+    /// True if this is the first block of its shard.
     pub is_first: bool,
-    /// Whether the shard ends with it.
+    /// True if this is the last block of its shard.
     pub is_last: bool,
 }
 
 impl Chunk {
-    /// Its blocks, shard by shard.
+    /// The blocks, shard by shard.
     pub fn pieces(self) -> impl Iterator<Item = Piece> {
         let (first, end) = (self.start, self.start + self.blocks);
         (first / self.shard_blocks..end.div_ceil(self.shard_blocks)).map(move |shard| {
@@ -68,10 +68,10 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
     /// Divergences below this are rounding errors.
     const KL_ROUNDING: f64;
 
-    /// What a thread needs for itself while an update lasts.
+    /// Scratch memory of one thread during an update.
     type Workspace;
 
-    /// From parameters and their first and second moments, with room for so many blocks of rows.
+    /// Builds the networks from parameters and their first and second moments, with room for so many blocks of rows.
     fn new(parts: [&ActorCritic; 3], blocks: usize) -> Self;
 
     /// One for each thread, made on that thread.

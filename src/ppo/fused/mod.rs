@@ -22,7 +22,7 @@ pub use panels::Panels;
 #[cfg(tiles)]
 pub use tiles::{Tiles, available as tiles_available};
 
-/// Whether this machine has tile units that this program can use.
+/// Returns true if this machine has tile units that this program can use.
 #[cfg(not(tiles))]
 pub fn tiles_available() -> bool {
     false

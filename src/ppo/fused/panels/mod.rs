@@ -28,9 +28,9 @@ use crate::ppo::loss::Minibatch;
 #[derive(Debug)]
 pub struct Panels {
     pub(in crate::ppo) arch: Arch,
-    /// Of both networks, layer by layer.
+    /// Panels of both networks, layer by layer.
     panels: Vec<RwLock<Panel>>,
-    /// Of the policy and of the value function.
+    /// Shapes of the policy and of the value function.
     blocks: [Vec<RwLock<Block>>; 2],
     /// Layers of the policy.
     depth: usize,

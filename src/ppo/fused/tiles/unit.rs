@@ -64,11 +64,11 @@ pub struct TileUnit {
 }
 
 thread_local! {
-    /// Of this thread: the last one to go releases the registers.
+    /// Number of units on this thread; dropping the last one releases the registers.
     static UNITS: Cell<usize> = const { Cell::new(0) };
 }
 
-/// What `ldtilecfg` reads.
+/// The tile configuration that `ldtilecfg` reads.
 #[repr(C, align(64))]
 struct Shapes {
     palette: u8,
@@ -88,7 +88,7 @@ static SHAPES: Shapes = {
     Shapes { palette: 1, start_row: 0, reserved: [0; 14], bytes_per_row, rows }
 };
 
-/// Whether the processor has the unit and Linux lets this process use it.
+/// Returns true if the processor has the unit and Linux lets this process use it.
 pub fn available() -> bool {
     static AVAILABLE: OnceLock<bool> = OnceLock::new();
     *AVAILABLE.get_or_init(|| {
@@ -99,7 +99,7 @@ pub fn available() -> bool {
     })
 }
 
-/// Asks Linux for the registers, which are too large to be saved for everybody.
+/// Asks Linux for the tile registers, which it saves only for processes that request them.
 fn permitted() -> bool {
     const ARCH_PRCTL: i64 = 158;
     const ARCH_REQ_XCOMP_PERM: u64 = 0x1023;
