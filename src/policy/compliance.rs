@@ -186,7 +186,7 @@ struct Calibrated {
 impl Calibrated {
     /// For the rates and the commands that the policy was trained with.
     fn new(calibration: PolicyCalibration, config: &Config) -> Self {
-        let outer_loop = OuterLoop::of(config, calibration.own_m_s_per_n);
+        let outer_loop = OuterLoop::new(config, calibration.own_m_s_per_n);
         Calibrated { calibration, outer_loop, led: [0.0; 2] }
     }
 

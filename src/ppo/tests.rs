@@ -294,7 +294,7 @@ fn check_threads<A: Arithmetic>() {
 }
 
 #[test]
-fn shards_are_summed_alike_by_any_number_of_threads_and_teach_what_one_shard_does() {
+fn shards_give_same_sums_for_any_number_of_threads() {
     check_shards::<Panels>(1e-4);
     #[cfg(tiles)]
     if tiles_available() {
@@ -481,7 +481,7 @@ fn numbers_that_are_not_finite_or_too_large_stop_the_update() {
 }
 
 #[test]
-fn the_standard_deviation_stays_within_its_range_and_the_largest_ratio_is_reported() {
+fn deviation_stays_in_range_and_largest_ratio_is_reported() {
     let mut network = network();
     network.log_std[0] = LOG_STD_RANGE[1] + 1.0;
     network.log_std[1] = LOG_STD_RANGE[0] - 1.0;

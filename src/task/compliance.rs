@@ -44,7 +44,7 @@ pub struct OuterLoop {
 
 impl OuterLoop {
     /// Creates the loop around a policy of this configuration whose own compliance is `own_m_s_per_n`.
-    pub fn of(config: &Config, own_m_s_per_n: f64) -> Self {
+    pub fn new(config: &Config, own_m_s_per_n: f64) -> Self {
         let (limits_m_s, period_s) = (config.led_limits_m_s(), config.simulation.policy_period_s());
         OuterLoop { own_m_s_per_n, limits_m_s, period_s }
     }
@@ -94,7 +94,7 @@ pub struct Pulled {
 
 impl VirtualMass {
     /// Creates a virtual mass at the robot's velocity.
-    pub fn of(state: &RobotState) -> Self {
+    pub fn new(state: &RobotState) -> Self {
         let velocity = state.velocity_in_world();
         VirtualMass { velocity: [velocity.x, velocity.y] }
     }
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn a_steady_pull_offsets_a_virtual_mass_by_force_times_compliance_in_the_world() {
+    fn steady_pull_offsets_mass_by_force_times_compliance() {
         let command = Command::velocity(0.5, 0.0, 0.0);
         // It heads along the world's y, and is pulled along x: to its right.
         let state = turned(std::f64::consts::FRAC_PI_2);
@@ -157,7 +157,7 @@ mod tests {
     #[test]
     fn a_push_decays_with_the_time_constant_mass_times_compliance() {
         let (state, command) = (turned(0.0), Command::default());
-        let mut mass = VirtualMass::of(&state);
+        let mut mass = VirtualMass::new(&state);
         mass.push(Vector3::new(0.0, 1.0, 0.0));
         // 12.5 kg · 0.04 m/s/N = 0.5 s = 30 steps, whatever the steps' length.
         (0..30).for_each(|_| mass.step(&state, &command, 0.04, pulled([0.0; 2]), 2.0));

@@ -2,7 +2,7 @@
 
 `r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_f r_f))`
 
-The last term, `r_f`, is not the paper's: its reward does not tell a trot from hopping on all fours, and some runs learn to
+The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and some runs learn to
 hop. Its weight is zero unless a configuration asks for it.
 
 Readings where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means over
@@ -35,9 +35,23 @@ pub struct RewardInput<'a> {
     pub config: &'a Reward,
 }
 
-/// A term of the reward: a line of [`TERMS`].
+/// A term of the reward; its number is its place in [`TERMS`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Term {
+    LinearVelocity,
+    AngularVelocity,
+    Energy,
+    Torque,
+    Pose,
+    FootClearance,
+    FootHeight,
+    Flight,
+}
+
+/// The definition of a term: a line of [`TERMS`].
 #[derive(Debug)]
-pub struct Term {
+pub struct TermDefinition {
+    term: Term,
     /// Name of the term: its key in the configuration and its column in the metrics.
     pub name: &'static str,
     /// The paper's symbol, with a unit where it has one, for plots.
@@ -45,7 +59,7 @@ pub struct Term {
     /// The sum that the term enters.
     part: Part,
     weight: fn(&Reward) -> f64,
-    of: fn(&RewardInput<'_>) -> f64,
+    value: fn(&RewardInput<'_>) -> f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,48 +70,57 @@ enum Part {
     Negative,
 }
 
-const fn term(
+const fn define(
+    term: Term,
     name: &'static str,
     symbol: &'static str,
     part: Part,
     weight: fn(&Reward) -> f64,
-    of: fn(&RewardInput<'_>) -> f64,
-) -> Term {
-    Term { name, symbol, part, weight, of }
+    value: fn(&RewardInput<'_>) -> f64,
+) -> TermDefinition {
+    TermDefinition { term, name, symbol, part, weight, value }
 }
 
 /// Table II, and `r_f`.
-pub const TERMS: &[Term] = &[
-    term(
+pub const TERMS: &[TermDefinition] = &[
+    define(
+        Term::LinearVelocity,
         "linear_velocity",
         "r_lin",
         Part::Positive,
         |w| w.linear_velocity,
         |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
     ),
-    term(
+    define(
+        Term::AngularVelocity,
         "angular_velocity",
         "r_ang",
         Part::Positive,
         |w| w.angular_velocity,
         |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
     ),
-    term("energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
-    term("torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
-    term("pose", "r_pose", Part::Negative, |w| w.pose, |step| pose(step.state, step.config)),
-    term(
+    define(Term::Energy, "energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
+    define(Term::Torque, "torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
+    define(Term::Pose, "pose", "r_pose", Part::Negative, |w| w.pose, |step| pose(step.state, step.config)),
+    define(
+        Term::FootClearance,
         "foot_clearance",
         "r_cl [m⁴/s²]",
         Part::Negative,
         |w| w.foot_clearance,
         |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
     ),
-    term("foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
-    term("flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
+    define(Term::FootHeight, "foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
+    define(Term::Flight, "flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
 ];
 
-/// The first terms are `r_lin` and `r_ang`, which the recovery stage replaces.
-const TRACKING: usize = 2;
+const _: () = {
+    let mut k = 0;
+    while k < TERMS.len() {
+        assert!(TERMS[k].term as usize == k, "TERMS is not in the order of Term");
+        k += 1;
+    }
+};
 
 /// The terms of one step, or sums of them, before their weights.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -106,7 +129,7 @@ pub struct Terms([f64; TERMS.len()]);
 impl Terms {
     /// Computes all terms of a step.
     pub fn new(step: &RewardInput<'_>) -> Self {
-        Terms(std::array::from_fn(|k| (TERMS[k].of)(step)))
+        Terms(std::array::from_fn(|k| (TERMS[k].value)(step)))
     }
 
     /// Returns the reward of equations 1 to 3.
@@ -131,21 +154,23 @@ impl Terms {
 
     /// Returns these terms with the tracking terms of `other`, as in the recovery stage.
     pub fn with_tracking_of(mut self, other: &Terms) -> Terms {
-        self.0[..TRACKING].copy_from_slice(&other.0[..TRACKING]);
+        for term in [Term::LinearVelocity, Term::AngularVelocity] {
+            self.0[term as usize] = other.0[term as usize];
+        }
         self
     }
 
-    /// `r_lin`.
+    /// Returns `r_lin`.
     pub fn linear_velocity(&self) -> f64 {
-        self.0[0]
+        self.0[Term::LinearVelocity as usize]
     }
 
     /// The fraction of the time in which no foot touched the ground.
     pub fn flight(&self) -> f64 {
-        self.fields().find(|(name, _)| *name == "flight").map_or(0.0, |(_, value)| value)
+        self.0[Term::Flight as usize]
     }
 
-    /// Names and values in the order of [`TERMS`].
+    /// Returns names and values in the order of [`TERMS`].
     pub fn fields(&self) -> impl Iterator<Item = (&'static str, f64)> {
         TERMS.iter().zip(self.0).map(|(term, value)| (term.name, value))
     }
@@ -212,9 +237,9 @@ pub struct SwingTracker {
     landings: usize,
     // Zero between policy steps, when checkpoints are written.
     #[serde(skip)]
-    looks: usize,
+    steps: usize,
     #[serde(skip)]
-    looks_in_flight: usize,
+    steps_in_flight: usize,
 }
 
 /// Landings that a [`SwingTracker`] has counted since the last call of [`SwingTracker::take`].
@@ -242,18 +267,18 @@ impl SwingTracker {
             foot_height: self.paid,
             count: self.landings,
             peak_sum_m: self.landed_m,
-            flight_fraction: self.looks_in_flight as f64 / self.looks.max(1) as f64,
+            flight_fraction: self.steps_in_flight as f64 / self.steps.max(1) as f64,
         };
         (self.paid, self.landings, self.landed_m) = (0.0, 0, 0.0);
-        (self.looks, self.looks_in_flight) = (0, 0);
+        (self.steps, self.steps_in_flight) = (0, 0);
         landings
     }
 }
 
 impl StepObserver for SwingTracker {
     fn feet(&mut self, feet: &[Foothold; 4]) {
-        self.looks += 1;
-        self.looks_in_flight += usize::from(feet.iter().all(|foot| !foot.contact));
+        self.steps += 1;
+        self.steps_in_flight += usize::from(feet.iter().all(|foot| !foot.contact));
         for (leg, foot) in feet.iter().enumerate() {
             if !foot.contact {
                 self.peak_m[leg] = self.peak_m[leg].max(foot.height);

@@ -171,14 +171,14 @@ impl LocomotionEnv {
     pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
         let layout = config.layout().map_err(ValueError::Observation)?;
         let robot = config.robot.load()?;
-        Ok(Self::of(config, robot, Arc::new(layout), seed, index, curriculum)?)
+        Ok(Self::with_layout(config, robot, Arc::new(layout), seed, index, curriculum)?)
     }
 
     /// Like [`LocomotionEnv::new`], but shares the robot and the observation of `config` with other environments.
     ///
     /// # Errors
     /// MuJoCo fails.
-    pub fn of(
+    pub fn with_layout(
         config: &Config,
         robot: Arc<Robot>,
         layout: Arc<Layout>,
@@ -197,7 +197,7 @@ impl LocomotionEnv {
             layout,
             stages,
             nominal,
-            outer_loop: config.compliance.as_ref().map(|own| OuterLoop::of(config, own.own_m_s_per_n)),
+            outer_loop: config.compliance.as_ref().map(|own| OuterLoop::new(config, own.own_m_s_per_n)),
             seed,
             index,
             last_second: LastSecond::new(
@@ -244,7 +244,7 @@ impl LocomotionEnv {
         self.last_second.clear();
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
-        let (mass, asked) = (VirtualMass::of(&state), self.progress.plan.command);
+        let (mass, asked) = (VirtualMass::new(&state), self.progress.plan.command);
         let yielding = || Yielding { led: [0.0; 2], asked, mass };
         self.progress.yielding = self.outer_loop.map(|_| yielding());
         self.observe(&state);

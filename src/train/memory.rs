@@ -50,7 +50,7 @@ impl MemoryEstimate {
     ///
     /// # Errors
     /// The robot and the observation do not fit together, or MuJoCo fails.
-    pub fn of(config: &Config) -> Result<Self, TrainError> {
+    pub fn new(config: &Config) -> Result<Self, TrainError> {
         let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
         let ppo = &config.ppo;
         let inputs = environment.layout().length() as u64;
@@ -73,7 +73,7 @@ impl MemoryEstimate {
 
     /// Returns the part for one machine with `here` of all `ranks`: their environments and samples, and the networks for
     /// each of them.
-    pub fn of_ranks(self, here: usize, ranks: usize) -> Self {
+    pub fn for_ranks(self, here: usize, ranks: usize) -> Self {
         let (here, ranks) = (here as u64, ranks as u64);
         let share = |whole: u64| whole.div_ceil(ranks).saturating_mul(here);
         MemoryEstimate {
@@ -132,14 +132,14 @@ mod tests {
     #[test]
     fn what_a_run_takes_grows_with_what_it_asks_for_and_is_refused_beyond_the_machine() {
         let mut config = Config::load("fast").unwrap();
-        let usual = MemoryEstimate::of(&config).unwrap();
+        let usual = MemoryEstimate::new(&config).unwrap();
         assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");
         (config.ppo.environments, config.ppo.batch_size) = (1 << 20, 1 << 20);
-        let many = MemoryEstimate::of(&config).unwrap();
+        let many = MemoryEstimate::new(&config).unwrap();
         let each = usual.environments / Config::load("fast").unwrap().ppo.environments as u64;
         assert_eq!(many.environments, each << 20);
         // Of four ranks, one is on this machine, or all are.
-        let (one, all) = (many.of_ranks(1, 4), many.of_ranks(4, 4));
+        let (one, all) = (many.for_ranks(1, 4), many.for_ranks(4, 4));
         assert_eq!((one.environments, one.samples, one.networks), (each << 18, many.samples / 4, many.networks));
         assert_eq!((all.environments, all.samples, all.networks), (each << 20, many.samples, 4 * many.networks));
         let error = many.check().unwrap_err();
@@ -147,6 +147,6 @@ mod tests {
         // 83 · 4096 and 14 times 4096 · 4096 weights, biases, and a row for each output; 12 of the policy, 1 of the value.
         config.ppo.hidden_layers = vec![4096; 15];
         let weights = |outputs: u64| 4096 * (83 + 14 * 4096) + 15 * 4096 + (4096 + 1) * outputs;
-        assert_eq!(MemoryEstimate::of(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
+        assert_eq!(MemoryEstimate::new(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
     }
 }

@@ -1,4 +1,4 @@
-/*! A run's folder: what was asked for, what happened, and what is needed to go on.
+/*! A run's folder: its configuration, its logs, and the files needed to resume it.
 
 | file | content |
 |---|---|
@@ -15,8 +15,8 @@
 | `lock` | held by the process that trains here |
 
 A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
-It appears with its first checkpoint in it, that of iteration 0, so that a run can be resumed from the moment that it is
-there, however early it is killed.
+It appears with its first checkpoint in it, that of iteration 0, so that a run can be resumed as soon as it
+exists, however early it is killed.
 */
 
 use std::ffi::{OsStr, OsString};
@@ -36,7 +36,7 @@ use crate::train::environment::EpisodeFault;
 use crate::train::metrics::IterationMetrics;
 use crate::train::tensorboard::EventWriter;
 use crate::util::files::{self, FileError};
-use crate::util::{provenance, yaml};
+use crate::util::{provenance, terminal, yaml};
 
 /// Physics faults of which the last second is kept; a scene that is wrong has thousands.
 const MAX_FAULTS: usize = 20;
@@ -59,27 +59,27 @@ const MAX_BYTES: u64 = 1 << 20;
 /// File that the process which trains in a folder holds locked.
 const LOCK: &str = "lock";
 
-/// Why a run's folder could not be used.
+/// The reason why a run's folder could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// There is a run at that path already.
     #[error("{path} exists already: go on with --resume {path}, or choose another folder with --out", path = .0.display())]
     Exists(PathBuf),
     /// There is something else at that path.
-    #[error("{} exists already and is no run: choose another folder with --out", .0.display())]
+    #[error("{} exists already and is not a training run; choose another folder with --out", .0.display())]
     Taken(PathBuf),
     /// There is no run to go on with.
     #[error("{} is not a run's folder: it has no checkpoint to go on from", .0.display())]
     NotARun(PathBuf),
-    /// Its files are not of one run.
+    /// The folder mixes files of different runs.
     #[error("{}: two runs are mixed: {problem}", path.display())]
     Mixed {
         /// The folder.
         path: PathBuf,
-        /// Which files, and in what they differ.
+        /// The files that differ, and how.
         problem: String,
     },
-    /// Its configuration was changed after it began.
+    /// The configuration was changed after the run began.
     #[error(
         "{path}/config.yaml was changed after the run began: {keys} in the checkpoint; undo that, or start another run with \
          --config {path}/config.yaml", path = path.display()
@@ -87,16 +87,16 @@ pub enum RunError {
     Changed {
         /// The folder.
         path: PathBuf,
-        /// What was changed, with both values.
+        /// The changed keys, with both values.
         keys: String,
     },
-    /// Its configuration cannot be understood, and may be what somebody has just written.
-    #[error("{0}; mend it, or remove the file: it is written again from the checkpoint")]
+    /// The configuration is invalid, perhaps after an edit.
+    #[error("{0}; correct it, or remove the file: it is written again from the checkpoint")]
     Unreadable(String),
     /// Another process trains there.
     #[error("another process is training in {}: wait for it, or choose another folder", .0.display())]
     Busy(PathBuf),
-    /// Reading or writing failed, or the checkpoint is no good.
+    /// Reading or writing failed, or the checkpoint is damaged.
     #[error(transparent)]
     File(#[from] FileError),
 }
@@ -115,7 +115,7 @@ impl RunFolder {
     /// Creates the folder of a new run, with its first checkpoint.
     ///
     /// # Errors
-    /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or the system's reason.
+    /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or an I/O error.
     pub fn create(path: &Path, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<Self, RunError> {
         if is_run(path) {
             return Err(RunError::Exists(path.to_owned()));
@@ -129,7 +129,7 @@ impl RunFolder {
             "seed": trainer.run().seed,
             "git_revision": provenance::GIT_REVISION,
             "mujoco_version": provenance::MUJOCO_VERSION,
-            "command": std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" "),
+            "command": std::env::args_os().map(terminal::shell_word).collect::<Vec<_>>().join(" "),
         });
         let fill = || -> Result<(), RunError> {
             let (run, config) = (staged.join(ABOUT), staged.join(CONFIG));
@@ -154,7 +154,7 @@ impl RunFolder {
     /// was passed over, or that metrics are lost.
     ///
     /// # Errors
-    /// [`RunError::NotARun`], files of different runs, or what is wrong with the checkpoint.
+    /// [`RunError::NotARun`], files of different runs, or a damaged checkpoint.
     pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Vec<String>), RunError> {
         if !is_run(path) {
             return Err(RunError::NotARun(path.to_owned()));
@@ -476,7 +476,7 @@ mod tests {
     }
 
     #[test]
-    fn metrics_end_where_the_checkpoint_is_and_what_is_missing_is_told() {
+    fn metrics_end_at_checkpoint_and_losses_are_reported() {
         for (found, kept, lost) in [
             (lines(&[1, 2, 3, 4]) + "{\"iter", &[1, 2, 3][..], None),
             (lines(&[1, 3]), &[1, 3], Some("lacks iterations 2 of 3")),

@@ -96,7 +96,7 @@ impl Trainer {
     /// # Errors
     /// A value of the configuration is out of range, or the robot's model cannot be simulated.
     pub fn new(config_name: &str, config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
-        Self::among(Alone::shared(), config_name, config, seed, threads)
+        Self::with_ranks(Alone::shared(), config_name, config, seed, threads)
     }
 
     /// Starts a new run as one of the ranks that train it.
@@ -104,7 +104,7 @@ impl Trainer {
     /// # Errors
     /// A value of the configuration is out of range or does not fit the number of ranks, or the robot's model cannot be
     /// simulated.
-    pub fn among(
+    pub fn with_ranks(
         ranks: Arc<dyn Ranks>,
         config_name: &str,
         mut config: Config,
@@ -113,7 +113,7 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         config.check()?;
         check_ranks(&config, &*ranks)?;
-        MemoryEstimate::of(&config)?.of_ranks(ranks.here(), ranks.count()).check()?;
+        MemoryEstimate::new(&config)?.for_ranks(ranks.here(), ranks.count()).check()?;
         config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
@@ -143,14 +143,18 @@ impl Trainer {
     /// # Errors
     /// The checkpoint does not fit its own configuration, or the model cannot be simulated.
     pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
-        Self::resume_among(Alone::shared(), checkpoint, threads)
+        Self::resume_with_ranks(Alone::shared(), checkpoint, threads)
     }
 
     /// Resumes from a checkpoint of any number of ranks, as one of the ranks of the run.
     ///
     /// # Errors
     /// The checkpoint does not fit its own configuration or the number of ranks, or the model cannot be simulated.
-    pub fn resume_among(ranks: Arc<dyn Ranks>, checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
+    pub fn resume_with_ranks(
+        ranks: Arc<dyn Ranks>,
+        checkpoint: Checkpoint,
+        threads: usize,
+    ) -> Result<Self, TrainError> {
         let Checkpoint { mut run, learner: state } = checkpoint;
         let (found, expected_environments) = (run.environments.len(), run.config.ppo.environments);
         if found != expected_environments {
@@ -164,7 +168,7 @@ impl Trainer {
         if [&state.first_moment, &state.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
-        MemoryEstimate::of(&run.config)?.of_ranks(ranks.here(), ranks.count()).check()?;
+        MemoryEstimate::new(&run.config)?.for_ranks(ranks.here(), ranks.count()).check()?;
         let (robot, layout, mirror) = parts(&run.config)?;
         // Another revision may read the robot's file differently; the caller already warns that revisions differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::GIT_REVISION {
@@ -362,8 +366,9 @@ fn environments(
     curriculum: Curriculum,
     ranks: &dyn Ranks,
 ) -> mujoco::Result<Vec<LocomotionEnv>> {
-    let environment =
-        |index| LocomotionEnv::of(config, Arc::clone(robot), Arc::clone(layout), seed, index as u64, curriculum);
+    let environment = |index| {
+        LocomotionEnv::with_layout(config, Arc::clone(robot), Arc::clone(layout), seed, index as u64, curriculum)
+    };
     ranks.share(config.ppo.environments).map(environment).collect()
 }
 
