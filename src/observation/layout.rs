@@ -379,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_side_and_what_is_scaled_for_one_side_has_no_mirror_image() {
+    fn asymmetric_layouts_have_no_mirror_image() {
         let robot = Robot::load("go1").unwrap();
         let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
         let mirrored = |entry: Observed| Layout::new(&[entry], &nominal).unwrap().mirrored(&robot);

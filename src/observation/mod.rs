@@ -34,8 +34,7 @@ pub struct Command {
     pub left: f64,
     /// `ω_y*` of the paper [rad/s].
     pub yaw: f64,
-    /// Velocity that a newton of sustained horizontal force is to buy [m/s/N]; not in the paper. Zero: none, or, of a policy
-    /// that cannot be told, whatever it has.
+    /// Commanded compliance: velocity per sustained horizontal force [m/s/N]; not in the paper. Zero: none commanded.
     #[serde(default, skip_serializing_if = "numbers::is_zero")]
     pub compliance: f64,
 }

@@ -422,7 +422,7 @@ fn linear(layer: &Layer, x: &[f64]) -> impl Iterator<Item = f64> {
 }
 
 #[test]
-fn the_policy_of_the_rollout_is_at_distance_zero_in_the_first_minibatch() {
+fn first_minibatch_has_zero_divergence() {
     let network = network();
     let mut samples = Samples::new(&network, 64, 1);
     PackedMlp::new(&network.policy).forward(64, &samples.observations, &mut samples.means, &mut Scratch::default());
@@ -525,7 +525,7 @@ impl<A: Arithmetic> FusedLearner<A> {
 }
 
 #[test]
-fn a_precision_that_the_machine_does_not_have_is_refused_by_name() {
+fn unsupported_precision_is_refused_by_name() {
     let network = network();
     let state = LearnerState::new(network, &settings(512));
     for (name, precision) in [("mixed", Precision::Mixed), ("bf16x3", Precision::Bf16x3), ("bf16", Precision::Bf16)] {

@@ -1,11 +1,11 @@
-/*! Compliance as a command: how a robot that somebody has hold of is to move, and how one that tracks velocities does.
+/*! Compliance as a command: the desired motion of a pulled robot, and an outer loop that achieves it.
 
 On the horizontal plane it is to move like a virtual mass with a virtual damper of 1/c to its commanded velocity,
 
 `m v̇_ref = (v* − v_ref) / c + f`
 
-with the robot's mass m, the commanded velocity v*, the commanded compliance c [m/s/N] and the force f of the hand. A steady
-force offsets its velocity by c·f, and a push decays with the time constant m·c. Gravity on a slope is no hand.
+with the robot's mass m, the commanded velocity v*, the commanded compliance c [m/s/N] and the force f of the pull. A steady
+force offsets its velocity by c·f, and a push decays with the time constant m·c. On a slope, the component of gravity is not treated as an external pull.
 
 A policy that tracks velocities yields a little by itself, by `C₀`, its own compliance. An outer loop around it makes that any
 c: it commands the velocity

@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn randomised_friction_fills_its_range_and_offsets_have_their_standard_deviation() {
+    fn friction_and_encoder_bias_have_their_distributions() {
         let mut config = config();
         config.randomisation.enabled = true;
         let drawn: Vec<Conditions> = (0..2000)

@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn clearance_term_weighs_horizontal_foot_speed_with_missing_height() {
+    fn clearance_term_weighs_foot_speed_with_missing_height() {
         let mut feet = [FootState { height: 0.08, velocity: [1.0, 1.0, 0.0], contact: false }; 4];
         feet[2] = FootState { height: 0.02, velocity: [3.0, 4.0, 100.0], contact: false };
         // (3² + 4²) · 0.06² = 25 · 0.0036
@@ -353,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn foot_height_term_is_paid_once_at_touchdown_with_the_peak_of_the_swing() {
+    fn foot_height_term_counts_swing_peak_once_at_touchdown() {
         let at = |height: f64, contact: bool| [Foothold { height, contact }; 4];
         let on_ground = [FootState { contact: true, ..FootState::default() }; 4];
         let mut tracker = SwingTracker::new(&on_ground, 0.08);

@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unfinished_episode_continues_with_the_value_of_its_last_observation() {
+    fn unfinished_episode_bootstraps_from_last_observation() {
         // γ = 0.5, λ = 0.5: δ = [1 + 10 − 10, 2 + 15 − 20, 3 + 20 − 30] = [1, −3, −7]
         // A₂ = −7, A₁ = −3 − 1.75 = −4.75, A₀ = 1 − 1.1875
         let (advantages, returns) = rollout([None; 3], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_limit_bootstraps_from_the_final_observation_and_keeps_the_next_episode_out() {
+    fn time_limit_bootstraps_from_the_final_observation() {
         // step 1 is cut with final value 24: δ₁ = 2 + 12 − 20 = −6; A₀ = 1 − 0.25·6
         let (advantages, _) =
             rollout([None, Some(EpisodeEnd::TimeLimit), None], [0.0, 24.0, 40.0]).advantages(0.5, 0.5);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn a_step_in_which_physics_failed_teaches_nothing_and_the_ones_before_it_go_by_its_value() {
+    fn physics_fault_has_no_advantage_and_returns_its_value() {
         // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
         let (advantages, returns) =
             rollout([None, Some(EpisodeEnd::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn physics_faults_end_their_episodes_are_counted_and_kept_and_leave_the_others_alone() {
+    fn physics_faults_end_only_their_own_episodes() {
         let calm = collect(2, |_| {});
         let faulty = collect(2, break_four);
         let faults: Vec<_> = faulty.episodes.iter().filter_map(|episode| episode.fault.as_ref()).collect();

@@ -576,7 +576,7 @@ mod tests {
     }
 
     #[test]
-    fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
+    fn restored_environment_continues_with_same_bits() {
         // With pushes alone, and with pulls and an outer loop.
         for name in ["compliant", "commanded"] {
             let mut config = Config::load(name).unwrap();
@@ -598,7 +598,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pull_shows_in_what_the_policy_is_commanded_and_in_what_it_is_paid_for() {
+    fn pull_changes_the_command_and_the_tracked_velocity() {
         let mut config = Config::load("commanded").unwrap();
         (config.command.forward_m_s, config.command.left_m_s, config.episode.slope) = (0.0, 0.0, 0.0);
         config.reward.linear_velocity = 1.0;

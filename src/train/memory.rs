@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_run_takes_grows_with_what_it_asks_for_and_is_refused_beyond_the_machine() {
+    fn memory_estimate_grows_and_excess_is_refused() {
         let mut config = Config::load("fast").unwrap();
         let usual = MemoryEstimate::new(&config).unwrap();
         assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");

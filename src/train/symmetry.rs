@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn image_of_a_robot_leaning_to_the_left_is_one_leaning_to_the_right() {
+    fn mirror_of_left_leaning_robot_leans_right() {
         assert_ne!(leaning(1.0), leaning(-1.0));
         assert_eq!(mirror().observations(&leaning(1.0)), leaning(-1.0));
         assert_eq!(mirror().observations(&mirror().observations(&leaning(1.0))), leaning(1.0));

@@ -389,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_with_shards_has_the_same_bits_with_any_number_of_threads_and_over_a_resumption() {
+    fn sharded_run_has_same_bits_for_any_threads_and_resumption() {
         let run = |threads: [usize; 3]| {
             let mut trainer = Trainer::new("test", sharded(8), 3, threads[0]).unwrap();
             let mut metrics = Vec::new();
@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn each_minibatch_has_as_many_samples_of_every_shard_and_an_epoch_has_each_once() {
+    fn minibatches_take_equally_from_every_shard() {
         let trainer = Trainer::new("test", sharded(4), 0, 1).unwrap();
         let orders = trainer.permutations(256);
         assert!(orders.len() == 8 && orders[0] != orders[1]);
@@ -449,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn an_update_that_meets_nan_names_the_iteration_and_hands_over_the_minibatch() {
+    fn nan_in_update_names_iteration_and_minibatch() {
         let mut config = Config::load("compliant").unwrap();
         config.ppo.batch_size = 64;
         config.ppo.minibatch_size = 32;
