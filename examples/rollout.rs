@@ -40,7 +40,7 @@ fn main() -> anyhow::Result<()> {
     let mut curriculum = Curriculum::new(&config.command);
     let layout = Arc::new(layout);
     let mut environments = (0..config.ppo.environments as u64)
-        .map(|k| LocomotionEnv::of(&config, Arc::clone(&robot), Arc::clone(&layout), seed, k, curriculum))
+        .map(|k| LocomotionEnv::with_layout(&config, Arc::clone(&robot), Arc::clone(&layout), seed, k, curriculum))
         .collect::<Result<Vec<_>, _>>()?;
 
     let (mut observations, mut actions, mut rewards) = (Vec::new(), Vec::new(), Vec::new());

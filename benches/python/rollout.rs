@@ -34,7 +34,7 @@ fn main() -> anyhow::Result<()> {
     let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout().map_err(anyhow::Error::msg)?);
     let (layout, curriculum) = (Arc::new(layout), Curriculum::complete());
     let mut environments = (0..count as u64)
-        .map(|k| LocomotionEnv::of(&config, Arc::clone(&robot), Arc::clone(&layout), SEED, k, curriculum))
+        .map(|k| LocomotionEnv::with_layout(&config, Arc::clone(&robot), Arc::clone(&layout), SEED, k, curriculum))
         .collect::<Result<Vec<_>, _>>()?;
     for line in std::io::stdin().lock().lines() {
         line?;

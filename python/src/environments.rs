@@ -150,7 +150,8 @@ impl Environments {
                 }
                 let (robot, layout) = (Arc::clone(&robot), Arc::clone(&layout));
                 let mut environment =
-                    LocomotionEnv::of(&config, robot, layout, seed, index as u64, first_curriculum).map_err(failed)?;
+                    LocomotionEnv::with_layout(&config, robot, layout, seed, index as u64, first_curriculum)
+                        .map_err(failed)?;
                 if !stagger {
                     environment.without_stagger();
                 }

@@ -10,7 +10,7 @@ use super::geometry::child;
 use super::stream::Stream;
 use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, lighter, opaque};
 use supple::scenario::trace::{Frame, Sensed};
-use supple::task::reward::{TERMS, Term};
+use supple::task::reward::{TERMS, TermDefinition};
 
 /// A plot.
 pub(super) struct Plot {
@@ -126,7 +126,7 @@ const PLOTS: &[Plot] = &[
 ];
 
 /// Power and torque have plots of their own.
-fn shown_terms(frame: &Frame) -> impl Iterator<Item = (&'static Term, f64)> {
+fn shown_terms(frame: &Frame) -> impl Iterator<Item = (&'static TermDefinition, f64)> {
     let terms = TERMS.iter().zip(frame.terms.fields().map(|(_, value)| value));
     terms.filter(|(term, _)| !matches!(term.name, "energy" | "torque"))
 }

@@ -33,13 +33,13 @@ pub struct Observed {
     /// Limit after that; none if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
-    /// The frequency of a clock \[Hz\].
+    /// Frequency of the clocks \[Hz\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub frequency_hz: Option<f64>,
-    /// The phases of a clock, as fractions of a period \[0\].
+    /// Phases of the clocks, as fractions of a period \[0\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phases: Option<Vec<f64>>,
-    /// The values of a constant.
+    /// Values of the constants.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<f64>>,
 }
@@ -67,7 +67,7 @@ impl Observed {
 pub enum Numbers {
     /// The same for all elements.
     All(f64),
-    /// One value for each element, in order.
+    /// The entries, in the order of the observation.
     Each(Vec<f64>),
     /// See [`Word`].
     Word(Word),
@@ -93,7 +93,7 @@ pub enum Ages {
     Several(Vec<u32>),
 }
 
-/// The nominal values that offsets and scales refer to by name.
+/// The numbers that named offsets and scales stand for.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nominal {
     /// Joint angles, our order \[rad\].
@@ -109,13 +109,13 @@ pub struct Nominal {
 pub struct Block {
     /// The quantity.
     pub quantity: Quantity,
-    /// The axis of (forward, left, up or yaw) and the sign of each element of a vector.
+    /// Axis of each element of a vector (forward, left, up or yaw), and its sign.
     pub axes: Vec<(usize, f64)>,
     /// Policy steps ago, in order.
     pub steps_ago: Vec<u32>,
-    /// The frequency of a clock \[Hz\].
+    /// Frequency of the clocks \[Hz\].
     pub frequency_hz: f64,
-    /// The phases of a clock, or the values of a constant.
+    /// Phases of clocks, or values of constants.
     pub values: Vec<f64>,
     pub(super) width: usize,
     /// Where it begins in a frame.
@@ -133,7 +133,7 @@ impl Block {
         self.quantity.about().2
     }
 
-    /// Returns the names of a vector's elements, such as left, up, forward; empty for other quantities.
+    /// Names of the elements, such as left, up, forward; empty if the quantity is no vector.
     pub fn elements(&self) -> Vec<&'static str> {
         let command = self.quantity.about().0 == Kind::Command;
         self.axes.iter().map(|(axis, sign)| part(*axis, *sign, command)).collect()

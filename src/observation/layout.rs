@@ -20,7 +20,7 @@ pub(super) struct Source {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layout {
     blocks: Vec<Block>,
-    /// The place of each of the policy's joints in our order.
+    /// Index in our joint order of each of the policy's joints.
     order: [usize; JOINTS],
     /// Steps ago of each repetition of the whole, in order.
     history: Vec<u32>,
@@ -113,7 +113,7 @@ impl Layout {
         &self.history
     }
 
-    /// Returns the place of each of the policy's joints in our order.
+    /// Index in our joint order of each of the policy's joints.
     pub fn order(&self) -> &[usize; JOINTS] {
         &self.order
     }
@@ -123,7 +123,7 @@ impl Layout {
         &self.offset
     }
 
-    /// Returns the factor on each number after the offset is subtracted, shape (length).
+    /// Scale of each number, applied after the offset; shape (length).
     pub fn scale(&self) -> &[f64] {
         &self.scale
     }
@@ -133,7 +133,7 @@ impl Layout {
         &self.clip
     }
 
-    /// Returns true if any number is limited.
+    /// True if any number is limited.
     pub fn clips(&self) -> bool {
         self.clip.iter().any(|clip| clip.is_finite())
     }
@@ -204,7 +204,7 @@ impl Layout {
         names
     }
 
-    /// Returns the number that each number becomes when left and right are exchanged, and its sign.
+    /// Source index and sign of each number under a left-right mirror.
     ///
     /// # Errors
     /// In words: what has no mirror image, or is not scaled like its image.
@@ -379,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_side_and_what_is_scaled_for_one_side_has_no_mirror_image() {
+    fn asymmetric_layouts_have_no_mirror_image() {
         let robot = Robot::load("go1").unwrap();
         let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
         let mirrored = |entry: Observed| Layout::new(&[entry], &nominal).unwrap().mirrored(&robot);

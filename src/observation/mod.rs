@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::util::numbers;
 
-/// The velocity command of a policy, base frame.
+/// The command to a policy, base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Command {
     /// `v_z*` of the paper [m/s].
@@ -34,8 +34,7 @@ pub struct Command {
     pub left: f64,
     /// `ω_y*` of the paper [rad/s].
     pub yaw: f64,
-    /// Velocity that a newton of sustained horizontal force is to buy [m/s/N]; not in the paper. Zero: none, or, of a policy
-    /// that cannot be told, whatever it has.
+    /// Commanded compliance: velocity per sustained horizontal force [m/s/N]; not in the paper. Zero: none commanded.
     #[serde(default, skip_serializing_if = "numbers::is_zero")]
     pub compliance: f64,
 }

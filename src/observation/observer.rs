@@ -10,7 +10,7 @@ use crate::robot::{Joints, RobotState};
 pub struct Moment<'a> {
     /// The robot, as its sensing has it.
     pub state: &'a RobotState,
-    /// The velocity command.
+    /// The command.
     pub command: &'a Command,
     /// The network's last outputs, clipped, in the policy's order; zero at first.
     pub last_action: &'a Joints,
@@ -71,7 +71,7 @@ impl Observer {
         Observer { frames }
     }
 
-    /// Returns true if the stored past has this layout.
+    /// True if the stored history fits this layout.
     pub fn fits(&self, layout: &Layout) -> bool {
         self.frames.len() == layout.depth() && self.frames.iter().all(|frame| frame.len() == layout.frame_width())
     }

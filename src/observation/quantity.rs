@@ -58,9 +58,9 @@ pub(super) enum Kind {
     Command,
     /// One for each joint.
     Joints,
-    /// As many numbers as the layout gives phases, with a frequency.
+    /// One number for each phase that the layout lists, with a frequency.
     Clock,
-    /// As many numbers as the layout gives values.
+    /// The constants that the layout lists.
     Constant,
 }
 
@@ -126,7 +126,7 @@ impl Quantity {
     }
 }
 
-/// Copies joint values from our order to a policy's.
+/// Reorders joint values from our order to the policy's.
 fn reorder(joints: &Joints, order: &[usize; JOINTS], out: &mut [f64]) {
     out.iter_mut().zip(order).for_each(|(out, joint)| *out = joints[*joint]);
 }

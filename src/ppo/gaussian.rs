@@ -18,7 +18,7 @@ pub struct DiagonalGaussian {
 }
 
 impl DiagonalGaussian {
-    /// Creates the distribution from `ln σ`, one for each action.
+    /// Precomputes the constants of `ln σ`, one for each action.
     pub fn new(log_std: &[f32]) -> Self {
         let log_std: Vec<f64> = log_std.iter().map(|&x| f64::from(x)).collect();
         let inverse_std = log_std.iter().map(|x| (-x).exp()).collect();
@@ -82,7 +82,7 @@ impl<'a> KlDivergence<'a> {
         Self { new, of_equal_means: terms.sum() }
     }
 
-    /// At a state where the means are these.
+    /// Returns the divergence at a state with these means.
     #[inline(always)]
     pub fn at(&self, old_mean: &[f32], new_mean: &[f32]) -> f64 {
         self.of_equal_means + 0.5 * self.new.squared_distance(old_mean, new_mean)

@@ -67,7 +67,7 @@ pub fn learner(
     })
 }
 
-/// What `ppo.precision` comes to on this machine: never [`Precision::Auto`].
+/// Resolves `ppo.precision` on this machine; never returns [`Precision::Auto`].
 pub fn resolved(ppo: &Ppo) -> Precision {
     match ppo.precision {
         Precision::Auto if ppo.learner != LearnerKind::Candle && tiles_available() => Precision::Mixed,
@@ -100,7 +100,7 @@ pub struct LearnerState {
 }
 
 impl LearnerState {
-    /// Before the first update.
+    /// Returns the state before the first update.
     pub fn new(parameters: ActorCritic, settings: &Ppo) -> Self {
         let (first_moment, second_moment) = (parameters.zeros_like(), parameters.zeros_like());
         Self { parameters, first_moment, second_moment, steps: 0, learning_rate: settings.initial_learning_rate }

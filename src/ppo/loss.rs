@@ -27,7 +27,7 @@ impl Ppo {
 pub struct Batch<'a> {
     /// Shape (n, observations).
     pub observations: &'a [f32],
-    /// The actions as sampled, not clipped; shape (n, actions).
+    /// Actions as sampled, not clipped; shape (n, actions).
     pub actions: &'a [f32],
     /// Mean actions of the policy that sampled; shape (n, actions).
     pub means: &'a [f32],
@@ -35,7 +35,7 @@ pub struct Batch<'a> {
     pub log_std: &'a [f32],
     /// Log-probabilities of the actions under the policy that sampled; shape (n).
     pub log_probs: &'a [f32],
-    /// The advantages, not normalised; shape (n).
+    /// Advantages, not normalised; shape (n).
     pub advantages: &'a [f32],
     /// Targets of the value function; shape (n).
     pub returns: &'a [f32],
@@ -66,7 +66,7 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Borrows the samples for the learner.
+    /// Losses over the samples, for the learner.
     pub fn batch(&self) -> Batch<'_> {
         Batch {
             observations: &self.observations,
@@ -89,7 +89,7 @@ pub struct Minibatch<'a> {
     pub epoch: usize,
     /// Within the epoch, counted from zero.
     pub index: usize,
-    /// The samples on this rank, shard by shard.
+    /// The minibatch's samples on this rank, shard by shard.
     pub rows: &'a [u32],
     /// Shards on this rank, with equally many rows.
     pub shards: usize,
@@ -148,7 +148,7 @@ impl<'a> Minibatch<'a> {
         (self.rows.len() / self.shards).div_ceil(size)
     }
 
-    /// Returns the samples of a block of `size`, counted through all shards.
+    /// Returns the samples of one block of `size`, counted through all shards.
     pub fn block(&self, size: usize, index: usize) -> &'a [u32] {
         let (rows, blocks) = (self.rows.len() / self.shards, self.shard_blocks(size));
         let (shard, start) = (index / blocks, index % blocks * size);
@@ -166,14 +166,14 @@ impl<'a> Minibatch<'a> {
 pub struct Surrogate {
     /// `−min(A·r, A·clip(r, 1 − c, 1 + c))`
     pub loss: f64,
-    /// The derivative by the log-probability.
+    /// Derivative of the loss by the log-probability.
     pub slope: f64,
     /// True if `r` lies outside 1 ± c.
     pub clipped: bool,
 }
 
 impl Surrogate {
-    /// Evaluates the clipped surrogate for a normalised advantage `A`, a probability ratio `r` and a clip range `c`.
+    /// Computes the surrogate for normalised advantage `A`, probability ratio `r` and clip range `c`.
     pub fn new(advantage: f64, ratio: f64, clip_range: f64) -> Self {
         let free = advantage * ratio;
         let limited = advantage * ratio.clamp(1.0 - clip_range, 1.0 + clip_range);

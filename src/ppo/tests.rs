@@ -20,7 +20,7 @@ use crate::network::{ActorCritic, Layer, PackedMlp, Scratch};
 use crate::ranks::Alone;
 
 impl Samples {
-    /// Samples from a policy that differs somewhat from the one to be trained.
+    /// Samples a batch from a policy somewhat away from the one to be trained.
     fn new(network: &ActorCritic, samples: usize, seed: u64) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
         let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());
@@ -294,7 +294,7 @@ fn check_threads<A: Arithmetic>() {
 }
 
 #[test]
-fn shards_sum_alike_on_any_number_of_threads() {
+fn shards_give_same_sums_for_any_number_of_threads() {
     check_shards::<Panels>(1e-4);
     #[cfg(tiles)]
     if tiles_available() {
@@ -422,7 +422,7 @@ fn linear(layer: &Layer, x: &[f64]) -> impl Iterator<Item = f64> {
 }
 
 #[test]
-fn the_policy_of_the_rollout_is_at_distance_zero_in_the_first_minibatch() {
+fn first_minibatch_has_zero_divergence() {
     let network = network();
     let mut samples = Samples::new(&network, 64, 1);
     PackedMlp::new(&network.policy).forward(64, &samples.observations, &mut samples.means, &mut Scratch::default());
@@ -481,7 +481,7 @@ fn numbers_that_are_not_finite_or_too_large_stop_the_update() {
 }
 
 #[test]
-fn standard_deviation_stays_in_range() {
+fn deviation_stays_in_range_and_largest_ratio_is_reported() {
     let mut network = network();
     network.log_std[0] = LOG_STD_RANGE[1] + 1.0;
     network.log_std[1] = LOG_STD_RANGE[0] - 1.0;
@@ -525,7 +525,7 @@ impl<A: Arithmetic> FusedLearner<A> {
 }
 
 #[test]
-fn a_precision_that_the_machine_does_not_have_is_refused_by_name() {
+fn unsupported_precision_is_refused_by_name() {
     let network = network();
     let state = LearnerState::new(network, &settings(512));
     for (name, precision) in [("mixed", Precision::Mixed), ("bf16x3", Precision::Bf16x3), ("bf16", Precision::Bf16)] {

@@ -9,7 +9,7 @@ use super::loss::Minibatch;
 use crate::config::Ppo;
 use crate::ranks::Ranks;
 
-/// The statistics of an update; means over its minibatches unless stated otherwise.
+/// Statistics of an update: means over its minibatches unless said otherwise.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct UpdateStatistics {
     /// Clipped surrogate, negated.
@@ -33,7 +33,7 @@ pub struct UpdateStatistics {
     pub learning_rate: f64,
 }
 
-/// The reason why an update stopped. Gradient steps before it remain, except before an error of candle.
+/// The reason why an update stopped. Earlier steps are kept, except after an error of candle.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum UpdateFault {
     /// A slice of the batch does not fit the others.
@@ -92,7 +92,7 @@ impl From<candle_core::Error> for UpdateFault {
 /// Adam's decay of the first and the second moment: its own, which neither the paper nor Stable-Baselines3 changes.
 pub const ADAM_BETAS: [f64; 2] = [0.9, 0.999];
 
-/// The state that the minibatches of an update pass on.
+/// State passed from one minibatch of an update to the next.
 #[derive(Debug)]
 pub struct UpdateProgress {
     pub steps: u64,
@@ -105,7 +105,7 @@ pub struct UpdateProgress {
     pub fault: Option<UpdateFault>,
 }
 
-/// The gradient step as all learners compute it.
+/// The parts of a gradient step that all learners share.
 #[derive(Debug, Clone, Copy)]
 pub struct OptimizerStep {
     /// Counted from one.
@@ -116,7 +116,7 @@ pub struct OptimizerStep {
 }
 
 impl OptimizerStep {
-    /// Computes the step for a joint gradient of `gradient_norm`.
+    /// Returns the scalars of a step for a joint gradient of norm `gradient_norm`.
     pub fn new(settings: &Ppo, count: u64, learning_rate: f64, gradient_norm: f64) -> Self {
         let gradient_scale = (settings.max_gradient_norm / (gradient_norm + 1e-6)).min(1.0);
         Self { count, learning_rate, gradient_scale }

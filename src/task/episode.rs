@@ -31,7 +31,7 @@ pub struct Stages {
     pub recovery_start: usize,
     /// First step of the post-recovery stage.
     pub post_recovery_start: usize,
-    /// Steps in all.
+    /// Number of steps of the episode.
     pub end: usize,
 }
 
@@ -44,7 +44,7 @@ impl Stages {
         Stages { recovery_start, post_recovery_start, end }
     }
 
-    /// The stage that a step, counted from 0, belongs to.
+    /// Returns the stage that a step, counted from 0, belongs to.
     pub fn at(&self, step: usize) -> Stage {
         if step < self.recovery_start {
             Stage::Walking
@@ -56,7 +56,7 @@ impl Stages {
     }
 }
 
-/// Everything random about an episode but the policy's noise.
+/// Everything random about an episode except the policy's noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodePlan {
     /// The command of the episode.
@@ -105,7 +105,7 @@ impl EpisodePlan {
         EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls }
     }
 
-    /// The force that acts at a time of the episode, world frame \[N\].
+    /// Returns the force that acts at a time of the episode, world frame \[N\].
     pub fn force(&self, time_s: f64) -> [f64; 2] {
         let acting = self.pulls.iter().find(|pull| (pull.from_s..pull.until_s).contains(&time_s));
         acting.map_or([0.0; 2], |pull| pull.force)
@@ -138,7 +138,7 @@ pub struct Curriculum {
     /// Open fraction of the command range, 0 to 1.
     #[serde(alias = "command_share")]
     pub command_fraction: f64,
-    /// Whether episodes go on to the push and what follows it. Once they do, they always do.
+    /// True if episodes include the push and recovery. Never becomes false again.
     pub pushes: bool,
     /// The open fraction of the pulls' largest force, 0 to 1. It grows once there are pushes.
     #[serde(default)]
@@ -146,12 +146,12 @@ pub struct Curriculum {
 }
 
 impl Curriculum {
-    /// A part of the command range, and no pushes.
+    /// Returns the start: a part of the command range, and no pushes.
     pub fn new(range: &CommandRange) -> Self {
         Curriculum { command_fraction: range.initial_fraction, pushes: false, force_fraction: 0.0 }
     }
 
-    /// Everything that a configuration asks for.
+    /// Returns the end: everything that the configuration asks for.
     pub fn complete() -> Self {
         Curriculum { command_fraction: 1.0, pushes: true, force_fraction: 1.0 }
     }

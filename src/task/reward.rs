@@ -2,7 +2,7 @@
 
 `r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_f r_f))`
 
-The last term, `r_f`, is not the paper's: its reward does not tell a trot from hopping on all fours, and some runs learn to
+The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and some runs learn to
 hop. Its weight is zero unless a configuration asks for it.
 
 Readings where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means over
@@ -20,32 +20,46 @@ use crate::observation::Command;
 use crate::robot::{FootState, Foothold, RobotState};
 use crate::sim::{StepObserver, StepSummary};
 
-/// Everything that a term can be made of: one policy step.
+/// Inputs of the reward terms: one policy step.
 #[derive(Debug, Clone, Copy)]
 pub struct RewardInput<'a> {
-    /// At its end.
+    /// State at the end of the step.
     pub state: &'a RobotState,
-    /// The velocity command.
+    /// The command.
     pub command: &'a Command,
-    /// The effort of the step.
+    /// Power and torque over the step.
     pub summary: &'a StepSummary,
-    /// The feet that landed in the step.
+    /// Swings that ended in the step.
     pub landings: &'a Landings,
     /// Targets and sharpnesses.
     pub config: &'a Reward,
 }
 
-/// A term of the reward: a line of [`TERMS`].
+/// A term of the reward; its number is its place in [`TERMS`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Term {
+    LinearVelocity,
+    AngularVelocity,
+    Energy,
+    Torque,
+    Pose,
+    FootClearance,
+    FootHeight,
+    Flight,
+}
+
+/// The definition of a term: a line of [`TERMS`].
 #[derive(Debug)]
-pub struct Term {
-    /// The name of the term: its key in the configuration and its column in the metrics.
+pub struct TermDefinition {
+    term: Term,
+    /// Name of the term: its key in the configuration and its column in the metrics.
     pub name: &'static str,
-    /// The paper's, with a unit where it has one, for plots.
+    /// The paper's symbol, with a unit where it has one, for plots.
     pub symbol: &'static str,
-    /// Where it enters.
+    /// The sum that the term enters.
     part: Part,
     weight: fn(&Reward) -> f64,
-    of: fn(&RewardInput<'_>) -> f64,
+    value: fn(&RewardInput<'_>) -> f64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,60 +70,69 @@ enum Part {
     Negative,
 }
 
-const fn term(
+const fn define(
+    term: Term,
     name: &'static str,
     symbol: &'static str,
     part: Part,
     weight: fn(&Reward) -> f64,
-    of: fn(&RewardInput<'_>) -> f64,
-) -> Term {
-    Term { name, symbol, part, weight, of }
+    value: fn(&RewardInput<'_>) -> f64,
+) -> TermDefinition {
+    TermDefinition { term, name, symbol, part, weight, value }
 }
 
 /// Table II, and `r_f`.
-pub const TERMS: &[Term] = &[
-    term(
+pub const TERMS: &[TermDefinition] = &[
+    define(
+        Term::LinearVelocity,
         "linear_velocity",
         "r_lin",
         Part::Positive,
         |w| w.linear_velocity,
         |step| linear_velocity(step.state, step.command, step.config.tracking_sharpness),
     ),
-    term(
+    define(
+        Term::AngularVelocity,
         "angular_velocity",
         "r_ang",
         Part::Positive,
         |w| w.angular_velocity,
         |step| angular_velocity(step.state, step.command, step.config.tracking_sharpness),
     ),
-    term("energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
-    term("torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
-    term("pose", "r_pose", Part::Negative, |w| w.pose, |step| pose(step.state, step.config)),
-    term(
+    define(Term::Energy, "energy", "r_e [W]", Part::Negative, |w| w.energy, |step| step.summary.power_w),
+    define(Term::Torque, "torque", "r_τ [N²·m²]", Part::Negative, |w| w.torque, |step| step.summary.squared_torque),
+    define(Term::Pose, "pose", "r_pose", Part::Negative, |w| w.pose, |step| pose(step.state, step.config)),
+    define(
+        Term::FootClearance,
         "foot_clearance",
         "r_cl [m⁴/s²]",
         Part::Negative,
         |w| w.foot_clearance,
         |step| foot_clearance(&step.state.feet, step.config.foot_height_m),
     ),
-    term("foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
-    term("flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
+    define(Term::FootHeight, "foot_height", "r_h", Part::Positive, |w| w.foot_height, |step| step.landings.foot_height),
+    define(Term::Flight, "flight", "r_f", Part::Negative, |w| w.flight, |step| step.landings.flight_fraction),
 ];
 
-/// The first terms are `r_lin` and `r_ang`, which the recovery stage replaces.
-const TRACKING: usize = 2;
+const _: () = {
+    let mut k = 0;
+    while k < TERMS.len() {
+        assert!(TERMS[k].term as usize == k, "TERMS is not in the order of Term");
+        k += 1;
+    }
+};
 
 /// The terms of one step, or sums of them, before their weights.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Terms([f64; TERMS.len()]);
 
 impl Terms {
-    /// All terms of a step.
+    /// Computes all terms of a step.
     pub fn new(step: &RewardInput<'_>) -> Self {
-        Terms(std::array::from_fn(|k| (TERMS[k].of)(step)))
+        Terms(std::array::from_fn(|k| (TERMS[k].value)(step)))
     }
 
-    /// Equations 1 to 3.
+    /// Returns the reward of equations 1 to 3.
     pub fn total(&self, weights: &Reward) -> f64 {
         let sum = |part: Part| {
             let terms = TERMS.iter().zip(self.0).filter(|(term, _)| term.part == part);
@@ -123,29 +146,31 @@ impl Terms {
         self.0.iter_mut().zip(other.0).for_each(|(sum, value)| *sum += value);
     }
 
-    /// The terms divided by a number.
+    /// Returns the terms divided by a number.
     pub fn divided(mut self, divisor: f64) -> Terms {
         self.0.iter_mut().for_each(|value| *value /= divisor);
         self
     }
 
-    /// These terms with the tracking terms of others: what the recovery stage pays.
+    /// Returns these terms with the tracking terms of `other`, as in the recovery stage.
     pub fn with_tracking_of(mut self, other: &Terms) -> Terms {
-        self.0[..TRACKING].copy_from_slice(&other.0[..TRACKING]);
+        for term in [Term::LinearVelocity, Term::AngularVelocity] {
+            self.0[term as usize] = other.0[term as usize];
+        }
         self
     }
 
-    /// `r_lin`.
+    /// Returns `r_lin`.
     pub fn linear_velocity(&self) -> f64 {
-        self.0[0]
+        self.0[Term::LinearVelocity as usize]
     }
 
     /// The fraction of the time in which no foot touched the ground.
     pub fn flight(&self) -> f64 {
-        self.fields().find(|(name, _)| *name == "flight").map_or(0.0, |(_, value)| value)
+        self.0[Term::Flight as usize]
     }
 
-    /// Names and values in the order of [`TERMS`].
+    /// Returns names and values in the order of [`TERMS`].
     pub fn fields(&self) -> impl Iterator<Item = (&'static str, f64)> {
         TERMS.iter().zip(self.0).map(|(term, value)| (term.name, value))
     }
@@ -161,7 +186,7 @@ impl Serialize for Terms {
     }
 }
 
-/// Terms that a file does not know are zero.
+/// Missing terms are read as zero.
 impl<'de> Deserialize<'de> for Terms {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let found = BTreeMap::<String, f64>::deserialize(deserializer)?;
@@ -200,8 +225,8 @@ pub fn foot_clearance(feet: &[FootState; 4], desired_m: f64) -> f64 {
 
 /// Follows every foot through its swing for `r_h = Σ_i (p_i,peak / p_des − 1)²`, paid once when the foot touches down.
 ///
-/// It looks at every physics step: a foot that chatters on the ground at 240 Hz touches down again and again, at a peak
-/// of nothing, and pays for it.
+/// Contacts are checked at every physics step: a foot that chatters on the ground at 240 Hz lands repeatedly with a peak
+/// of zero and is penalised.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct SwingTracker {
     desired_m: f64,
@@ -212,17 +237,17 @@ pub struct SwingTracker {
     landings: usize,
     // Zero between policy steps, when checkpoints are written.
     #[serde(skip)]
-    looks: usize,
+    steps: usize,
     #[serde(skip)]
-    looks_in_flight: usize,
+    steps_in_flight: usize,
 }
 
-/// The landings that a [`SwingTracker`] collected since the last call.
+/// Landings that a [`SwingTracker`] has counted since the last call of [`SwingTracker::take`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Landings {
     /// `r_h`.
     pub foot_height: f64,
-    /// Swings that ended.
+    /// Number of swings that ended.
     pub count: usize,
     /// Sum of their peak heights \[m\].
     pub peak_sum_m: f64,
@@ -242,18 +267,18 @@ impl SwingTracker {
             foot_height: self.paid,
             count: self.landings,
             peak_sum_m: self.landed_m,
-            flight_fraction: self.looks_in_flight as f64 / self.looks.max(1) as f64,
+            flight_fraction: self.steps_in_flight as f64 / self.steps.max(1) as f64,
         };
         (self.paid, self.landings, self.landed_m) = (0.0, 0, 0.0);
-        (self.looks, self.looks_in_flight) = (0, 0);
+        (self.steps, self.steps_in_flight) = (0, 0);
         landings
     }
 }
 
 impl StepObserver for SwingTracker {
     fn feet(&mut self, feet: &[Foothold; 4]) {
-        self.looks += 1;
-        self.looks_in_flight += usize::from(feet.iter().all(|foot| !foot.contact));
+        self.steps += 1;
+        self.steps_in_flight += usize::from(feet.iter().all(|foot| !foot.contact));
         for (leg, foot) in feet.iter().enumerate() {
             if !foot.contact {
                 self.peak_m[leg] = self.peak_m[leg].max(foot.height);
@@ -288,7 +313,7 @@ mod tests {
         }
     }
 
-    /// Table II in order, and `r_f`; what has come since is zero.
+    /// The terms of Table II in order, and `r_f`; later ones are zero.
     fn terms(values: [f64; 8]) -> Terms {
         let mut terms = Terms::default();
         terms.0[..8].copy_from_slice(&values);
@@ -320,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn clearance_term_weighs_horizontal_foot_speed_with_missing_height() {
+    fn clearance_term_weighs_foot_speed_with_missing_height() {
         let mut feet = [FootState { height: 0.08, velocity: [1.0, 1.0, 0.0], contact: false }; 4];
         feet[2] = FootState { height: 0.02, velocity: [3.0, 4.0, 100.0], contact: false };
         // (3² + 4²) · 0.06² = 25 · 0.0036
@@ -328,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn foot_height_term_is_paid_once_at_touchdown_with_the_peak_of_the_swing() {
+    fn foot_height_term_counts_swing_peak_once_at_touchdown() {
         let at = |height: f64, contact: bool| [Foothold { height, contact }; 4];
         let on_ground = [FootState { contact: true, ..FootState::default() }; 4];
         let mut tracker = SwingTracker::new(&on_ground, 0.08);

@@ -30,10 +30,10 @@ pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
 /// Version of the format that is written.
 const FORMAT: u32 = 2;
 
-/// The oldest that is read: environments noted down the paper's observation only, and keys had other names.
+/// Oldest version that is read: it holds the paper's observation only, under other keys.
 const OLDEST_FORMAT: u32 = 1;
 
-/// The name of the file's kind in errors.
+/// Name of the file's kind in errors.
 const CHECKPOINT: &str = "checkpoint";
 
 /// Larger files are not checkpoints.
@@ -42,9 +42,9 @@ const MAX_BYTES: u64 = 4 << 30;
 /// The state of a run after a whole number of iterations.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checkpoint {
-    /// The state of the run without tensors.
+    /// State of the run, without tensors.
     pub run: RunState,
-    /// The state of the learner.
+    /// State of the learner.
     pub learner: LearnerState,
 }
 
@@ -67,7 +67,7 @@ pub struct RunState {
     pub samples: u64,
     /// Wall-clock time spent training, over all sessions \[s\].
     pub elapsed_s: f64,
-    /// How far the curriculum has got.
+    /// State of the curriculum.
     pub curriculum: Curriculum,
     /// Every environment, in the middle of its episode.
     pub environments: Vec<EnvState>,
@@ -76,7 +76,7 @@ pub struct RunState {
 #[derive(Serialize, Deserialize)]
 struct Metadata {
     format: u32,
-    /// SHA-256 of the run's JSON and of the bytes of parameters and moments.
+    /// Checksum of the run's JSON and the parameters' and moments' bytes.
     sha256: String,
     optimiser_steps: u64,
     learning_rate: f64,
@@ -88,7 +88,7 @@ impl Checkpoint {
     /// Writes the checkpoint into a run's folder; the newest one there becomes the previous one.
     ///
     /// # Errors
-    /// [`FileError`]; the older checkpoints are untouched then.
+    /// [`FileError`] if a file cannot be written; older checkpoints stay untouched.
     pub fn save(&self, folder: &Path) -> Result<(), FileError> {
         let (newest, previous) = (folder.join(NEWEST), folder.join(PREVIOUS));
         let bytes = self.to_bytes().map_err(FileError::of(CHECKPOINT, &newest))?;
@@ -114,10 +114,10 @@ impl Checkpoint {
         Self::from_bytes(&bytes).map_err(FileError::of(CHECKPOINT, path))
     }
 
-    /// The file's bytes.
+    /// Returns the bytes of the file.
     ///
     /// # Errors
-    /// In words, if the state cannot be represented (numbers that are not finite).
+    /// The state holds numbers that are not finite.
     pub fn to_bytes(&self) -> Result<Vec<u8>, String> {
         let run = serde_json::to_string(&self.run).map_err(|error| error.to_string())?;
         let mut all = Vec::new();
@@ -137,10 +137,10 @@ impl Checkpoint {
         tensors::serialize(&all, json).map_err(|error| error.to_string())
     }
 
-    /// The inverse of [`Checkpoint::to_bytes`].
+    /// Reads the bytes that [`Checkpoint::to_bytes`] returned.
     ///
     /// # Errors
-    /// In words: damaged, of another format, or inconsistent.
+    /// The bytes are damaged, of another format, or inconsistent.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (tensors, json) = tensors::deserialize(bytes)?;
         let metadata: Metadata = tensors::metadata(&json, OLDEST_FORMAT..=FORMAT)?;

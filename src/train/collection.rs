@@ -32,7 +32,7 @@ pub struct Rollout {
     pub rewards: Vec<f32>,
     /// Values of the observations, shape (n).
     pub values: Vec<f32>,
-    /// Which steps ended an episode, shape (n).
+    /// Ends of episodes by step, shape (n).
     pub ends: Vec<Option<EpisodeEnd>>,
     /// Value of the state after each step that the return goes on with: at time limits and at the end of the batch;
     /// 0 elsewhere. Shape (n).
@@ -41,7 +41,7 @@ pub struct Rollout {
     pub episodes: Vec<EpisodeReport>,
 }
 
-/// The inputs of the collection besides the environments.
+/// Parameters of a collection, besides the environments.
 #[derive(Debug, Clone, Copy)]
 pub struct Collection<'a> {
     /// Policy and value function.
@@ -52,7 +52,7 @@ pub struct Collection<'a> {
     pub iteration: u64,
     /// Steps of each environment.
     pub steps: usize,
-    /// The curriculum of episodes that start now.
+    /// Curriculum of the episodes that start now.
     pub curriculum: Curriculum,
     /// Worker threads.
     pub threads: usize,
@@ -62,7 +62,7 @@ impl Collection<'_> {
     /// Steps all environments.
     ///
     /// # Errors
-    /// A fault of MuJoCo while an episode is set up. Faults within an episode end that episode only.
+    /// MuJoCo fails while an episode is set up. Faults within an episode end that episode only.
     pub fn collect(&self, envs: &mut [LocomotionEnv]) -> mujoco::Result<Rollout> {
         let chunk = envs.len().div_ceil(self.threads.max(1)).max(1);
         let networks = Networks {
@@ -176,7 +176,7 @@ struct Networks {
 }
 
 impl Rollout {
-    /// Number of samples.
+    /// Returns the number of samples.
     pub fn len(&self) -> usize {
         self.rewards.len()
     }
@@ -186,7 +186,7 @@ impl Rollout {
         self.rewards.is_empty()
     }
 
-    /// What a learner needs of it. `log_std` is that of the policy which acted; advantages and returns have shape (n).
+    /// Returns the learner's batch. `log_std` is that of the policy which acted; advantages and returns have shape (n).
     pub fn batch<'a>(&'a self, log_std: &'a [f32], advantages: &'a [f32], returns: &'a [f32]) -> Batch<'a> {
         Batch {
             observations: &self.observations,
@@ -230,7 +230,7 @@ impl Rollout {
 mod tests {
     use super::*;
 
-    /// The length of the paper's observation.
+    /// A rollout of the paper's observation.
     const LENGTH: usize = 83;
 
     fn rollout(ends: [Option<EpisodeEnd>; 3], bootstraps: [f32; 3]) -> Rollout {
@@ -251,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unfinished_episode_continues_with_the_value_of_its_last_observation() {
+    fn unfinished_episode_bootstraps_from_last_observation() {
         // γ = 0.5, λ = 0.5: δ = [1 + 10 − 10, 2 + 15 − 20, 3 + 20 − 30] = [1, −3, −7]
         // A₂ = −7, A₁ = −3 − 1.75 = −4.75, A₀ = 1 − 1.1875
         let (advantages, returns) = rollout([None; 3], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
@@ -275,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn physics_fault_ends_returns_without_learning_from_it() {
+    fn physics_fault_has_no_advantage_and_returns_its_value() {
         // A₁ = 0; δ₀ = 1 + 0.5 · 20 − 10 = 1
         let (advantages, returns) =
             rollout([None, Some(EpisodeEnd::Fault), None], [0.0, 0.0, 40.0]).advantages(0.5, 0.5);
@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn physics_faults_are_counted_and_leave_other_environments_alone() {
+    fn physics_faults_end_only_their_own_episodes() {
         let calm = collect(2, |_| {});
         let faulty = collect(2, break_four);
         let faults: Vec<_> = faulty.episodes.iter().filter_map(|episode| episode.fault.as_ref()).collect();

@@ -40,7 +40,7 @@ pub struct EnvStep {
     pub reward: f64,
     /// Set if this step ended the episode. The observation afterwards is the final one.
     pub end: Option<EpisodeEnd>,
-    /// The stage that it was a step of.
+    /// Stage of the episode that the step belongs to.
     pub stage: Stage,
     /// The terms of the reward as measured (never replaced); zero if the physics failed.
     pub terms: Terms,
@@ -49,9 +49,9 @@ pub struct EnvStep {
 /// Summary of a finished episode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeReport {
-    /// How it ended.
+    /// The way it ended.
     pub end: EpisodeEnd,
-    /// Steps it lasted.
+    /// Length \[steps\].
     pub steps: usize,
     /// True if the robot was pushed.
     pub pushed: bool,
@@ -89,7 +89,7 @@ struct EpisodeState {
     step: usize,
     /// Episodes started before this one.
     episode: u64,
-    /// Steps after which the first episode is cut, so that environments are not all in the same phase.
+    /// Length of the first episode \[steps\]; staggers the environments.
     cut: usize,
     pushed: bool,
     reward: f64,
@@ -121,7 +121,7 @@ impl EpisodeState {
     }
 }
 
-/// Everything an environment needs to go on with the same bits.
+/// Complete state of an environment, from which it continues with the same bits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EnvState {
     sim: SimState,
@@ -139,26 +139,26 @@ pub struct LocomotionEnv {
     index: u64,
     sim: Sim,
     progress: EpisodeState,
-    /// Not part of the saved state: nothing depends on it, and after a resumption it starts anew.
+    /// Not part of the saved state: nothing depends on it, and it is empty after a resumption.
     last_second: LastSecond,
 }
 
 impl LocomotionEnv {
-    /// Environment `index` of a run, at the start of its first episode.
+    /// Creates environment `index` of a run, at the start of its first episode.
     ///
     /// # Errors
-    /// What does not fit in the robot or the observation, or a fault of MuJoCo.
+    /// The robot and the observation do not fit together, or MuJoCo fails.
     pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
         let layout = config.layout().map_err(ValueError::Observation)?;
         let robot = config.robot.load()?;
-        Ok(Self::of(config, robot, Arc::new(layout), seed, index, curriculum)?)
+        Ok(Self::with_layout(config, robot, Arc::new(layout), seed, index, curriculum)?)
     }
 
-    /// As [`LocomotionEnv::new`] with the robot and the observation of `config`, for many environments.
+    /// Like [`LocomotionEnv::new`], but shares the robot and the observation of `config` with other environments.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
-    pub fn of(
+    /// MuJoCo fails.
+    pub fn with_layout(
         config: &Config,
         robot: Arc<Robot>,
         layout: Arc<Layout>,
@@ -193,7 +193,7 @@ impl LocomotionEnv {
     /// Starts the next episode.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails.
     pub fn reset(&mut self, curriculum: Curriculum) -> mujoco::Result<()> {
         let episode = self.progress.episode + 1;
         let cut = usize::MAX;
@@ -204,7 +204,7 @@ impl LocomotionEnv {
     /// Starts the first episode of another seed: the same bits as a new environment of that seed.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails.
     pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
         self.seed = seed;
         let cut = first_cut(seed, self.index, &self.stages);
@@ -212,7 +212,7 @@ impl LocomotionEnv {
         self.begin()
     }
 
-    /// Lets the first episode go on to its end, which otherwise comes early at random, so that environments that are stepped
+    /// Runs the first episode to its full length, which is otherwise cut at random so that environments that are stepped
     /// together are not in the same phase.
     pub fn without_stagger(&mut self) {
         self.progress.cut = usize::MAX;
@@ -245,7 +245,7 @@ impl LocomotionEnv {
         self.index
     }
 
-    /// Memory that its simulation takes \[bytes\].
+    /// Returns the memory of the simulation \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
         self.sim.data().bytes()
     }
@@ -265,20 +265,20 @@ impl LocomotionEnv {
         &self.layout
     }
 
-    /// The observation now, in physical units.
+    /// Returns the observation now, in physical units.
     pub fn observation(&self) -> Vec<f64> {
         self.progress.observer.raw(&self.layout)
     }
 
-    /// The observation now as the networks see it, into a slice of the layout's length.
+    /// Writes the observation now, normalised for the networks, into a slice of the layout's length.
     pub fn normalised_observation(&self, out: &mut [f32]) {
         self.progress.observer.normalised(&self.layout, out);
     }
 
-    /// One policy step with an action, one number for each joint.
+    /// Advances one policy step with an action, one number for each joint.
     ///
     /// # Panics
-    /// If the action is shorter.
+    /// The action is shorter than the number of joints.
     pub fn step(&mut self, action: &[f32]) -> (EnvStep, Option<EpisodeReport>) {
         match self.try_step(action) {
             Ok((step, report)) => (step, report),
@@ -377,12 +377,12 @@ impl LocomotionEnv {
         }
     }
 
-    /// The simulation, to look at or to disturb.
+    /// Returns the simulation, to inspect or to disturb.
     pub fn sim_mut(&mut self) -> &mut Sim {
         &mut self.sim
     }
 
-    /// Sees another observation from now on, of the same quantities.
+    /// Switches to another observation of the same quantities.
     #[cfg(test)]
     pub(super) fn see(&mut self, layout: &Arc<Layout>) {
         self.layout = Arc::clone(layout);
@@ -393,10 +393,10 @@ impl LocomotionEnv {
         EnvState { sim: self.sim.save(), progress: self.progress.clone() }
     }
 
-    /// Goes back to a saved state.
+    /// Restores a saved state.
     ///
     /// # Errors
-    /// A state of another model, or a fault of MuJoCo.
+    /// The state belongs to another model, or MuJoCo fails.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
         self.sim.restore(&state.sim)?;
         self.last_second.clear();
@@ -414,7 +414,7 @@ impl LocomotionEnv {
     }
 }
 
-/// Steps after which the first episode is cut.
+/// Draws the length of the first episode \[steps\].
 fn first_cut(seed: u64, index: u64, stages: &Stages) -> usize {
     stream(seed, Purpose::Stagger, index, 0).random_range(1..=stages.recovery_start)
 }

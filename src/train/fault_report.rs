@@ -1,4 +1,4 @@
-//! What led to an update that failed: what is written down of it.
+//! Reports about an update that failed.
 
 use super::collection::Rollout;
 use super::environment::{EpisodeEnd, EpisodeReport};

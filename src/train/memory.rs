@@ -21,7 +21,7 @@ const CANDLE_BYTES: u64 = 100;
 /// Bytes of an environment beside its simulation, of 900 KiB: last second, observations, its state in a checkpoint.
 const ENVIRONMENT_BYTES: u64 = 100 << 10;
 
-/// The memory that a run needs \[bytes\].
+/// Estimated memory of a run \[bytes\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryEstimate {
     /// All simulations.
@@ -32,25 +32,25 @@ pub struct MemoryEstimate {
     pub networks: u64,
 }
 
-/// More than the machine has.
+/// The run needs more memory than the machine has.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "this configuration takes {memory}, and the machine has {} left: lower ppo.environments, ppo.batch_size or ppo.hidden_layers",
     gibibytes(.left)
 )]
 pub struct MemoryError {
-    /// The memory needed.
+    /// Memory that is needed.
     pub memory: MemoryEstimate,
-    /// The memory available \[bytes\].
+    /// Memory that is available \[bytes\].
     pub left: u64,
 }
 
 impl MemoryEstimate {
-    /// Estimates the memory of a configuration; it creates one of its environments.
+    /// Estimates the memory of a configuration by creating one of its environments.
     ///
     /// # Errors
-    /// What does not fit in the robot or the observation, or a fault of MuJoCo.
-    pub fn of(config: &Config) -> Result<Self, TrainError> {
+    /// The robot and the observation do not fit together, or MuJoCo fails.
+    pub fn new(config: &Config) -> Result<Self, TrainError> {
         let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
         let ppo = &config.ppo;
         let inputs = environment.layout().length() as u64;
@@ -71,9 +71,9 @@ impl MemoryEstimate {
         })
     }
 
-    /// What of it one machine takes that has `here` of all `ranks`: their shares of environments and samples, and the networks for
+    /// Returns the part for one machine with `here` of all `ranks`: their environments and samples, and the networks for
     /// each of them.
-    pub fn of_ranks(self, here: usize, ranks: usize) -> Self {
+    pub fn for_ranks(self, here: usize, ranks: usize) -> Self {
         let (here, ranks) = (here as u64, ranks as u64);
         let share = |whole: u64| whole.div_ceil(ranks).saturating_mul(here);
         MemoryEstimate {
@@ -83,15 +83,15 @@ impl MemoryEstimate {
         }
     }
 
-    /// All of it \[bytes\].
+    /// Returns the total \[bytes\].
     pub fn total(&self) -> u64 {
         self.environments.saturating_add(self.samples).saturating_add(self.networks)
     }
 
-    /// Checks that the machine has it.
+    /// Checks that the machine has enough memory.
     ///
     /// # Errors
-    /// [`MemoryError`]
+    /// [`MemoryError`] if the run needs more memory than is available.
     pub fn check(self) -> Result<(), MemoryError> {
         match left() {
             Some(left) if self.total() > left => Err(MemoryError { memory: self, left }),
@@ -112,7 +112,7 @@ fn gibibytes(bytes: &u64) -> String {
     format!("{:.1} GiB", *bytes as f64 / f64::from(1 << 30))
 }
 
-/// Returns the memory that the machine or the container has left \[bytes\]; none if the system does not say.
+/// Returns the free memory of the machine or container \[bytes\], or `None` if the system does not report it.
 fn left() -> Option<u64> {
     let read = |path: &str| std::fs::read_to_string(path).ok();
     let of_machine = read("/proc/meminfo").and_then(|text| {
@@ -130,16 +130,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn memory_estimate_grows_with_the_run_and_has_a_bound() {
+    fn memory_estimate_grows_and_excess_is_refused() {
         let mut config = Config::load("fast").unwrap();
-        let usual = MemoryEstimate::of(&config).unwrap();
+        let usual = MemoryEstimate::new(&config).unwrap();
         assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");
         (config.ppo.environments, config.ppo.batch_size) = (1 << 20, 1 << 20);
-        let many = MemoryEstimate::of(&config).unwrap();
+        let many = MemoryEstimate::new(&config).unwrap();
         let each = usual.environments / Config::load("fast").unwrap().ppo.environments as u64;
         assert_eq!(many.environments, each << 20);
         // Of four ranks, one is on this machine, or all are.
-        let (one, all) = (many.of_ranks(1, 4), many.of_ranks(4, 4));
+        let (one, all) = (many.for_ranks(1, 4), many.for_ranks(4, 4));
         assert_eq!((one.environments, one.samples, one.networks), (each << 18, many.samples / 4, many.networks));
         assert_eq!((all.environments, all.samples, all.networks), (each << 20, many.samples, 4 * many.networks));
         let error = many.check().unwrap_err();
@@ -147,6 +147,6 @@ mod tests {
         // 83 · 4096 and 14 times 4096 · 4096 weights, biases, and a row for each output; 12 of the policy, 1 of the value.
         config.ppo.hidden_layers = vec![4096; 15];
         let weights = |outputs: u64| 4096 * (83 + 14 * 4096) + 15 * 4096 + (4096 + 1) * outputs;
-        assert_eq!(MemoryEstimate::of(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
+        assert_eq!(MemoryEstimate::new(&config).unwrap().networks, FUSED_BYTES * (weights(12) + weights(1)));
     }
 }

@@ -21,31 +21,31 @@ pub struct IterationMetrics {
     pub samples: u64,
     /// Mean reward of a step.
     pub step_reward: f64,
-    /// The means over the episodes that finished.
+    /// Statistics of the episodes that finished.
     #[serde(flatten)]
     pub means: EpisodeMeans,
     /// Open fraction of the command range.
     #[serde(alias = "command_share")]
     pub command_fraction: f64,
-    /// The open fraction of the pulls' largest force, if the configuration has pulls.
+    /// Open fraction of pulls and of the outer loop, where they exist.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_fraction: Option<f64>,
     /// Mean standard deviation of the actions.
     pub action_std: f64,
     /// Fraction of the variance of the returns that the values explain.
     pub explained_variance: f64,
-    /// The statistics of the learner.
+    /// Statistics of the learner's update.
     pub learner: UpdateStatistics,
-    /// How long it took; the only numbers that differ between two runs of the same seed.
+    /// Times; the only numbers that differ between two runs of the same seed.
     pub time: Timing,
 }
 
 /// Wall-clock times.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Timing {
-    /// Collecting \[s\].
+    /// Time of the collection \[s\].
     pub rollout_s: f64,
-    /// Learning \[s\].
+    /// Time of the update \[s\].
     pub update_s: f64,
     /// Samples over the whole iteration's time [1/s].
     pub samples_per_s: f64,
@@ -54,7 +54,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Creates the metrics of an iteration from its parts.
+    /// Computes the times from the parts of an iteration.
     pub fn new(samples: usize, rollout: Duration, update: Duration, whole: Duration, elapsed_s: f64) -> Self {
         Timing {
             rollout_s: rollout.as_secs_f64(),
@@ -70,9 +70,9 @@ impl Timing {
 pub struct EpisodeMeans {
     /// Episodes that finished.
     pub episodes: usize,
-    /// The number of those that fell.
+    /// Number of episodes that ended in a fall.
     pub falls: usize,
-    /// The number of those that ended in a physics fault.
+    /// Number of episodes that ended in a physics fault.
     pub faults: usize,
     /// Falls over episodes.
     #[serde(alias = "fall_share")]
@@ -99,7 +99,7 @@ pub struct EpisodeMeans {
 }
 
 impl EpisodeMeans {
-    /// Averages the finished episodes of a rollout.
+    /// Summarises a rollout's finished episodes.
     pub fn new(episodes: &[EpisodeReport]) -> Self {
         let count = |end: EpisodeEnd| episodes.iter().filter(|episode| episode.end == end).count();
         let pushed = || episodes.iter().filter(|episode| episode.pushed);
@@ -129,7 +129,7 @@ impl EpisodeMeans {
 }
 
 impl EpisodeMeans {
-    /// Makes episodes harder if these went well enough.
+    /// Advances the curriculum if these episodes went well enough.
     pub fn advance(&self, curriculum: &mut Curriculum, config: &Config) {
         // The few that walk among many that fall are no measure.
         if let Some(mean) = self.walking_linear.filter(|_| 2 * self.walks >= self.episodes) {
@@ -158,7 +158,7 @@ fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
 }
 
 impl IterationMetrics {
-    /// The numbers for TensorBoard, grouped by what they are about.
+    /// Returns the numbers for TensorBoard, grouped by subject.
     pub fn scalars(&self) -> Vec<(String, f64)> {
         let mut scalars: Vec<(String, f64)> = Vec::new();
         let mut put = |name: &str, value: Option<f64>| scalars.extend(value.map(|value| (name.to_owned(), value)));

@@ -1,4 +1,4 @@
-/*! A run's folder: what was asked for, what happened, and what is needed to go on.
+/*! A run's folder: its configuration, its logs, and the files needed to resume it.
 
 | file | content |
 |---|---|
@@ -15,8 +15,8 @@
 | `lock` | held by the process that trains here |
 
 A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
-It appears with its first checkpoint in it, that of iteration 0, so that a run can be resumed from the moment that it is
-there, however early it is killed.
+It appears with its first checkpoint in it, that of iteration 0, so that a run can be resumed as soon as it
+exists, however early it is killed.
 */
 
 use std::ffi::{OsStr, OsString};
@@ -36,7 +36,7 @@ use crate::train::environment::EpisodeFault;
 use crate::train::metrics::IterationMetrics;
 use crate::train::tensorboard::EventWriter;
 use crate::util::files::{self, FileError};
-use crate::util::{provenance, yaml};
+use crate::util::{provenance, terminal, yaml};
 
 /// Physics faults of which the last second is kept; a scene that is wrong has thousands.
 const MAX_FAULTS: usize = 20;
@@ -59,24 +59,24 @@ const MAX_BYTES: u64 = 1 << 20;
 /// File that the process which trains in a folder holds locked.
 const LOCK: &str = "lock";
 
-/// Why a run's folder could not be used.
+/// The reason why a run's folder could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
     /// There is a run at that path already.
     #[error("{path} exists already: go on with --resume {path}, or choose another folder with --out", path = .0.display())]
     Exists(PathBuf),
     /// There is something else at that path.
-    #[error("{} exists already and is no run: choose another folder with --out", .0.display())]
+    #[error("{} exists already and is not a training run; choose another folder with --out", .0.display())]
     Taken(PathBuf),
     /// There is no run to go on with.
     #[error("{} is not a run's folder: it has no checkpoint to go on from", .0.display())]
     NotARun(PathBuf),
-    /// The files belong to different runs.
+    /// The folder mixes files of different runs.
     #[error("{}: two runs are mixed: {problem}", path.display())]
     Mixed {
         /// The folder.
         path: PathBuf,
-        /// Which files, and in what they differ.
+        /// The files that differ, and how.
         problem: String,
     },
     /// The configuration was changed after the run began.
@@ -90,13 +90,13 @@ pub enum RunError {
         /// The changed keys, with both values.
         keys: String,
     },
-    /// The configuration cannot be parsed; it may be half edited.
-    #[error("{0}; mend it, or remove the file: it is written again from the checkpoint")]
+    /// The configuration is invalid, perhaps after an edit.
+    #[error("{0}; correct it, or remove the file: it is written again from the checkpoint")]
     Unreadable(String),
     /// Another process trains there.
     #[error("another process is training in {}: wait for it, or choose another folder", .0.display())]
     Busy(PathBuf),
-    /// Reading or writing failed, or the checkpoint is no good.
+    /// Reading or writing failed, or the checkpoint is damaged.
     #[error(transparent)]
     File(#[from] FileError),
 }
@@ -115,7 +115,7 @@ impl RunFolder {
     /// Creates the folder of a new run, with its first checkpoint.
     ///
     /// # Errors
-    /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or the system's reason.
+    /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or an I/O error.
     pub fn create(path: &Path, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<Self, RunError> {
         if is_run(path) {
             return Err(RunError::Exists(path.to_owned()));
@@ -129,7 +129,7 @@ impl RunFolder {
             "seed": trainer.run().seed,
             "git_revision": provenance::git_revision(),
             "mujoco_version": provenance::MUJOCO_VERSION,
-            "command": std::env::args_os().map(|word| word.to_string_lossy().into_owned()).collect::<Vec<_>>().join(" "),
+            "command": std::env::args_os().map(terminal::shell_word).collect::<Vec<_>>().join(" "),
         });
         let fill = || -> Result<(), RunError> {
             let (run, config) = (staged.join(ABOUT), staged.join(CONFIG));
@@ -154,7 +154,7 @@ impl RunFolder {
     /// was passed over, or that metrics are lost.
     ///
     /// # Errors
-    /// [`RunError::NotARun`], files of different runs, or what is wrong with the checkpoint.
+    /// [`RunError::NotARun`], files of different runs, or a damaged checkpoint.
     pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Vec<String>), RunError> {
         if !is_run(path) {
             return Err(RunError::NotARun(path.to_owned()));
@@ -200,7 +200,7 @@ impl RunFolder {
     /// Appends an iteration to the logs.
     ///
     /// # Errors
-    /// The system's reason, such as a full disk.
+    /// I/O error, e.g. disk full.
     pub fn log(&mut self, metrics: &IterationMetrics) -> Result<(), RunError> {
         let path = self.path.join(METRICS);
         // Plain numbers: serialising them cannot fail.
@@ -216,7 +216,7 @@ impl RunFolder {
     /// Keeps the minibatch on which the learner failed, if there is one, and what led there; returns the latter's file.
     ///
     /// # Errors
-    /// The system's reason, such as a full disk.
+    /// I/O error, e.g. disk full.
     pub fn keep_learner_fault(&self, minibatch: &str, circumstances: &str) -> Result<PathBuf, RunError> {
         let write = |name: &str, text: &str| -> Result<PathBuf, RunError> {
             let path = self.path.join(name);
@@ -232,7 +232,7 @@ impl RunFolder {
     /// Keeps the last second before a physics fault of an iteration; returns the file, or none if there are enough.
     ///
     /// # Errors
-    /// The system's reason, such as a full disk.
+    /// I/O error, e.g. disk full.
     pub fn keep_physics_fault(&self, iteration: u64, fault: &EpisodeFault) -> Result<Option<PathBuf>, RunError> {
         let folder = self.path.join("faults");
         let EpisodeFault { environment, episode, step, .. } = fault;
@@ -253,7 +253,7 @@ impl RunFolder {
     /// Writes a trainer's checkpoint and policy, after making sure that the metrics which the checkpoint stands behind are on disk.
     ///
     /// # Errors
-    /// The system's reason, such as a full disk; older files are untouched then.
+    /// I/O error, e.g. disk full; older files stay untouched.
     pub fn save(&self, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<(), RunError> {
         self.metrics.sync_data().map_err(at(&self.path.join(METRICS)))?;
         checkpoint.save(&self.path)?;
@@ -263,7 +263,7 @@ impl RunFolder {
     /// Writes the configuration, of which a resumption may have changed the number of samples.
     ///
     /// # Errors
-    /// The system's reason, such as a full disk; the older file is untouched then.
+    /// I/O error, e.g. disk full; the older file stays untouched.
     pub fn save_config(&self, trainer: &Trainer) -> Result<(), RunError> {
         let path = self.path.join(CONFIG);
         Ok(files::write_atomically(&path, trainer.run().config.to_yaml().as_bytes()).map_err(at(&path))?)
@@ -272,7 +272,7 @@ impl RunFolder {
     /// Writes the policy alone. A run that was killed between the two files of [`RunFolder::save`] has an old one.
     ///
     /// # Errors
-    /// The system's reason, such as a full disk; the older file is untouched then.
+    /// I/O error, e.g. disk full; the older file stays untouched.
     pub fn save_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
         Ok(trainer.policy().save(&self.path.join(POLICY))?)
     }
@@ -280,7 +280,7 @@ impl RunFolder {
     /// Keeps the policy if the last iteration passed a multiple of `run.keep_policy_every`, under that number.
     ///
     /// # Errors
-    /// The system's reason, such as a full disk.
+    /// I/O error, e.g. disk full.
     pub fn keep_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
         let run = trainer.run();
         let Some(every) = run.config.run.keep_policy_every else { return Ok(()) };
@@ -297,8 +297,8 @@ fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy {
     FileError::of("file", path)
 }
 
-/// A folder in which a new run is put together, locked: beside its place, under a name that nobody can guess. What starts
-/// that were cut off have left there is cleared away.
+/// Creates and locks a temporary folder with a random name beside the run's, and removes those that interrupted starts
+/// have left there.
 fn stage(path: &Path) -> Result<(PathBuf, File), RunError> {
     let name = path.file_name().ok_or_else(|| at(path)(io::Error::other("it names no folder")))?;
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -307,7 +307,7 @@ fn stage(path: &Path) -> Result<(PathBuf, File), RunError> {
     prefix.push(name);
     prefix.push(".starting-");
     clear_cut_off_starts(parent, &prefix).map_err(at(parent))?;
-    // As any folder that is made, not for its owner alone.
+    // The usual permissions of a new folder, not its owner's alone.
     let permissions = Permissions::from_mode(0o777);
     let staged = tempfile::Builder::new().prefix(&prefix).rand_bytes(16).permissions(permissions).tempdir_in(parent);
     let staged = staged.map_err(at(parent))?.keep();
@@ -315,7 +315,7 @@ fn stage(path: &Path) -> Result<(PathBuf, File), RunError> {
     Ok((staged, lock))
 }
 
-/// Removes folders (not links) whose names begin with `prefix` and that no process has locked.
+/// Removes unlocked folders (no links) whose names begin with `prefix`.
 fn clear_cut_off_starts(parent: &Path, prefix: &OsStr) -> io::Result<()> {
     for entry in fs::read_dir(parent)? {
         let entry = entry?;
@@ -341,7 +341,7 @@ fn lock(folder: &Path) -> Result<File, RunError> {
     }
 }
 
-/// Returns true if there is a checkpoint, intact or not.
+/// Returns true if there is a checkpoint, intact or damaged.
 fn is_run(path: &Path) -> bool {
     [NEWEST, PREVIOUS].iter().any(|name| path.join(name).exists())
 }
@@ -411,7 +411,7 @@ fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Optio
     let file = path.join(METRICS);
     let lines = match File::open(&file) {
         Ok(open) => files::lines(BufReader::new(open), MAX_BYTES)
-            // A line of something else is a line that is missing.
+            // A line that is not a metrics record counts as missing.
             .filter(|line| !matches!(line, Err(error) if error.kind() == io::ErrorKind::InvalidData))
             .collect::<io::Result<Vec<_>>>()
             .map_err(at(&file))?,
@@ -425,7 +425,7 @@ fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Optio
         if !(next..=run.iteration).contains(&line.iteration) {
             continue;
         }
-        // Training time is a number that no two runs share.
+        // No two runs have the same training time.
         if let (true, Some(time)) = (line.iteration == run.iteration, line.time)
             && time.elapsed_s != run.elapsed_s
         {
@@ -476,7 +476,7 @@ mod tests {
     }
 
     #[test]
-    fn metrics_end_where_the_checkpoint_is_and_what_is_missing_is_told() {
+    fn metrics_end_at_checkpoint_and_losses_are_reported() {
         for (found, kept, lost) in [
             (lines(&[1, 2, 3, 4]) + "{\"iter", &[1, 2, 3][..], None),
             (lines(&[1, 3]), &[1, 3], Some("lacks iterations 2 of 3")),

@@ -13,7 +13,7 @@ use crate::observation::Layout;
 use crate::ppo::{Batch, Samples};
 use crate::robot::{JOINTS, Joints, Robot, joint_name};
 
-/// What becomes of observations and actions in the mirror: for each number, the one that becomes it, and its sign.
+/// Left-right mirror of observations and actions: source index and sign of each number.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mirror {
     observation: Vec<(usize, f32)>,
@@ -25,10 +25,10 @@ fn reflect(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
 }
 
 impl Mirror {
-    /// Creates the mirror image for a robot, its nominal pose \[rad\] and the observation of its policy.
+    /// Builds the mirror for a robot, its nominal pose \[rad\] and its policy's observation.
     ///
     /// # Errors
-    /// In words: what has no mirror image.
+    /// Names the quantity or joint that has no mirror image.
     pub fn new(layout: &Layout, robot: &Robot, pose: &Joints) -> Result<Self, String> {
         for joint in 0..JOINTS {
             let (image, sign) = robot.mirrored(joint);
@@ -49,17 +49,17 @@ impl Mirror {
         Ok(Mirror { observation: layout.mirrored(robot)?, action: (0..JOINTS).map(action).collect() })
     }
 
-    /// Mirror images of normalised observations, shape (n, observation).
+    /// Returns mirror images of normalised observations, shape (n, observation).
     fn observations(&self, rows: &[f32]) -> Vec<f32> {
         reflect(&self.observation, rows)
     }
 
-    /// Mirror images of actions, shape (n, actions).
+    /// Returns mirror images of actions, shape (n, actions).
     fn actions(&self, rows: &[f32]) -> Vec<f32> {
         reflect(&self.action, rows)
     }
 
-    /// The n samples of a batch and, as samples n to 2 n, their mirror images.
+    /// Returns the n samples of a batch and, as samples n to 2 n, their mirror images.
     ///
     /// Rewards and values have no side, and an image was as likely as its sample, from the mirror image of the policy that
     /// sampled. The means are those of that policy itself: the learning rate follows how far it moves, not how far it is from
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn image_of_a_robot_leaning_to_the_left_is_one_leaning_to_the_right() {
+    fn mirror_of_left_leaning_robot_leans_right() {
         assert_ne!(leaning(1.0), leaning(-1.0));
         assert_eq!(mirror().observations(&leaning(1.0)), leaning(-1.0));
         assert_eq!(mirror().observations(&mirror().observations(&leaning(1.0))), leaning(1.0));

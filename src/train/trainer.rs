@@ -29,25 +29,25 @@ use crate::util::files::FileError;
 use crate::util::provenance;
 use crate::util::random::{Purpose, stream};
 
-/// Why training stopped.
+/// The reason why training stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainError {
-    /// The configuration.
+    /// The configuration is invalid.
     #[error(transparent)]
     Config(#[from] ValueError),
-    /// The robot's file.
+    /// The robot's file is invalid.
     #[error(transparent)]
     Robot(#[from] FileError),
-    /// The arithmetic.
+    /// This machine lacks the arithmetic.
     #[error(transparent)]
     Precision(#[from] PrecisionError),
     /// An environment could not be set up.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
-    /// The configuration asks for symmetry, but the robot or observation has no mirror image.
+    /// The robot or its observation has no mirror image.
     #[error("ppo.symmetry is true, but {0}: make it false")]
     Symmetry(String),
-    /// More memory than the machine has.
+    /// The run needs more memory than the machine has.
     #[error(transparent)]
     Memory(#[from] MemoryError),
     /// The update met numbers that are not finite.
@@ -55,17 +55,17 @@ pub enum TrainError {
     Learner {
         /// Iterations done before.
         iteration: u64,
-        /// The fault that the update met.
+        /// Error of the update.
         fault: Box<UpdateFault>,
-        /// The minibatch it met it in, as CSV: a row for each sample. Empty if no minibatch is to blame.
+        /// The minibatch that failed, as CSV with a row for each sample; empty if no minibatch is to blame.
         minibatch: String,
-        /// The statistics of the update and of the rollout before it, as JSON.
+        /// Report on the update and the rollout before it, as JSON.
         circumstances: String,
     },
-    /// More or fewer ranks than sums over a tree can be shared among.
+    /// The number of ranks does not divide the summation tree.
     #[error("there are {0} ranks, expected a power of two: change mpirun's -n")]
     Count(usize),
-    /// An error on one of several ranks.
+    /// One of several ranks failed.
     #[error(transparent)]
     Rank(#[from] RankError),
     /// A checkpoint that does not fit its own configuration.
@@ -76,11 +76,11 @@ pub enum TrainError {
 /// A training run.
 #[derive(Debug)]
 pub struct Trainer {
-    /// The state of the run except the environments.
+    /// State of the run except the environments.
     run: RunState,
     robot: Arc<Robot>,
     layout: Arc<Layout>,
-    /// The mirror image, if samples are learnt from in it.
+    /// Mirror, if mirrored samples are used.
     mirror: Option<Mirror>,
     threads: usize,
     ranks: Arc<dyn Ranks>,
@@ -91,20 +91,20 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A new run.
+    /// Starts a new run.
     ///
     /// # Errors
-    /// If a value of the configuration is out of its range, or the robot's model cannot be simulated.
+    /// A value of the configuration is out of range, or the robot's model cannot be simulated.
     pub fn new(config_name: &str, config: Config, seed: u64, threads: usize) -> Result<Self, TrainError> {
-        Self::among(Alone::shared(), config_name, config, seed, threads)
+        Self::with_ranks(Alone::shared(), config_name, config, seed, threads)
     }
 
-    /// A new run, this being one of the ranks that train it.
+    /// Starts a new run as one of the ranks that train it.
     ///
     /// # Errors
-    /// If a value of the configuration is out of its range or does not fit the number of ranks, or the robot's model cannot be
+    /// A value of the configuration is out of range or does not fit the number of ranks, or the robot's model cannot be
     /// simulated.
-    pub fn among(
+    pub fn with_ranks(
         ranks: Arc<dyn Ranks>,
         config_name: &str,
         mut config: Config,
@@ -113,7 +113,7 @@ impl Trainer {
     ) -> Result<Self, TrainError> {
         config.check()?;
         check_ranks(&config, &*ranks)?;
-        MemoryEstimate::of(&config)?.of_ranks(ranks.here(), ranks.count()).check()?;
+        MemoryEstimate::new(&config)?.for_ranks(ranks.here(), ranks.count()).check()?;
         config.ppo.precision = resolved(&config.ppo);
         let (robot, layout, mirror) = parts(&config)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
@@ -138,19 +138,23 @@ impl Trainer {
         Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
 
-    /// Goes on from a checkpoint.
+    /// Resumes from a checkpoint.
     ///
     /// # Errors
-    /// If the checkpoint does not fit its own configuration, or the model cannot be simulated.
+    /// The checkpoint does not fit its own configuration, or the model cannot be simulated.
     pub fn resume(checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
-        Self::resume_among(Alone::shared(), checkpoint, threads)
+        Self::resume_with_ranks(Alone::shared(), checkpoint, threads)
     }
 
-    /// Goes on from a checkpoint of any number of ranks, this being one of the ranks that do.
+    /// Resumes from a checkpoint of any number of ranks, as one of the ranks of the run.
     ///
     /// # Errors
-    /// If the checkpoint does not fit its own configuration or the number of ranks, or the model cannot be simulated.
-    pub fn resume_among(ranks: Arc<dyn Ranks>, checkpoint: Checkpoint, threads: usize) -> Result<Self, TrainError> {
+    /// The checkpoint does not fit its own configuration or the number of ranks, or the model cannot be simulated.
+    pub fn resume_with_ranks(
+        ranks: Arc<dyn Ranks>,
+        checkpoint: Checkpoint,
+        threads: usize,
+    ) -> Result<Self, TrainError> {
         let Checkpoint { mut run, learner: state } = checkpoint;
         let (found, expected_environments) = (run.environments.len(), run.config.ppo.environments);
         if found != expected_environments {
@@ -164,9 +168,9 @@ impl Trainer {
         if [&state.first_moment, &state.second_moment].into_iter().any(|moment| shapes(moment) != expected) {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
-        MemoryEstimate::of(&run.config)?.of_ranks(ranks.here(), ranks.count()).check()?;
+        MemoryEstimate::new(&run.config)?.for_ranks(ranks.here(), ranks.count()).check()?;
         let (robot, layout, mirror) = parts(&run.config)?;
-        // What another revision makes of a file is its own affair: the caller has been told that revisions differ.
+        // Another revision may read the robot's file differently; the caller already warns that revisions differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::git_revision() {
             let problem = format!("the robot {} has changed since; put it back, or start anew", robot.name);
             return Err(TrainError::Checkpoint(problem));
@@ -187,10 +191,10 @@ impl Trainer {
         Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
 
-    /// One iteration: a batch and the update on it.
+    /// Runs one iteration: a batch and the update on it.
     ///
     /// # Errors
-    /// If an environment cannot be reset, or the update meets numbers that are not finite.
+    /// An environment cannot be reset, or the update meets numbers that are not finite.
     pub fn iterate(&mut self) -> Result<IterationMetrics, TrainError> {
         let started = Instant::now();
         let network = self.learner.parameters();
@@ -225,7 +229,7 @@ impl Trainer {
                 let shards = ppo.shards / self.ranks.count();
                 let csv = minibatch_csv(&fault, &rollout, &batch, &*self.ranks);
                 let told = circumstances(&fault, &rollout, &episodes, &returns, &network.log_std, shards);
-                // Sums over all ranks are what it has met, so all of them have met it.
+                // The error comes from sums over all ranks, so every rank meets it.
                 let told = agree(&*self.ranks, Ok::<_, TrainError>((csv, told)))?;
                 let (minibatch, mut circumstances): (String, Vec<_>) = told.into_iter().unzip();
                 let circumstances = match circumstances.len() {
@@ -294,17 +298,17 @@ impl Trainer {
         &self.faults
     }
 
-    /// The state to go on from, on every rank.
+    /// Returns the state to resume from, on every rank.
     ///
     /// # Errors
-    /// What went wrong on one of several ranks.
+    /// One of several ranks failed.
     pub fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
         let own = self.environments.iter().map(LocomotionEnv::save).collect::<Vec<_>>();
         let environments = agree(&*self.ranks, Ok::<_, TrainError>(own))?.concat();
         Ok(Checkpoint { run: RunState { environments, ..self.run.clone() }, learner: self.learner.state() })
     }
 
-    /// The policy as it is now, to be deployed.
+    /// Returns the current policy, for deployment.
     pub fn policy(&self) -> Policy {
         let provenance = Provenance {
             config_name: self.run.config_name.clone(),
@@ -317,12 +321,12 @@ impl Trainer {
         Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)
     }
 
-    /// The processes that train it together.
+    /// Returns the ranks that train the run.
     pub fn ranks(&self) -> &dyn Ranks {
         &*self.ranks
     }
 
-    /// Returns the configuration and progress of the run, without the environments.
+    /// Returns the configuration and progress, without the environments.
     pub fn run(&self) -> &RunState {
         &self.run
     }
@@ -330,7 +334,7 @@ impl Trainer {
 
 type Parts = (Arc<Robot>, Arc<Layout>, Option<Mirror>);
 
-/// The robot, what its policy sees, and the mirror if it is used.
+/// The robot, its observation layout, and the mirror if it is used.
 fn parts(config: &Config) -> Result<Parts, TrainError> {
     let robot = config.robot.load()?;
     let layout = config.layout().map_err(ValueError::Observation)?;
@@ -353,7 +357,7 @@ fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
     Err(ValueError::Range { key: "ppo.shards", found: shards.to_string(), expected }.into())
 }
 
-/// Those of this rank.
+/// Creates the environments of this rank.
 fn environments(
     config: &Config,
     robot: &Arc<Robot>,
@@ -362,8 +366,9 @@ fn environments(
     curriculum: Curriculum,
     ranks: &dyn Ranks,
 ) -> mujoco::Result<Vec<LocomotionEnv>> {
-    let environment =
-        |index| LocomotionEnv::of(config, Arc::clone(robot), Arc::clone(layout), seed, index as u64, curriculum);
+    let environment = |index| {
+        LocomotionEnv::with_layout(config, Arc::clone(robot), Arc::clone(layout), seed, index as u64, curriculum)
+    };
     ranks.share(config.ppo.environments).map(environment).collect()
 }
 
@@ -384,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn shards_give_same_bits_on_any_threads_and_after_resuming() {
+    fn sharded_run_has_same_bits_for_any_threads_and_resumption() {
         let run = |threads: [usize; 3]| {
             let mut trainer = Trainer::new("test", sharded(8), 3, threads[0]).unwrap();
             let mut metrics = Vec::new();
@@ -405,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn minibatches_cover_each_shard_evenly_and_each_sample_once() {
+    fn minibatches_take_equally_from_every_shard() {
         let trainer = Trainer::new("test", sharded(4), 0, 1).unwrap();
         let orders = trainer.permutations(256);
         assert!(orders.len() == 8 && orders[0] != orders[1]);
@@ -444,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn nan_in_update_names_iteration_and_keeps_minibatch() {
+    fn nan_in_update_names_iteration_and_minibatch() {
         let mut config = Config::load("compliant").unwrap();
         config.ppo.batch_size = 64;
         config.ppo.minibatch_size = 32;

@@ -121,12 +121,12 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     if !ranks.is_alone() && config.ppo.shards == 1 {
         config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
     }
-    let memory = MemoryEstimate::of(&config)?.of_ranks(ranks.here(), ranks.count());
+    let memory = MemoryEstimate::new(&config)?.for_ranks(ranks.here(), ranks.count());
     memory.check()?;
     if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
         terminal::note(format_args!("note: this run takes {memory}"));
     }
-    Ok((Trainer::among(Arc::clone(ranks), &name, config, seed, threads)?, out))
+    Ok((Trainer::with_ranks(Arc::clone(ranks), &name, config, seed, threads)?, out))
 }
 
 /// The run in a folder, and the folder, which the first rank has.
@@ -148,7 +148,7 @@ pub fn resume(
     };
     let checkpoint = together(&**ranks, checkpoint)?;
     let trainer =
-        together(&**ranks, Trainer::resume_among(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
+        together(&**ranks, Trainer::resume_with_ranks(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
     check_alike(&trainer)?;
     let written = folder.as_ref().map_or(Ok(()), |folder| {
         folder.save_config(&trainer)?;

@@ -34,14 +34,14 @@ pub struct Piece {
     pub blocks: Range<usize>,
     /// Counted from zero.
     pub shard: usize,
-    /// True for the first piece of a shard.
+    /// True if this is the first block of its shard.
     pub is_first: bool,
-    /// True for the last piece of a shard.
+    /// True if this is the last block of its shard.
     pub is_last: bool,
 }
 
 impl Chunk {
-    /// Iterates over the blocks, shard by shard.
+    /// The blocks, shard by shard.
     pub fn pieces(self) -> impl Iterator<Item = Piece> {
         let (first, end) = (self.start, self.start + self.blocks);
         (first / self.shard_blocks..end.div_ceil(self.shard_blocks)).map(move |shard| {
@@ -68,10 +68,10 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
     /// Divergences below this are rounding errors.
     const KL_ROUNDING: f64;
 
-    /// The buffers of one thread during an update.
+    /// Scratch memory of one thread during an update.
     type Workspace;
 
-    /// Creates the arithmetic from the parameters and their first and second moments, for `blocks` blocks of rows.
+    /// Builds the networks from parameters and their first and second moments, with room for so many blocks of rows.
     fn new(parts: [&ActorCritic; 3], blocks: usize) -> Self;
 
     /// One for each thread, made on that thread.

@@ -33,18 +33,18 @@ use crate::ranks::{Ranks, tree_sum};
 /// Sums of [`FusedLearner::totals`] before those of `ln σ`.
 const LOSSES: usize = 4;
 
-/// The sums over several ranks.
+/// Sums over all ranks.
 #[derive(Debug, Default)]
 struct Exchanged {
-    /// All panels, one after the other.
+    /// Gradients of all panels, one after the other.
     gradient: Vec<f32>,
     /// See [`FusedLearner::totals`].
     totals: Vec<f64>,
-    /// The sum of squares of each panel's gradient.
+    /// Sum of squares of each panel's gradient.
     squares: Vec<f64>,
 }
 
-/// Trains an [`ActorCritic`] by PPO, as fast as we know how.
+/// Trains an [`ActorCritic`] by PPO with fused kernels.
 #[derive(Debug)]
 pub struct FusedLearner<A> {
     settings: Ppo,
@@ -52,9 +52,9 @@ pub struct FusedLearner<A> {
     ranks: Arc<dyn Ranks>,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<Parameters>,
-    /// The blocks of a chunk.
+    /// Blocks of a chunk.
     chunk_blocks: usize,
-    /// The sums of each block of the policy and of the value function.
+    /// Losses of each block of the policy and of the value function.
     sums: [Vec<Mutex<Sums>>; 2],
     exchanged: Mutex<Exchanged>,
     steps: u64,
@@ -97,7 +97,7 @@ impl<A: Arithmetic> FusedLearner<A> {
         unpacked
     }
 
-    /// Phases 1 and 2. `conclude` hears of them on one thread.
+    /// Runs phases 1 and 2, then `conclude` on one thread.
     pub(in crate::ppo) fn differentiate(
         &self,
         team: Member<'_>,
@@ -201,7 +201,7 @@ impl<A: Arithmetic> FusedLearner<A> {
         }
     }
 
-    /// Phase 3 for `ln σ`.
+    /// Runs phase 3 for `ln σ`.
     fn step_log_std(&self, step: &AdamStep) {
         let mut log_std = write(&self.log_std);
         Arch::new().dispatch(Adam { parameters: &mut log_std, step });

@@ -66,7 +66,7 @@ pub struct AdamStep {
 }
 
 impl AdamStep {
-    /// The factors that are the same for all parameters.
+    /// Scalars of a step that all parameters share.
     pub fn new(settings: &Ppo, step: &OptimizerStep) -> Self {
         let count = step.count as f64;
         let [beta1, beta2] = ADAM_BETAS;

@@ -36,10 +36,10 @@ use std::thread;
 /// machine long spins cost more than half of the speed, on an idle one short spins cost nothing.
 const SPINS: u32 = 100;
 
-/// The shared state that keeps the threads of a team in step.
+/// The state that the threads of a team share to stay in step.
 #[derive(Debug)]
 pub struct Team {
-    /// The number of tasks taken from each thread's part, by any thread.
+    /// Number of tasks taken from each thread's part, by any thread.
     taken: Vec<CacheLine>,
     arrived: AtomicUsize,
     phase: AtomicUsize,
@@ -128,7 +128,7 @@ impl Team {
     }
 }
 
-/// Tells the team when its thread panics.
+/// Notifies the team when its thread panics.
 struct Alarm<'a>(&'a Team);
 
 impl Drop for Alarm<'_> {
@@ -141,17 +141,17 @@ impl Drop for Alarm<'_> {
 
 // A lock is never used after its writer has panicked: the panic ends the whole team.
 
-/// Locks data that no task of this phase writes.
+/// Locks for reading what the phase does not write.
 pub fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
     lock.read().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Locks data that this task alone writes.
+/// Locks for writing what the task alone writes.
 pub fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
     lock.write().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Locks data that threads pass on.
+/// Locks a value that is passed between threads.
 pub fn lock<T>(lock: &Mutex<T>) -> MutexGuard<'_, T> {
     lock.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -18,7 +18,7 @@ pub type LayerPanels<'a, 'b> = &'a [RwLockReadGuard<'b, Panel>];
 /// Activations and loss gradients of up to [`BLOCK`] rows in one network.
 #[derive(Debug)]
 pub struct Block {
-    /// The number of the network's outputs.
+    /// Shape of the network.
     outputs: usize,
     /// Rows in use.
     pub rows: usize,
@@ -26,13 +26,13 @@ pub struct Block {
     pub activations: Vec<Matrix>,
     /// Gradient of the loss by each layer's output, ahead of ELU; shape (rows, outputs of the layer).
     pub deltas: Vec<Matrix>,
-    /// The outputs of the last layer, row by row, for the loss; shape (rows, outputs).
+    /// Output of the last layer, row by row, for the loss; shape (rows, outputs).
     output: Buffer,
     output_deltas: Buffer,
 }
 
 impl Block {
-    /// Room for one block of `mlp`.
+    /// Allocates room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
         let room = |columns: usize| Matrix::zeros(BLOCK, columns);
         let (outputs, of_layers) = (mlp.outputs(), || mlp.layers.iter().map(|layer| room(layer.outputs())));
@@ -56,7 +56,7 @@ impl Block {
         }
     }
 
-    /// Between forward and backward pass.
+    /// Computes the loss between the forward and the backward pass.
     pub fn pass(&mut self, network: usize, block: usize) -> Pass<'_> {
         let last = &self.activations[self.deltas.len()];
         let rows = self.output.chunks_mut(self.outputs).take(self.rows).enumerate();

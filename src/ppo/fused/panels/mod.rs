@@ -28,9 +28,9 @@ use crate::ppo::loss::Minibatch;
 #[derive(Debug)]
 pub struct Panels {
     pub(in crate::ppo) arch: Arch,
-    /// The panels of both networks, layer by layer.
+    /// Panels of both networks, layer by layer.
     panels: Vec<RwLock<Panel>>,
-    /// The blocks of the policy and of the value function.
+    /// Shapes of the policy and of the value function.
     blocks: [Vec<RwLock<Block>>; 2],
     /// Layers of the policy.
     depth: usize,

@@ -30,7 +30,7 @@ pub const HALVES: usize = 2;
 /// A layer's panels, locked for reading.
 pub type LayerPanels<'a, 'b, const F: usize, const B: usize> = &'a [RwLockReadGuard<'b, Panel<F, B>>];
 
-/// What the gradients of the weights need of up to 64 rows. Columns are counted in 32s.
+/// Inputs and deltas of up to 64 rows, for the gradients of the weights. Columns are counted in 32s.
 #[derive(Debug)]
 pub struct Block<const B: usize> {
     /// Input of each layer, as right operands, one for each 32 columns.
@@ -39,12 +39,12 @@ pub struct Block<const B: usize> {
     pub deltas: Vec<Vec<[Operand<B>; HALVES]>>,
     /// Sums of each layer's deltas over the rows.
     pub bias: Vec<Buffer>,
-    /// The outputs of the last layer; shape (64, columns of the last layer).
+    /// Output of the last layer; shape (64, columns of the last layer).
     outputs: Buffer,
     output_deltas: Buffer,
 }
 
-/// The buffers of one thread, kept from block to block.
+/// Scratch memory of one thread for a block, reused from block to block.
 pub struct Workspace<const F: usize, const B: usize> {
     pub unit: TileUnit,
     /// Left operands of the forward product: a layer's input and output.
@@ -58,7 +58,7 @@ pub struct Workspace<const F: usize, const B: usize> {
 }
 
 impl<const F: usize, const B: usize> Workspace<F, B> {
-    /// Creates buffers for layers of up to `widest` columns, in 32s.
+    /// Allocates scratch memory for layers of up to so many columns, in 32s.
     pub fn new(unit: TileUnit, widest: usize) -> Self {
         Self {
             unit,
@@ -71,7 +71,7 @@ impl<const F: usize, const B: usize> Workspace<F, B> {
 }
 
 impl<const B: usize> Block<B> {
-    /// Room for one block of `mlp`.
+    /// Allocates room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
         let operands = |columns: usize| vec![[Operand::ZERO; HALVES]; columns.div_ceil(32)];
         let outputs = ROWS * mlp.outputs().next_multiple_of(32);
@@ -95,7 +95,7 @@ impl<const B: usize> Block<B> {
         workspace.unit.simd.vectorize(Forward { block: self, workspace, layers, observations, size, rows });
     }
 
-    /// Between forward and backward pass.
+    /// Computes the loss between the forward and the backward pass.
     pub fn pass(&mut self, network: usize, block: usize) -> Pass<'_> {
         // Rows that are not in use have no loss.
         self.output_deltas.fill(0.0);
@@ -250,7 +250,7 @@ struct Activate<'a, const F: usize, const B: usize> {
 }
 
 impl<'a, const F: usize, const B: usize> Activate<'a, F, B> {
-    /// Prepares one of a layer's products.
+    /// Index of the column within the layer's products.
     #[inline(always)]
     fn new(
         product: usize,
@@ -366,7 +366,7 @@ struct Differentiate<'a, const B: usize> {
 }
 
 impl<'a, const B: usize> Differentiate<'a, B> {
-    /// Prepares one of a layer's products.
+    /// Index of the column within the layer's products.
     #[inline(always)]
     fn new(
         product: usize,

@@ -36,9 +36,9 @@ use crate::ppo::loss::Minibatch;
 #[derive(Debug)]
 pub struct Tiles<const FORWARD: usize, const BACKWARD: usize> {
     simd: V4,
-    /// The panels of both networks, layer by layer.
+    /// Panels of both networks, layer by layer.
     panels: Vec<RwLock<Panel<FORWARD, BACKWARD>>>,
-    /// The blocks of the policy and of the value function.
+    /// Shapes of the policy and of the value function.
     blocks: [Vec<RwLock<Block<BACKWARD>>>; 2],
     /// Layers of the policy.
     depth: usize,
@@ -162,7 +162,7 @@ struct Gradient<'a, const B: usize> {
     unit: &'a TileUnit,
     /// Left operand and, for each 32 inputs, right operand of each block.
     operands: &'a [(&'a [Operand<B>; HALVES], &'a [[Operand<B>; HALVES]])],
-    /// Adds to the gradient of the chunks before.
+    /// True if the result is added to the gradient of the chunks before.
     add: bool,
     weights: &'a mut [f32],
 }

@@ -64,11 +64,11 @@ pub struct TileUnit {
 }
 
 thread_local! {
-    /// Of this thread: the last one to go releases the registers.
+    /// Number of units on this thread; dropping the last one releases the registers.
     static UNITS: Cell<usize> = const { Cell::new(0) };
 }
 
-/// The operand of `ldtilecfg`.
+/// The tile configuration that `ldtilecfg` reads.
 #[repr(C, align(64))]
 struct Shapes {
     palette: u8,
@@ -99,7 +99,7 @@ pub fn available() -> bool {
     })
 }
 
-/// Asks Linux for the registers, which are too large to be saved for everybody.
+/// Asks Linux for the tile registers, which it saves only for processes that request them.
 fn permitted() -> bool {
     const ARCH_PRCTL: i64 = 158;
     const ARCH_REQ_XCOMP_PERM: u64 = 0x1023;
