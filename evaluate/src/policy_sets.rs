@@ -1,14 +1,14 @@
 /*! The sets of policies that are compared, read from folders.
 
 The path of a set is a folder (all policies in it), a run's folder, a policy's file, or a folder and the name that is common to
-files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. Behind an `@` it may say
-which compliance they are told: `policies/baseline@0.03`.
+files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. `policies/baseline@0.03` sets
+their commanded compliance [m/s/N].
 */
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-use supple::policy::compliance::{ComplianceError, told};
+use supple::policy::compliance::{ComplianceError, split_compliance};
 use supple::policy::{Agent, AgentError, shipped};
 use supple::robot::Losses;
 use supple::util::{files, paths};
@@ -158,9 +158,9 @@ impl Contest {
             }
         }
         for side in &sides {
-            if let Some(compliance) = side.members.iter().map(|member| member.agent.told).find(|told| *told > 0.0) {
+            if let Some(compliance) = side.members.iter().map(|member| member.agent.commanded_compliance).find(|compliance| *compliance > 0.0) {
                 let name = &side.name;
-                notes.push(format!("{name} is told to yield by {compliance} m/s/N wherever a trial says nothing else"));
+                notes.push(format!("{name} has a commanded compliance of {compliance} m/s/N in trials that command none"));
             }
             for (index, member) in side.members.iter().enumerate() {
                 let is_same = |other: &&Contestant| other.agent.sha256 == member.agent.sha256;
@@ -212,7 +212,7 @@ impl Side {
     /// All policies that a path stands for.
     fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
         let text = paths::as_text(path);
-        let (text, compliance) = told(&text);
+        let (text, compliance) = split_compliance(&text);
         let path = &paths::as_path(text);
         let files = if path.is_file() {
             vec![path.to_owned()]
@@ -248,7 +248,7 @@ impl Side {
             if let Err(source) = agent.check_compliance(compliance) {
                 return Err(ContestantError::Compliance { file, compliance, source });
             }
-            agent.told = compliance;
+            agent.commanded_compliance = compliance;
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());

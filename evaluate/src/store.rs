@@ -1,7 +1,7 @@
 /*! Finished measurements on disk, so that none is made twice.
 
 A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
-policy, its seed, what it acts on, the compliance it is told and how it was calibrated, the robot, the experiment's parameters and scenarios, and the sources of this program
+policy, its seed, its sensing, its commanded compliance and calibration, the robot, the experiment's parameters and scenarios, and the sources of this program
 (but for those that only show what was measured). A new policy or a changed protocol therefore measures only what is
 new, and a report never mixes what different programs measured.
 
@@ -147,8 +147,8 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "seed": contestant.seed,
     });
     // A calibration does not affect trials without commanded compliance.
-    if contestant.agent.told > 0.0 || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0) {
-        parts["compliance"] = serde_json::json!([contestant.agent.told, contestant.agent.calibration]);
+    if contestant.agent.commanded_compliance > 0.0 || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0) {
+        parts["compliance"] = serde_json::json!([contestant.agent.commanded_compliance, contestant.agent.calibration]);
     }
     if sensing == Sensing::Estimated {
         parts["sensing"] = serde_json::json!({

@@ -159,7 +159,7 @@ pub fn play(
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
-    script.tell(agent.told);
+    script.command_compliance(agent.commanded_compliance);
     if agent.check_compliance(script.command.compliance).is_err() {
         let values = vec![None; experiment.info().quantities.len()];
         return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), estimation: None });
@@ -226,7 +226,7 @@ mod tests {
             let mut leash: Leash = defaults("leash").unwrap();
             leash.task.compliance = compliance;
             let mut script = Scenario::Leash(leash).script(0, &config).unwrap();
-            script.tell(of_set);
+            script.command_compliance(of_set);
             script.command.compliance
         };
         assert_eq!([commanded(0.0, 0.0), commanded(0.0, 0.03), commanded(0.01, 0.03)], [0.0, 0.03, 0.01]);

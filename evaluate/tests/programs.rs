@@ -551,7 +551,7 @@ fn set_with_commanded_compliance_is_measured_apart() {
     assert!(output.status.success(), "{}", complaint(&output));
     let found = summary(folder, "report");
     let notes = found["notes"].to_string();
-    assert!(notes.contains("soft is told to yield by 0.03 m/s/N") && !notes.contains("left out"), "{notes}");
+    assert!(notes.contains("soft has a commanded compliance of 0.03 m/s/N") && !notes.contains("left out"), "{notes}");
     let offset = &row(experiment(&found, "leash"), "leash", "20 N", "offset_m_s")["sets"];
     assert_eq!(offset["soft"]["by_seed"], offset["compliant"]["by_seed"], "a policy that heeds nothing is not led");
     // One policy, with and without: of the four sets' measurements none is another's.
@@ -566,7 +566,7 @@ fn set_with_commanded_compliance_is_measured_apart() {
     for (path, expected) in [
         (
             "policies/compliant@0.06",
-            "policies/compliant-seed0.safetensors at @0.06: a compliance of 0.06 m/s/N is beyond it",
+            "policies/compliant-seed0.safetensors at @0.06: compliance 0.06 m/s/N is out of range",
         ),
         (
             "policies/baseline@0.03",

@@ -126,9 +126,8 @@ impl Recorder {
         Self::on(Stream::open(sink, title)?, robots)
     }
 
-    /// As [`Recorder::new`], of what is so now and nothing else: no plots, no events, no time. It takes no more memory after
-    /// hours than at the beginning, neither here nor in the viewer. Robots can be left out of frames, and frames left out
-    /// altogether: the last one counts.
+    /// Like [`Recorder::new`] for a live view, which keeps only the latest value of each entity: no plots, no events, no time.
+    /// Its memory stays constant, here and in the viewer. Robots and whole frames may be left out: the last one counts.
     ///
     /// # Errors
     /// As [`Recorder::new`].

@@ -100,7 +100,7 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
     let text = std::fs::read_to_string(&path).unwrap();
     std::fs::write(&path, text.replace("[0.0,0.5]", "[0.0,0.6]")).unwrap();
     let output = run("scenario", folder.path(), &["session", "kept.jsonl"]);
-    assert!(complaint(&output).contains("it did not end as it had"), "{}", complaint(&output));
+    assert!(complaint(&output).contains("the final state differs from the original"), "{}", complaint(&output));
     let output = run("scenario", folder.path(), &["--policy", "baseline", "session", "kept.jsonl"]);
     assert!(complaint(&output).contains("its own policies"), "{}", complaint(&output));
 }
@@ -196,8 +196,8 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
         ),
         (&["walk", "--policy", "standing.safetensors", "--duration-s", "NaN"], "--duration-s is NaN"),
         (&["walk", "--policy", "standing.safetensors", "--compliance", "0.02"], "run `policy calibrate`"),
-        (&["walk", "--policy", "baseline", "--compliance", "0.5"], "baseline: a compliance of 0.5"),
-        (&["walk", "--policy", "compliant", "--compare", "baseline@0.5"], "baseline@0.5: a compliance of 0.5"),
+        (&["walk", "--policy", "baseline", "--compliance", "0.5"], "baseline: compliance 0.5"),
+        (&["walk", "--policy", "compliant", "--compare", "baseline@0.5"], "baseline@0.5: compliance 0.5"),
         (&["walk", "--policy", "baseline@-1"], "baseline@-1: a compliance of -1"),
         (
             &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],

@@ -1,10 +1,10 @@
-//! What is put to the test in a scenario: a policy of ours, or an external one.
+//! The policy that a scenario plays: a policy file of Supple, or an external one.
 
 use std::borrow::Borrow;
 use std::path::Path;
 use std::sync::Arc;
 
-use super::compliance::{ComplianceError, Compliant, PolicyCalibration};
+use super::compliance::{ComplianceError, CompliantController, PolicyCalibration};
 use super::controller::Controller;
 use super::external;
 use super::file::Policy;
@@ -14,7 +14,7 @@ use crate::robot::Robot;
 use crate::util::files::{self, FileError};
 use crate::util::paths;
 
-/// Why there is no agent.
+/// The reason why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
     /// A policy file, or what is described in it.
@@ -43,7 +43,7 @@ pub enum AgentError {
         /// The file.
         name: String,
     },
-    /// It is not ours.
+    /// The policy is external.
     #[error("{name} is an external policy: this works with policy files of Supple")]
     External {
         /// The requested name.
@@ -58,15 +58,15 @@ pub struct Agent {
     pub config: Config,
     /// Identity of the policy: SHA-256 of its files.
     pub sha256: String,
-    /// How far it yields, where that has been measured.
+    /// The measured compliance, if the policy was calibrated.
     pub calibration: Option<PolicyCalibration>,
     /// The default commanded compliance [m/s/N]; 0 disables compliance control.
-    pub told: f64,
-    mind: Mind,
+    pub commanded_compliance: f64,
+    kind: Kind,
 }
 
 #[derive(Debug)]
-enum Mind {
+enum Kind {
     Ours(Box<Policy>),
     External(Box<Inference>),
 }
@@ -79,13 +79,13 @@ impl Agent {
     pub fn load(path: &Path) -> Result<Self, AgentError> {
         let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
-        agent.calibration = PolicyCalibration::beside(path, &agent.sha256)?;
+        agent.calibration = PolicyCalibration::load_for(path, &agent.sha256)?;
         Ok(agent)
     }
 
     /// A policy that is in no file of ours, with what it runs with. Its identity is for what keeps results by policy.
     pub fn external(inference: Inference, config: Config, sha256: String) -> Self {
-        Agent { config, sha256, calibration: None, told: 0.0, mind: Mind::External(Box::new(inference)) }
+        Agent { config, sha256, calibration: None, commanded_compliance: 0.0, kind: Kind::External(Box::new(inference)) }
     }
 
     /// The path of a robot that does not ship starts beside the policy; in a run's folder the robot may lie where the run had it.
@@ -101,21 +101,21 @@ impl Agent {
         *model = of_run.unwrap_or_else(|| paths::as_text(beside));
     }
 
-    /// A controller of one robot.
+    /// Creates a controller of one robot.
     pub fn controller(&self) -> Box<dyn Controller + '_> {
         self.compliant(Box::new(self.inference().controller()))
     }
 
-    /// A controller of one robot, to keep.
+    /// Creates a controller of one robot that shares the agent.
     pub fn shared_controller(self: &Arc<Self>) -> Box<dyn Controller> {
         self.compliant(Box::new(PolicyController::new(Shared(Arc::clone(self)))))
     }
 
-    /// Around a policy that is calibrated goes the loop that makes it yield as it is commanded to.
+    /// Wraps a calibrated policy in the outer loop that makes its compliance a command.
     fn compliant<'a>(&self, policy: Box<dyn Controller + 'a>) -> Box<dyn Controller + 'a> {
         match &self.calibration {
             None => policy,
-            Some(calibration) => Box::new(Compliant::new(policy, calibration.clone(), &self.config)),
+            Some(calibration) => Box::new(CompliantController::new(policy, calibration.clone(), &self.config)),
         }
     }
 
@@ -133,35 +133,35 @@ impl Agent {
 
     /// Returns the inference from states to joint targets.
     pub fn inference(&self) -> &Inference {
-        match &self.mind {
-            Mind::Ours(policy) => policy.inference(),
-            Mind::External(inference) => inference,
+        match &self.kind {
+            Kind::Ours(policy) => policy.inference(),
+            Kind::External(inference) => inference,
         }
     }
 
-    /// Runs it on another robot.
+    /// Puts the policy on another robot.
     pub fn run_on(&mut self, robot: &Robot) {
         self.config.robot.model.clone_from(&robot.name);
     }
 
-    /// The policy file, if it is ours.
+    /// Returns the policy file, if the policy is one of Supple.
     pub fn policy(&self) -> Option<&Policy> {
-        match &self.mind {
-            Mind::Ours(policy) => Some(policy),
-            Mind::External(_) => None,
+        match &self.kind {
+            Kind::Ours(policy) => Some(policy),
+            Kind::External(_) => None,
         }
     }
 
-    /// As [`Agent::policy`], to keep.
+    /// Like [`Agent::policy`], but takes ownership.
     pub fn into_policy(self) -> Option<Policy> {
-        match self.mind {
-            Mind::Ours(policy) => Some(*policy),
-            Mind::External(_) => None,
+        match self.kind {
+            Kind::Ours(policy) => Some(*policy),
+            Kind::External(_) => None,
         }
     }
 }
 
-/// An agent as the inference that it is.
+/// Borrows the agent's `Inference` through an `Arc<Agent>`.
 struct Shared(Arc<Agent>);
 
 impl Borrow<Inference> for Shared {
@@ -173,6 +173,6 @@ impl Borrow<Inference> for Shared {
 impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
         let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
-        Agent { config, sha256, calibration: None, told: 0.0, mind: Mind::Ours(Box::new(policy)) }
+        Agent { config, sha256, calibration: None, commanded_compliance: 0.0, kind: Kind::Ours(Box::new(policy)) }
     }
 }

@@ -42,11 +42,11 @@ pub struct Point {
     pub measured: f64,
 }
 
-/// A compliance that a policy cannot give.
+/// The reason why a commanded compliance is refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ComplianceError {
-    /// Softer or stiffer than it can be.
-    #[error("a compliance of {found} m/s/N is beyond it: it can be told {low:.4} to {high:.4} m/s/N")]
+    /// The commanded compliance is out of the policy's range.
+    #[error("compliance {found} m/s/N is out of range: this policy supports {low:.4} to {high:.4} m/s/N")]
     OutOfReach {
         /// The commanded compliance.
         found: f64,
@@ -56,7 +56,7 @@ pub enum ComplianceError {
         high: f64,
     },
     /// The policy does not observe a quantity that the outer loop needs.
-    #[error("its observation has no '{name}': lead it from outside, where that is known")]
+    #[error("compliance control needs '{name}', which this policy does not observe; run the outer loop in your own controller")]
     NotSeen {
         /// The number.
         name: String,
@@ -66,8 +66,8 @@ pub enum ComplianceError {
     NotCalibrated,
 }
 
-/// A policy as it is asked for, without the compliance [m/s/N] behind its `@`, and that: `baseline@0.03`.
-pub fn told(name: &str) -> (&str, Option<f64>) {
+/// Splits `baseline@0.03` into the policy's name and the optional compliance [m/s/N].
+pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
     let split = name.rsplit_once('@').and_then(|(name, number)| Some((name, Some(number.parse().ok()?))));
     split.unwrap_or((name, None))
 }
@@ -84,12 +84,12 @@ impl PolicyCalibration {
         policy.with_extension("calibration.json")
     }
 
-    /// What lies beside a policy's file, if there is something. One of another policy does not count: a run that has gone on
-    /// since it was calibrated has to be measured anew.
+    /// Reads the calibration beside a policy's file, if there is one; `None` if it was measured with another version of the
+    /// policy.
     ///
     /// # Errors
     /// A file that cannot be read, or is no calibration.
-    pub fn beside(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
+    pub fn load_for(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
         let path = Self::path(policy);
         match files::read_bounded(&path, MAX_BYTES) {
             Ok(bytes) => {
@@ -113,7 +113,7 @@ impl PolicyCalibration {
         found.checked(sha256).map_err(FileError::of(WHAT, path))
     }
 
-    /// Itself, if it is of this policy and makes sense.
+    /// Returns `self` if it belongs to this policy and its values are valid.
     ///
     /// # Errors
     /// In words: what is wrong with it, and what to do.
@@ -132,7 +132,7 @@ impl PolicyCalibration {
         Ok(self)
     }
 
-    /// Before anything has been measured: a setting is taken for what it comes to.
+    /// Identity calibration, used while measuring: assumes setting = compliance.
     pub fn unmeasured(sha256: &str) -> Self {
         let points = [0.0, 1.0].map(|setting| Point { setting, measured: setting }).to_vec();
         PolicyCalibration { sha256: sha256.to_owned(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points }
@@ -174,41 +174,41 @@ impl PolicyCalibration {
     }
 }
 
-/// The outer loop around a calibrated policy, with its state.
+/// The outer loop outer_loop a calibrated policy, with its state.
 #[derive(Debug)]
-struct Calibrated {
+struct CalibratedLoop {
     calibration: PolicyCalibration,
     outer_loop: OuterLoop,
     /// State of the loop's low-pass.
-    led: [f64; 2],
+    low_pass: [f64; 2],
 }
 
-impl Calibrated {
+impl CalibratedLoop {
     /// Creates the loop for the rates and commands that the policy was trained with.
     fn new(calibration: PolicyCalibration, config: &Config) -> Self {
         let outer_loop = OuterLoop::new(config, calibration.own_m_s_per_n);
-        Calibrated { calibration, outer_loop, led: [0.0; 2] }
+        CalibratedLoop { calibration, outer_loop, low_pass: [0.0; 2] }
     }
 
     /// Returns the command that makes a policy, walking at `velocity` (forward and left [m/s]), yield as `command` says.
-    fn asked(&mut self, velocity: [f64; 2], command: &Command) -> Command {
+    fn command(&mut self, velocity: [f64; 2], command: &Command) -> Command {
         let setting = self.calibration.nearest_setting(command.compliance);
-        self.outer_loop.command(velocity, command, setting, self.calibration.bias(command), &mut self.led)
+        self.outer_loop.command(velocity, command, setting, self.calibration.bias(command), &mut self.low_pass)
     }
 }
 
-/// The outer loop on raw observations, for programs that run the policy themselves: it replaces the command in
-/// the place of the command.
+/// The outer loop on raw observations, for programs that run the policy themselves: it replaces
+/// the command in an observation.
 #[derive(Debug)]
-pub struct Led {
-    around: Calibrated,
+pub struct ObservationOuterLoop {
+    outer_loop: CalibratedLoop,
     compliance: f64,
-    /// Where velocity (forward, left) and command (forward, left, yaw) are.
+    /// The indices of velocity (forward, left) and command (forward, left, yaw) in the observation.
     velocity: [usize; 2],
     command: [usize; 3],
 }
 
-impl Led {
+impl ObservationOuterLoop {
     /// Creates the loop for a commanded compliance [m/s/N]; observations arrive at the policy's own rate.
     ///
     /// # Errors
@@ -220,8 +220,8 @@ impl Led {
             let wanted = names.iter().position(|known| known == name);
             wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
         };
-        Ok(Led {
-            around: Calibrated::new(calibration, &policy.provenance.config),
+        Ok(ObservationOuterLoop {
+            outer_loop: CalibratedLoop::new(calibration, &policy.provenance.config),
             compliance,
             velocity: [place("velocity forward [m/s]")?, place("velocity left [m/s]")?],
             command: [
@@ -232,35 +232,35 @@ impl Led {
         })
     }
 
-    /// Changes what the next observation commands.
-    pub fn lead(&mut self, observation: &mut [f64]) {
+    /// Replaces the command in the next observation.
+    pub fn apply(&mut self, observation: &mut [f64]) {
         let [forward, left, yaw] = self.command.map(|place| observation[place]);
         let command = Command { compliance: self.compliance, ..Command::velocity(forward, left, yaw) };
-        let asked = self.around.asked(self.velocity.map(|place| observation[place]), &command);
-        (observation[self.command[0]], observation[self.command[1]]) = (asked.forward, asked.left);
+        let command = self.outer_loop.command(self.velocity.map(|place| observation[place]), &command);
+        (observation[self.command[0]], observation[self.command[1]]) = (command.forward, command.left);
     }
 }
 
-/// A calibrated policy, which yields as it is commanded to.
-pub struct Compliant<'a> {
+/// A calibrated policy with the outer loop that makes it yield as commanded.
+pub struct CompliantController<'a> {
     policy: Box<dyn Controller + 'a>,
-    around: Calibrated,
+    outer_loop: CalibratedLoop,
 }
 
-impl<'a> Compliant<'a> {
+impl<'a> CompliantController<'a> {
     /// Wraps a policy in an outer loop, for the rates and commands that it was trained with.
     pub fn new(policy: Box<dyn Controller + 'a>, calibration: PolicyCalibration, config: &Config) -> Self {
-        Compliant { policy, around: Calibrated::new(calibration, config) }
+        CompliantController { policy, outer_loop: CalibratedLoop::new(calibration, config) }
     }
 }
 
-impl Controller for Compliant<'_> {
+impl Controller for CompliantController<'_> {
     fn rest(&self) -> Joints {
         self.policy.rest()
     }
 
     fn begin(&mut self, state: &RobotState) {
-        self.around.led = [0.0; 2];
+        self.outer_loop.low_pass = [0.0; 2];
         self.policy.begin(state);
     }
 
@@ -268,7 +268,7 @@ impl Controller for Compliant<'_> {
         if command.compliance <= 0.0 {
             return self.policy.joint_targets(state, command);
         }
-        let command = self.around.asked([state.velocity_in_base.x, state.velocity_in_base.y], command);
+        let command = self.outer_loop.command([state.velocity_in_base.x, state.velocity_in_base.y], command);
         self.policy.joint_targets(state, &command)
     }
 }
@@ -279,10 +279,10 @@ mod tests {
 
     #[test]
     fn a_policy_may_say_behind_an_at_which_compliance_it_is_told() {
-        assert_eq!(told("policies/baseline@0.03"), ("policies/baseline", Some(0.03)));
-        assert_eq!(told("runs@home/mine@-1"), ("runs@home/mine", Some(-1.0)));
+        assert_eq!(split_compliance("policies/baseline@0.03"), ("policies/baseline", Some(0.03)));
+        assert_eq!(split_compliance("runs@home/mine@-1"), ("runs@home/mine", Some(-1.0)));
         for no_compliance in ["policies/baseline", "runs@home/mine", "mine@"] {
-            assert_eq!(told(no_compliance), (no_compliance, None));
+            assert_eq!(split_compliance(no_compliance), (no_compliance, None));
         }
     }
 
@@ -313,13 +313,13 @@ mod tests {
         let calibration = PolicyCalibration { bias: [[0.1, 0.0, 0.0, 0.0], [0.0; 4]], ..parsed(TEXT).unwrap() };
         let point = |c| Point { setting: c, measured: c };
         let calibration = PolicyCalibration { points: vec![point(0.005), point(0.03)], ..calibration };
-        let mut led = Led::new(&policy, calibration.clone(), 0.02).unwrap();
+        let mut outer_loop = ObservationOuterLoop::new(&policy, calibration.clone(), 0.02).unwrap();
         let mut observation = vec![0.0; policy.layout().length()];
         // As `policy show` has them: velocity left, up, forward; commanded left, forward, yaw rate.
         (observation[62], observation[64]) = (-0.2, 0.6);
         (observation[80], observation[81], observation[82]) = (0.0, 0.5, 0.25);
         let before = observation.clone();
-        led.lead(&mut observation);
+        outer_loop.apply(&mut observation);
         // A 60th of a second of a low-pass of 0.1 s: 1 − e^(−1/6).
         let asked = -0.5 * (1.0 - (-1.0_f64 / 6.0).exp()) * 0.2;
         assert!(
@@ -329,14 +329,14 @@ mod tests {
         );
         observation[80..82].copy_from_slice(&before[80..82]);
         assert_eq!(observation, before);
-        assert!(Led::new(&policy, calibration, 0.04).is_err());
+        assert!(ObservationOuterLoop::new(&policy, calibration, 0.04).is_err());
     }
 
     #[test]
     fn what_lies_beside_a_policy_that_was_trained_on_does_not_count() {
         let folder = tempfile::tempdir().unwrap();
         let policy = folder.path().join("p.safetensors");
-        let beside = |sha256| PolicyCalibration::beside(&policy, sha256).map(|found| found.is_some());
+        let beside = |sha256| PolicyCalibration::load_for(&policy, sha256).map(|found| found.is_some());
         assert!(!beside("it").unwrap());
         std::fs::write(PolicyCalibration::path(&policy), TEXT).unwrap();
         assert!(beside("it").unwrap() && !beside("its successor").unwrap());

@@ -65,7 +65,7 @@ pub struct Script {
 
 impl Script {
     /// Sets the commanded compliance [m/s/N] if the script commands none.
-    pub fn tell(&mut self, compliance: f64) {
+    pub fn command_compliance(&mut self, compliance: f64) {
         if self.command.compliance == 0.0 {
             self.command.compliance = compliance;
         }

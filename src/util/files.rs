@@ -36,8 +36,8 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
 }
 
 /// As [`write_atomically`], bit by bit. A link is kept, and what it leads to is written; what is no regular file, such as
-/// a device or a pipe, is written to and never replaced; `-` and `/dev/stdout` are standard output, where it is no error
-/// that nobody reads on.
+/// a device or a pipe, is written to and never replaced; `-` and `/dev/stdout` are standard output, where a closed
+/// pipe is no error.
 ///
 /// # Errors
 /// The system's, or that of `write`; the old content of a regular file is untouched then.
@@ -62,8 +62,8 @@ fn buffered<W: Write>(out: W, write: impl FnOnce(&mut dyn Write) -> io::Result<(
     Ok(out)
 }
 
-/// As [`write_atomically`] with a file that nobody makes a link of; what was there before is kept as `old`. At every moment
-/// one of the two is whole.
+/// Like [`write_atomically`] for a file that is never a link; the previous content is kept as `old`. At every moment one of
+/// the two is whole.
 ///
 /// # Errors
 /// The system's; what was there is untouched then.
@@ -75,8 +75,8 @@ pub fn write_keeping(path: &Path, old: &Path, bytes: &[u8]) -> io::Result<()> {
     replace(path, |out| out.write_all(bytes), keep)
 }
 
-/// Writes a temporary file beside `path` and renames it, after what is to be done `before` that. Its name cannot be guessed,
-/// and it is made anew or not at all: nobody can have put a link in its place.
+/// Writes a temporary file beside `path`, calls `before`, and renames the file. Its name cannot be guessed, and it is always
+/// newly created, so that it cannot be a link placed there before.
 fn replace(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,

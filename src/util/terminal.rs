@@ -69,8 +69,8 @@ pub fn path_as_text() -> impl TypedValueParser<Value = String> {
     OsStringValueParser::new().map(paths::as_text)
 }
 
-/// A text without what would command a terminal: control characters but for ends of lines and tabs, and what stands for the
-/// bytes of a path that is not UTF-8, are spelt out as JSON does, which means the same there.
+/// Returns the text without terminal commands: control characters (except line ends and tabs) and the characters that stand
+/// for the bytes of a path that is not UTF-8 are escaped as in JSON.
 pub fn plain(text: &str) -> Cow<'_, str> {
     let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || paths::is_byte(c);
     if !text.contains(commands) {

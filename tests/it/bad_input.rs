@@ -136,11 +136,11 @@ fn a_run_is_one_thing() {
 
     std::fs::write(at("run/config.yaml"), config.replacen("epochs: 2", "epochs: 3", 1)).unwrap();
     refused("train", folder.path(), &resume, "run/config.yaml was changed after the run began: ppo.epochs: 3 and 2");
-    assert!(text("run/config.yaml").contains("epochs: 3"), "what somebody wrote is lost");
+    assert!(text("run/config.yaml").contains("epochs: 3"), "the edited file was overwritten");
     // Nor is the faulty edit.
     std::fs::write(at("run/config.yaml"), config.replacen("epochs: 2", "epochs: 2e1", 1)).unwrap();
     refused("train", folder.path(), &resume, "run/config.yaml, line ");
-    assert!(text("run/config.yaml").contains("epochs: 2e1"), "what somebody wrote is lost");
+    assert!(text("run/config.yaml").contains("epochs: 2e1"), "the edited file was overwritten");
     std::fs::write(at("run/config.yaml"), &config).unwrap();
 
     let checkpoint = std::fs::read(at("run/checkpoint.safetensors")).unwrap();

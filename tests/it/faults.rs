@@ -70,7 +70,7 @@ fn a_folder_that_is_removed_under_a_run_ends_it_with_one_line() {
     while std::fs::remove_dir_all(folder.path().join("run")).is_err() {}
     let output = child.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(2));
-    assert!(complaint(&output).contains("somebody has removed run"), "{}", complaint(&output));
+    assert!(complaint(&output).contains("run was removed while training"), "{}", complaint(&output));
 }
 
 #[test]

@@ -112,7 +112,7 @@ impl Killer {
 
     /// Says what was done.
     pub fn report(&self, what: &str) {
-        println!("{what}: {:?}; all as if nobody had touched them", self.tally);
+        println!("{what}: {:?}; all have the same bits as without kills", self.tally);
     }
 }
 

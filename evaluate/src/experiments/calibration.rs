@@ -29,7 +29,7 @@ const SLOPE_ERROR: &str = "slope_error";
 const SLOPE_BOUND: f64 = 0.1;
 
 /// Faster than this, a robot is not led: pulls that would do so test the bound, not the calibration [m/s].
-const LED_M_S: f64 = 0.5;
+const LARGEST_ERROR_M_S: f64 = 0.5;
 
 pub(super) const INFO: Info = Info {
     id: "E13",
@@ -37,10 +37,10 @@ pub(super) const INFO: Info = Info {
     name: "calibration",
     title: "Compliance as commanded",
     paper: "not in the paper",
-    method: "The robot is told by how much it is to yield, standing and walking at 0.5 m/s, and is pulled by constant \
+    method: "The robot is commanded a compliance, standing and walking at 0.5 m/s, and is pulled by constant \
              horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last seconds of \
              the pull. Lines are fitted to each policy's means over all directions, over the commanded compliance c and the \
-             forces F, as far as c·F is at most 0.5 m/s: no robot is led faster than it can walk. Told so, it is also pushed to the \
+             forces F, as far as c·F is at most 0.5 m/s: no robot is pulled faster than it can walk. With the same commands, it is also pushed to the \
              left by 0.5 m/s: an ideal one takes 2.3·m·c until a tenth is left.",
     quantities: QUANTITIES,
 };
@@ -68,7 +68,7 @@ pub struct Calibration {
 }
 
 /// Returns the compliance commanded in a condition [m/s/N] and the pull \[N\], if there is one.
-fn told(condition: &Condition) -> (f64, Option<f64>) {
+fn commanded(condition: &Condition) -> (f64, Option<f64>) {
     let force = match &condition.scenario {
         Scenario::Leash(leash) => Some(leash.force_n),
         _ => None,
@@ -98,10 +98,10 @@ impl Calibration {
         let mut lines = vec![PerSeed::new(); LINE.len()];
         for seed in results.sets[set].keys() {
             let point = |sides: &[usize]| {
-                let (c, force) = told(&results.conditions[*sides.first()?]);
+                let (c, force) = commanded(&results.conditions[*sides.first()?]);
                 let of = |condition: &usize| results.per_seed(set, *condition, MEASURED.name).get(seed).copied();
                 let measured: Option<Vec<f64>> = sides.iter().map(of).collect();
-                (c * force? <= LED_M_S + 1e-9).then_some([c, mean(measured?.into_iter())?])
+                (c * force? <= LARGEST_ERROR_M_S + 1e-9).then_some([c, mean(measured?.into_iter())?])
             };
             let conditions: Vec<usize> = self.pulls(command).collect();
             let points: Vec<[f64; 2]> = conditions.chunks(self.directions as usize).filter_map(point).collect();
@@ -117,8 +117,8 @@ impl Calibration {
     fn curve(&self, results: &Results, set: usize, command: usize) -> Vec<[f64; 4]> {
         let of = |c: &f64| {
             let at = self.pulls(command).filter(|condition| {
-                let (told, force) = told(&results.conditions[*condition]);
-                told == *c && force.is_some_and(|force| c * force <= LED_M_S + 1e-9)
+                let (compliance, force) = commanded(&results.conditions[*condition]);
+                compliance == *c && force.is_some_and(|force| c * force <= LARGEST_ERROR_M_S + 1e-9)
             });
             let spread = |condition| Spread::of(&results.per_seed(set, condition, MEASURED.name));
             let means: Vec<f64> = at.filter_map(spread).map(|spread| spread.mean).collect();

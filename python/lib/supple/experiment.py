@@ -25,7 +25,7 @@ class Experiment(NamedTuple):
     values: NDArray[np.float64]
     """Shape (conditions, trials, quantities); NaN where a trial does not define one."""
     ends: NDArray[np.str_]
-    """How each trial ended, shape (conditions, trials): upright, fell, fault, or out_of_reach of what the policy can be told."""
+    """How each trial ended, shape (conditions, trials): upright, fell, fault, or out_of_reach (the commanded compliance is out of the policy's range)."""
 
     def mean(self, quantity: str) -> NDArray[np.float64]:
         """Mean over the trials that define the quantity, for each condition; NaN if there are none."""

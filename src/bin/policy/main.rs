@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
-use supple::policy::compliance::{ComplianceError, Led, PolicyCalibration};
+use supple::policy::compliance::{ComplianceError, ObservationOuterLoop, PolicyCalibration};
 use supple::policy::{AgentError, Buffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{Robot, joint_names, joint_table};
@@ -161,13 +161,13 @@ fn run(command: Command) -> anyhow::Result<()> {
             let agent = shipped::find(&name)?;
             let calibration = agent.calibration.clone();
             let policy = agent.into_policy().ok_or_else(|| AgentError::External { name: name.clone() })?;
-            let led = match (compliance, calibration) {
+            let outer_loop = match (compliance, calibration) {
                 (0.0, _) => None,
                 (_, None) => Some(Err(ComplianceError::NotCalibrated)),
-                (_, Some(calibration)) => Some(Led::new(&policy, calibration, compliance)),
+                (_, Some(calibration)) => Some(ObservationOuterLoop::new(&policy, calibration, compliance)),
             };
-            let led = led.transpose().with_context(|| format!("--compliance {compliance} with {name}"))?;
-            answer(&policy, led)?;
+            let outer_loop = outer_loop.transpose().with_context(|| format!("--compliance {compliance} with {name}"))?;
+            answer(&policy, outer_loop)?;
         }
         Command::List => list()?,
         Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
@@ -225,7 +225,7 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
 }
 
 /// One line of joint targets for each line of observations.
-fn answer(policy: &Policy, mut led: Option<Led>) -> anyhow::Result<()> {
+fn answer(policy: &Policy, mut outer_loop: Option<ObservationOuterLoop>) -> anyhow::Result<()> {
     let (mut buffers, length) = (Buffers::default(), policy.layout().length());
     for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {
         let line = line.with_context(|| format!("standard input, line {}", index + 1))?;
@@ -233,8 +233,8 @@ fn answer(policy: &Policy, mut led: Option<Led>) -> anyhow::Result<()> {
         let mut observation: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
         let found = observation.len();
         anyhow::ensure!(found == length, "line {}: {found} numbers, expected {length}; see `policy show`", index + 1);
-        if let Some(led) = &mut led {
-            led.lead(&mut observation);
+        if let Some(outer_loop) = &mut outer_loop {
+            outer_loop.apply(&mut observation);
         }
         let targets = policy.joint_targets(&observation, &mut buffers);
         if let Some(joint) = targets.iter().position(|target| !target.is_finite()) {

@@ -97,10 +97,10 @@ fn run(args: Args, ranks: &Arc<dyn Ranks>) -> anyhow::Result<()> {
     let path = folder.path().display();
     if let Err(error) = outcome {
         let way_on = if !folder.path().exists() {
-            format!("somebody has removed {path}, and the run with it")
+            format!("{path} was removed while training, and the run with it")
         } else if matches!(error.downcast_ref(), Some(TrainError::Learner { .. })) {
-            "to go on from its checkpoint would be the same again: start anew with another --seed, or with a \
-             configuration that learns more carefully (a lower ppo.max_learning_rate or ppo.desired_kl)"
+            "resuming would fail the same way; start a new run with another --seed or a lower learning rate \
+             (ppo.max_learning_rate, ppo.desired_kl)"
                 .to_owned()
         } else {
             format!("the checkpoint of iteration {saved} is whole, go on from it with: {}", resuming(folder.path()))

@@ -245,8 +245,8 @@ impl Survey {
         Element { name: "actuator".into(), attributes: Vec::new(), children: (0..JOINTS).map(motor).collect() }
     }
 
-    /// Positions at the start: those of `stand_qpos`, of the keyframe `home` (or the first), or the description's pose;
-    /// set down on the ground by its lowest foot; and whether somebody has chosen them.
+    /// Returns the positions at the start (those of `stand_qpos`, of the keyframe `home` or the first one, or the
+    /// description's pose, set down on the ground by the lowest foot), and whether the file or its description gives them.
     fn start(&self, description: &Description, report: &mut Vec<String>) -> Result<(Vec<f64>, bool), String> {
         let model = &self.model;
         let fail = |error: crate::mujoco::Error| error.to_string();

@@ -27,8 +27,8 @@ const OUTPUT: &str = "Output";
 #[derive(Parser, Debug)]
 #[command(version)]
 pub struct Args {
-    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy; with @C behind it, this robot is told
-    /// the compliance C (m/s/N) instead of --compliance [default: compliant]
+    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy; with @C behind it, this robot has
+    /// the commanded compliance C (m/s/N) instead of --compliance [default: compliant]
     #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME[@C]", value_parser = path_as_text())]
     pub policy: Option<String>,
     /// Second policy in the same recording, `none` for none [default: baseline, if --policy is not given and both ship]

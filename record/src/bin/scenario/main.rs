@@ -17,7 +17,7 @@ use recording::Recording;
 use seeds::OfSeeds;
 use supple::estimate::contact::ContactNetwork;
 use supple::policy::Agent;
-use supple::policy::compliance::told;
+use supple::policy::compliance::split_compliance;
 use supple::policy::shipped;
 use supple::robot::Robot;
 use supple::scenario::catalog::Scenario;
@@ -65,7 +65,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
         robots.iter_mut().for_each(|(_, agent)| agent.config.robot.set_losses(joints.into()));
     }
     for (name, agent) in &robots {
-        agent.check_compliance(agent.told).with_context(|| name.clone())?;
+        agent.check_compliance(agent.commanded_compliance).with_context(|| name.clone())?;
     }
     let scripts = scripts(args, scenario, &robots, args.seed)?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
@@ -113,7 +113,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
 fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u64) -> anyhow::Result<Vec<Script>> {
     let script = |(_, agent): &(String, Agent)| -> anyhow::Result<Script> {
         let mut script = scenario.script(seed, &agent.config)?;
-        script.command.compliance = agent.told;
+        script.command.compliance = agent.commanded_compliance;
         Ok(script)
     };
     robots.iter().map(script).collect::<anyhow::Result<_>>().map_err(|error| match &args.params {
@@ -179,11 +179,11 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 /// The policies to play, by name; told a compliance [m/s/N] unless they say one themselves.
 fn robots(args: &Args, compliance: f64) -> anyhow::Result<Vec<(String, Agent)>> {
     let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
-        let (file, own) = told(asked);
+        let (file, own) = split_compliance(asked);
         let stem = paths::as_path(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let label = stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..];
         let mut agent = shipped::find(file)?;
-        agent.told = own.unwrap_or(compliance);
+        agent.commanded_compliance = own.unwrap_or(compliance);
         Ok((label, agent))
     };
     let first = args.policy.as_deref().unwrap_or("compliant");

@@ -39,7 +39,7 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
         json!({ "scenario": "session", "revision": git_revision(), "units": output::units(&outcomes), "runs": runs })
     })?;
     match playback.is_as_it_was() {
-        Some(false) => anyhow::bail!("it did not end as it had: this program, or this machine, computes otherwise"),
+        Some(false) => anyhow::bail!("the final state differs from the original: this program or this machine computes other numbers"),
         Some(true) | None => Ok(()),
     }
 }
