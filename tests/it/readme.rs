@@ -1,4 +1,4 @@
-//! Numbers in the README are those of `docs/results.md`.
+//! Numbers in the README are those of `research/results.md`.
 
 use crate::support::repository;
 
@@ -19,7 +19,7 @@ fn numbers(text: &str) -> Vec<&str> {
 #[test]
 fn every_number_of_the_readmes_table_is_that_of_its_claim_in_the_results() {
     let read = |path: &str| std::fs::read_to_string(repository(path)).unwrap();
-    let (readme, results) = (read("README.md"), read("docs/results.md"));
+    let (readme, results) = (read("README.md"), read("research/results.md"));
     for (row, claim) in ROWS {
         let row = readme.lines().find_map(|line| line.strip_prefix(row)).unwrap_or_else(|| panic!("no row {row}"));
         let claim = results.lines().find(|line| line.contains(claim)).unwrap_or_else(|| panic!("no claim {claim}"));

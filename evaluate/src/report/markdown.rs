@@ -78,11 +78,11 @@ pub fn beside_table(report: &Report) -> String {
     grid(&columns, rows.into_iter())
 }
 
-/// `docs/results.md`, which looks for its figures in `images/`.
+/// `research/results.md`, which looks for its figures in `images/`.
 pub fn document(report: &Report) -> String {
     let mut text = format!(
         "# The paper's claims and our numbers\n\n\
-         Made by `{}`; not edited by hand. [experiments.md](experiments.md) defines every number. A cell is the mean ± \
+         Made by `{}`; not edited by hand. [experiments.md](../docs/experiments.md) defines every number. A cell is the mean ± \
          standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
          intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
         report.command.of(None),
