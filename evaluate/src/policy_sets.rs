@@ -158,9 +158,13 @@ impl Contest {
             }
         }
         for side in &sides {
-            if let Some(compliance) = side.members.iter().map(|member| member.agent.commanded_compliance).find(|compliance| *compliance > 0.0) {
+            if let Some(compliance) =
+                side.members.iter().map(|member| member.agent.commanded_compliance).find(|compliance| *compliance > 0.0)
+            {
                 let name = &side.name;
-                notes.push(format!("{name} has a commanded compliance of {compliance} m/s/N in trials that command none"));
+                notes.push(format!(
+                    "{name} has a commanded compliance of {compliance} m/s/N in trials that command none"
+                ));
             }
             for (index, member) in side.members.iter().enumerate() {
                 let is_same = |other: &&Contestant| other.agent.sha256 == member.agent.sha256;

@@ -147,7 +147,9 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "seed": contestant.seed,
     });
     // A calibration does not affect trials without commanded compliance.
-    if contestant.agent.commanded_compliance > 0.0 || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0) {
+    if contestant.agent.commanded_compliance > 0.0
+        || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0)
+    {
         parts["compliance"] = serde_json::json!([contestant.agent.commanded_compliance, contestant.agent.calibration]);
     }
     if sensing == Sensing::Estimated {

@@ -85,7 +85,13 @@ impl Agent {
 
     /// A policy that is in no file of ours, with what it runs with. Its identity is for what keeps results by policy.
     pub fn external(inference: Inference, config: Config, sha256: String) -> Self {
-        Agent { config, sha256, calibration: None, commanded_compliance: 0.0, kind: Kind::External(Box::new(inference)) }
+        Agent {
+            config,
+            sha256,
+            calibration: None,
+            commanded_compliance: 0.0,
+            kind: Kind::External(Box::new(inference)),
+        }
     }
 
     /// The path of a robot that does not ship starts beside the policy; in a run's folder the robot may lie where the run had it.

@@ -56,7 +56,9 @@ pub enum ComplianceError {
         high: f64,
     },
     /// The policy does not observe a quantity that the outer loop needs.
-    #[error("compliance control needs '{name}', which this policy does not observe; run the outer loop in your own controller")]
+    #[error(
+        "compliance control needs '{name}', which this policy does not observe; run the outer loop in your own controller"
+    )]
     NotSeen {
         /// The number.
         name: String,

@@ -166,7 +166,8 @@ fn run(command: Command) -> anyhow::Result<()> {
                 (_, None) => Some(Err(ComplianceError::NotCalibrated)),
                 (_, Some(calibration)) => Some(ObservationOuterLoop::new(&policy, calibration, compliance)),
             };
-            let outer_loop = outer_loop.transpose().with_context(|| format!("--compliance {compliance} with {name}"))?;
+            let outer_loop =
+                outer_loop.transpose().with_context(|| format!("--compliance {compliance} with {name}"))?;
             answer(&policy, outer_loop)?;
         }
         Command::List => list()?,

@@ -39,7 +39,9 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
         json!({ "scenario": "session", "revision": git_revision(), "units": output::units(&outcomes), "runs": runs })
     })?;
     match playback.is_as_it_was() {
-        Some(false) => anyhow::bail!("the final state differs from the original: this program or this machine computes other numbers"),
+        Some(false) => anyhow::bail!(
+            "the final state differs from the original: this program or this machine computes other numbers"
+        ),
         Some(true) | None => Ok(()),
     }
 }
