@@ -351,6 +351,17 @@ fn seeds_give_means_and_spread_of_the_numbers_that_each_gives_alone() {
 }
 
 #[test]
+fn csv_quotes_the_name_of_a_policy() {
+    let folder = tempfile::tempdir().unwrap();
+    let shipped = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../policies/compliant-seed0.safetensors");
+    std::fs::copy(shipped, folder.path().join("a,b.safetensors")).unwrap();
+    let arguments = ["walk", "--policy", "a,b.safetensors", "--duration-s", "0.1", "--no-record", "--csv", "-"];
+    let output = run("scenario", folder.path(), &arguments);
+    let text = String::from_utf8(output.stdout).unwrap();
+    assert!(text.lines().nth(1).is_some_and(|row| row.starts_with("\"a,b\",")), "{text}");
+}
+
+#[test]
 fn csv_is_whole_or_absent_on_a_full_disk() {
     let folder = tempfile::tempdir().unwrap();
     let base = ["walk", "--policy", "compliant", "--duration-s", "1", "--no-record"];

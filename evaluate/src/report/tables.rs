@@ -4,56 +4,64 @@ use super::Report;
 use crate::findings::{Lines, Table};
 use crate::statistics::{Comparison, IntervalEstimate};
 
-/// A table.
+/// Returns a table as CSV.
 pub fn csv(table: &Table, names: &[String]) -> String {
-    let mut text = format!("condition,quantity,unit,paper,{}\n", header(names));
-    for row in &table.rows {
-        let cells = [&row.condition, row.quantity.name, row.quantity.unit, &row.paper].map(quoted);
-        text.push_str(&format!("{},{}\n", cells.join(","), numbers(&row.comparison.scaled(row.quantity.scale()))));
-    }
-    text
+    let head = strings(["condition", "quantity", "unit", "paper"]).chain(header(names)).collect();
+    let rows = table.rows.iter().map(|row| {
+        let cells = strings([&row.condition, row.quantity.name, row.quantity.unit, &row.paper]);
+        cells.chain(numbers(&row.comparison.scaled(row.quantity.scale()))).collect()
+    });
+    written(head, rows)
 }
 
-/// Lines of a figure, a point in each line of the file.
+/// Returns the lines of a figure as CSV, one row for each point.
 pub fn points_csv(lines: &Lines) -> String {
-    let mut text = format!("line,{}\n", lines.columns.join(","));
-    for line in &lines.lines {
-        for row in &line.rows {
-            let cells: Vec<String> = row.iter().map(|value| cell(Some(*value))).collect();
-            text.push_str(&format!("{},{}\n", quoted(&line.label), cells.join(",")));
-        }
-    }
-    text
+    let head = strings(["line"]).chain(lines.columns.iter().map(|column| (*column).to_owned())).collect();
+    let points = lines.lines.iter().flat_map(|line| {
+        line.rows.iter().map(|row| strings([&*line.label]).chain(row.iter().map(|value| cell(Some(*value)))).collect())
+    });
+    written(head, points)
 }
 
-/// The claims of all experiments.
+/// Returns the claims of all experiments as CSV.
 pub fn claims_csv(report: &Report) -> String {
-    let mut text = format!("experiment,claim,paper,quantity,unit,{},verdict\n", header(&report.names));
-    for section in &report.sections {
-        for claim in &section.findings.claims {
+    let head = strings(["experiment", "claim", "paper", "quantity", "unit"]);
+    let head = head.chain(header(&report.names)).chain(strings(["verdict"])).collect();
+    let rows = report.sections.iter().flat_map(|section| {
+        section.findings.claims.iter().map(|claim| {
             let quantity = claim.quantity;
-            let cells = [section.info.id, &claim.text, &claim.paper, quantity.name, quantity.unit].map(quoted);
+            let cells = strings([section.info.id, &claim.text, &claim.paper, quantity.name, quantity.unit]);
             let numbers = numbers(&claim.comparison.scaled(quantity.scale()));
-            text.push_str(&format!("{},{numbers},{}\n", cells.join(","), quoted(claim.verdict.text())));
-        }
+            cells.chain(numbers).chain(strings([claim.verdict.text()])).collect()
+        })
+    });
+    written(head, rows)
+}
+
+fn written(head: Vec<String>, rows: impl Iterator<Item = Vec<String>>) -> String {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    for row in std::iter::once(head).chain(rows) {
+        // Into memory, rows of one length: this cannot fail.
+        let _ = writer.write_record(row);
     }
-    text
+    String::from_utf8(writer.into_inner().unwrap_or_default()).unwrap_or_default()
 }
 
-fn header(names: &[String]) -> String {
-    let of = |name: &String| {
+fn strings<const N: usize>(texts: [&str; N]) -> impl Iterator<Item = String> {
+    texts.map(str::to_owned).into_iter()
+}
+
+fn header(names: &[String]) -> impl Iterator<Item = String> {
+    let sets = names.iter().flat_map(|name| {
         let name = name.replace([',', '"'], "_");
-        format!("{name}_mean,{name}_sd,{name}_seeds")
-    };
-    let sets: Vec<String> = names.iter().map(of).collect();
-    format!(
-        "{},pairs,trials_used,trials,difference,difference_low,difference_high,relative,relative_low,relative_high",
-        sets.join(",")
-    )
+        ["mean", "sd", "seeds"].map(|what| format!("{name}_{what}"))
+    });
+    sets.chain(strings(["pairs", "trials_used", "trials", "difference", "difference_low", "difference_high"]))
+        .chain(strings(["relative", "relative_low", "relative_high"]))
 }
 
-/// A relative change is 0.1 for 10 %.
-fn numbers(comparison: &Comparison) -> String {
+/// Returns the cells of a comparison. A relative change is 0.1 for 10 %.
+fn numbers(comparison: &Comparison) -> Vec<String> {
     let mut cells = Vec::new();
     for spread in comparison.sets.iter().map(|set| set.spread) {
         cells.push(cell(spread.map(|spread| spread.mean)));
@@ -70,13 +78,9 @@ fn numbers(comparison: &Comparison) -> String {
         };
         cells.extend([cell(estimate.map(|estimate| estimate.value)), cell(end(0)), cell(end(1))]);
     }
-    cells.join(",")
+    cells
 }
 
 fn cell(value: Option<f64>) -> String {
     value.map_or(String::new(), |value| format!("{value:.6}"))
-}
-
-fn quoted(text: &str) -> String {
-    if text.contains([',', '"', '\n']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text.to_owned() }
 }

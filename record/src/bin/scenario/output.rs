@@ -174,23 +174,32 @@ fn rope_force_n(frame: &Frame) -> f64 {
     frame.rope.as_ref().map_or(of_spring, |rope| rope.force_n)
 }
 
-/// Columns of what the robot knows; empty where it acts on its true state.
-const ESTIMATED: &str = "estimated_x_m,estimated_y_m,estimated_height_m,estimated_base_x_m_s,estimated_base_y_m_s,\
-                         estimated_base_z_m_s";
+/// Columns of the state estimated from sensors; empty where the policy acts on the true state.
+const ESTIMATED: [&str; 6] = [
+    "estimated_x_m",
+    "estimated_y_m",
+    "estimated_height_m",
+    "estimated_base_x_m_s",
+    "estimated_base_y_m_s",
+    "estimated_base_z_m_s",
+];
 
 /// Writes the traces as CSV, one row for each policy step.
 pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<()> {
-    writeln!(file, "policy,{},{ESTIMATED}", COLUMNS.map(|(name, _)| name).join(","))?;
+    let mut table = csv::Writer::from_writer(file);
+    table.write_record(["policy"].into_iter().chain(COLUMNS.map(|(name, _)| name)).chain(ESTIMATED))?;
     for outcome in outcomes {
         for frame in &outcome.trace.frames {
-            let numbers = COLUMNS.iter().map(|(_, of)| of(frame).to_string());
-            let estimated: [String; 6] = frame.sensed.map_or_else(Default::default, |sensed| {
+            table.write_field(&outcome.policy)?;
+            for (_, value) in COLUMNS {
+                table.write_field(value(frame).to_string())?;
+            }
+            let estimated = frame.sensed.map(|sensed| {
                 let ([x, y, _], [u, v, w]) = (sensed.position, sensed.velocity);
                 [x, y, sensed.height_m, u, v, w].map(|value| value.to_string())
             });
-            let row: Vec<String> = numbers.chain(estimated).collect();
-            writeln!(file, "{},{}", outcome.policy, row.join(","))?;
+            table.write_record(estimated.unwrap_or_default())?;
         }
     }
-    Ok(())
+    table.flush()
 }
