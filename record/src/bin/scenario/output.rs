@@ -190,7 +190,7 @@ pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<(
     table.write_record(["policy"].into_iter().chain(COLUMNS.map(|(name, _)| name)).chain(ESTIMATED))?;
     for outcome in outcomes {
         for frame in &outcome.trace.frames {
-            table.write_field(&outcome.policy)?;
+            table.write_field(outcome.policy)?;
             for (_, value) in COLUMNS {
                 table.write_field(value(frame).to_string())?;
             }
