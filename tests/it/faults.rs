@@ -164,7 +164,7 @@ fn nonfinite_gradient_stops_the_run_with_a_whole_checkpoint() {
     let words = complaint(&output);
     assert!(words.contains("training failed; what led there is in run/fault.json"), "{words}");
     // Resuming would do the same again.
-    assert!(words.contains("start anew with another --seed") && !words.contains("--resume run"), "{words}");
+    assert!(words.contains("start a new run with another --seed") && !words.contains("--resume run"), "{words}");
     assert_eq!(words.lines().count(), 1);
     let read = |name: &str| std::fs::read_to_string(folder.path().join("run").join(name)).unwrap();
     let told: serde_json::Value = serde_json::from_str(&read("fault.json")).unwrap();
