@@ -198,7 +198,7 @@ fn scenario_refuses_bad_input_with_exit_code_2() {
         (&["walk", "--policy", "standing.safetensors", "--compliance", "0.02"], "run `policy calibrate`"),
         (&["walk", "--policy", "baseline", "--compliance", "0.5"], "baseline: compliance 0.5"),
         (&["walk", "--policy", "compliant", "--compare", "baseline@0.5"], "baseline@0.5: compliance 0.5"),
-        (&["walk", "--policy", "baseline@-1"], "baseline@-1: a compliance of -1"),
+        (&["walk", "--policy", "baseline@-1"], "baseline@-1: compliance -1"),
         (
             &["terrain", "--policy", "standing.safetensors", "--duration-s", "100"],
             "--duration-s is 100, expected a way",
