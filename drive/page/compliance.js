@@ -1,9 +1,9 @@
 // Commanded compliance: a slider for each robot, over the range of its policy.
 
-/** The compliance for a slider position: far left the policy's own (0), elsewhere the nearest within the range. */
-const meaning = (value, [low, high]) => (value < low / 2 ? 0 : Math.min(Math.max(value, low), high));
+/** The compliance for a slider position: far left the policy's own (null), elsewhere the nearest within the range. */
+const meaning = (value, [low, high]) => (value < low / 2 ? null : Math.min(Math.max(value, low), high));
 
-const inWords = (compliance, own) => (compliance ? compliance.toFixed(3) : `own, ${own.toFixed(3)}`);
+const inWords = (compliance, own) => (compliance !== null ? compliance.toFixed(3) : `own, ${own.toFixed(3)}`);
 
 /** Shows a slider for each robot; calls `tell(robot, compliance)` when one is released. */
 export function show(list, robots, tell) {
@@ -24,7 +24,7 @@ export function show(list, robots, tell) {
     slider.oninput = () => (said.textContent = inWords(meaning(slider.valueAsNumber, range), own));
     slider.onchange = () => tell(robot, meaning(slider.valueAsNumber, range));
     if (slider.matches(":active, :focus")) return;
-    slider.value = compliance;
+    slider.value = compliance ?? 0;
     said.textContent = inWords(compliance, own);
   });
 }

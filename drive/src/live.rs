@@ -250,7 +250,7 @@ impl Live {
                 // Other rates, gains or latency need a new scene.
                 let mut setup = self.world.setup().clone();
                 let seat = &mut setup.robots[robot];
-                (seat.sha256, seat.compliance) = (sha256.clone(), 0.0);
+                (seat.sha256, seat.compliance) = (sha256.clone(), None);
                 Input::Setup(setup)
             };
             self.set_up(input)?;

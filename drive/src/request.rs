@@ -30,12 +30,12 @@ pub enum Request {
     },
     /// Pulling force in the heading frame, forward and left \[N\]; `None` ends the pull.
     Pull(Option<[f64; 2]>),
-    /// Commanded compliance of a robot [m/s/N]; zero leaves the policy's own.
+    /// Commanded compliance of a robot [m/s/N]; null leaves the policy its own.
     Comply {
         /// Index of the robot: 0 or 1.
         robot: usize,
         /// Compliance [m/s/N].
-        compliance: f64,
+        compliance: Option<f64>,
     },
     /// Put all robots back to the start.
     Reset,
@@ -83,7 +83,7 @@ impl Request {
             Request::Push { size: numbers, .. } | Request::Pull(Some(numbers)) => {
                 numbers.iter().all(|number| number.is_finite())
             }
-            Request::Comply { compliance, .. } => compliance.is_finite(),
+            Request::Comply { compliance, .. } => compliance.is_none_or(f64::is_finite),
             Request::Speed(speed) => (0.05..=1.0).contains(speed),
             _ => true,
         };
@@ -154,8 +154,8 @@ pub struct RobotStatus {
     pub position: [f64; 3],
     /// Current velocity in the heading frame: forward [m/s], left [m/s], yaw rate [rad/s].
     pub velocity: [f64; 3],
-    /// Commanded compliance [m/s/N]; zero leaves the policy's own.
-    pub compliance: f64,
+    /// Commanded compliance [m/s/N]; null for the policy's own.
+    pub compliance: Option<f64>,
     /// Range of commanded compliance, and own compliance [m/s/N]; `None` if the policy is not calibrated.
     pub reach: Option<([f64; 2], f64)>,
     /// Number of falls.

@@ -276,7 +276,7 @@ fn newer_policy_of_run_takes_over_while_driving() {
     page.notice("run: now walks with the newer policy of its run");
     page.ask_for([0.4, 0.0, 0.0], Duration::from_millis(500));
     // The newer policy is not calibrated.
-    assert_eq!(page.state["robots"][0]["compliance"], 0.0);
+    assert_eq!(page.state["robots"][0]["compliance"], Value::Null);
     assert!(page.state["robots"][0]["reach"].is_null());
     page.send(&json!({ "keep": "all" }));
     page.notice("drive-1.jsonl");

@@ -51,13 +51,11 @@ pub enum ContestantError {
     #[error(transparent)]
     Agent(#[from] AgentError),
     /// The commanded compliance is out of the policy's range.
-    #[error("{} at @{compliance}: {source}", file.display())]
+    #[error("{}: {source}", file.display())]
     Compliance {
         /// The policy.
         file: PathBuf,
-        /// [m/s/N]
-        compliance: f64,
-        /// Why.
+        /// The reason.
         source: ComplianceError,
     },
 }
@@ -125,7 +123,7 @@ impl Contest {
             }
         }
         let side = |(name, files): (&String, _)| {
-            Side::load(name, folder, files, 0.0, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+            Side::load(name, folder, files, None, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
         let further = also.iter().map(|(name, path)| Side::of_path(name, path));
         Ok(Self::new(names.iter().zip(files).map(side).chain(further).collect::<Result<_, _>>()?, notes))
@@ -158,9 +156,7 @@ impl Contest {
             }
         }
         for side in &sides {
-            if let Some(compliance) =
-                side.members.iter().map(|member| member.agent.commanded_compliance).find(|compliance| *compliance > 0.0)
-            {
+            if let Some(compliance) = side.members.iter().find_map(|member| member.agent.commanded_compliance) {
                 let name = &side.name;
                 notes.push(format!(
                     "{name} has a commanded compliance of {compliance} m/s/N in trials that command none"
@@ -233,14 +229,14 @@ impl Side {
             }
         };
         let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-        Side::load(name, path, files, compliance.unwrap_or(0.0), || "*.safetensors or *.yaml".into())
+        Side::load(name, path, files, compliance, || "*.safetensors or *.yaml".into())
     }
 
     fn load(
         name: &str,
         folder: &Path,
         files: Vec<(Option<u64>, PathBuf)>,
-        compliance: f64,
+        compliance: Option<f64>,
         wanted: impl Fn() -> String,
     ) -> Result<Self, ContestantError> {
         if files.is_empty() {
@@ -249,10 +245,10 @@ impl Side {
         let mut members: Vec<Contestant> = Vec::new();
         for (seed, file) in files {
             let mut agent = shipped::find(&paths::as_text(&file))?;
-            if let Err(source) = agent.check_compliance(compliance) {
-                return Err(ContestantError::Compliance { file, compliance, source });
-            }
             agent.commanded_compliance = compliance;
+            if let Err(source) = agent.resolve_compliance(None, None) {
+                return Err(ContestantError::Compliance { file, source });
+            }
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());

@@ -147,8 +147,8 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "seed": contestant.seed,
     });
     // A calibration does not affect trials without commanded compliance.
-    if contestant.agent.commanded_compliance > 0.0
-        || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0)
+    if contestant.agent.commanded_compliance.is_some()
+        || conditions.iter().any(|condition| condition.scenario.task().compliance.is_some())
     {
         parts["compliance"] = serde_json::json!([contestant.agent.commanded_compliance, contestant.agent.calibration]);
     }

@@ -146,7 +146,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
-/// Plays a trial of an experiment; the agent's commanded compliance applies where the condition has none.
+/// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.
 ///
 /// # Errors
 /// [`TrialError`]
@@ -159,11 +159,11 @@ pub fn play(
 ) -> Result<Sample, TrialError> {
     let scenario = vary(&condition.scenario, seed);
     let mut script = scenario.script(seed, &agent.config)?;
-    script.command_compliance(agent.commanded_compliance);
-    if agent.check_compliance(script.command.compliance).is_err() {
+    let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else {
         let values = vec![None; experiment.info().quantities.len()];
         return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), estimation: None });
-    }
+    };
+    script.command.compliance = compliance;
     // End the playback at the last measured instant or at the fall.
     script.duration_s = experiment.until_s(&script);
     script.after_fall_s = 0.0;
@@ -195,7 +195,7 @@ mod tests {
         let protocol = Protocol::quick().unwrap();
         let mut condition = protocol.leash.conditions().unwrap().remove(0);
         let Scenario::Leash(leash) = &mut condition.scenario else { panic!("{condition:?}") };
-        leash.task.compliance = 0.03;
+        leash.task.compliance = Some(0.03);
         let mut agent = supple::policy::shipped::find("compliant").unwrap();
         let mut play = |low: f64| {
             let point = |measured| Point { setting: measured, measured };
@@ -217,19 +217,6 @@ mod tests {
             assert_eq!(grid.until_s(&script), script.pushes[0].time_s + grid.watch_s);
             assert!(grid.until_s(&script) < script.duration_s);
         }
-    }
-
-    #[test]
-    fn a_set_commands_its_compliance_where_the_condition_commands_none() {
-        let config = supple::config::Config::load("compliant").unwrap();
-        let commanded = |compliance, of_set| {
-            let mut leash: Leash = defaults("leash").unwrap();
-            leash.task.compliance = compliance;
-            let mut script = Scenario::Leash(leash).script(0, &config).unwrap();
-            script.command_compliance(of_set);
-            script.command.compliance
-        };
-        assert_eq!([commanded(0.0, 0.0), commanded(0.0, 0.03), commanded(0.01, 0.03)], [0.0, 0.03, 0.01]);
     }
 
     #[test]

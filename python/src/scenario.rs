@@ -37,7 +37,9 @@ pub fn run_scenario<'py>(
     let scenario = Scenario::named(name, parameters).map_err(refused)?;
     let sensing = sensing(estimated);
     let (script, trace) = apart(py, || {
-        let script = scenario.script(seed, &policy.agent.config).map_err(unfit)?;
+        let mut script = scenario.script(seed, &policy.agent.config).map_err(unfit)?;
+        script.command.compliance =
+            policy.agent.resolve_compliance(None, script.command.compliance).map_err(refused)?;
         let trace = play(policy, &script, sensing, seed, record.is_some())?;
         if let Some(path) = &record {
             recorded(path, &scenario, policy, &script, &trace)?;

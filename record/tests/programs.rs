@@ -82,7 +82,7 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
     let path = folder.path().join("kept.jsonl");
     let inputs = [
         (240, Input::Push { size: [0.0, 0.5], unit: PushUnit::Velocity }),
-        (1440, Input::Comply { robot: 0, compliance: 0.03 }),
+        (1440, Input::Comply { robot: 0, compliance: Some(0.03) }),
         (1680, Input::Pull(Some([0.0, 10.0]))),
         (1920, Input::Pull(None)),
     ];
@@ -92,7 +92,7 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
     let measured: Value = serde_json::from_slice(&output.stdout).unwrap();
     let of = |name: &str| [0, 1].map(|run| measured["runs"][run]["metrics"][name].clone());
     assert_eq!(measured["runs"].as_array().unwrap().len(), 2);
-    assert_eq!([0, 1].map(|run| measured["runs"][run]["compliance"].clone()), [json!(0.0), json!(0.03)]);
+    assert_eq!([0, 1].map(|run| measured["runs"][run]["compliance"].clone()), [json!(null), json!(0.03)]);
     assert_eq!((of("duration_s"), of("pushes")), ([json!(6.0), json!(3.0)], [json!(1.0), json!(0.0)]));
     assert_eq!((of("push_m_s"), of("pull_n")), ([json!(0.5), Value::Null], [Value::Null, json!(10.0)]));
 

@@ -23,8 +23,6 @@ pub use quantity::Quantity;
 
 use serde::{Deserialize, Serialize};
 
-use crate::util::numbers;
-
 /// The command to a policy, base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Command {
@@ -34,9 +32,10 @@ pub struct Command {
     pub left: f64,
     /// `ω_y*` of the paper [rad/s].
     pub yaw: f64,
-    /// Commanded compliance: velocity per sustained horizontal force [m/s/N]; not in the paper. Zero: none commanded.
-    #[serde(default, skip_serializing_if = "numbers::is_zero")]
-    pub compliance: f64,
+    /// Commanded compliance: velocity per sustained horizontal force [m/s/N]; not in the paper. `None` leaves the policy its
+    /// own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compliance: Option<f64>,
 }
 
 impl Command {

@@ -43,6 +43,12 @@ pub enum AgentError {
         /// The file.
         name: String,
     },
+    /// A compliance is commanded where the policy does not play.
+    #[error("{name}: a compliance is commanded of a policy that plays; expected its name without '@'")]
+    Commanded {
+        /// The requested name.
+        name: String,
+    },
     /// The policy is external.
     #[error("{name} is an external policy: this works with policy files of Supple")]
     External {
@@ -60,8 +66,8 @@ pub struct Agent {
     pub sha256: String,
     /// The measured compliance, if the policy was calibrated.
     pub calibration: Option<PolicyCalibration>,
-    /// The default commanded compliance [m/s/N]; 0 disables compliance control.
-    pub commanded_compliance: f64,
+    /// The compliance commanded behind the policy's name, as in `baseline@0.03` [m/s/N].
+    pub commanded_compliance: Option<f64>,
     kind: Kind,
 }
 
@@ -89,7 +95,7 @@ impl Agent {
             config,
             sha256,
             calibration: None,
-            commanded_compliance: 0.0,
+            commanded_compliance: None,
             kind: Kind::External(Box::new(inference)),
         }
     }
@@ -125,16 +131,19 @@ impl Agent {
         }
     }
 
-    /// Checks that the policy supports a commanded compliance [m/s/N].
+    /// Returns the compliance to command [m/s/N]: the one that is required (by an experiment, or by a session that goes on),
+    /// else the one behind the policy's name, else the scenario's; `None` leaves the policy its own.
     ///
     /// # Errors
-    /// [`ComplianceError`]
-    pub fn check_compliance(&self, compliance: f64) -> Result<(), ComplianceError> {
-        match &self.calibration {
-            Some(calibration) => Ok(calibration.check(compliance)?),
-            None if compliance == 0.0 => Ok(()),
-            None => Err(ComplianceError::NotCalibrated),
-        }
+    /// The policy has not been calibrated, or the compliance is out of its range.
+    pub fn resolve_compliance(
+        &self,
+        required: Option<f64>,
+        scenario: Option<f64>,
+    ) -> Result<Option<f64>, ComplianceError> {
+        let Some(compliance) = required.or(self.commanded_compliance).or(scenario) else { return Ok(None) };
+        self.calibration.as_ref().ok_or(ComplianceError::NotCalibrated)?.check(compliance)?;
+        Ok(Some(compliance))
     }
 
     /// Returns the inference from states to joint targets.
@@ -179,6 +188,6 @@ impl Borrow<Inference> for Shared {
 impl From<Policy> for Agent {
     fn from(policy: Policy) -> Self {
         let (config, sha256) = (policy.provenance.config.clone(), policy.sha256().to_owned());
-        Agent { config, sha256, calibration: None, commanded_compliance: 0.0, kind: Kind::Ours(Box::new(policy)) }
+        Agent { config, sha256, calibration: None, commanded_compliance: None, kind: Kind::Ours(Box::new(policy)) }
     }
 }

@@ -16,6 +16,7 @@ use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
 use crate::task::OuterLoop;
 use crate::util::files::{self, FileError};
+use crate::util::paths;
 
 /// The measured response of a policy to pulls.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -68,8 +69,12 @@ pub enum ComplianceError {
     NotCalibrated,
 }
 
-/// Splits `baseline@0.03` into the policy's name and the optional compliance [m/s/N].
+/// Splits `baseline@0.03` into the policy's name and the commanded compliance [m/s/N], if there is one. The path of a file or
+/// folder that exists is not split.
 pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
+    if paths::as_path(name).exists() {
+        return (name, None);
+    }
     let split = name.rsplit_once('@').and_then(|(name, number)| Some((name, Some(number.parse().ok()?))));
     split.unwrap_or((name, None))
 }
@@ -146,13 +151,13 @@ impl PolicyCalibration {
         [measured(self.points.first()), measured(self.points.last())]
     }
 
-    /// Checks that a commanded compliance [m/s/N] is in the policy's range; zero commands none.
+    /// Checks that a commanded compliance [m/s/N] is in the policy's range.
     ///
     /// # Errors
-    /// [`ComplianceError::OutOfReach`]
+    /// [`ComplianceError::OutOfReach`] if it is not.
     pub fn check(&self, compliance: f64) -> Result<(), ComplianceError> {
         let [low, high] = self.range();
-        let within = compliance == 0.0 || (low..=high).contains(&compliance);
+        let within = (low..=high).contains(&compliance);
         if within { Ok(()) } else { Err(ComplianceError::OutOfReach { found: compliance, low, high }) }
     }
 
@@ -192,9 +197,9 @@ impl CalibratedLoop {
         CalibratedLoop { calibration, outer_loop, low_pass: [0.0; 2] }
     }
 
-    /// Returns the command that makes a policy, walking at `velocity` (forward and left [m/s]), yield as `command` says.
-    fn command(&mut self, velocity: [f64; 2], command: &Command) -> Command {
-        let setting = self.calibration.nearest_setting(command.compliance);
+    /// Returns the command that gives a policy, walking at `velocity` (forward and left [m/s]), this compliance [m/s/N].
+    fn command(&mut self, velocity: [f64; 2], command: &Command, compliance: f64) -> Command {
+        let setting = self.calibration.nearest_setting(compliance);
         self.outer_loop.command(velocity, command, setting, self.calibration.bias(command), &mut self.low_pass)
     }
 }
@@ -237,8 +242,9 @@ impl ObservationOuterLoop {
     /// Replaces the command in the next observation.
     pub fn apply(&mut self, observation: &mut [f64]) {
         let [forward, left, yaw] = self.command.map(|place| observation[place]);
-        let command = Command { compliance: self.compliance, ..Command::velocity(forward, left, yaw) };
-        let command = self.outer_loop.command(self.velocity.map(|place| observation[place]), &command);
+        let command = Command::velocity(forward, left, yaw);
+        let velocity = self.velocity.map(|place| observation[place]);
+        let command = self.outer_loop.command(velocity, &command, self.compliance);
         (observation[self.command[0]], observation[self.command[1]]) = (command.forward, command.left);
     }
 }
@@ -267,10 +273,11 @@ impl Controller for CompliantController<'_> {
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
-        if command.compliance <= 0.0 {
+        let Some(compliance) = command.compliance else {
             return self.policy.joint_targets(state, command);
-        }
-        let command = self.outer_loop.command([state.velocity_in_base.x, state.velocity_in_base.y], command);
+        };
+        let velocity = [state.velocity_in_base.x, state.velocity_in_base.y];
+        let command = self.outer_loop.command(velocity, command, compliance);
         self.policy.joint_targets(state, &command)
     }
 }
@@ -301,7 +308,7 @@ mod tests {
         // A quarter of the way from 0.006 to 0.018.
         assert!((calibration.nearest_setting(0.009) - 0.00875).abs() < 1e-12);
         assert_eq!(calibration.nearest_setting(1.0), 0.02);
-        assert!(calibration.check(0.018).is_ok() && calibration.check(0.0).is_ok());
+        assert!(calibration.check(0.018).is_ok() && calibration.check(0.0).is_err());
         let beyond = ComplianceError::OutOfReach { found: 0.019, low: 0.006, high: 0.018 };
         assert_eq!(calibration.check(0.019), Err(beyond));
         let bias = calibration.bias(&Command::velocity(0.4, 0.0, 0.25));

@@ -8,7 +8,7 @@ use super::onnx;
 use crate::config::{Config, ValueError};
 use crate::network::{PackedMlp, Scratch};
 use crate::observation::{Command, Layout, Moment, Observer};
-use crate::robot::{JOINTS, Joints, RobotState};
+use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
@@ -131,11 +131,11 @@ impl Inference {
         let (mut actions, mut targets) = ([0.0; JOINTS], [0.0; JOINTS]);
         for (index, joint) in self.layout.order().iter().enumerate() {
             actions[index] = f64::from(output[index]).clamp(-clip, *clip);
-            let scaled = scale_rad[index] * actions[index];
-            targets[*joint] = match meaning {
-                Meaning::OffsetFromNominal => nominal_pose[*joint] + scaled,
-                Meaning::JointAngle => scaled,
+            let offset = match meaning {
+                Meaning::OffsetFromNominal => nominal_pose[*joint],
+                Meaning::JointAngle => 0.0,
             };
+            targets[*joint] = joint_target(offset, scale_rad[index], actions[index]);
         }
         (actions, targets)
     }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::policy::compliance::PolicyCalibration;
+use crate::policy::compliance::{PolicyCalibration, split_compliance};
 use crate::policy::{Agent, AgentError, Policy};
 use crate::util::paths;
 
@@ -12,12 +12,20 @@ pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/polic
 /// Name and calibration of those of them that have one.
 const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibrations.rs"));
 
-/// A policy by path of its file, path of a run's folder, path of the YAML file of an external one, or name of a
-/// shipped one; `compliant` stands for the least seed's that ships, `compliant-seed0`.
+/// Finds a policy by the path of its file, of a run's folder or of the YAML file of an external one, or by the name of a
+/// shipped one; `compliant` stands for the least seed that ships, `compliant-seed0`. With `@0.03` behind it, the policy is
+/// commanded a compliance [m/s/N].
 ///
 /// # Errors
-/// [`AgentError`], with the names that there are.
+/// There is no such policy, or its files cannot be read.
 pub fn find(name: &str) -> Result<Agent, AgentError> {
+    let (name, compliance) = split_compliance(name);
+    let mut agent = find_by_name(name)?;
+    agent.commanded_compliance = compliance;
+    Ok(agent)
+}
+
+fn find_by_name(name: &str) -> Result<Agent, AgentError> {
     let path = paths::as_path(name);
     if path.is_dir() {
         return Agent::load(&path.join("policy.safetensors"));
@@ -55,9 +63,13 @@ fn position(names: &[&str], name: &str) -> Option<usize> {
 /// Like [`find`], for functions that need a policy file of Supple.
 ///
 /// # Errors
-/// As [`find`], and if the policy is external.
+/// There is no such policy, its files cannot be read, a compliance is commanded, or the policy is external.
 pub fn find_ours(name: &str) -> Result<Policy, AgentError> {
-    find(name)?.into_policy().ok_or_else(|| AgentError::External { name: name.to_owned() })
+    let agent = find(name)?;
+    if agent.commanded_compliance.is_some() {
+        return Err(AgentError::Commanded { name: name.to_owned() });
+    }
+    agent.into_policy().ok_or_else(|| AgentError::External { name: name.to_owned() })
 }
 
 fn known() -> String {

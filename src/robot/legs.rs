@@ -16,6 +16,11 @@ pub const JOINTS: usize = LEGS.len() * PARTS.len();
 /// One number for each joint.
 pub type Joints = [f64; JOINTS];
 
+/// Returns the joint target that an action means: nominal pose + scale · action \[rad\] (section III-A).
+pub fn joint_target(nominal_rad: f64, scale_rad: f64, action: f64) -> f64 {
+    nominal_rad + scale_rad * action
+}
+
 /// Repeats a leg's three values, from the trunk downwards, for every leg.
 pub fn same_in_every_leg<T: Copy>(of_leg: [T; 3]) -> [T; JOINTS] {
     std::array::from_fn(|joint| of_leg[joint % PARTS.len()])

@@ -21,7 +21,9 @@ pub use extent::Extent;
 use import::Imported;
 pub use import::isolate_imports;
 pub use kinematics::{Foot, Leg};
-pub use legs::{JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, of_leg, opposite, same_in_every_leg};
+pub use legs::{
+    JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, joint_target, of_leg, opposite, same_in_every_leg,
+};
 pub use state::{FootState, Foothold, GRAVITY_M_S2, RobotState};
 
 use crate::mujoco::{Kind, Model};

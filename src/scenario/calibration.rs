@@ -120,7 +120,7 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration,
 
 /// Mean compliance over all sides at a setting [m/s/N]; none if the robot fell.
 fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, CalibrationError> {
-    let command = Command { compliance: setting, ..Command::velocity(0.5, 0.0, 0.0) };
+    let command = Command { compliance: Some(setting), ..Command::velocity(0.5, 0.0, 0.0) };
     let side = |index: u32| 360.0 * f64::from(index) / f64::from(DIRECTIONS);
     let weaker = (LED_M_S / (setting.max(1e-9) * FORCES_N[1])).min(1.0);
     let pulls = FORCES_N.iter().flat_map(|force_n| {

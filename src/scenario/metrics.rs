@@ -110,7 +110,7 @@ pub fn velocity_error(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
 /// Mechanical power over weight times horizontal speed; none of a robot that stands, or is asked to.
 pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let frames = window(trace, from_s, until_s);
-    if frames.clone().all(|frame| Command { compliance: 0.0, ..frame.command } == Command::default()) {
+    if frames.clone().all(|frame| Command { compliance: None, ..frame.command } == Command::default()) {
         return None;
     }
     let power_w = mean(frames.clone(), |frame| frame.power_w)?;

@@ -64,13 +64,6 @@ pub struct Script {
 }
 
 impl Script {
-    /// Sets the commanded compliance [m/s/N] if the script commands none.
-    pub fn command_compliance(&mut self, compliance: f64) {
-        if self.command.compliance == 0.0 {
-            self.command.compliance = compliance;
-        }
-    }
-
     /// Describes the first disturbance that would come after the script's end, if any.
     pub fn too_late(&self) -> Option<String> {
         let push = self.pushes.first().map(|push| ("push", push.time_s));

@@ -14,7 +14,7 @@ use super::TrainError;
 use crate::config::{Config, ValueError};
 use crate::mujoco;
 use crate::observation::{Command, Layout, Moment, Observer};
-use crate::robot::{JOINTS, Joints, Robot, RobotState};
+use crate::robot::{JOINTS, Joints, Robot, RobotState, joint_target};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Scene, Sim, SimState};
 use crate::task::reward;
@@ -299,7 +299,8 @@ impl LocomotionEnv {
 
     fn try_step(&mut self, action: &[f32]) -> mujoco::Result<(EnvStep, Option<EpisodeReport>)> {
         let scale = self.config.action.scale_rad;
-        let target: Joints = std::array::from_fn(|joint| self.nominal[joint] + scale * f64::from(action[joint]));
+        let target: Joints =
+            std::array::from_fn(|joint| joint_target(self.nominal[joint], scale, f64::from(action[joint])));
         self.last_second.note(self.sim.data().positions(), self.sim.data().velocities(), &target);
         let stage = self.stages.at(self.progress.step);
         if self.progress.step == self.stages.recovery_start {

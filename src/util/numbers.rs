@@ -10,12 +10,6 @@ pub fn largest_magnitude(numbers: impl IntoIterator<Item = f64>) -> f64 {
     numbers.into_iter().map(f64::abs).fold(0.0, maximum)
 }
 
-/// Returns true for zero, so that files can leave it out.
-#[allow(clippy::trivially_copy_pass_by_ref)]
-pub fn is_zero(number: &f64) -> bool {
-    *number == 0.0
-}
-
 /// Returns true if all numbers are finite, also in single precision.
 pub fn finite_in_single(numbers: &[f64]) -> bool {
     numbers.iter().all(|number| (*number as f32).is_finite())

@@ -177,20 +177,21 @@ pub fn to_text(value: &impl serde::Serialize) -> String {
     serde_yaml::to_string(value).unwrap_or_default()
 }
 
-/// A flat mapping as names and values in text, for files that stand for command-line flags.
+/// Returns a flat mapping as names and values in text, for files that stand for command-line flags; `None` for null.
 ///
 /// # Errors
-/// If it is anything but a mapping of names to numbers, texts or truth values.
-pub fn flat_parameters(text: &Text) -> Result<Vec<(String, String)>, YamlError> {
+/// The text is anything but a mapping of names to numbers, texts, truth values or null.
+pub fn flat_parameters(text: &Text) -> Result<Vec<(String, Option<String>)>, YamlError> {
     let (name, value) = (text.name.as_str(), text.parse()?);
     let Some(mapping) = value.as_mapping() else { return Ok(Vec::new()) };
     let entry = |(key, value): (&Value, &Value)| {
         let key = key.as_str().ok_or_else(|| YamlError::new(name, format!("{key:?} is not a name")))?;
         match value {
-            Value::Number(number) => Ok((key.to_owned(), number.to_string())),
-            Value::String(text) => Ok((key.to_owned(), text.clone())),
-            Value::Bool(truth) => Ok((key.to_owned(), truth.to_string())),
-            _ => Err(YamlError::new(name, format!("{key} must be a number, a text or true or false"))),
+            Value::Number(number) => Ok((key.to_owned(), Some(number.to_string()))),
+            Value::String(text) => Ok((key.to_owned(), Some(text.clone()))),
+            Value::Bool(truth) => Ok((key.to_owned(), Some(truth.to_string()))),
+            Value::Null => Ok((key.to_owned(), None)),
+            _ => Err(YamlError::new(name, format!("{key} must be a number, a text, true, false or null"))),
         }
     };
     mapping.iter().map(entry).collect()

@@ -399,7 +399,7 @@ fn sessions() -> Vec<Vec<u8>> {
         Input::Command(Command::velocity(0.5, 0.0, 0.1)),
         Input::Push { size: [0.1, 0.3], unit: PushUnit::Momentum },
         Input::Pull(Some([5.0, -10.0])),
-        Input::Comply { robot: 1, compliance: 0.02 },
+        Input::Comply { robot: 1, compliance: Some(0.02) },
         Input::Reset,
         Input::Setup(setup(SceneKind::Box)),
     ];

@@ -67,8 +67,8 @@ pub struct Calibration {
     pub average_s: f64,
 }
 
-/// Returns the compliance commanded in a condition [m/s/N] and the pull \[N\], if there is one.
-fn commanded(condition: &Condition) -> (f64, Option<f64>) {
+/// Returns the compliance commanded in a condition [m/s/N] and the pull \[N\], if there are any.
+fn commanded(condition: &Condition) -> (Option<f64>, Option<f64>) {
     let force = match &condition.scenario {
         Scenario::Leash(leash) => Some(leash.force_n),
         _ => None,
@@ -99,6 +99,7 @@ impl Calibration {
         for seed in results.sets[set].keys() {
             let point = |sides: &[usize]| {
                 let (c, force) = commanded(&results.conditions[*sides.first()?]);
+                let c = c?;
                 let of = |condition: &usize| results.per_seed(set, *condition, MEASURED.name).get(seed).copied();
                 let measured: Option<Vec<f64>> = sides.iter().map(of).collect();
                 (c * force? <= LARGEST_ERROR_M_S + 1e-9).then_some([c, mean(measured?.into_iter())?])
@@ -118,7 +119,7 @@ impl Calibration {
         let of = |c: &f64| {
             let at = self.pulls(command).filter(|condition| {
                 let (compliance, force) = commanded(&results.conditions[*condition]);
-                compliance == *c && force.is_some_and(|force| c * force <= LARGEST_ERROR_M_S + 1e-9)
+                compliance == Some(*c) && force.is_some_and(|force| c * force <= LARGEST_ERROR_M_S + 1e-9)
             });
             let spread = |condition| Spread::of(&results.per_seed(set, condition, MEASURED.name));
             let means: Vec<f64> = at.filter_map(spread).map(|spread| spread.mean).collect();
@@ -148,7 +149,7 @@ impl Experiment for Calibration {
                     for direction_deg in evenly(self.directions) {
                         let task = Task {
                             forward_m_s: *command,
-                            compliance: *compliance,
+                            compliance: Some(*compliance),
                             duration_s: self.at_s + self.for_s,
                             ..leash.task.clone()
                         };
@@ -169,7 +170,7 @@ impl Experiment for Calibration {
         conditions.extend(self.compliances.iter().map(|compliance| Condition {
             label: format!("pushed, c = {compliance}"),
             scenario: Scenario::Push(PushAway {
-                task: Task { compliance: *compliance, ..push.task.clone() },
+                task: Task { compliance: Some(*compliance), ..push.task.clone() },
                 ..push.clone()
             }),
         }));

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
-use supple::policy::compliance::{ComplianceError, ObservationOuterLoop, PolicyCalibration};
+use supple::policy::compliance::{ObservationOuterLoop, PolicyCalibration};
 use supple::policy::{AgentError, Buffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{Robot, joint_names, joint_table};
@@ -57,9 +57,9 @@ enum Command {
         /// Policy file, run folder, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
         policy: String,
-        /// Compliance to command (m/s/N), of observations that are consecutive policy steps; 0: the policy's own
-        #[arg(long, value_name = "C", default_value_t = 0.0)]
-        compliance: f64,
+        /// Compliance to command (m/s/N), of observations that are consecutive policy steps [default: the policy's own]
+        #[arg(long, value_name = "C")]
+        compliance: Option<f64>,
     },
     /// Print a policy's card: where it came from, how it learned if that is in its run's folder, how it walks (Markdown)
     Card {
@@ -159,15 +159,13 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
         Command::Run { policy: name, compliance } => {
             let agent = shipped::find(&name)?;
+            let compliance = agent.resolve_compliance(None, compliance).with_context(|| name.clone())?;
             let calibration = agent.calibration.clone();
             let policy = agent.into_policy().ok_or_else(|| AgentError::External { name: name.clone() })?;
-            let outer_loop = match (compliance, calibration) {
-                (0.0, _) => None,
-                (_, None) => Some(Err(ComplianceError::NotCalibrated)),
-                (_, Some(calibration)) => Some(ObservationOuterLoop::new(&policy, calibration, compliance)),
-            };
-            let outer_loop =
-                outer_loop.transpose().with_context(|| format!("--compliance {compliance} with {name}"))?;
+            let outer_loop = calibration.zip(compliance).map(|(calibration, compliance)| {
+                ObservationOuterLoop::new(&policy, calibration, compliance).with_context(|| name.clone())
+            });
+            let outer_loop = outer_loop.transpose()?;
             answer(&policy, outer_loop)?;
         }
         Command::List => list()?,

@@ -35,7 +35,6 @@ use crate::sim::Conditions;
 use crate::sim::Scene;
 use crate::task::Command;
 use crate::util::files::FileError;
-use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
 use crate::util::yaml::{Text, YamlError, flat_parameters, layered, to_text};
 
@@ -249,10 +248,10 @@ pub struct Task {
     #[arg(long, alias = "joint-offset-sd-rad")]
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
-    /// Commanded compliance: velocity per newton of sustained pull (m/s/N); 0: the policy's own
+    /// Commanded compliance: velocity per newton of sustained pull (m/s/N) [default: the policy's own]
     #[arg(long)]
-    #[serde(default, skip_serializing_if = "numbers::is_zero")]
-    pub compliance: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compliance: Option<f64>,
 }
 
 /// Behaviour of a scenario's parameters; the defaults are an undisturbed walk on a plane.
@@ -298,7 +297,6 @@ impl Scenario {
         in_range("yaw-rad-s", task.yaw_rad_s, -10.0, 10.0, "-10 to 10 rad/s")?;
         in_range("duration-s", task.duration_s, 0.1, 3600.0, "0.1 to 3600 s")?;
         in_range("encoder-bias-sd-rad", task.encoder_bias_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
-        in_range("compliance", task.compliance, 0.0, 1.0, "0 to 1 m/s/N")?;
         let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
             scene: Scene::flat(config.robot.load()?, config.simulation.timestep_s()),

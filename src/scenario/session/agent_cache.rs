@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::Seat;
-use crate::policy::compliance::PolicyCalibration;
+use crate::policy::compliance::{PolicyCalibration, split_compliance};
 use crate::policy::{Agent, AgentError, Policy, shipped};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
@@ -49,6 +49,7 @@ impl AgentCache {
     /// # Errors
     /// The policy or robot does not exist or is invalid.
     pub fn find(&mut self, policy: &str, robot: Option<&str>) -> Result<Seat, AgentCacheError> {
+        let (policy, compliance) = split_compliance(policy);
         let (mut agent, file) = AgentCache::read(policy)?;
         let robot = Robot::load(robot.unwrap_or(&agent.config.robot.model))?;
         agent.run_on(&robot);
@@ -57,7 +58,7 @@ impl AgentCache {
             sha256: agent.sha256.clone(),
             robot: robot.name.clone(),
             robot_sha256: robot.sha256().to_owned(),
-            compliance: 0.0,
+            compliance,
         };
         self.put(agent, file);
         Ok(seat)

@@ -182,18 +182,15 @@ impl LiveSession {
             Input::Pull(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
             Input::Comply { robot, compliance } => {
                 let (seat, player) = self.robot(*robot)?;
-                player.agent.check_compliance(*compliance)?;
-                seat.compliance = *compliance;
-                player.rollout.ask(Command { compliance: *compliance, ..*player.rollout.command() });
+                seat.compliance = player.agent.resolve_compliance(*compliance, None)?;
+                player.rollout.ask(Command { compliance: seat.compliance, ..*player.rollout.command() });
             }
             Input::Reset => self.players.iter_mut().try_for_each(Player::restart)?,
             Input::Renew { robot, sha256 } => {
                 let (seat, player) = self.robot(*robot)?;
                 let mut renewed = Seat { sha256: sha256.clone(), ..seat.clone() };
                 let agent = shelf.take(&renewed)?;
-                if agent.check_compliance(seat.compliance).is_err() {
-                    renewed.compliance = 0.0;
-                }
+                renewed.compliance = agent.resolve_compliance(seat.compliance, None).unwrap_or(None);
                 if agent.config.simulation != player.agent.config.simulation {
                     return Err(LiveSessionError::OtherBody);
                 }
@@ -251,9 +248,8 @@ impl LiveSession {
 
 impl Player {
     fn new(setup: &Setup, seat: &Seat, agent: Arc<Agent>) -> Result<Self, LiveSessionError> {
-        agent.check_compliance(seat.compliance)?;
         let mut script = setup.scene.script(setup.seed, &agent.config)?;
-        script.command.compliance = seat.compliance;
+        script.command.compliance = agent.resolve_compliance(seat.compliance, None)?;
         let controller = agent.shared_controller();
         let rollout = Playback::owned(script.clone(), agent.config.clone(), controller)?.with_bodies();
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })

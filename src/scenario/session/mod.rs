@@ -49,9 +49,9 @@ pub struct Seat {
     pub robot: String,
     /// SHA-256 of the robot.
     pub robot_sha256: String,
-    /// Commanded compliance [m/s/N]; 0 for the policy's own.
-    #[serde(default)]
-    pub compliance: f64,
+    /// Commanded compliance [m/s/N]; `None` leaves the policy its own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compliance: Option<f64>,
 }
 
 impl Seat {
@@ -102,8 +102,8 @@ pub enum Input {
     Comply {
         /// Index of the robot.
         robot: usize,
-        /// Commanded compliance [m/s/N].
-        compliance: f64,
+        /// Commanded compliance [m/s/N]; `None` leaves the policy its own.
+        compliance: Option<f64>,
     },
     /// Resets robots and scene to their start.
     Reset,

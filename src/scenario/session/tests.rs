@@ -40,7 +40,7 @@ fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut AgentCache) -> Setup 
         shelf.put_file("standing", file.clone()).unwrap();
         let sha256 = Agent::from(Policy::from_bytes(&file, Path::new("standing")).unwrap()).sha256;
         let robot_sha256 = Robot::load("go1").unwrap().sha256().to_owned();
-        Seat { policy: "standing".into(), sha256, robot: "go1".into(), robot_sha256, compliance: 0.0 }
+        Seat { policy: "standing".into(), sha256, robot: "go1".into(), robot_sha256, compliance: None }
     };
     Setup { scene, seed: 0, robots: poses.iter().map(seat).collect() }
 }
@@ -105,8 +105,8 @@ fn sessions_replay_to_the_last_bit_from_any_setup() {
 }
 
 #[test]
-fn a_robot_yields_as_far_as_it_is_told_and_the_other_stays_as_it_is() {
-    let comply = |compliance| Input::Comply { robot: 1, compliance };
+fn commanded_compliance_changes_one_robot_only() {
+    let comply = |compliance| Input::Comply { robot: 1, compliance: Some(compliance) };
     let inputs = [
         (8, walk(0.5)),
         (240, Input::Pull(Some([10.0, 0.0]))),
@@ -123,7 +123,7 @@ fn a_robot_yields_as_far_as_it_is_told_and_the_other_stays_as_it_is() {
     let takes = takes(&mut playback).unwrap();
     assert_eq!(playback.is_as_it_was(), Some(true));
     let told: Vec<_> = takes.iter().map(|take| (take.seat.policy.as_str(), take.seat.compliance)).collect();
-    assert_eq!(told, [("baseline", 0.0), ("compliant", 0.0), ("baseline", 0.04)]);
+    assert_eq!(told, [("baseline", None), ("compliant", None), ("baseline", Some(0.04))]);
     let yields = |take: &Take| take.pulls.iter().map(|pull| pull.gives_m_s / pull.force_n).collect::<Vec<_>>();
     let (before, after) = (yields(&takes[0])[0], yields(&takes[2])[0]);
     assert!((0.03..0.05).contains(&after) && before < 0.02, "{before} {after}");
@@ -139,7 +139,7 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
     let push = Input::Push { size: [0.0, 0.3], unit: PushUnit::Velocity };
     // What is done to a robot at the very moment in which it goes, and a push within the time that another is looked at.
     let inputs = [
-        (240, Input::Comply { robot: 1, compliance: 0.03 }),
+        (240, Input::Comply { robot: 1, compliance: Some(0.03) }),
         (240, push.clone()),
         (240, Input::Setup(alone)),
         (480, push.clone()),
@@ -164,21 +164,21 @@ fn unsupported_compliance_is_refused_or_reset() {
     let told = Setup { scene: SceneKind::Flat, seed: 0, robots };
     let mut world = LiveSession::new(told, &mut shelf).unwrap();
     let mut comply = |robot, compliance| world.apply(&Input::Comply { robot, compliance }, &mut shelf).is_ok();
-    for beyond in [-0.01, 1e-6, 1.0, f64::NAN] {
-        assert!(!comply(0, beyond), "{beyond}");
+    for beyond in [-0.01, 0.0, 1e-6, 1.0, f64::NAN] {
+        assert!(!comply(0, Some(beyond)), "{beyond}");
     }
-    assert!(comply(0, 0.03) && comply(1, 0.0) && !comply(1, 0.03) && !comply(2, 0.03));
-    assert_eq!(world.setup().robots[0].compliance, 0.03);
+    assert!(comply(0, Some(0.03)) && comply(1, None) && !comply(1, Some(0.03)) && !comply(2, Some(0.03)));
+    assert_eq!(world.setup().robots[0].compliance, Some(0.03));
     // Another scene, and a command, leave it as it is; an uncalibrated policy resets it.
     let hills = Setup { scene: SceneKind::Box, ..world.setup().clone() };
     world.apply(&Input::Setup(hills), &mut shelf).unwrap();
     world.apply(&walk(0.5), &mut shelf).unwrap();
     let frame = |world: &mut LiveSession| world.step().unwrap()[0].frame.clone().unwrap();
-    assert_eq!(frame(&mut world).command, Command { compliance: 0.03, ..Command::velocity(0.5, 0.0, 0.0) });
+    assert_eq!(frame(&mut world).command, Command { compliance: Some(0.03), ..Command::velocity(0.5, 0.0, 0.0) });
     let sha256 = standing[0].sha256.clone();
     world.apply(&Input::Renew { robot: 0, sha256 }, &mut shelf).unwrap();
     assert_eq!(frame(&mut world).command, Command::velocity(0.5, 0.0, 0.0));
-    assert_eq!(world.setup().robots[0].compliance, 0.0);
+    assert_eq!(world.setup().robots[0].compliance, None);
 }
 
 #[test]

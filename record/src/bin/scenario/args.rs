@@ -14,9 +14,6 @@ use supple::util::yaml::{Text, flat_parameters};
 
 use crate::seeds;
 
-/// Old names of parameters.
-const RENAMED: [(&str, &str); 1] = [("joint_offset_sd_rad", "encoder_bias_sd_rad")];
-
 /// Headings in the help, apart from the scenario's own parameters.
 const INPUT: &str = "Policies, robot and seed";
 const OUTPUT: &str = "Output";
@@ -113,7 +110,7 @@ fn from_line(command: clap::Command, line: &[OsString]) -> Args {
 }
 
 /// The command with every default filled in, and those of a file over them.
-fn command(file: Option<(&str, Vec<(String, String)>)>) -> anyhow::Result<clap::Command> {
+fn command(file: Option<(&str, Vec<(String, Option<String>)>)>) -> anyhow::Result<clap::Command> {
     let mut command = Args::command();
     for (name, text) in DEFAULTS {
         command = with_defaults(command, name, flat_parameters(&Text::new(name, text))?)?;
@@ -127,13 +124,8 @@ fn command(file: Option<(&str, Vec<(String, String)>)>) -> anyhow::Result<clap::
 fn with_defaults(
     command: clap::Command,
     scenario: &str,
-    parameters: Vec<(String, String)>,
+    parameters: Vec<(String, Option<String>)>,
 ) -> anyhow::Result<clap::Command> {
-    let modern = |(name, value): (String, String)| match RENAMED.iter().find(|(old, _)| *old == name) {
-        Some((_, new)) => ((*new).to_owned(), value),
-        None => (name, value),
-    };
-    let parameters: Vec<(String, String)> = parameters.into_iter().map(modern).collect();
     let known: Vec<String> = command
         .find_subcommand(scenario)
         .into_iter()
@@ -145,8 +137,10 @@ fn with_defaults(
     }
     Ok(command.mut_subcommand(scenario, |subcommand| {
         parameters.into_iter().fold(subcommand, |subcommand, (name, value)| {
-            subcommand
-                .mut_arg(name, |argument| argument.default_value(value).required(false).allow_negative_numbers(true))
+            subcommand.mut_arg(name, |argument| {
+                let argument = argument.required(false).allow_negative_numbers(true);
+                value.into_iter().fold(argument, |argument, value| argument.default_value(value))
+            })
         })
     }))
 }

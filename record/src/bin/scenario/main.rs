@@ -54,7 +54,7 @@ fn list() -> anyhow::Result<()> {
 
 fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     output::check(args)?;
-    let mut robots = robots(args, scenario.task().compliance)?;
+    let mut robots = robots(args)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
         let robot = Robot::load(model)?;
@@ -63,9 +63,6 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     }
     if let Some(joints) = args.joints {
         robots.iter_mut().for_each(|(_, agent)| agent.config.robot.set_losses(joints.into()));
-    }
-    for (name, agent) in &robots {
-        agent.check_compliance(agent.commanded_compliance).with_context(|| name.clone())?;
     }
     let scripts = scripts(args, scenario, &robots, args.seed)?;
     if let Some(late) = scripts.first().and_then(Script::too_late) {
@@ -111,9 +108,10 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
 
 /// The script of each robot.
 fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u64) -> anyhow::Result<Vec<Script>> {
-    let script = |(_, agent): &(String, Agent)| -> anyhow::Result<Script> {
+    let script = |(name, agent): &(String, Agent)| -> anyhow::Result<Script> {
         let mut script = scenario.script(seed, &agent.config)?;
-        script.command.compliance = agent.commanded_compliance;
+        let compliance = agent.resolve_compliance(None, script.command.compliance);
+        script.command.compliance = compliance.with_context(|| name.clone())?;
         Ok(script)
     };
     robots.iter().map(script).collect::<anyhow::Result<_>>().map_err(|error| match &args.params {
@@ -176,15 +174,13 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
     found
 }
 
-/// The policies to play, by name; told a compliance [m/s/N] unless they say one themselves.
-fn robots(args: &Args, compliance: f64) -> anyhow::Result<Vec<(String, Agent)>> {
+/// The policies to play, by name.
+fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
-        let (file, own) = split_compliance(asked);
+        let (file, _) = split_compliance(asked);
         let stem = paths::as_path(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let label = stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..];
-        let mut agent = shipped::find(file)?;
-        agent.commanded_compliance = own.unwrap_or(compliance);
-        Ok((label, agent))
+        Ok((label, shipped::find(asked)?))
     };
     let first = args.policy.as_deref().unwrap_or("compliant");
     let ships_both = || ["compliant", "baseline"].iter().all(|name| shipped::find(name).is_ok());

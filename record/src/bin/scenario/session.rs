@@ -48,8 +48,8 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
 
 fn name(take: &Take) -> String {
     let Take { seat, scene, .. } = take;
-    let told = if seat.compliance > 0.0 { format!(" {}", seat.compliance) } else { String::new() };
-    format!("{} {}{told}", seat.label(), scene.name())
+    let compliance = seat.compliance.map(|compliance| format!("@{compliance}")).unwrap_or_default();
+    format!("{}{compliance} {}", seat.label(), scene.name())
 }
 
 fn outcome<'a>(take: &'a Take, name: &'a str) -> Outcome<'a> {
