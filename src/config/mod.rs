@@ -4,8 +4,8 @@ Every number of the paper's section III, Table II and Table III is a key of `con
 decay rates, nothing has a default in code. A file may name another one as its `base` and state only what differs: the
 baseline is one key away from the compliant policy, and reads so.
 
-Configurations outlive versions, being part of policies and checkpoints: a key that is added later has a default that is what
-was so before it; a key with a better name keeps its old one as an alias.
+Configurations outlive versions, being part of policies and checkpoints: a key that is added later has the default that
+keeps older files as they were.
 */
 
 mod check;
@@ -118,7 +118,6 @@ impl Config {
             let text = changing(change)?;
             let mut change = text.parse()?;
             resolve_robot(&mut change, Path::new(""));
-            modernise(&mut change, &value);
             yaml::overlay(&mut value, change);
             texts.insert(0, text);
         }
@@ -198,7 +197,6 @@ fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<
         return Err(problem("`base` is nested too deep: does a config name itself?").into());
     }
     let mut whole = merged(base, path.parent().unwrap_or(folder), bases_left - 1, texts)?;
-    modernise(&mut value, &whole);
     yaml::overlay(&mut whole, value);
     Ok(whole)
 }
@@ -212,50 +210,6 @@ fn changing(change: &str) -> Result<Text, YamlError> {
     let depth = key.split('.').count();
     let opened: String = key.split('.').map(|part| format!("{{{part}: ")).collect();
     Ok(Text::of_flag(&name, &format!("{opened}{value}{}", "}".repeat(depth))))
-}
-
-/// Old names of keys, by section; serde knows them as aliases.
-const RENAMED: [(&str, &str, &str); 5] = [
-    ("command", "initial_share", "initial_fraction"),
-    ("command", "share_step", "fraction_step"),
-    ("command", "share_gate", "fraction_gate"),
-    ("randomisation", "joint_offset_sd_rad", "encoder_bias_sd_rad"),
-    ("ppo", "mirror", "symmetry"),
-];
-
-/// Old names of the scales of an observation, which was always the paper's, and the quantity that each is of.
-const SCALES: [(&str, &str); 6] = [
-    ("height_scale", "base_height"),
-    ("gravity_scale", "gravity"),
-    ("joint_angle_scale", "joint_angles"),
-    ("velocity_scale", "base_velocity"),
-    ("angular_velocity_scale", "angular_velocity"),
-    ("joint_rate_scale", "joint_rates"),
-];
-
-/// Writes what changes a base in the words that the base has.
-fn modernise(change: &mut Value, base: &Value) {
-    for (section, old, new) in RENAMED {
-        let Some(section) = change.get_mut(section).and_then(Value::as_mapping_mut) else { continue };
-        if let Some(value) = section.remove(old) {
-            section.insert(new.into(), value);
-        }
-    }
-    let observed = base.get("observation").and_then(Value::as_sequence);
-    if let (Some(Value::Mapping(scales)), Some(observed)) = (change.get("observation"), observed) {
-        let mut observed = observed.clone();
-        for (old, quantity) in SCALES {
-            let Some(scale) = scales.get(old) else { continue };
-            for entry in observed.iter_mut().filter_map(Value::as_mapping_mut) {
-                if entry.get("quantity").and_then(Value::as_str) == Some(quantity) {
-                    entry.insert("scale".into(), scale.clone());
-                }
-            }
-        }
-        if scales.keys().all(|key| SCALES.iter().any(|(old, _)| key.as_str() == Some(old))) {
-            change["observation"] = Value::Sequence(observed);
-        }
-    }
 }
 
 /// The path of a robot's file starts where the file that names it lies.
@@ -360,48 +314,11 @@ mod tests {
     }
 
     #[test]
-    fn keys_keep_their_old_names_in_whole_files_and_in_files_with_a_base() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("old.yaml");
-        let change = "base: fast\ncommand: {initial_share: 0.25, share_step: 0.5, share_gate: 0.75}\n\
-                      randomisation: {joint_offset_sd_rad: 0.125}\nppo: {mirror: false}\n\
-                      observation: {velocity_scale: 2.0, joint_rate_scale: 0.5}\n";
-        std::fs::write(&path, change).unwrap();
-        let old = Config::load(path.to_str().unwrap()).unwrap();
-        let command = &old.command;
-        assert_eq!((command.initial_fraction, command.fraction_step, command.fraction_gate), (0.25, 0.5, 0.75));
-        assert_eq!((old.randomisation.encoder_bias_sd_rad, old.ppo.symmetry), (0.125, false));
-        let mut expected = Config::load("fast").unwrap().layout().unwrap().scale().to_vec();
-        for start in [16, 46 + 16] {
-            expected[start..start + 3].fill(2.0);
-            expected[start + 6..start + 18].fill(0.5);
-        }
-        assert_eq!(old.layout().unwrap().scale(), expected);
-
-        let mut whole = old.to_yaml();
-        for (_, old, new) in RENAMED {
-            whole = whole.replace(&format!("  {new}:"), &format!("  {old}:"));
-        }
-        assert!(whole.contains("  mirror: false"));
-        assert_eq!(Config::from_yaml("test", &whole).unwrap(), old);
-    }
-
-    #[test]
-    fn the_paper_in_words_is_the_paper_in_scales() {
-        let scales = "{height_scale: 10.0, gravity_scale: 0.1019368, joint_angle_scale: 1.0, velocity_scale: 1.0, \
-                      angular_velocity_scale: 0.25, joint_rate_scale: 0.05}";
-        let text = EMBEDDED[0].1;
-        let (before, after) = (text.find("observation:").unwrap(), text.find("command:  ").unwrap());
-        let old = format!("{}observation: {scales}\n{}", &text[..before], &text[after..]);
-        assert_eq!(Config::from_yaml("test", &old).unwrap(), Config::load("compliant").unwrap());
-    }
-
-    #[test]
     fn single_keys_are_set_and_checked_as_in_the_file() {
         let with =
             |changes: &[&str]| Config::load_with("fast", &changes.iter().map(|c| (*c).to_owned()).collect::<Vec<_>>());
         let config =
-            with(&["ppo.epochs=4", "ppo.hidden_layers=[8, 8]", "robot.model=x/y.xml", "ppo.mirror=false"]).unwrap();
+            with(&["ppo.epochs=4", "ppo.hidden_layers=[8, 8]", "robot.model=x/y.xml", "ppo.symmetry=false"]).unwrap();
         assert_eq!((config.ppo.epochs, &config.ppo.hidden_layers[..]), (4, &[8, 8][..]));
         assert!(Path::new(&config.robot.model).is_absolute() && !config.ppo.symmetry);
         assert_eq!(with(&[]).unwrap(), Config::load("fast").unwrap());

@@ -3,11 +3,9 @@
 use std::fmt;
 use std::sync::Arc;
 
-use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
-use serde::de::{MapAccess, SeqAccess, Visitor};
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
-use crate::observation::{Layout, Nominal, Observed, Scales, paper_layout};
+use crate::observation::{Layout, Nominal, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 
@@ -22,7 +20,6 @@ pub struct Config {
     /// The map from network outputs to joint targets.
     pub action: Action,
     /// The entries of the observation, in order.
-    #[serde(deserialize_with = "observation")]
     pub observation: Vec<Observed>,
     /// Velocity commands and their curriculum.
     pub command: CommandRange,
@@ -166,13 +163,10 @@ pub struct CommandRange {
     /// `ω_y*` of the paper [rad/s].
     pub yaw_rad_s: f64,
     /// Fraction of the range that is open at first.
-    #[serde(alias = "initial_share")]
     pub initial_fraction: f64,
     /// Widening per iteration.
-    #[serde(alias = "share_step")]
     pub fraction_step: f64,
     /// Mean `r_lin` above which it is widened.
-    #[serde(alias = "share_gate")]
     pub fraction_gate: f64,
 }
 
@@ -257,7 +251,6 @@ pub struct Randomisation {
     /// Range of the floor's sliding friction.
     pub friction: [f64; 2],
     /// Standard deviation of the encoders' biases, the paper's calibration offsets \[rad\].
-    #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
     /// Sliding friction when randomisation is off.
     pub default_friction: f64,
@@ -284,7 +277,6 @@ pub struct Ppo {
     #[serde(default)]
     pub precision: Precision,
     /// Learns from half of the samples with left and right exchanged.
-    #[serde(alias = "mirror")]
     pub symmetry: bool,
     /// Clip range of the probability ratio.
     pub clip_range: f64,
@@ -391,27 +383,4 @@ impl Config {
             action_scale_rad: [self.action.scale_rad; JOINTS],
         }
     }
-}
-
-/// A list of quantities, or, in files from before it could be written, the scales of the paper's.
-fn observation<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Observed>, D::Error> {
-    struct ListOrScales;
-
-    impl<'de> Visitor<'de> for ListOrScales {
-        type Value = Vec<Observed>;
-
-        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-            f.write_str("a list of quantities")
-        }
-
-        fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<Self::Value, A::Error> {
-            Deserialize::deserialize(SeqAccessDeserializer::new(list))
-        }
-
-        fn visit_map<A: MapAccess<'de>>(self, scales: A) -> Result<Self::Value, A::Error> {
-            Scales::deserialize(MapAccessDeserializer::new(scales)).map(|scales| paper_layout(&scales))
-        }
-    }
-
-    deserializer.deserialize_any(ListOrScales)
 }

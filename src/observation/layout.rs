@@ -278,7 +278,8 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
-    use crate::observation::{Command, Numbers, Observer, Scales, Word, paper_layout};
+    use crate::config::Config;
+    use crate::observation::{Command, Numbers, Observer, Word};
     use crate::robot::{RobotState, same_in_every_leg};
 
     fn state() -> RobotState {
@@ -295,17 +296,9 @@ mod tests {
     }
 
     fn paper() -> Layout {
-        let scales = Scales {
-            height_scale: 10.0,
-            gravity_scale: 0.1019368,
-            joint_angle_scale: 1.0,
-            velocity_scale: 1.0,
-            angular_velocity_scale: 0.25,
-            joint_rate_scale: 0.05,
-        };
         let nominal =
             Nominal { pose: same_in_every_leg([0.0, 0.72, -1.44]), height_m: 0.31, action_scale_rad: [0.3; 12] };
-        Layout::new(&paper_layout(&scales), &nominal).unwrap()
+        Layout::new(&Config::load("compliant").unwrap().observation, &nominal).unwrap()
     }
 
     fn observe(observer: &mut Observer, layout: &Layout, state: &RobotState, target: f64) -> Vec<f64> {

@@ -11,14 +11,12 @@ unless its numbers are of a kind that there is not yet.
 mod entry;
 mod layout;
 mod observer;
-mod paper;
 mod quantity;
 
 pub use entry::{Ages, Block, Nominal, Numbers, Observed, Word};
 pub(crate) use entry::{limit, numbers};
 pub use layout::Layout;
 pub use observer::{Moment, Observer};
-pub use paper::{Scales, paper_layout};
 pub use quantity::Quantity;
 
 use serde::{Deserialize, Serialize};

@@ -66,11 +66,6 @@ impl Observer {
         }
     }
 
-    /// With a past of its own, as kept in files: the newest frame first.
-    pub fn with_frames(frames: Vec<Vec<f64>>) -> Self {
-        Observer { frames }
-    }
-
     /// True if the stored history fits this layout.
     pub fn fits(&self, layout: &Layout) -> bool {
         self.frames.len() == layout.depth() && self.frames.iter().all(|frame| frame.len() == layout.frame_width())

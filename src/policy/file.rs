@@ -22,10 +22,7 @@ use crate::util::random::{Purpose, stream};
 use crate::util::tensors::{self, Tensor};
 
 /// Version of the file format that is written.
-pub const FORMAT: u32 = 2;
-
-/// The oldest that is read: its configuration states scales of the paper's observation instead of a list.
-const OLDEST_FORMAT: u32 = 1;
+pub const FORMAT: u32 = 1;
 
 /// Larger files are not policies.
 const MAX_BYTES: u64 = 64 << 20;
@@ -80,10 +77,10 @@ pub struct Usage {
     pub activation: String,
     /// The meaning of the last layer's outputs.
     pub joint_target: String,
-    /// Ranges of the joints \[rad\]; none in old files of imported robots.
-    pub joint_limits_rad: Option<[[f64; 2]; JOINTS]>,
-    /// Limits of the PD law's torques [N·m]; none in old files of imported robots.
-    pub torque_limits_n_m: Option<Joints>,
+    /// Ranges of the joints \[rad\].
+    pub joint_limits_rad: [[f64; 2]; JOINTS],
+    /// Limits of the PD law's torques [N·m].
+    pub torque_limits_n_m: Joints,
 }
 
 impl Usage {
@@ -94,8 +91,8 @@ impl Usage {
             network_input: format!("(observation - normaliser.offset) * normaliser.scale{clipped}"),
             activation: "elu after every layer but the last; layer k is policy.k.weight, policy.k.bias".into(),
             joint_target: "nominal_pose_rad + scale_rad * output, held until the next step, for the PD law".into(),
-            joint_limits_rad: Some(robot.joint_limits),
-            torque_limits_n_m: Some(robot.torque_limits),
+            joint_limits_rad: robot.joint_limits,
+            torque_limits_n_m: robot.torque_limits,
         }
     }
 }
@@ -232,7 +229,7 @@ impl Policy {
 
     fn parse(bytes: &[u8]) -> Result<Self, String> {
         let (tensors, json) = tensors::deserialize(bytes)?;
-        let metadata: Metadata = tensors::metadata(&json, OLDEST_FORMAT..=FORMAT)?;
+        let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
         let layout = metadata.check()?;
         let length = layout.length();
 
@@ -377,6 +374,15 @@ mod tests {
         }
         let policy = policy();
         assert_eq!(policy.sha256(), files::sha256(&[&policy.to_bytes().unwrap()]));
+    }
+
+    #[test]
+    fn newer_format_is_refused_by_name() {
+        let mut newer = policy().to_bytes().unwrap();
+        let at = newer.windows(12).position(|window| window == br#"\"format\":1"#).unwrap();
+        newer[at + 11] = b'9';
+        let error = Policy::from_bytes(&newer, Path::new("newer")).unwrap_err().to_string();
+        assert!(error.contains("its format is 9, this program reads 1"), "{error}");
     }
 
     #[test]

@@ -21,7 +21,6 @@ pub struct UpdateStatistics {
     /// Divergence from the policy of the rollout.
     pub kl: f64,
     /// Fraction of samples with a probability ratio outside the clip range.
-    #[serde(alias = "clip_share")]
     pub clip_fraction: f64,
     /// Largest probability ratio of a sample, over all minibatches.
     pub max_ratio: f64,

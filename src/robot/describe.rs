@@ -11,18 +11,17 @@ impl Robot {
             text.push_str(&format!("  {line}\n"));
         }
         text.push('\n');
-        text.push_str(&joint_table(&self.nominal_pose, Some(&self.joint_limits), Some(&self.torque_limits)));
+        text.push_str(&joint_table(&self.nominal_pose, &self.joint_limits, &self.torque_limits));
         text
     }
 }
 
 /// A line for each joint: its place, name, nominal angle \[rad\], range \[rad\] and largest torque [N·m].
-pub fn joint_table(pose: &Joints, limits: Option<&[[f64; 2]; JOINTS]>, torques: Option<&Joints>) -> String {
+pub fn joint_table(pose: &Joints, limits: &[[f64; 2]; JOINTS], torques: &Joints) -> String {
     let mut text = "joints            nominal [rad]  range [rad]         largest torque [N m]\n".to_owned();
     for (joint, angle) in pose.iter().enumerate() {
-        let range = limits.map(|limits| limits[joint]);
-        let range = range.map_or_else(|| "-".into(), |[low, high]| format!("{low:+.3} to {high:+.3}"));
-        let torque = torques.map_or_else(|| "-".into(), |torques| torques[joint].to_string());
+        let [low, high] = limits[joint];
+        let (range, torque) = (format!("{low:+.3} to {high:+.3}"), torques[joint]);
         text.push_str(&format!("  {joint:2}  {:12}{angle:+.4}        {range:20}{torque}\n", joint_name(joint)));
     }
     text

@@ -61,7 +61,6 @@ pub struct Conditions {
     /// Sliding friction of the ground.
     pub friction: f64,
     /// The bias of the encoders \[rad\].
-    #[serde(alias = "joint_offsets")]
     pub encoder_bias: Joints,
 }
 

@@ -136,12 +136,10 @@ pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Curriculum {
     /// Open fraction of the command range, 0 to 1.
-    #[serde(alias = "command_share")]
     pub command_fraction: f64,
     /// True if episodes include the push and recovery. Never becomes false again.
     pub pushes: bool,
     /// The open fraction of the pulls' largest force, 0 to 1. It grows once there are pushes.
-    #[serde(default)]
     pub force_fraction: f64,
 }
 

@@ -28,10 +28,7 @@ pub const PREVIOUS: &str = "checkpoint.previous.safetensors";
 pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
 
 /// Version of the format that is written.
-const FORMAT: u32 = 2;
-
-/// Oldest version that is read: it holds the paper's observation only, under other keys.
-const OLDEST_FORMAT: u32 = 1;
+const FORMAT: u32 = 1;
 
 /// Name of the file's kind in errors.
 const CHECKPOINT: &str = "checkpoint";
@@ -143,7 +140,7 @@ impl Checkpoint {
     /// The bytes are damaged, of another format, or inconsistent.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (tensors, json) = tensors::deserialize(bytes)?;
-        let metadata: Metadata = tensors::metadata(&json, OLDEST_FORMAT..=FORMAT)?;
+        let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
         let run: RunState =
             serde_json::from_str(&metadata.run).map_err(|error| format!("its run state does not parse: {error}"))?;
         run.config.check().map_err(|error| error.to_string())?;

@@ -98,27 +98,9 @@ struct EpisodeState {
     swings: SwingTracker,
     swing_sum_m: f64,
     swing_count: usize,
-    #[serde(default)]
     observer: Observer,
-    #[serde(default)]
     last_action: Joints,
     last_target: Joints,
-    /// Of checkpoints from before observations were lists: `ô_{t−1}` and `ô_t`.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    previous: Vec<f64>,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    current: Vec<f64>,
-}
-
-impl EpisodeState {
-    /// What the observer of the paper's 83 numbers had noted down: a frame is `ô`, the last target, `ô` again, the command.
-    fn observer_of_old(&self) -> Observer {
-        let command = &self.plan.command;
-        let frame = |reduced: &[f64]| {
-            [reduced, &self.last_target, reduced, &[command.left, command.forward, command.yaw]].concat()
-        };
-        Observer::with_frames(vec![frame(&self.current), frame(&self.previous)])
-    }
 }
 
 /// Complete state of an environment, from which it continues with the same bits.
@@ -402,10 +384,6 @@ impl LocomotionEnv {
         self.sim.restore(&state.sim)?;
         self.last_second.clear();
         self.progress = state.progress.clone();
-        if !self.progress.current.is_empty() {
-            self.progress.observer = self.progress.observer_of_old();
-            (self.progress.previous, self.progress.current) = (Vec::new(), Vec::new());
-        }
         if self.progress.observer.fits(&self.layout) {
             Ok(())
         } else {
@@ -445,8 +423,6 @@ fn start(
         observer: Observer::new(),
         last_action: [0.0; JOINTS],
         last_target: nominal,
-        previous: Vec::new(),
-        current: Vec::new(),
     }
 }
 

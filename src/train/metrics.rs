@@ -25,7 +25,6 @@ pub struct IterationMetrics {
     #[serde(flatten)]
     pub means: EpisodeMeans,
     /// Open fraction of the command range.
-    #[serde(alias = "command_share")]
     pub command_fraction: f64,
     /// Open fraction of pulls and of the outer loop, where they exist.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -75,16 +74,13 @@ pub struct EpisodeMeans {
     /// Number of episodes that ended in a physics fault.
     pub faults: usize,
     /// Falls over episodes.
-    #[serde(alias = "fall_share")]
     pub fall_rate: Option<f64>,
     /// Falls over episodes, of those that were pushed.
-    #[serde(alias = "pushed_fall_share")]
     pub pushed_fall_rate: Option<f64>,
     /// Completed walking stages.
     #[serde(skip)]
     pub walks: usize,
     /// Pushed episodes over completed walking stages.
-    #[serde(alias = "push_share")]
     pub push_fraction: Option<f64>,
     /// Mean sum of rewards of an episode.
     pub episode_reward: Option<f64>,

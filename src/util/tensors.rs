@@ -4,7 +4,6 @@ All metadata sit under one key: the format keeps several in a hash map, whose or
 */
 
 use std::collections::HashMap;
-use std::ops::RangeInclusive;
 
 use safetensors::SafeTensorError;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -70,20 +69,22 @@ pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
     Ok((tensors, json.clone()))
 }
 
-/// The JSON text as its type, if its key `format` is one of those that are read; that is looked at before all else.
+/// Parses the JSON text as its type; its key `format` is checked before all else.
 ///
 /// # Errors
-/// In words: of another format, or not of this type.
-pub fn metadata<T: DeserializeOwned>(json: &str, formats: RangeInclusive<u32>) -> Result<T, String> {
+/// It has another format, or is not of this type.
+pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, String> {
     #[derive(Deserialize)]
     struct Format {
         format: u32,
     }
     let broken = |error| format!("its metadata do not parse: {error}");
-    let Format { format } = serde_json::from_str(json).map_err(broken)?;
-    if !formats.contains(&format) {
-        let (oldest, newest) = formats.into_inner();
-        return Err(format!("its format is {format}, this program reads {oldest} to {newest}: it is of a newer one"));
+    let found: Format = serde_json::from_str(json).map_err(broken)?;
+    if found.format != format {
+        let found = found.format;
+        return Err(format!(
+            "its format is {found}, this program reads {format}: use the version of Supple that wrote it"
+        ));
     }
     serde_json::from_str(json).map_err(broken)
 }

@@ -2,7 +2,6 @@
 
 mod bad_input;
 mod faults;
-mod formats;
 mod kill;
 mod killing;
 mod licences;

@@ -17,7 +17,7 @@ pub fn scenario(name: &str, changes: &[&str]) -> Scenario {
     for (key, value) in flat_parameters(&Text::new(name, text)).unwrap() {
         let flag = format!("--{}", key.replace('_', "-"));
         if !changes.iter().any(|change| change.starts_with(&format!("{flag}="))) {
-            line.push(format!("{flag}={value}"));
+            line.extend(value.map(|value| format!("{flag}={value}")));
         }
     }
     line.extend(changes.iter().map(ToString::to_string));

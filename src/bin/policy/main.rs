@@ -295,7 +295,7 @@ fn description(policy: &Policy) -> String {
     }
     let usage = &policy.usage;
     text.push('\n');
-    text += &joint_table(policy.nominal_pose(), usage.joint_limits_rad.as_ref(), usage.torque_limits_n_m.as_ref());
+    text += &joint_table(policy.nominal_pose(), &usage.joint_limits_rad, &usage.torque_limits_n_m);
     text
 }
 

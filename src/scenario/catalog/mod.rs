@@ -245,8 +245,7 @@ pub struct Task {
     #[arg(long)]
     pub duration_s: f64,
     /// Standard deviation of the encoder bias, drawn from the seed (rad)
-    #[arg(long, alias = "joint-offset-sd-rad")]
-    #[serde(alias = "joint_offset_sd_rad")]
+    #[arg(long)]
     pub encoder_bias_sd_rad: f64,
     /// Commanded compliance: velocity per newton of sustained pull (m/s/N) [default: the policy's own]
     #[arg(long)]

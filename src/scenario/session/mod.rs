@@ -69,7 +69,7 @@ pub enum PushUnit {
     #[serde(rename = "m/s")]
     Velocity,
     /// Momentum: divided by the robot's mass, it is the change of velocity.
-    #[serde(rename = "N·s", alias = "N s")]
+    #[serde(rename = "N·s")]
     Momentum,
 }
 
