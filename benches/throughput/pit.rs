@@ -88,8 +88,8 @@ fn scenario(duration_s: f64) -> anyhow::Result<Scenario> {
     let (_, text) = DEFAULTS.iter().find(|(name, _)| *name == NAME).context("there is no ball pit")?;
     let mut line = vec!["scenario".to_owned(), NAME.to_owned()];
     for (key, value) in flat_parameters(&Text::new(NAME, text))? {
-        let value = if key == "duration_s" { duration_s.to_string() } else { value };
-        line.push(format!("--{}={value}", key.replace('_', "-")));
+        let value = if key == "duration_s" { Some(duration_s.to_string()) } else { value };
+        line.extend(value.map(|value| format!("--{}={value}", key.replace('_', "-"))));
     }
     let command = Scenario::augment_subcommands(clap::Command::new("scenario"));
     Ok(Scenario::from_arg_matches(&command.try_get_matches_from(line)?)?)

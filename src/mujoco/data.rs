@@ -45,53 +45,114 @@ impl Drop for Data {
     }
 }
 
-/// Fields of mjData as slices: name, name of the writable variant if there is one, length.
-macro_rules! fields {
-    ($($(#[$doc:meta])* $name:ident $(/ $name_mut:ident)? = $field:ident [$length:expr];)*) => {
-        impl Data {$(
-            $(#[$doc])*
-            pub fn $name(&self) -> &[f64] {
-                let length: fn(&Model) -> usize = $length;
-                // SAFETY: mjdata.h documents this length for the field; the memory lives as long as `self`.
-                unsafe { std::slice::from_raw_parts(self.raw().$field, length(&self.model)) }
-            }
-            $(
-                #[doc = concat!("[`Data::", stringify!($name), "`], writable.")]
-                pub fn $name_mut(&mut self) -> &mut [f64] {
-                    let length: fn(&Model) -> usize = $length;
-                    // SAFETY: as above, and `self` is borrowed mutably.
-                    unsafe { std::slice::from_raw_parts_mut(self.raw().$field, length(&self.model)) }
-                }
-            )?
-        )*}
-    };
-}
-
-fields! {
+/// The fields of mjData as slices.
+impl Data {
     /// Generalised positions, shape (nq). A free joint's are position (world) \[m\] and quaternion (w, x, y, z).
-    positions / positions_mut = qpos[Model::nq];
+    pub fn positions(&self) -> &[f64] {
+        self.slice(self.raw().qpos, self.model.nq())
+    }
+
+    /// [`Data::positions`], writable.
+    pub fn positions_mut(&mut self) -> &mut [f64] {
+        self.slice_mut(self.raw().qpos, self.model.nq())
+    }
+
     /// Generalised velocities, shape (nv). A free joint's are linear (world frame) [m/s] and angular (body frame) [rad/s].
-    velocities / velocities_mut = qvel[Model::nv];
+    pub fn velocities(&self) -> &[f64] {
+        self.slice(self.raw().qvel, self.model.nv())
+    }
+
+    /// [`Data::velocities`], writable.
+    pub fn velocities_mut(&mut self) -> &mut [f64] {
+        self.slice_mut(self.raw().qvel, self.model.nv())
+    }
+
     /// Accelerations that warm-start the constraint solver, shape (nv). Part of the state for exact resumption.
-    warm_start / warm_start_mut = qacc_warmstart[Model::nv];
+    pub fn warm_start(&self) -> &[f64] {
+        self.slice(self.raw().qacc_warmstart, self.model.nv())
+    }
+
+    /// [`Data::warm_start`], writable.
+    pub fn warm_start_mut(&mut self) -> &mut [f64] {
+        self.slice_mut(self.raw().qacc_warmstart, self.model.nv())
+    }
+
     /// Actuator controls, shape (nu).
-    controls / controls_mut = ctrl[Model::nu];
+    pub fn controls(&self) -> &[f64] {
+        self.slice(self.raw().ctrl, self.model.nu())
+    }
+
+    /// [`Data::controls`], writable.
+    pub fn controls_mut(&mut self) -> &mut [f64] {
+        self.slice_mut(self.raw().ctrl, self.model.nu())
+    }
+
     /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
-    applied_forces / applied_forces_mut = xfrc_applied[|m| 6 * m.count(Kind::Body)];
+    pub fn applied_forces(&self) -> &[f64] {
+        self.slice(self.raw().xfrc_applied, 6 * self.model.count(Kind::Body))
+    }
+
+    /// [`Data::applied_forces`], writable.
+    pub fn applied_forces_mut(&mut self) -> &mut [f64] {
+        self.slice_mut(self.raw().xfrc_applied, 6 * self.model.count(Kind::Body))
+    }
+
     /// Body frame origins, world frame, shape (nbody, 3). \[m\]
-    body_positions = xpos[|m| 3 * m.count(Kind::Body)];
+    pub fn body_positions(&self) -> &[f64] {
+        self.slice(self.raw().xpos, 3 * self.model.count(Kind::Body))
+    }
+
     /// Body orientations (w, x, y, z), shape (nbody, 4).
-    body_quaternions = xquat[|m| 4 * m.count(Kind::Body)];
+    pub fn body_quaternions(&self) -> &[f64] {
+        self.slice(self.raw().xquat, 4 * self.model.count(Kind::Body))
+    }
+
     /// Geometry centres, world frame, shape (ngeom, 3). \[m\]
-    geom_positions = geom_xpos[|m| 3 * m.count(Kind::Geom)];
+    pub fn geom_positions(&self) -> &[f64] {
+        self.slice(self.raw().geom_xpos, 3 * self.model.count(Kind::Geom))
+    }
+
     /// Sites, world frame, shape (nsite, 3). \[m\]
-    site_positions = site_xpos[|m| 3 * m.count(Kind::Site)];
+    pub fn site_positions(&self) -> &[f64] {
+        self.slice(self.raw().site_xpos, 3 * self.model.count(Kind::Site))
+    }
+
     /// Positions of the bodies that are moved from outside, shape (nmocap, 3). \[m\]
-    mocap_positions / mocap_positions_mut = mocap_pos[|m| 3 * m.mocap_count()];
+    pub fn mocap_positions(&self) -> &[f64] {
+        self.slice(self.raw().mocap_pos, 3 * self.model.mocap_count())
+    }
+
+    /// [`Data::mocap_positions`], writable.
+    pub fn mocap_positions_mut(&mut self) -> &mut [f64] {
+        self.slice_mut(self.raw().mocap_pos, 3 * self.model.mocap_count())
+    }
+
     /// Lengths of tendons as of the last first half-step, shape (ntendon). \[m\]
-    tendon_lengths = ten_length[|m| m.count(Kind::Tendon)];
+    pub fn tendon_lengths(&self) -> &[f64] {
+        self.slice(self.raw().ten_length, self.model.count(Kind::Tendon))
+    }
+
     /// Rates of the lengths of tendons as of the last first half-step, shape (ntendon). [m/s]
-    tendon_velocities = ten_velocity[|m| m.count(Kind::Tendon)];
+    pub fn tendon_velocities(&self) -> &[f64] {
+        self.slice(self.raw().ten_velocity, self.model.count(Kind::Tendon))
+    }
+
+    /// The first numbers of a field of this data.
+    fn slice<T>(&self, start: *const T, length: usize) -> &[T] {
+        if length == 0 || start.is_null() {
+            return &[];
+        }
+        // SAFETY: callers pass a field of this data with the length that mjdata.h documents for it.
+        unsafe { std::slice::from_raw_parts(start, length) }
+    }
+
+    fn slice_mut<T>(&mut self, start: *mut T, length: usize) -> &mut [T] {
+        if length == 0 || start.is_null() {
+            return &mut [];
+        }
+        // SAFETY: as in `slice`, and `self` is borrowed mutably.
+        unsafe { std::slice::from_raw_parts_mut(start, length) }
+    }
 }
 
 impl Data {
@@ -243,8 +304,7 @@ impl Data {
 
     /// The contact points of the last first half-step that take part in the dynamics.
     pub fn contacts(&self) -> impl Iterator<Item = Contact> + '_ {
-        // SAFETY: `contact` holds `ncon` initialised contacts.
-        let contacts = unsafe { std::slice::from_raw_parts(self.raw().contact, self.contact_count()) };
+        let contacts = self.slice(self.raw().contact, self.contact_count());
         contacts.iter().enumerate().filter(|(_, contact)| contact.exclude == 0).map(|(index, contact)| Contact {
             index,
             geoms: [contact.geom1 as usize, contact.geom2 as usize],
@@ -254,7 +314,7 @@ impl Data {
     }
 
     /// Force on the second geometry of a contact by the first, world frame \[N\]. Valid after [`Data::step2`] and before
-    /// the next [`Data::step1`].
+    /// the next [`Data::step1`]. NaN, never zero, should MuJoCo report an error.
     ///
     /// # Panics
     /// If there is no contact of this index.
@@ -271,7 +331,9 @@ impl Data {
                 message.as_mut_ptr(),
             )
         };
-        debug_assert_eq!(failed, 0, "mj_contactForce fails only on a bad index");
+        if failed != 0 {
+            return [f64::NAN; 3];
+        }
         // SAFETY: `index` is below `ncon`.
         let frame = unsafe { (*self.raw().contact.add(index)).frame };
         // Rows of `frame` are the contact axes in the world, the first along the normal from geom 1 to geom 2.
@@ -283,24 +345,15 @@ impl Data {
     pub fn tendon_limit_force(&self, tendon: usize) -> f64 {
         let raw = self.raw();
         let rows = raw.nefc as usize;
-        if rows == 0 {
-            return 0.0;
-        }
-        // SAFETY: the first `nefc` elements of the three arrays are the constraints of the last first half-step.
-        let (kinds, ids, forces) = unsafe {
-            (
-                std::slice::from_raw_parts(raw.efc_type, rows),
-                std::slice::from_raw_parts(raw.efc_id, rows),
-                std::slice::from_raw_parts(raw.efc_force, rows),
-            )
-        };
+        let (kinds, ids) = (self.slice(raw.efc_type, rows), self.slice(raw.efc_id, rows));
+        let forces = self.slice(raw.efc_force, rows);
         let is_its_limit = |row: &usize| {
             kinds[*row] as u32 == sys::mjCNSTR_LIMIT_TENDON && usize::try_from(ids[*row]).is_ok_and(|id| id == tendon)
         };
         (0..rows).filter(is_its_limit).map(|row| forces[row]).sum()
     }
 
-    /// Velocity of a geometry's centre, world axes [m/s].
+    /// Velocity of a geometry's centre, world axes [m/s]; NaN, never zero, should MuJoCo report an error.
     ///
     /// # Panics
     /// If there is no geometry of this id.
@@ -319,7 +372,9 @@ impl Data {
                 message.as_mut_ptr(),
             )
         };
-        debug_assert_eq!(failed, 0, "mj_objectVelocity fails only on a bad id");
+        if failed != 0 {
+            return [f64::NAN; 3];
+        }
         [velocity[3], velocity[4], velocity[5]]
     }
 }

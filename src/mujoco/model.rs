@@ -165,105 +165,127 @@ impl Drop for Model {
     }
 }
 
-/// Fields of mjModel by kind: sizes, whole arrays of numbers, and by id of an element an index or some numbers of it. The
-/// length of an array is that of the size behind it, which mjmodel.h documents.
-macro_rules! fields {
-    (sizes: $($(#[$doc:meta])* $name:ident = $field:ident;)*) => {
-        impl Model {$(
-            $(#[$doc])*
-            pub fn $name(&self) -> usize {
-                self.raw().$field as usize
-            }
-        )*}
-    };
-    (arrays: $($(#[$doc:meta])* $name:ident = $field:ident[$count:ident];)*) => {
-        impl Model {$(
-            $(#[$doc])*
-            pub fn $name(&self) -> &[f64] {
-                self.slice(self.raw().$field, self.raw().$count)
-            }
-        )*}
-    };
-    (indices: $($(#[$doc:meta])* $name:ident = $field:ident[$count:ident];)*) => {
-        impl Model {$(
-            $(#[$doc])*
-            pub fn $name(&self, id: usize) -> usize {
-                self.slice(self.raw().$field, self.raw().$count)[id] as usize
-            }
-        )*}
-    };
-    (vectors: $($(#[$doc:meta])* $name:ident: $width:literal = $field:ident[$count:ident];)*) => {
-        impl Model {$(
-            $(#[$doc])*
-            pub fn $name(&self, id: usize) -> [f64; $width] {
-                row(self.slice(self.raw().$field, $width * self.raw().$count), id)
-            }
-        )*}
-    };
-}
-
-fields! {
-    sizes:
+/// Sizes, whole arrays, and the values of single elements. The length of an array is the size that mjmodel.h documents for it.
+impl Model {
     /// Number of generalised positions.
-    nq = nq;
+    pub fn nq(&self) -> usize {
+        self.raw().nq as usize
+    }
+
     /// Number of generalised velocities.
-    nv = nv;
+    pub fn nv(&self) -> usize {
+        self.raw().nv as usize
+    }
+
     /// Number of actuators.
-    nu = nu;
+    pub fn nu(&self) -> usize {
+        self.raw().nu as usize
+    }
+
     /// Capacity of the contact buffer.
-    nconmax = nconmax;
+    pub fn nconmax(&self) -> usize {
+        self.raw().nconmax as usize
+    }
+
     /// Capacity of the constraint buffer \[rows\].
-    njmax = njmax;
+    pub fn njmax(&self) -> usize {
+        self.raw().njmax as usize
+    }
+
     /// Number of bodies that are moved from outside.
-    mocap_count = nmocap;
-}
+    pub fn mocap_count(&self) -> usize {
+        self.raw().nmocap as usize
+    }
 
-fields! {
-    arrays:
     /// Viscous damping of every degree of freedom, shape (nv). [N·m·s/rad]
-    damping = dof_damping[nv];
+    pub fn damping(&self) -> &[f64] {
+        self.slice(self.raw().dof_damping, self.raw().nv)
+    }
+
     /// Reflected rotor inertia of every degree of freedom, shape (nv). [kg·m²]
-    armature = dof_armature[nv];
+    pub fn armature(&self) -> &[f64] {
+        self.slice(self.raw().dof_armature, self.raw().nv)
+    }
+
     /// Coulomb friction of every degree of freedom, shape (nv). [N·m]
-    friction_loss = dof_frictionloss[nv];
+    pub fn friction_loss(&self) -> &[f64] {
+        self.slice(self.raw().dof_frictionloss, self.raw().nv)
+    }
+
     /// Positions that the file puts everything at, shape (nq).
-    rest_positions = qpos0[nq];
+    pub fn rest_positions(&self) -> &[f64] {
+        self.slice(self.raw().qpos0, self.raw().nq)
+    }
+
     /// Mass of every body, shape (nbody). \[kg\]
-    body_mass = body_mass[nbody];
-}
+    pub fn body_mass(&self) -> &[f64] {
+        self.slice(self.raw().body_mass, self.raw().nbody)
+    }
 
-fields! {
-    indices:
     /// Index of a joint's first position.
-    joint_position_index = jnt_qposadr[njnt];
-    /// Index of a joint's first velocity.
-    joint_velocity_index = jnt_dofadr[njnt];
-    /// Body that a joint moves.
-    joint_body = jnt_bodyid[njnt];
-    /// Body of a site.
-    site_body = site_bodyid[nsite];
-    /// Body to which a body is attached.
-    body_parent = body_parentid[nbody];
-    /// Body of a geometry.
-    geom_body = geom_bodyid[ngeom];
-}
+    pub fn joint_position_index(&self, id: usize) -> usize {
+        self.slice(self.raw().jnt_qposadr, self.raw().njnt)[id] as usize
+    }
 
-fields! {
-    vectors:
+    /// Index of a joint's first velocity.
+    pub fn joint_velocity_index(&self, id: usize) -> usize {
+        self.slice(self.raw().jnt_dofadr, self.raw().njnt)[id] as usize
+    }
+
+    /// Body that a joint moves.
+    pub fn joint_body(&self, id: usize) -> usize {
+        self.slice(self.raw().jnt_bodyid, self.raw().njnt)[id] as usize
+    }
+
+    /// Body of a site.
+    pub fn site_body(&self, id: usize) -> usize {
+        self.slice(self.raw().site_bodyid, self.raw().nsite)[id] as usize
+    }
+
+    /// Body to which a body is attached.
+    pub fn body_parent(&self, id: usize) -> usize {
+        self.slice(self.raw().body_parentid, self.raw().nbody)[id] as usize
+    }
+
+    /// Body of a geometry.
+    pub fn geom_body(&self, id: usize) -> usize {
+        self.slice(self.raw().geom_bodyid, self.raw().ngeom)[id] as usize
+    }
+
     /// Lower and upper limit of a joint \[rad\].
-    joint_range: 2 = jnt_range[njnt];
+    pub fn joint_range(&self, id: usize) -> [f64; 2] {
+        row(self.slice(self.raw().jnt_range, 2 * self.raw().njnt), id)
+    }
+
     /// Lower and upper limit of an actuator's control.
-    control_range: 2 = actuator_ctrlrange[nu];
+    pub fn control_range(&self, id: usize) -> [f64; 2] {
+        row(self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu), id)
+    }
+
     /// Centre of mass of a body in its own frame \[m\].
-    body_centre_of_mass: 3 = body_ipos[nbody];
+    pub fn body_centre_of_mass(&self, id: usize) -> [f64; 3] {
+        row(self.slice(self.raw().body_ipos, 3 * self.raw().nbody), id)
+    }
+
     /// Origin of a body in the frame of the body above it \[m\].
-    body_position: 3 = body_pos[nbody];
+    pub fn body_position(&self, id: usize) -> [f64; 3] {
+        row(self.slice(self.raw().body_pos, 3 * self.raw().nbody), id)
+    }
+
     /// Where a joint is, in its body's frame \[m\].
-    joint_anchor: 3 = jnt_pos[njnt];
+    pub fn joint_anchor(&self, id: usize) -> [f64; 3] {
+        row(self.slice(self.raw().jnt_pos, 3 * self.raw().njnt), id)
+    }
+
     /// The unit vector that a hinge turns about, in its body's frame.
-    joint_axis: 3 = jnt_axis[njnt];
+    pub fn joint_axis(&self, id: usize) -> [f64; 3] {
+        row(self.slice(self.raw().jnt_axis, 3 * self.raw().njnt), id)
+    }
+
     /// Where a site is, in its body's frame \[m\].
-    site_position: 3 = site_pos[nsite];
+    pub fn site_position(&self, id: usize) -> [f64; 3] {
+        row(self.slice(self.raw().site_pos, 3 * self.raw().nsite), id)
+    }
 }
 
 impl Model {
