@@ -5,7 +5,6 @@ words into a dictionary beside it, and ends; with `SUPPLE_FUZZ_KEEP` it packs th
 */
 #![no_main]
 
-#[path = "../../tests/fuzz/mutate.rs"]
 mod mutate;
 #[path = "../../tests/fuzz/targets.rs"]
 mod targets;
@@ -32,20 +31,15 @@ static TARGET: LazyLock<&Target> = LazyLock::new(|| {
 });
 
 fn write_seeds(folder: &Path) {
-    for (index, seed) in TARGET.seeds().iter().chain(&found()).enumerate() {
+    for (index, seed) in (TARGET.seeds)().iter().chain(&TARGET.corpus()).enumerate() {
         std::fs::write(folder.join(format!("seed{index}")), seed).expect("a file");
     }
     let quoted = |word: &&str| -> String { word.bytes().map(|byte| format!("\\x{byte:02x}")).collect() };
-    let words: String = TARGET.words.iter().map(|word| format!("\"{}\"\n", quoted(word))).collect();
+    let words: String = mutate::words(TARGET.name).iter().map(|word| format!("\"{}\"\n", quoted(word))).collect();
     std::fs::write(folder.with_extension("words"), words).expect("a file");
 }
 
-/// Where the smallest inputs that reach something of their own are kept: each after its length, in 4 bytes.
-fn kept() -> PathBuf {
-    Path::new(ROOT).join("tests/fuzz/corpus/found").join(TARGET.name)
-}
-
-/// As many of the smallest as fit.
+/// Keeps as many of the smallest inputs as fit in the corpus of the repository.
 fn keep(folder: &Path) {
     let files = std::fs::read_dir(folder).expect("a folder").map(|file| std::fs::read(file.expect("a file").path()));
     let mut inputs = files.collect::<Result<Vec<_>, _>>().expect("files");
@@ -58,18 +52,7 @@ fn keep(folder: &Path) {
         packed.extend(u32::try_from(input.len()).expect("inputs are small").to_le_bytes());
         packed.extend(input);
     }
-    write_atomically(&kept(), &packed).expect("a file");
-}
-
-fn found() -> Vec<Vec<u8>> {
-    let bytes = std::fs::read(kept()).unwrap_or_default();
-    let (mut rest, mut found) = (&bytes[..], Vec::new());
-    while let Some((length, after)) = rest.split_first_chunk::<4>() {
-        let (input, after) = after.split_at_checked(u32::from_le_bytes(*length) as usize).expect("a whole file");
-        found.push(input.to_vec());
-        rest = after;
-    }
-    found
+    write_atomically(&TARGET.corpus_file(), &packed).expect("a file");
 }
 
 fuzz_target!(
@@ -93,7 +76,7 @@ fuzz_mutator!(|data: &mut [u8], size: usize, max_size: usize, seed: u32| {
     if rng.random() {
         return fuzzer_mutate(data, size, max_size);
     }
-    let mutated = TARGET.mutated(&data[..size], rng.random_range(0..4) > 0, &mut rng);
+    let mutated = mutate::mutated(TARGET.name, &data[..size], &mut rng);
     let length = mutated.len().min(max_size);
     data[..length].copy_from_slice(&mutated[..length]);
     length

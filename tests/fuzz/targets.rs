@@ -1,10 +1,9 @@
-//! What is fuzzed: corpus, words and the function under test.
+//! The readers of files that are fuzzed, with the inputs that fuzzing starts from.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use clap::{FromArgMatches, Subcommand};
-use rand_chacha::ChaCha8Rng;
 use supple::config::Config;
 use supple::estimate::contact::{ContactNetwork, INPUTS};
 use supple::mujoco::{self, Data, Model};
@@ -22,208 +21,47 @@ use supple::train::checkpoint::{Checkpoint, RunState};
 use supple::util::yaml::{Text, flat_parameters};
 
 use crate::ROOT;
-use crate::mutate::mutate;
 
 /// A reader of files.
 pub struct Target {
     /// The name on the command line.
     pub name: &'static str,
-    corpus: fn() -> Vec<Vec<u8>>,
-    cache: OnceLock<Vec<Vec<u8>>>,
-    /// The words that such files consist of.
-    pub words: &'static [&'static str],
-    /// True if inputs are safetensors files, some of which are mutated in their header only.
-    pub framed: bool,
-    /// Whether the input was accepted. Must not panic, abort, hang or take much memory.
+    /// Makes the valid inputs that mutations start from.
+    pub seeds: fn() -> Vec<Vec<u8>>,
+    /// Returns true if the input was accepted. Must not panic, abort, hang or take much memory.
     pub run: fn(&[u8]) -> bool,
 }
 
 impl Target {
-    /// Returns the valid inputs that mutations start from.
-    pub fn seeds(&self) -> &[Vec<u8>] {
-        self.cache.get_or_init(self.corpus)
+    /// The file of the smallest inputs that reached code of their own: each after its length, in 4 bytes.
+    pub fn corpus_file(&self) -> PathBuf {
+        Path::new(ROOT).join("tests/fuzz/corpus/found").join(self.name)
     }
 
-    /// An input changed somewhere, or within the header that it has.
-    pub fn mutated(&self, whole: &[u8], in_header: bool, rng: &mut ChaCha8Rng) -> Vec<u8> {
-        match header(whole).filter(|_| self.framed && in_header) {
-            Some((header, tensors)) => {
-                let header = mutate(&[header.to_vec()], self.words, rng);
-                [&(header.len() as u64).to_le_bytes()[..], &header, tensors].concat()
-            }
-            None => mutate(&[whole.to_vec()], self.words, rng),
+    /// Reads the inputs of [`Target::corpus_file`].
+    pub fn corpus(&self) -> Vec<Vec<u8>> {
+        let bytes = std::fs::read(self.corpus_file()).unwrap_or_default();
+        let (mut rest, mut inputs) = (&bytes[..], Vec::new());
+        while let Some((length, after)) = rest.split_first_chunk::<4>() {
+            let (input, after) = after.split_at_checked(u32::from_le_bytes(*length) as usize).expect("a whole file");
+            inputs.push(input.to_vec());
+            rest = after;
         }
+        inputs
     }
 }
-
-/// Header and tensors of a safetensors file.
-fn header(file: &[u8]) -> Option<(&[u8], &[u8])> {
-    let (length, rest) = file.split_first_chunk::<8>()?;
-    rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)
-}
-
-const YAML_WORDS: &[&str] = &[
-    ": ",
-    "\n",
-    "\n  ",
-    "- ",
-    "[",
-    "]",
-    "{",
-    "}",
-    "&a ",
-    "*a",
-    "<<: *a",
-    "!!binary ",
-    "!x ",
-    "null",
-    "~",
-    "true",
-    "|\n",
-    "\"",
-    "'",
-    "#",
-    "---\n",
-    "...\n",
-    "? ",
-    "base: compliant\n",
-    "base: ",
-    "\t",
-    "%YAML 1.1\n",
-    "ppo:\n",
-    "perlin",
-    "steps",
-];
-const JSON_WORDS: &[&str] = &[
-    "{", "}", "[", "]", "\"", "\\\"", ":", ",", "null", "true", "[]", "{}", "\\u0000", "F16", "F64", "format", "[0,0]",
-];
-const XML_WORDS: &[&str] = &[
-    "<body>",
-    "</body>",
-    "<geom type=\"box\" size=\"1 1 1\"/>",
-    "<geom type=\"mesh\" mesh=\"m\"/>",
-    "<freejoint/>",
-    "<joint type=\"ball\"/>",
-    "<joint/>",
-    "type=\"hfield\"",
-    "type=\"capsule\"",
-    "type=\"ellipsoid\"",
-    "fromto=\"0 0 0 1 1 1\"",
-    "euler=\"1 2 3\"",
-    "quat=\"0 0 0 0\"",
-    "mass=\"0\"",
-    "<inertial pos=\"0 0 0\" mass=\"1\" diaginertia=\"1 1 9\"/>",
-    "name=\"\"",
-    "class=\"x\"",
-    "childclass=\"main\"",
-    "<site/>",
-    "<camera/>",
-    "<light/>",
-    "<include file=\"f.xml\"/>",
-    "<!--",
-    "-->",
-    "&amp;",
-    "<![CDATA[",
-    "<composite type=\"grid\" count=\"3 3 1\" spacing=\"0.1\"/>",
-    "<replicate/>",
-    "mocap=\"true\"",
-    "<?xml?>",
-    "range=\"1 -1\"",
-    "limited=\"true\"",
-    "damping=\"1\"",
-    "armature=\"1\"",
-    "condim=\"6\"",
-    "solref=\"0 0\"",
-    "margin=\"1\"",
-    "/>",
-    "\"",
-    "=",
-];
-
-const ONNX_WORDS: &[&str] = &[
-    "Gemm",
-    "MatMul",
-    "Add",
-    "Elu",
-    "Tanh",
-    "Relu",
-    "Reshape",
-    "Concat",
-    "Slice",
-    "Gather",
-    "Split",
-    "Shape",
-    "Cast",
-    "axis",
-    "transB",
-    "alpha",
-    "obs",
-    "actions",
-    "\u{1}",
-    "\u{7f}",
-    "\u{0}\u{0}",
-];
-const ROBOT_WORDS: &[&str] = &[
-    "<body>",
-    "</body>",
-    "<geom type=\"sphere\" size=\"0.02\"/>",
-    "<joint axis=\"0 1 0\"/>",
-    "<freejoint/>",
-    "type=\"slide\"",
-    "type=\"ball\"",
-    "name=\"FR_foot\"",
-    "<motor joint=\"FR_hip\"/>",
-    "<position joint=\"FR_hip\" kp=\"1\"/>",
-    "<default class=\"x\"/>",
-    "class=\"x\"",
-    "<key name=\"home\" qpos=\"0 0 1\"/>",
-    "<tendon><fixed/></tendon>",
-    "<include file=\"r.xml\"/>",
-    "angle=\"degree\"",
-    "autolimits=\"true\"",
-    "range=\"1 -1\"",
-    "mjcf: r.xml\n",
-    "feet:\n",
-    "joints:\n",
-    "nominal_pose_rad: [0, 0, 0]\n",
-    "torque_limits_n_m: [1, 1, 1]\n",
-    "[",
-    "]",
-    "null",
-];
 
 /// All of them.
 pub static TARGETS: [Target; 9] = [
-    Target { name: "config", corpus: configs, cache: OnceLock::new(), words: YAML_WORDS, framed: false, run: config },
-    Target {
-        name: "checkpoint",
-        corpus: checkpoints,
-        cache: OnceLock::new(),
-        words: JSON_WORDS,
-        framed: true,
-        run: checkpoint,
-    },
-    Target { name: "policy", corpus: policies, cache: OnceLock::new(), words: JSON_WORDS, framed: true, run: policy },
-    Target { name: "contact", corpus: contacts, cache: OnceLock::new(), words: JSON_WORDS, framed: true, run: contact },
-    Target {
-        name: "scenario",
-        corpus: scenarios,
-        cache: OnceLock::new(),
-        words: YAML_WORDS,
-        framed: false,
-        run: scenario,
-    },
-    Target { name: "onnx", corpus: networks, cache: OnceLock::new(), words: ONNX_WORDS, framed: false, run: onnx_file },
-    Target { name: "robot", corpus: robots, cache: OnceLock::new(), words: ROBOT_WORDS, framed: false, run: robot },
-    Target {
-        name: "session",
-        corpus: sessions,
-        cache: OnceLock::new(),
-        words: JSON_WORDS,
-        framed: false,
-        run: session,
-    },
-    Target { name: "mjcf", corpus: fragments, cache: OnceLock::new(), words: XML_WORDS, framed: false, run: mjcf },
+    Target { name: "config", seeds: configs, run: config },
+    Target { name: "checkpoint", seeds: checkpoints, run: checkpoint },
+    Target { name: "policy", seeds: policies, run: policy },
+    Target { name: "contact", seeds: contacts, run: contact },
+    Target { name: "scenario", seeds: scenarios, run: scenario },
+    Target { name: "onnx", seeds: networks, run: onnx_file },
+    Target { name: "robot", seeds: robots, run: robot },
+    Target { name: "session", seeds: sessions, run: session },
+    Target { name: "mjcf", seeds: fragments, run: mjcf },
 ];
 
 macro_rules! corpus {
@@ -330,7 +168,7 @@ fn scenario(input: &[u8]) -> bool {
     let mut line = vec!["scenario".to_owned(), (*name).to_owned()];
     for (key, default) in defaults {
         let value = given.iter().find(|(given, _)| *given == key).map_or(&default, |(_, value)| value);
-        line.push(format!("--{}={value}", key.replace('_', "-")));
+        line.extend(value.as_ref().map(|value| format!("--{}={value}", key.replace('_', "-"))));
     }
     let command = Scenario::augment_subcommands(clap::Command::new("scenario"));
     let Ok(matches) = command.try_get_matches_from(line) else { return false };
