@@ -354,7 +354,7 @@ fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
         return Ok(());
     }
     let expected = format!("a multiple of the number of ranks ({count})");
-    Err(ValueError::Range { key: "ppo.shards", found: shards.to_string(), expected }.into())
+    Err(ValueError::Range { key: "ppo.shards".into(), found: shards.to_string(), expected }.into())
 }
 
 /// Creates the environments of this rank.
