@@ -1,48 +1,49 @@
-//! The ranges of a configuration's values.
+//! Range checks of a configuration's values.
 
 use std::ops::RangeInclusive;
 
 use super::{Config, LOG_STD_RANGE, LearnerKind, Precision};
 use crate::util::yaml;
 
-/// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
+/// Maximum physics rate \[Hz\]: a higher one gains nothing, and the latency would need a long queue.
 const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
 
 /// Longest stage of an episode \[s\].
 const MAX_STAGE_S: f64 = 3600.0;
 
-/// Samples of an iteration, of which memory has to hold some hundred numbers each.
+/// Maximum number of samples in an iteration; memory holds some hundred numbers for each.
 const MAX_BATCH_SIZE: usize = 1 << 22;
 
-/// Deeper networks take hours to begin.
+/// Maximum number of hidden layers; deeper networks take hours to initialise.
 const MAX_LAYERS: usize = 16;
 
-/// Each has its own order of the samples in memory.
+/// Maximum number of epochs; each has its own order of the samples in memory.
 const MAX_EPOCHS: usize = 1000;
 
-/// A value that makes no sense.
+/// An invalid value of a configuration.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ValueError {
     /// A number outside its range.
     #[error("{key} is {found}, expected {expected}")]
     Range {
-        /// Dotted key.
+        /// Dotted key, such as `ppo.epochs`.
         key: &'static str,
-        /// The value found.
+        /// The value that was found.
         found: String,
         /// The valid values.
         expected: String,
     },
-    /// A list of quantities that cannot be observed.
+    /// A list of quantities that cannot be observed; the text says why.
     #[error("{0}")]
     Observation(String),
 }
 
 impl Config {
-    /// Checks the range of every value: for configurations that do not come from YAML.
+    /// Checks the range of every value, for configurations that do not come from YAML.
     ///
     /// # Errors
-    /// [`ValueError`] that names the key.
+    /// A value is out of range, or the observation is invalid; the error names the key, the value and the expected
+    /// range.
     pub fn check(&self) -> Result<(), ValueError> {
         let s = &self.simulation;
         within("simulation.policy_rate_hz", s.policy_rate_hz, 1..=1000, "1 to 1000 Hz")?;

@@ -1,4 +1,4 @@
-//! What a configuration is made of. Every struct is a section of the file.
+//! The sections of a configuration: one struct for each section of the file.
 
 use std::fmt;
 use std::sync::Arc;
@@ -11,7 +11,18 @@ use crate::observation::{Layout, Nominal, Observed, Scales, paper_layout};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 
-/// Everything that defines a training run but its seed.
+/// A training configuration: everything that defines a run except its seed.
+///
+/// ```
+/// use supple::config::Config;
+///
+/// let config = Config::load("compliant")?; // a shipped name, or the path of a YAML file
+/// assert_eq!(config.simulation.policy_rate_hz, 60);
+/// let changed = config.with(&["ppo.epochs=4".to_owned()])?; // checked like the file itself
+/// assert_eq!(changed.ppo.epochs, 4);
+/// assert!(config.with(&["ppo.epochs=0".to_owned()]).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
@@ -24,113 +35,112 @@ pub struct Config {
     /// The entries of the observation, in order.
     #[serde(deserialize_with = "observation")]
     pub observation: Vec<Observed>,
-    /// Velocity commands and their curriculum.
+    /// Range of velocity commands, and its curriculum.
     pub command: CommandRange,
     /// Stages, pushes, slopes, termination.
     pub episode: Episode,
-    /// Sustained pulls on the trunk; without this section nothing pulls.
+    /// Sustained pulls on the trunk; none if the section is missing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pulls: Option<Pulls>,
-    /// Weights and targets of Table II.
+    /// Weights and targets of the reward (Table II).
     pub reward: Reward,
     /// Dynamics randomisation.
     pub randomisation: Randomisation,
-    /// Table III.
+    /// Settings of PPO (Table III).
     pub ppo: Ppo,
     /// Length of the run.
     pub run: Run,
 }
 
-/// The robot's model.
+/// The robot and the losses in its joints.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotModel {
-    /// Name of a robot that ships, or path of an MJCF file, or of a YAML file about one.
+    /// Name of a shipped robot, or path of an MJCF file or of a YAML description of one.
     pub model: String,
     /// Dry friction of every joint [N·m].
     #[serde(default)]
     pub friction_loss_n_m: f64,
-    /// Viscous damping of every joint, beside `K_d` [N·m·s/rad].
+    /// Viscous damping of every joint, in addition to `K_d` [N·m·s/rad].
     #[serde(default)]
     pub damping_n_m_s_per_rad: f64,
 }
 
 impl RobotModel {
-    /// The robot.
+    /// Loads the robot, with the joint losses of this section.
     ///
     /// # Errors
-    /// See [`Robot::load`].
+    /// The robot's file is missing, unreadable, or not a quadruped that can be simulated.
     pub fn load(&self) -> Result<Arc<Robot>, FileError> {
         let losses = Losses { friction_n_m: self.friction_loss_n_m, damping_n_m_s_per_rad: self.damping_n_m_s_per_rad };
         Ok(Robot::load(&self.model)?.with_losses(losses))
     }
 
-    /// Gives its joints other losses.
+    /// Sets the joint losses.
     pub fn set_losses(&mut self, losses: Losses) {
         (self.friction_loss_n_m, self.damping_n_m_s_per_rad) = (losses.friction_n_m, losses.damping_n_m_s_per_rad);
     }
 }
 
-/// Section IV: physics at 240 Hz, policy at 60 Hz, PD control with delayed targets.
+/// Rates, gains and latency (section IV): physics at 240 Hz, policy at 60 Hz, PD control with delayed targets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Simulation {
-    /// Physics steps per second.
+    /// Physics rate \[Hz\].
     pub physics_rate_hz: u32,
-    /// Policy queries per second; divides the physics rate.
+    /// Policy rate \[Hz\]; divides the physics rate.
     pub policy_rate_hz: u32,
-    /// `K_p` [N·m/rad].
+    /// Proportional gain `K_p` of the PD controller [N·m/rad].
     pub kp_n_m_per_rad: f64,
-    /// `K_d` [N·m·s/rad].
+    /// Derivative gain `K_d` of the PD controller [N·m·s/rad].
     pub kd_n_m_s_per_rad: f64,
     /// Delay of the joint target \[s\].
     pub latency_s: f64,
 }
 
 impl Simulation {
-    /// Physics steps per policy step.
+    /// Returns the number of physics steps in a policy step.
     pub fn substeps(&self) -> usize {
         (self.physics_rate_hz / self.policy_rate_hz) as usize
     }
 
-    /// Duration of a physics step \[s\].
+    /// Returns the duration of a physics step \[s\].
     pub fn timestep_s(&self) -> f64 {
         1.0 / f64::from(self.physics_rate_hz)
     }
 
-    /// Duration of a policy step \[s\].
+    /// Returns the duration of a policy step \[s\].
     pub fn policy_period_s(&self) -> f64 {
         1.0 / f64::from(self.policy_rate_hz)
     }
 
-    /// Policy steps in a duration.
+    /// Returns the number of policy steps in a duration \[s\], rounded.
     pub fn policy_steps(&self, duration_s: f64) -> usize {
         (duration_s * f64::from(self.policy_rate_hz)).round() as usize
     }
 }
 
-/// Joint target = nominal pose + scale · action.
+/// The meaning of actions: joint target = nominal pose + scale · action.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Action {
-    /// Hip, thigh and calf of every leg, or twelve angles in the order of [`crate::robot::LEGS`] \[rad\].
-    pub nominal_pose_rad: LegPose,
-    /// \[rad\] per unit of action.
+    /// Joint targets at action zero \[rad\]: hip, thigh and calf of every leg, or twelve angles in the order of
+    /// Change of the joint target per unit of action \[rad\].
     pub scale_rad: f64,
 }
 
-/// Joint angles of one leg, which stand for every leg, or of all four.
+/// Joint angles of one leg, used for every leg, or those of all four.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "three angles, or twelve")]
 pub enum LegPose {
-    /// Hip, thigh, calf of every leg.
+    /// Hip, thigh and calf of every leg \[rad\].
     Alike([f64; 3]),
-    /// One value for each joint.
+    /// Twelve angles, leg by leg \[rad\].
     Each(Joints),
 }
 
 impl LegPose {
-    /// Returns the value of each joint.
+    /// Returns the angle of each joint \[rad\].
     pub fn joints(&self) -> Joints {
         match *self {
             LegPose::Alike(leg) => same_in_every_leg(leg),
@@ -155,28 +165,28 @@ impl From<Joints> for LegPose {
     }
 }
 
-/// Commands are drawn uniformly from ± range · fraction.
+/// Range of velocity commands, which are drawn uniformly from ± range · fraction, base frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandRange {
-    /// `v_z*` of the paper [m/s].
+    /// Largest forward velocity, `v_z*` of the paper [m/s].
     pub forward_m_s: f64,
-    /// `v_x*` of the paper [m/s].
+    /// Largest velocity to the left, `v_x*` of the paper [m/s].
     pub left_m_s: f64,
-    /// `ω_y*` of the paper [rad/s].
+    /// Largest yaw rate, `ω_y*` of the paper [rad/s].
     pub yaw_rad_s: f64,
     /// Fraction of the range that is open at first.
     #[serde(alias = "initial_share")]
     pub initial_fraction: f64,
-    /// Widening per iteration.
+    /// Increase of the open fraction per iteration.
     #[serde(alias = "share_step")]
     pub fraction_step: f64,
-    /// Mean `r_lin` above which it is widened.
+    /// Mean `r_lin` above which the open fraction increases.
     #[serde(alias = "share_gate")]
     pub fraction_gate: f64,
 }
 
-/// Section III-C and III-D.
+/// Stages, pushes, slopes and termination of an episode (sections III-C and III-D).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Episode {
@@ -186,17 +196,17 @@ pub struct Episode {
     pub recovery_s: f64,
     /// Duration of the post-recovery stage \[s\].
     pub post_recovery_s: f64,
-    /// Replaces tracking rewards in the recovery stage; false gives the baseline.
+    /// True replaces the tracking rewards in the recovery stage; false gives the baseline.
     pub recovery_stage: bool,
-    /// Mean `r_lin` of an iteration's walking stages above which episodes go on to the push, from then on.
+    /// Mean `r_lin` of an iteration's walking stages above which episodes include the push, from then on.
     pub push_gate: f64,
     /// Largest push along forward and left [m/s].
     pub push_speed_m_s: f64,
     /// Largest rotational push about each axis [rad/s].
     pub push_rate_rad_s: f64,
-    /// Largest incline (rise over run).
+    /// Steepest slope of the ground (rise over run).
     pub slope: f64,
-    /// Base height below which the robot has fallen \[m\].
+    /// Base height below which the robot counts as fallen \[m\].
     pub min_height_m: f64,
 }
 
@@ -210,71 +220,71 @@ pub struct Pulls {
     pub duration_s: [f64; 2],
     /// The shortest and the longest time between two pulls \[s\].
     pub gap_s: [f64; 2],
-    /// Growth per iteration of the open fraction of `force_n`, from zero on.
+    /// Increase of the open fraction of `force_n` per iteration, starting at zero.
     pub fraction_step: f64,
-    /// The mean `r_lin` above which that fraction grows.
+    /// Mean `r_lin` above which that fraction increases.
     pub fraction_gate: f64,
 }
 
-/// Table II and equations 1–3.
+/// Weights and targets of the reward (Table II and equations 1 to 3).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reward {
-    /// `w_lin`.
+    /// Weight `w_lin` of the linear velocity reward.
     pub linear_velocity: f64,
-    /// `w_ang`.
+    /// Weight `w_ang` of the yaw rate reward.
     pub angular_velocity: f64,
-    /// `w_e`.
+    /// Weight `w_e` of the energy cost; not above zero.
     pub energy: f64,
-    /// `w_τ`.
+    /// Weight `w_τ` of the torque cost; not above zero.
     pub torque: f64,
-    /// `w_pose`.
+    /// Weight `w_pose` of the pose cost; not above zero.
     pub pose: f64,
-    /// `w_cl`.
+    /// Weight `w_cl` of the foot clearance cost; not above zero.
     pub foot_clearance: f64,
-    /// `w_h`.
+    /// Weight `w_h` of the foot height term.
     pub foot_height: f64,
-    /// `w_f`, not in the paper: time in flight.
+    /// Weight `w_f` of the time in flight; not in the paper.
     pub flight: f64,
-    /// The 8 in `r_lin` and `r_ang`.
+    /// Sharpness of `r_lin` and `r_ang`; 8 in the paper.
     pub tracking_sharpness: f64,
-    /// The 10 in `r_pose` [1/m²].
+    /// Sharpness of the height in `r_pose`; 10 in the paper [1/m²].
     pub height_sharpness: f64,
-    /// The 0.45 of equation 3.
+    /// Sharpness of the negative part in equation 3; 0.45 in the paper.
     pub negative_sharpness: f64,
-    /// `y_des` \[m\].
+    /// Desired base height `y_des` \[m\].
     pub base_height_m: f64,
-    /// `p_des` \[m\].
+    /// Desired peak height of a foot's swing, `p_des` \[m\].
     pub foot_height_m: f64,
 }
 
-/// Section IV-D.
+/// Dynamics randomisation (section IV-D).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Randomisation {
-    /// Off for the simulation experiments.
+    /// True randomises the dynamics; false for the simulation experiments.
     pub enabled: bool,
     /// Range of the floor's sliding friction.
     pub friction: [f64; 2],
-    /// Standard deviation of the encoders' biases, the paper's calibration offsets \[rad\].
+    /// Standard deviation of the encoder bias, which the paper calls calibration offset \[rad\].
     #[serde(alias = "joint_offset_sd_rad")]
     pub encoder_bias_sd_rad: f64,
     /// Sliding friction when randomisation is off.
     pub default_friction: f64,
 }
 
-/// Table III and what Stable-Baselines3 does where the paper is silent.
+/// Settings of PPO: Table III, and those of Stable-Baselines3 where the paper is silent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ppo {
-    /// Samples per iteration.
+    /// Number of samples in an iteration.
     pub batch_size: usize,
-    /// Samples per gradient step.
+    /// Number of samples in a gradient step.
     pub minibatch_size: usize,
-    /// Passes over the batch.
+    /// Number of passes over the batch.
     pub epochs: usize,
-    /// Parts that a run is divided into, a power of two; a run on several [`ranks`](crate::ranks) has at least one for each.
-    /// Sums run within each and then over a tree of them: the result depends on it.
+    /// Number of parts that a run is divided into, a power of two and at least the number of [`ranks`](crate::ranks).
+    /// Sums run within each part and then over a tree of the parts, so results depend on it.
     #[serde(default = "one")]
     pub shards: usize,
     /// The learner that computes the updates.
@@ -283,20 +293,20 @@ pub struct Ppo {
     /// The precision of the learner's arithmetic.
     #[serde(default)]
     pub precision: Precision,
-    /// Learns from half of the samples with left and right exchanged.
+    /// True trains on half of the samples with left and right exchanged.
     #[serde(alias = "mirror")]
     pub symmetry: bool,
     /// Clip range of the probability ratio.
     pub clip_range: f64,
     /// Weight of the entropy bonus.
     pub entropy_coefficient: f64,
-    /// γ.
+    /// Discount factor γ.
     pub discount: f64,
     /// λ of generalised advantage estimation.
     pub gae_lambda: f64,
-    /// KL divergence at which the learning rate aims.
+    /// KL divergence that the adaptive learning rate aims at.
     pub desired_kl: f64,
-    /// Logarithm of the initial standard deviation.
+    /// Logarithm of the initial standard deviation of actions.
     pub initial_log_std: f64,
     /// Widths of the hidden layers of both networks.
     pub hidden_layers: Vec<usize>,
@@ -304,7 +314,7 @@ pub struct Ppo {
     pub environments: usize,
     /// Weight of the value loss.
     pub value_coefficient: f64,
-    /// Largest norm of the joint gradient.
+    /// Largest norm of the joint gradient; larger gradients are scaled down.
     pub max_gradient_norm: f64,
     /// ε of Adam.
     pub adam_epsilon: f64,
@@ -320,57 +330,59 @@ fn one() -> usize {
     1
 }
 
-/// What computes PPO's updates: see [`crate::ppo`].
+/// The implementation of PPO's update, see [`crate::ppo`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LearnerKind {
-    /// The fast one.
+    /// The fast learner, with gradients written by hand.
     #[default]
     Fused,
-    /// The one to read and to change.
+    /// The readable learner, with automatic differentiation; for experiments with the loss.
     Candle,
 }
 
-/// The arithmetic of the fused learner. A run keeps to the one in which it began.
+/// The arithmetic of the fused learner. It stays the same for a whole run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
-    /// `mixed` where the processor can, else `f32`; what it comes to is written into the run.
+    /// `mixed` if the processor has tile units, else `f32`; the choice is stored with the run.
     Auto,
-    /// On any processor; in use before there was a choice.
+    /// Single precision, on any processor; the choice of old runs.
     #[default]
     F32,
-    /// On tile units: outputs as exact as f32, gradients of operands rounded to bf16.
+    /// On tile units (AMX): outputs as exact as f32, operands of gradients rounded to bf16.
     Mixed,
-    /// On tile units: both as exact as f32, with three bf16 products for one of f32.
+    /// On tile units (AMX): all as exact as f32, with three bf16 products in place of one of f32.
     #[serde(rename = "bf16x3")]
     Bf16x3,
-    /// On tile units: bf16 operands throughout.
+    /// On tile units (AMX): bf16 operands throughout.
     Bf16,
 }
 
 impl Ppo {
-    /// Steps of each environment in a batch.
+    /// Returns the number of steps of each environment in a batch.
     pub fn steps(&self) -> usize {
         self.batch_size / self.environments
     }
 }
 
-/// Length of the run.
+/// Length of the run, and how often it is saved.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Run {
-    /// Samples in all.
+    /// Number of samples in the whole run.
     pub samples: u64,
     /// Iterations between checkpoints.
     pub checkpoint_every: u64,
-    /// Samples between policies that are kept beside the newest, as `policy-SAMPLES.safetensors`; without it, none.
+    /// Number of samples between policies kept as `policy-SAMPLES.safetensors` in addition to the newest; none are kept
+    /// without it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub keep_policy_every: Option<u64>,
 }
 
 impl Config {
-    /// The largest velocity that an outer loop may command, forward and left, unless the command itself is larger [m/s].
+    /// Returns the largest velocity that an outer loop may command, forward and left, unless the command itself is
+    /// larger [m/s].
     pub fn outer_loop_limits_m_s(&self) -> [f64; 2] {
         [self.command.forward_m_s, self.command.left_m_s]
     }
@@ -378,7 +390,7 @@ impl Config {
     /// Builds the layout of the observation.
     ///
     /// # Errors
-    /// In words: the entry, what was found and what was expected.
+    /// An entry of the observation is invalid; the text names it, what was found and what was expected.
     pub fn layout(&self) -> Result<Layout, String> {
         Layout::new(&self.observation, &self.nominal())
     }
@@ -393,7 +405,7 @@ impl Config {
     }
 }
 
-/// A list of quantities, or, in files from before it could be written, the scales of the paper's.
+/// Reads a list of quantities, or from old files the scales of the paper's observation.
 fn observation<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Observed>, D::Error> {
     struct ListOrScales;
 

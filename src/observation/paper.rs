@@ -1,11 +1,11 @@
-//! The paper's observation from six scales: what configurations had before the list was theirs to write.
+//! The paper's observation, built from six scales as old configurations state them.
 
 use serde::Deserialize;
 
 use super::quantity::Kind;
 use super::{Ages, Numbers, Observed, Quantity, Word};
 
-/// The scales of the paper's observation, as configurations stated them before the list was theirs to write.
+/// The scales of the paper's observation, as old configurations state them.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs)]
@@ -18,7 +18,8 @@ pub struct Scales {
     pub joint_rate_scale: f64,
 }
 
-/// `o_t = {ô_{t−1}, a_{t−1}, ô_t, v_x*, v_z*, ω_y*}` (section III-A) with Table I's `ô` and these scales.
+/// Returns the entries of `o_t = {ô_{t−1}, a_{t−1}, ô_t, v_x*, v_z*, ω_y*}` (section III-A) with Table I's `ô` and
+/// these scales.
 pub fn paper_layout(scales: &Scales) -> Vec<Observed> {
     let words = |words: [&str; 3]| Some(words.map(ToOwned::to_owned).to_vec());
     let nominal = || Some(Numbers::Word(Word::Nominal));

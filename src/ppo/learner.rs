@@ -1,5 +1,4 @@
-/*!
-What trains: two learners behind one trait.
+/*! What trains: two learners behind one trait.
 */
 
 use std::fmt::Debug;
@@ -14,7 +13,24 @@ use crate::network::ActorCritic;
 use crate::ranks::Ranks;
 use crate::util::yaml;
 
-/// Trains an [`ActorCritic`] by PPO.
+/// A learner that trains an [`ActorCritic`] by PPO.
+///
+/// ```
+/// use supple::{config::Config, network::ActorCritic, ranks::Alone, util::random::{Purpose, stream}};
+/// use supple::ppo::{DiagonalGaussian, LearnerState, Samples, learner};
+///
+/// let mut ppo = Config::load("fast")?.ppo;
+/// ppo.minibatch_size = 4;
+/// let network = ActorCritic::orthogonal(3, &[8], 2, -1.0, &mut stream(0, Purpose::Weights, 0, 0));
+/// let mut learner = learner(&ppo, LearnerState::new(network, &ppo), 1, Alone::shared())?;
+/// let log_std = vec![-1.0; 2];
+/// let log_prob = DiagonalGaussian::new(&log_std).log_prob(&[0.0; 2], &[0.1; 2]) as f32;
+/// let batch = Samples { observations: vec![0.5; 12], actions: vec![0.1; 8], means: vec![0.0; 8], log_std,
+///     log_probs: vec![log_prob; 4], advantages: vec![1.0, -1.0, 2.0, -2.0], returns: vec![1.0; 4] };
+/// learner.update(&batch.batch(), &[vec![0, 1, 2, 3], vec![3, 2, 1, 0]])?; // two epochs of one minibatch
+/// assert_eq!(learner.state().steps, 2);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub trait Learner: Debug + Send {
     /// One PPO update: for each of `permutations` one epoch over the batch in that order, a gradient step for each
     /// `minibatch_size` samples (and one for what remains). With several shards, batch and permutations are those of the

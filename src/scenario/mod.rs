@@ -39,6 +39,19 @@ pub struct TimedPush {
 }
 
 /// The scene, the command and the disturbances of one playback.
+///
+/// ```
+/// use supple::config::Config;
+/// use supple::scenario::{TimedPush, catalog::Scenario};
+/// use supple::sim::Push;
+///
+/// let mut script = Scenario::named("walk", "{duration_s: 3.0}")?.script(0, &Config::load("compliant")?)?;
+/// assert!(script.pushes.is_empty());
+/// let push = Push { linear: [0.0, 0.8], angular: [0.0; 3] }; // 0.8 m/s to the left
+/// script.pushes.push(TimedPush { time_s: 1.0, push });
+/// assert_eq!(script.too_late(), None);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script {
     /// Robot, ground, obstacles.

@@ -165,6 +165,21 @@ pub enum EventKind {
 }
 
 /// The frames and events of one playback.
+///
+/// ```
+/// use supple::policy::shipped;
+/// use supple::scenario::{Playback, catalog::Scenario};
+///
+/// let agent = shipped::find("compliant")?;
+/// let script = Scenario::named("push", "{push_m_s: 0.75, at_s: 0.5, duration_s: 3.0}")?.script(3, &agent.config)?;
+/// let trace = Playback::new(&script, &agent.config, agent.controller())?.trace();
+/// let pushed_s = trace.disturbed("push").ok_or("no push")?;
+/// let after = trace.after(pushed_s);
+/// let speed = |velocity: [f64; 3]| velocity[0].hypot(velocity[1]); // [m/s]
+/// assert!(trace.fall().is_none());
+/// assert!(speed(after.frames[0].velocity) > 2.0 * speed(after.frames[60].velocity)); // decayed within 1 s
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trace {
     /// Time between frames \[s\].

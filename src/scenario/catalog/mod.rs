@@ -69,6 +69,17 @@ pub const DEFAULTS: &[(&str, &str)] = &[
 ];
 
 /// A scenario with its parameters.
+///
+/// ```
+/// use supple::config::Config;
+/// use supple::scenario::catalog::Scenario;
+///
+/// let scenario = Scenario::named("push", "{push_m_s: 0.5, at_s: 1.0}")?; // the other parameters have defaults
+/// let script = scenario.script(3, &Config::load("compliant")?)?;
+/// assert_eq!(script.pushes[0].push.linear[0].hypot(script.pushes[0].push.linear[1]), 0.5); // [m/s]
+/// assert!((1.0..1.65).contains(&script.pushes[0].time_s)); // the seed draws the phase of the gait
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Scenario {

@@ -37,7 +37,20 @@ pub struct PlaybackStep {
     pub events: Vec<Event>,
 }
 
-/// A script being played.
+/// A script being played with a controller: an iterator over policy steps.
+///
+/// ```
+/// use supple::policy::shipped;
+/// use supple::scenario::{Playback, catalog::Scenario};
+///
+/// let agent = shipped::find("compliant")?;
+/// let script = Scenario::named("walk", "{forward_m_s: 0.5, duration_s: 1.0}")?.script(0, &agent.config)?;
+/// let steps: Vec<_> = Playback::new(&script, &agent.config, agent.controller())?.collect();
+/// assert_eq!(steps.len(), 60); // 1 s at 60 Hz
+/// let frame = steps[59].frame.as_ref().ok_or("the physics failed")?;
+/// assert!(frame.position[0] > 0.1); // it has walked forward [m]
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Playback<'a> {
     script: Cow<'a, Script>,
     config: Cow<'a, Config>,
