@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use supple::scenario::session::{PushUnit, Reading, SceneKind};
 
-/// Identity of a connection.
+/// Number that identifies a page's connection.
 pub type PageId = u64;
 
 /// Largest push [m/s].
@@ -21,11 +21,11 @@ pub enum Request {
     Drive,
     /// Velocity command: forward [m/s], left [m/s], yaw rate [rad/s]. Repeated to show that the page is alive.
     Command([f64; 3]),
-    /// Push in the heading frame: forward, left.
+    /// Push in the heading frame.
     Push {
-        /// Size along each axis.
+        /// Size forward and left, in the unit below.
         size: [f64; 2],
-        /// Unit of the size.
+        /// Unit of the size: velocity [m/s] or momentum [N·s].
         unit: PushUnit,
     },
     /// Pulling force in the heading frame, forward and left \[N\]; `None` ends the pull.
@@ -102,7 +102,7 @@ pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
 pub struct Hello {
     /// Names of the shipped policies.
     pub policies: Vec<String>,
-    /// Available scenes.
+    /// Scenes that can be chosen.
     pub scenes: Vec<SceneKind>,
     /// Largest push [m/s] and [N·s], and largest pull \[N\].
     pub most: [f64; 3],
@@ -160,7 +160,7 @@ pub struct RobotStatus {
     pub reach: Option<([f64; 2], f64)>,
     /// Number of falls.
     pub falls: u32,
-    /// Measurements.
+    /// Present measurements: velocity, power, push and pull; `None` before the first step.
     pub reading: Option<Reading>,
 }
 

@@ -125,6 +125,8 @@ impl Simulation {
 #[serde(deny_unknown_fields)]
 pub struct Action {
     /// Joint targets at action zero \[rad\]: hip, thigh and calf of every leg, or twelve angles in the order of
+    /// [`crate::robot::LEGS`].
+    pub nominal_pose_rad: LegPose,
     /// Change of the joint target per unit of action \[rad\].
     pub scale_rad: f64,
 }

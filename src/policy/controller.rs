@@ -5,10 +5,9 @@ use crate::robot::{Joints, RobotState};
 
 /// A controller under test: a trained policy, an external one, or a hand-written gait.
 ///
-/// A controller can be sent to another thread. It receives states as a robot's sensors would give them, and stores what
-/// it
-needs of the past.
-
+/// A controller can be sent to another thread. It receives states as a robot's sensors would give them, and stores
+/// what it needs of the past.
+pub trait Controller: Send {
     /// Returns the joint targets that are held until the first step \[rad\].
     fn rest(&self) -> Joints;
 

@@ -7,8 +7,8 @@ use super::scene::GROUND;
 use crate::mujoco::{Data, Kind, Model, Result};
 use crate::robot::{FootState, Foothold, JOINTS, Joints, LEGS, Robot, RobotState, joint_name};
 
-/// Where the robot's parts are in a compiled model.
-Ids of the robot's parts in a compiled model.
+/// Ids of the robot's parts in a compiled model.
+#[derive(Debug, Clone)]
 pub struct Parts {
     trunk: usize,
     root_position: usize,

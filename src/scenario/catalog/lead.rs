@@ -1,4 +1,4 @@
-//! A walker leads the robot by the leash (E14).
+//! The scenario `lead`: a walker leads the robot by the leash (E14).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! A constant pull on the trunk (E5).
+//! The scenario `leash`: a constant pull on the trunk (E5).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};

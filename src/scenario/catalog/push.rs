@@ -1,4 +1,4 @@
-//! Sudden changes of the trunk's velocity (E1 to E4).
+//! The scenario `push`: sudden changes of the trunk's velocity (E1 to E4).
 
 use clap::Args;
 use rand::RngExt;

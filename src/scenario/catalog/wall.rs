@@ -1,4 +1,4 @@
-//! A soft wall across the course (E14).
+//! The scenario `wall`: a soft wall across the course (E14).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -9,7 +9,7 @@ use crate::scenario::metrics::{self, Metric};
 use crate::scenario::spring::{Spring, SpringEnd};
 use crate::scenario::trace::{Frame, Stretch, Trace};
 
-/// Length of the first impact \[s\].
+/// Duration of the first impact \[s\].
 const BLOW_S: f64 = 1.0;
 
 /// Wall: walk into a wall that gives.
