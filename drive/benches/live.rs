@@ -27,19 +27,19 @@ use tungstenite::Message;
 /// Measures a running drive.
 #[derive(Parser)]
 struct Args {
-    /// Scene
+    /// Name of the scene
     #[arg(long, default_value = "ball-pit")]
     scene: String,
-    /// How long
+    /// Duration of the measurement (s)
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// No viewer
+    /// Run without a viewer
     #[arg(long)]
     blind: bool,
-    /// rerun's viewer in headless Chromium looks at the robots
+    /// Show the robots in rerun's viewer in headless Chromium
     #[arg(long)]
     chromium: bool,
-    /// Given by cargo
+    /// Flag that cargo passes to benchmarks
     #[arg(long, hide = true)]
     bench: bool,
 }

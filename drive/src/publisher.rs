@@ -34,7 +34,7 @@ pub struct Updates {
 pub struct Publisher {
     /// Clock that ties simulated to real time.
     pub clock: Clock,
-    /// The driving page.
+    /// Id of the driving page, if there is one.
     pub driver: Option<PageId>,
     /// Time and number of the driving page's last message.
     pub heard: (Instant, u64),

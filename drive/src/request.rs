@@ -125,7 +125,7 @@ pub struct State {
     pub behind: bool,
     /// True while paused.
     pub paused: bool,
-    /// The driving page.
+    /// Id of the driving page, if there is one.
     pub driver: Option<PageId>,
     /// Current scene.
     pub scene: SceneKind,

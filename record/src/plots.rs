@@ -61,7 +61,7 @@ pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
 /// Kind of a plot's series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Series {
-    /// One number in the robot's colour.
+    /// A single value, in the robot's colour.
     Single,
     /// The command, drawn first, and the measured value.
     Tracking,

@@ -319,7 +319,7 @@ fn elu_slope<S: Simd>(simd: S, y: S::f32s) -> S::f32s {
 
 /// Computes `eˣ − 1` to about 1 ulp for `x ≤ 0`; the result for positive `x` has no meaning.
 ///
-/// With `n = round(x / ln 2)` and `r = x − n ln 2` it is `2ⁿ (eʳ − 1) + (2ⁿ − 1)`. The polynomial is the minimax fit of
+/// For `n = round(x / ln 2)` and `r = x − n ln 2` it is `2ⁿ (eʳ − 1) + (2ⁿ − 1)`. The polynomial is the minimax fit of
 /// `(eʳ − 1 − r) / r²` on `|r| ≤ ln 2 / 2`, weighted to the least error of `eʳ` (Lawson's iteration).
 #[inline(always)]
 fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {

@@ -78,9 +78,9 @@ pub enum Numbers {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Word {
-    /// As an offset: the value in the nominal pose, for base height, joint angles and joint targets.
+    /// The offset that equals the value in the nominal pose, for base height, joint angles and joint targets.
     Nominal,
-    /// As a scale of joint values: the inverse scale of the action, which turns joint targets back into network
+    /// The scale of joint values that is the inverse scale of the action, which turns joint targets back into network
     /// outputs.
     Action,
 }

@@ -10,7 +10,7 @@ use crate::robot::{Joints, RobotState};
 pub struct Moment<'a> {
     /// State of the robot, true or estimated.
     pub state: &'a RobotState,
-    /// The command.
+    /// Command to the policy, base frame.
     pub command: &'a Command,
     /// The network's last outputs, clipped, in the policy's order; zero at first.
     pub last_action: &'a Joints,

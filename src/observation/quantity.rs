@@ -48,7 +48,7 @@ pub enum Quantity {
 /// The kind of a quantity's numbers, which decides their names and their mirror images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// One number that a mirror leaves unchanged.
+    /// A scalar: one number, which a mirror leaves unchanged.
     Scalar,
     /// A polar vector: a mirror reverses its left element.
     Polar,
@@ -56,9 +56,9 @@ pub(super) enum Kind {
     Axial,
     /// A command: forward, left, yaw rate.
     Command,
-    /// One number for each joint.
+    /// Joint values: one number for each joint.
     Joints,
-    /// One number for each phase that the layout lists, with a frequency.
+    /// A clock: one number for each phase that the layout lists.
     Clock,
     /// The constants that the layout lists.
     Constant,
@@ -85,8 +85,8 @@ impl Quantity {
         }
     }
 
-    /// Measures this quantity into a slice of its width. `block` selects the axes and signs of a vector, frequency
-    /// \[Hz\] and phases of a clock, or the values of a constant.
+    /// Measures this quantity into `out`, a slice of its width. `axes` selects the elements and signs of a vector;
+    /// `values` are the phases of a clock or the values of a constant; `order` is the policy's order of joints.
     pub(super) fn measure(
         self,
         axes: &[(usize, f64)],

@@ -5,8 +5,8 @@ of a batch; there are two, and the key `ppo.learner` chooses between them:
 
 - [`CandleLearner`] computes the textbook's formulas with automatic differentiation;
 - [`FusedLearner`], the default, computes the same several times faster, with gradients written by hand and fused
-products on all cores. [`PackedMlp`](crate::network::PackedMlp) evaluates one network during rollouts, with the same
-bits.
+  products on all cores. [`PackedMlp`](crate::network::PackedMlp) evaluates one network during rollouts, with the same
+  bits.
 
 To try a new loss, change [`candle::Loss::new`] and train with `ppo.learner: candle`; nothing else needs a change. To
 keep it, add it to the fused learner; the tests that compare the two tell when it is right.

@@ -3,8 +3,8 @@
 Start with the trait [`Ranks`] and [`Alone`], the single process; with the feature `mpi`, `Mpi` is a process started by
 `mpirun`.
 
-A run is divided into `ppo.shards` equal parts, a power of two: shard `s` of `S` has environments `s·E/S` to `(s +
-1)·E/S`, their samples, its own order of the samples, and an equal part of every minibatch. A sum over samples runs
+A run is divided into `ppo.shards` equal parts, a power of two: shard `s` of `S` has environments `s·E/S` to
+`(s + 1)·E/S`, their samples, its own order of the samples, and an equal part of every minibatch. A sum over samples runs
 within each shard in order, then over the shards by a fixed tree, `((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7))`. Every
 rank has the same number of consecutive shards, so that its sum is a node of that tree: the result depends on the number
 of shards, but neither on that of ranks nor on that of threads.

@@ -19,7 +19,7 @@ pub struct Foothold {
     pub contact: bool,
 }
 
-/// A foot at the end of a policy step.
+/// Height, velocity and contact of a foot at the end of a policy step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FootState {
     /// Bottom of the foot's sphere above the ground under it \[m\].

@@ -186,7 +186,7 @@ pub struct Trace {
     pub period_s: f64,
     /// Weight of the robot \[N\].
     pub weight_n: f64,
-    /// One frame for each policy step.
+    /// Frames, one for each policy step.
     pub frames: Vec<Frame>,
     /// Events in order of time.
     pub events: Vec<Event>,

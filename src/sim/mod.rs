@@ -36,7 +36,8 @@ pub enum Fall {
     Touch(usize),
 }
 
-/// Contact priority of feet that carry the friction of their place: above that of grounds and obstacles.
+/// Contact priority of feet on ground of varied friction: above that of grounds and obstacles, so that the feet's
+/// friction holds.
 const FOOT_PRIORITY: i32 = 3;
 
 /// Approximate half-length of the square that a standing robot covers \[m\].

@@ -35,7 +35,7 @@ pub struct Buffers {
     pub contacts: usize,
     /// Maximum number of constraint rows, `njmax`.
     pub rows: usize,
-    /// Stack \[f64\], `nstack`.
+    /// Size of the stack \[numbers\], `nstack`.
     pub stack: usize,
 }
 

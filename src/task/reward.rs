@@ -25,7 +25,7 @@ use crate::sim::{StepObserver, StepSummary};
 pub struct RewardInput<'a> {
     /// State at the end of the step.
     pub state: &'a RobotState,
-    /// The command.
+    /// Command to the policy, base frame.
     pub command: &'a Command,
     /// Power and torque over the step.
     pub summary: &'a StepSummary,

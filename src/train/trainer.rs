@@ -65,7 +65,7 @@ pub enum TrainError {
     /// The number of ranks is not a power of two.
     #[error("there are {0} ranks, expected a power of two: change mpirun's -n")]
     Count(usize),
-    /// One of several ranks failed.
+    /// A rank failed; the error is reported on all of them.
     #[error(transparent)]
     Rank(#[from] RankError),
     /// A checkpoint does not fit its own configuration.
@@ -316,7 +316,7 @@ impl Trainer {
     /// Returns the state to resume from, complete on every rank.
     ///
     /// # Errors
-    /// One of several ranks failed.
+    /// Another rank failed while the environments were collected.
     pub fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
         let own = self.environments.iter().map(LocomotionEnv::save).collect::<Vec<_>>();
         let environments = agree(&*self.ranks, Ok::<_, TrainError>(own))?.concat();

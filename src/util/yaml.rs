@@ -39,7 +39,7 @@ pub struct Text {
     pub name: String,
     /// Content of the text.
     pub content: String,
-    /// True if a reader of errors can find the line.
+    /// True if errors should name the line; false for the text of a flag, which has only one.
     has_lines: bool,
 }
 

@@ -48,7 +48,7 @@ struct Args {
     /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
-    /// Go on with the run in this folder, exactly where its checkpoint stands
+    /// Resume the run in this folder, exactly from its checkpoint
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
     /// Worker threads; the result does not depend on them [default: all cores]

@@ -1,4 +1,5 @@
-/*! The contact network: which feet touch the ground, from joint states and joint targets alone (section IV-D).
+/*! The contact network: which feet touch the ground, from joint states and joint targets alone (section IV-D). Start with
+[`ContactEstimator`] (one robot), then [`ContactNetwork`]; [`learn`] trains it and [`score`] measures it.
 
 A small network reads encoders and joint targets of the last four ticks of 240 Hz, 144 numbers, and returns a logit of
 contact for each foot. It is trained once, by supervised learning on data of a trained policy ([`learn`],

@@ -5,7 +5,7 @@ textbook loop.
 too. `ppo.learner: candle` trains with it; the fused learner is tested against it.
 
 Its bits do not depend on threads: candle's products distribute elements of their results, never the sum of an element.
-They depend on the processor.
+They may depend on the processor.
 */
 
 mod adam;

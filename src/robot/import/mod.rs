@@ -1,4 +1,5 @@
-/*! Robot import: adapts an MJCF file written for other purposes, and reports every change.
+/*! Robot import: adapts an MJCF file written for other purposes, and reports every change. Read `resolve` (the files),
+`names` (joints and feet), `normalise` (the changes) and `sandbox` (the child process), in this order.
 
 A file such as the widely used Go1 brings its own servos, damping, contact softness, solver options and floor. Here the
 only controller is the PD law with its torque limits, the only damping is K_d, and the ground's friction is the

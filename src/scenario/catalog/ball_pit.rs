@@ -93,7 +93,7 @@ impl Parameters for BallPit {
         found.push(truth("crossed", "got across", Some(trace.reached_goal())));
     }
 
-    /// Moves the balls away by the distance walked in that time.
+    /// Moves the balls away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

@@ -89,9 +89,9 @@ pub enum Scenario {
     Push(PushAway),
     /// Pull the trunk with a constant force (E5)
     Leash(Leash),
-    /// Walk away with the leash (E14)
+    /// Lead the robot by a leash (E14)
     Lead(Lead),
-    /// Walk into a wall that gives (E14)
+    /// Walk into a soft wall (E14)
     Wall(Wall),
     /// Walk into a free box (E6)
     Box(FreeBox),

@@ -35,7 +35,7 @@ pub struct Outdoor {
     /// Lattice cells of the hills per metre; a hill and a dale take about two cells (1/m)
     #[arg(long)]
     pub frequency_per_m: f64,
-    /// Least sliding friction of a square of ground
+    /// Smallest sliding friction of a square of ground
     #[arg(long)]
     pub least_friction: f64,
     /// Largest sliding friction of a square of ground

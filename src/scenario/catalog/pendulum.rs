@@ -46,7 +46,7 @@ pub struct Pendulum {
     /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// When the ball is let go (s)
+    /// Time at which the ball is released (s)
     #[arg(long)]
     pub at_s: f64,
 }

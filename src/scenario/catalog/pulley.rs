@@ -44,16 +44,16 @@ pub struct Pulley {
     /// Height of the pulley that the rope comes from (m)
     #[arg(long)]
     pub height_m: f64,
-    /// How far the weight can sink or rise, beyond what the commanded walk takes, before it meets ground or pulley (m)
+    /// Distance that the weight can sink or rise, in addition to that of the commanded walk, before it meets ground or pulley (m)
     #[arg(long)]
     pub drop_m: f64,
-    /// Slack of the rope when the weight is let go; the weight falls freely until the rope is taut (m)
+    /// Slack of the rope at the release; the weight falls freely until the rope is taut (m)
     #[arg(long)]
     pub slack_m: f64,
-    /// When the weight is let go (s)
+    /// Time at which the weight is released (s)
     #[arg(long)]
     pub at_s: f64,
-    /// How long the rope stays on the robot (s)
+    /// Duration for which the rope stays on the robot (s)
     #[arg(long)]
     pub for_s: f64,
 }

@@ -51,10 +51,10 @@ pub struct Rubble {
     /// Number of wooden blocks
     #[arg(long)]
     pub blocks: u32,
-    /// Least and largest edge of a block seen from above are a half and all of this (m)
+    /// Largest edge of a block seen from above; the smallest is half of it (m)
     #[arg(long)]
     pub block_edge_m: f64,
-    /// Least and largest height of a block are a half and all of this (m)
+    /// Largest height of a block; the smallest is half of it (m)
     #[arg(long)]
     pub block_height_m: f64,
     /// Number of soft mats, squares of 0.7 m
@@ -66,10 +66,10 @@ pub struct Rubble {
     /// Distance from the robot's centre to where the rubble begins (m)
     #[arg(long)]
     pub distance_m: f64,
-    /// How far it reaches along the way (m)
+    /// Length of the rubble along the way (m)
     #[arg(long)]
     pub length_m: f64,
-    /// How far it reaches across the way (m)
+    /// Width of the rubble across the way (m)
     #[arg(long)]
     pub width_m: f64,
 }
@@ -196,7 +196,7 @@ impl Parameters for Rubble {
         found.push(metric("peak_contact_force_n", "peak force on blocks and mats", peak, "N"));
     }
 
-    /// Moves the rubble away by the distance walked in that time.
+    /// Moves the rubble away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

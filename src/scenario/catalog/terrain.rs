@@ -45,7 +45,7 @@ pub struct Terrain {
     /// Steps: length of each (m)
     #[arg(long)]
     pub step_length_m: f64,
-    /// Steps: number up, and as many down
+    /// Steps: number of steps up, followed by as many down
     #[arg(long)]
     pub steps: u32,
     /// Slope: rise over run

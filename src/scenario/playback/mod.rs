@@ -1,4 +1,5 @@
-//! Playback: plays a script with a controller, one policy step at a time.
+//! Playback: plays a script with a controller, one policy step at a time. Start with `Playback::try_step`; `contact_meter`
+//! measures forces within a step, `interventions` serves robots driven live.
 
 mod contact_meter;
 mod interventions;

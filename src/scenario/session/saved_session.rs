@@ -281,7 +281,7 @@ pub struct SessionReplay {
     next: usize,
 }
 
-/// One step of a [`SessionReplay`].
+/// A step of a [`SessionReplay`].
 #[derive(Debug)]
 pub struct ReplayStep {
     /// The tick at which the step began.

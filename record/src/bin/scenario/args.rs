@@ -47,7 +47,7 @@ pub struct Args {
     #[arg(long, global = true, help_heading = INPUT, value_name = "FIRST..LAST", value_parser = seeds::range,
           conflicts_with_all = ["seed", "record", "connect", "serve", "on_fall", "csv"])]
     pub seeds: Option<RangeInclusive<u64>>,
-    /// What the policy acts on: the true state, or estimates from noisy sensors
+    /// State that the policy acts on: the true one, or an estimate from noisy sensors
     #[arg(long, global = true, help_heading = INPUT, value_enum, default_value_t)]
     pub sensing: Sensing,
     /// YAML file with parameters of the scenario, by the names of its flags; flags win

@@ -168,7 +168,7 @@ const COLUMNS: [Column; 26] = [
     ("base_z_m_s", |frame| frame.velocity[2]),
 ];
 
-/// Returns the force of a rope with a load, a leash that is led, or a wall that gives \[N\].
+/// Returns the force of a rope with a load, a leash that is led, or a soft wall \[N\].
 fn rope_force_n(frame: &Frame) -> f64 {
     let of_spring = frame.spring.map_or(0.0, |spring| spring.force_n);
     frame.rope.as_ref().map_or(of_spring, |rope| rope.force_n)
