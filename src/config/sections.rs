@@ -26,7 +26,7 @@ use crate::util::files::FileError;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Config {
-    /// The robot.
+    /// The robot and its joint losses.
     pub robot: RobotModel,
     /// Rates, gains, latency.
     pub simulation: Simulation,
@@ -244,9 +244,9 @@ pub struct Reward {
     pub pose: f64,
     /// Weight `w_cl` of the foot clearance cost; not above zero.
     pub foot_clearance: f64,
-    /// Weight `w_h` of the foot height term.
+    /// Weight `w_h` of the foot height cost; not above zero.
     pub foot_height: f64,
-    /// Weight `w_f` of the time in flight; not in the paper.
+    /// Weight `w_f` of the time in flight, a cost that is not in the paper; not above zero.
     pub flight: f64,
     /// Sharpness of `r_lin` and `r_ang`; 8 in the paper.
     pub tracking_sharpness: f64,

@@ -1,5 +1,4 @@
-/*! Inference of a network whose weights are rearranged for the SIMD kernels.
-*/
+//! Inference of a network whose weights are rearranged for the SIMD kernels.
 
 use pulp::Arch;
 

@@ -1,5 +1,4 @@
-/*! Layers split into panels of 32 outputs, the unit in which weights are stored.
-*/
+//! Layers split into panels of 32 outputs, the unit in which weights are stored.
 
 use pulp::Arch;
 

@@ -116,14 +116,18 @@ struct Metadata {
 /// A trained policy: the network and everything that a robot needs to run it.
 ///
 /// ```
-/// use supple::policy::shipped;
+/// use supple::policy::{Buffers, shipped};
+/// use supple::{task::Curriculum, train::environment::LocomotionEnv};
 ///
 /// let policy = shipped::find_ours("compliant")?; // a shipped name, a policy file or a run's folder
-/// let observation = vec![0.0; policy.layout().length()]; // physical units
-/// let targets = policy.joint_targets(&observation, &mut Default::default());
-/// assert_eq!(targets.len(), 12); // [rad]
-/// let action = (targets[0] - policy.nominal_pose()[0]) / policy.scale_rad(); // of joint FR_hip
-/// assert!(action.is_finite());
+/// let mut env = LocomotionEnv::new(&policy.provenance.config, 0, 0, Curriculum::complete())?;
+/// env.without_stagger();
+/// let (nominal, mut buffers) = (policy.nominal_pose(), Buffers::default());
+/// for _ in 0..60 {
+///     let targets = policy.joint_targets(&env.observation(), &mut buffers); // twelve angles [rad]
+///     let action: [f32; 12] = std::array::from_fn(|j| ((targets[j] - nominal[j]) / policy.scale_rad()) as f32);
+///     assert_eq!(env.step(&action).0.end, None); // it walks for a second
+/// }
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -184,6 +188,9 @@ impl Policy {
     }
 
     /// Serialises the policy to the bytes of a policy file.
+    ///
+    /// # Errors
+    /// The weights do not fit their shapes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
         let mut all = Tensor::of_network(self.actor.tensors("policy."));
         let (observations, targets) = self.golden();

@@ -1,5 +1,4 @@
-/*! The interface of the two learners, and the choice between them.
-*/
+//! The interface of the two learners, and the choice between them.
 
 use std::fmt::Debug;
 use std::sync::Arc;

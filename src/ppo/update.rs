@@ -1,5 +1,4 @@
-/*! The parts of an update that all learners share: from the sums of a minibatch to its step, statistics or fault.
-*/
+//! The parts of an update that all learners share: from the sums of a minibatch to its step, statistics or fault.
 
 use serde::{Deserialize, Serialize};
 

@@ -1,5 +1,4 @@
-/*! Metrics of one training iteration: a flat list of named numbers, one JSON object, one TensorBoard step.
-*/
+//! Metrics of one training iteration: a flat list of named numbers, one JSON object, one TensorBoard step.
 
 use std::time::Duration;
 

@@ -35,9 +35,8 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write_with(path, |out| out.write_all(bytes))
 }
 
-/// Writes a file like [`write_atomically`], in pieces. A link is kept and its target written; a device or a pipe
-/// is written to and never replaced; `-` and `/dev/stdout` are standard output, where a closed
-/// pipe is no error.
+/// Writes a file like [`write_atomically`], in pieces. A link is kept and its target written; a device or a pipe is
+/// written to and never replaced; `-` and `/dev/stdout` are standard output, where a closed pipe is no error.
 ///
 /// # Errors
 /// The operating system or `write` fails; the old content of a regular file is then unchanged.

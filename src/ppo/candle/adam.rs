@@ -1,5 +1,4 @@
-/*! Adam, with moments that a checkpoint can store; candle's own Adam keeps them private.
-*/
+//! Adam, with moments that a checkpoint can store; candle's own Adam keeps them private.
 
 use candle_core::backprop::GradStore;
 use candle_core::{Result, Tensor, Var};

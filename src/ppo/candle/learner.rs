@@ -1,5 +1,4 @@
-/*! The candle learner: one PPO update, line by line.
-*/
+//! The candle learner: one PPO update, line by line.
 
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Tensor, Var};

@@ -1,5 +1,4 @@
-/*! Policy and value function as candle's variables, and conversion back to plain numbers.
-*/
+//! Policy and value function as candle's variables, and conversion back to plain numbers.
 
 use candle_core::{DType, Device, Error, Result, Tensor, Var};
 use candle_nn::{Linear, Module};

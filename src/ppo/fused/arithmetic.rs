@@ -1,5 +1,4 @@
-/*! The interface of the arithmetics: what the three phases of an update compute with.
-*/
+//! The interface of the arithmetics: what the three phases of an update compute with.
 
 use std::fmt::Debug;
 use std::ops::Range;

@@ -1,5 +1,4 @@
-/*! The losses of a block of rows, and their gradients by the networks' outputs.
-*/
+//! The losses of a block of rows, and their gradients by the networks' outputs.
 
 use crate::ppo::loss::{Minibatch, Surrogate};
 use crate::ppo::{DiagonalGaussian, KlDivergence};

@@ -1,5 +1,4 @@
-/*! The optimiser Adam, applied to one block of parameters at a time.
-*/
+//! The optimiser Adam, applied to one block of parameters at a time.
 
 use pulp::{Simd, WithSimd};
 

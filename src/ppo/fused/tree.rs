@@ -1,5 +1,4 @@
-/*! Sums the gradients of shards in the order of a binary tree, as they arrive one after the other.
-*/
+//! Sums the gradients of shards in the order of a binary tree, as they arrive one after the other.
 
 use std::mem::swap;
 

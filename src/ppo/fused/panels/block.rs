@@ -1,5 +1,4 @@
-/*! Forward and backward pass of one network over one block of rows of a minibatch.
-*/
+//! Forward and backward pass of one network over one block of rows of a minibatch.
 
 use std::sync::RwLockReadGuard;
 

@@ -1,5 +1,4 @@
-/*! A panel of 32 outputs in training, differentiated and stepped as a unit.
-*/
+//! A panel of 32 outputs in training, differentiated and stepped as a unit.
 
 use crate::network::Layer;
 use crate::network::kernels::{Buffer, PANEL, Row};

@@ -1,5 +1,4 @@
-/*! Conversion of f32 rows to operands of the tile unit.
-*/
+//! Conversion of f32 rows to operands of the tile unit.
 
 use std::arch::x86_64::{__m128i, __m512i};
 
