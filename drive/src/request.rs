@@ -21,7 +21,7 @@ pub enum Request {
     Drive,
     /// Velocity command: forward [m/s], left [m/s], yaw rate [rad/s]. Repeated to show that the page is alive.
     Command([f64; 3]),
-    /// Push in the heading frame.
+    /// Push the trunks, in the heading frame.
     Push {
         /// Size forward and left, in the unit below.
         size: [f64; 2],
@@ -34,14 +34,14 @@ pub enum Request {
     Comply {
         /// Index of the robot: 0 or 1.
         robot: usize,
-        /// Compliance [m/s/N].
+        /// Commanded compliance [m/s/N].
         compliance: f64,
     },
     /// Put all robots back to the start.
     Reset,
     /// Choose a seed; `None` takes the next one.
     Seed(Option<u64>),
-    /// Choose a scene.
+    /// Choose a scene; the robots start anew in it.
     Scene(SceneKind),
     /// Choose the policy and the model of a robot; no policy removes the robot.
     Robot {
@@ -64,7 +64,7 @@ pub enum Request {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kept {
-    /// The last minute.
+    /// The last minute of the session.
     Minute,
     /// Everything since the start.
     All,
@@ -142,11 +142,11 @@ pub struct State {
 /// The status of a robot.
 #[derive(Debug, Clone, Serialize)]
 pub struct RobotStatus {
-    /// Name in the viewer.
+    /// Unique name of the robot in the viewer.
     pub name: String,
-    /// Policy as requested.
+    /// Policy as it was requested: name, file or run folder.
     pub policy: String,
-    /// Robot as requested.
+    /// Robot as it was requested: name or file.
     pub robot: String,
     /// Simulated time of the robot \[s\].
     pub time_s: f64,
@@ -158,7 +158,7 @@ pub struct RobotStatus {
     pub compliance: f64,
     /// Range of commanded compliance, and own compliance [m/s/N]; `None` if the policy is not calibrated.
     pub reach: Option<([f64; 2], f64)>,
-    /// Number of falls.
+    /// Number of falls since the last setup.
     pub falls: u32,
     /// Present measurements: velocity, power, push and pull; `None` before the first step.
     pub reading: Option<Reading>,

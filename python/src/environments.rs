@@ -83,7 +83,7 @@ struct VecWorld {
     helpers: Option<ThreadPool>,
 }
 
-/// A step of one environment.
+/// The result of a step of one environment.
 struct Outcome {
     step: EnvStep,
     /// The command in the observation after the step.
@@ -92,7 +92,7 @@ struct Outcome {
     ended: Option<Ended>,
 }
 
-/// An episode that is over.
+/// An episode that has ended, with its last observation.
 struct Ended {
     report: EpisodeReport,
     /// The last observation of the episode, normalised.

@@ -50,7 +50,7 @@ pub enum RecordError {
     /// A port cannot be opened: it is in use, or not permitted.
     #[error("cannot serve the viewer on port {port}: {reason}; choose another one, and have the next one free too")]
     Serve {
-        /// The port.
+        /// The port that cannot be opened.
         port: u16,
         /// Reason given by the operating system.
         reason: String,

@@ -16,7 +16,7 @@ use supple::task::reward::{TERMS, TermDefinition};
 pub(super) struct Plot {
     /// Name of the plot's entities.
     pub(super) entity: &'static str,
-    /// Title with the unit.
+    /// Title of the plot, with the unit.
     pub(super) title: &'static str,
     /// Tab in which the plot is shown.
     pub(super) tab: Tab,
@@ -81,7 +81,7 @@ const fn plot(
     Plot { entity, title, tab, series, range: None, values }
 }
 
-/// All plots.
+/// All plots of recordings, in order.
 const PLOTS: &[Plot] = &[
     plot("forward", "Forward velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
         vec![frame.command.forward, frame.velocity[0]]

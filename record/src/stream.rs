@@ -307,7 +307,7 @@ impl std::fmt::Debug for Stream {
     }
 }
 
-/// Dropping a recorder must not hang.
+/// Drops the rerun stream in the background, because closing it may hang.
 impl Drop for Stream {
     fn drop(&mut self) {
         if self.recording.is_some() {

@@ -30,7 +30,7 @@ pub enum ValueError {
         key: &'static str,
         /// The value that was found.
         found: String,
-        /// The valid values.
+        /// Description of the valid values.
         expected: String,
     },
     /// A list of quantities that cannot be observed; the text says why.

@@ -28,7 +28,7 @@ use crate::util::files::FileError;
 pub struct Config {
     /// The robot and its joint losses.
     pub robot: RobotModel,
-    /// Rates, gains, latency.
+    /// Rates, gains and latency of control and physics.
     pub simulation: Simulation,
     /// The map from network outputs to joint targets.
     pub action: Action,
@@ -44,11 +44,11 @@ pub struct Config {
     pub pulls: Option<Pulls>,
     /// Weights and targets of the reward (Table II).
     pub reward: Reward,
-    /// Dynamics randomisation.
+    /// Randomisation of friction and encoder bias.
     pub randomisation: Randomisation,
     /// Settings of PPO (Table III).
     pub ppo: Ppo,
-    /// Length of the run.
+    /// Length of the run, and how often it is saved.
     pub run: Run,
 }
 
@@ -216,7 +216,7 @@ pub struct Episode {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pulls {
-    /// The largest pull \[N\].
+    /// Largest force of a pull \[N\].
     pub force_n: f64,
     /// The shortest and the longest pull \[s\].
     pub duration_s: [f64; 2],
@@ -318,7 +318,7 @@ pub struct Ppo {
     pub value_coefficient: f64,
     /// Largest norm of the joint gradient; larger gradients are scaled down.
     pub max_gradient_norm: f64,
-    /// ε of Adam.
+    /// Term `ε` in the denominator of Adam's step.
     pub adam_epsilon: f64,
     /// Learning rate of the first gradient step.
     pub initial_learning_rate: f64,

@@ -42,7 +42,7 @@ pub enum SensorFault {
     /// The time since the last tick is not a valid time step.
     #[error("the time since the last tick is {dt_s} s, expected a positive number")]
     Timestep {
-        /// The time step given \[s\].
+        /// The invalid time step \[s\].
         dt_s: f64,
     },
     /// A sensor has not delivered a first reading.

@@ -6,13 +6,13 @@ pub type Result<T> = std::result::Result<T, Error>;
 /// The part of the state that became invalid (NaN or beyond 1e10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StateKind {
-    /// Generalised positions.
+    /// The generalised positions.
     Position,
-    /// Generalised velocities.
+    /// The generalised velocities.
     Velocity,
-    /// Generalised accelerations.
+    /// The generalised accelerations.
     Acceleration,
-    /// Actuator controls.
+    /// The actuator controls.
     Control,
     /// The mass matrix, which could not be factorised.
     Inertia,

@@ -14,21 +14,21 @@ use crate::util::xml;
 /// A kind of named model element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// A body.
+    /// A body: a rigid part with mass.
     Body,
-    /// A joint.
+    /// A joint between a body and its parent.
     Joint,
     /// A collision or visual geometry.
     Geom,
     /// A site: a marked point.
     Site,
-    /// An actuator.
+    /// An actuator, such as a motor.
     Actuator,
     /// A custom numeric field.
     Numeric,
-    /// A height field.
+    /// A height field, such as uneven ground.
     HeightField,
-    /// A tendon.
+    /// A tendon, such as a rope.
     Tendon,
 }
 
@@ -97,7 +97,7 @@ pub struct Actuator {
     pub joint: Option<usize>,
     /// Gear ratio: joint torque per unit of actuator force.
     pub gear: f64,
-    /// Force per unit of control.
+    /// Actuator force per unit of control.
     pub gain: f64,
     /// True if the actuator's force depends on the joint's state, like that of a servo.
     pub has_bias: bool,

@@ -25,7 +25,7 @@ pub const PANEL: usize = 32;
 /// Number of floats in a cache line, and in the widest vector.
 const LINE: usize = 16;
 
-/// A row of a panel.
+/// A row of a panel: [`PANEL`] columns.
 pub type Row = [f32; PANEL];
 
 /// A zero-initialised float array that starts on a cache line, so that a vector load never touches two lines.

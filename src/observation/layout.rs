@@ -12,7 +12,7 @@ use crate::util::numbers::finite_in_single;
 pub(super) struct Source {
     /// Age of the frame \[policy steps\].
     pub(super) age: usize,
-    /// Index within that frame.
+    /// Index of the number within that frame.
     pub(super) index: usize,
 }
 

@@ -63,7 +63,7 @@ pub struct Inference {
     pub layout: Layout,
     /// The map from outputs to joint targets.
     pub action: Action,
-    /// The network.
+    /// The network from normalised observation to outputs.
     pub network: Network,
     /// Duration of a policy step \[s\].
     pub period_s: f64,

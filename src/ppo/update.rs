@@ -59,7 +59,7 @@ pub enum UpdateFault {
     Sample {
         /// Index of the epoch, counted from zero.
         epoch: usize,
-        /// Index of the sample.
+        /// Index of the sample that is not in the batch.
         sample: u32,
         /// Number of samples in the batch.
         samples: usize,

@@ -43,7 +43,7 @@ const ROBOT: &str = "robot";
 /// The losses of every joint, in addition to the controller's `K_d`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Losses {
-    /// Dry friction [N·m].
+    /// Dry friction of a joint [N·m].
     pub friction_n_m: f64,
     /// Viscous damping [N·m·s/rad].
     pub damping_n_m_s_per_rad: f64,

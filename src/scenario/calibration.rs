@@ -58,7 +58,7 @@ pub enum CalibrationError {
     /// The scenario's default parameters are invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// MuJoCo fails.
+    /// MuJoCo fails during a walk.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
     /// The robot falls without a pull, or under the weakest pull.

@@ -32,7 +32,7 @@ pub const TRUTH: &str = "yes/no";
 pub struct Metric {
     /// Name in snake case, which ends in the unit.
     pub name: &'static str,
-    /// Label for people.
+    /// Label in tables and figures.
     pub label: &'static str,
     /// The value, if the trace defines it.
     pub value: Option<f64>,

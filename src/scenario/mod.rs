@@ -54,7 +54,7 @@ pub struct TimedPush {
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script {
-    /// Robot, ground, obstacles.
+    /// The scene: robot, ground and obstacles.
     pub scene: Scene,
     /// Slope, friction and encoder bias.
     pub conditions: Conditions,

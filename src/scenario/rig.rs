@@ -50,11 +50,11 @@ pub struct Rig {
 /// A bead that supports the rope and collides with nothing. Its body and its site have its name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Holder {
-    /// Name of body and site.
+    /// Name of the holder's body and site.
     pub name: &'static str,
     /// Position relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],
-    /// Radius in drawings \[m\].
+    /// Radius of the bead in drawings \[m\].
     pub radius_m: f64,
     /// True if the holder is drawn on a post.
     pub has_post: bool,
@@ -63,7 +63,7 @@ pub struct Holder {
 /// A free body at the rope's end. Its joint, geometry and site have its name, too.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Load {
-    /// Name, also used in events.
+    /// Name of the load, also used in events.
     pub name: &'static str,
     /// Position at the release, relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],

@@ -27,12 +27,12 @@ pub enum Disturbance {
     },
     /// A force on the trunk, world frame \[N\]; drawn as a rope.
     Pull {
-        /// Force, world frame \[N\].
+        /// Force on the trunk, world frame \[N\].
         force: [f64; 3],
     },
     /// A force on the trunk from an obstacle; drawn as an arrow that ends at the trunk.
     Press {
-        /// Force, world frame \[N\].
+        /// Force on the trunk, world frame \[N\].
         force: [f64; 3],
     },
 }
@@ -182,7 +182,7 @@ pub enum EventKind {
 /// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trace {
-    /// Time between frames \[s\].
+    /// Time between two frames, the policy period \[s\].
     pub period_s: f64,
     /// Weight of the robot \[N\].
     pub weight_n: f64,

@@ -42,11 +42,11 @@ pub struct Buffers {
 /// A robot on a ground among obstacles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// The robot.
+    /// The robot in the scene.
     pub robot: Arc<Robot>,
     /// The ground that the robot walks on.
     pub ground: Ground,
-    /// Physics step \[s\].
+    /// Duration of a physics step \[s\].
     pub timestep_s: f64,
     /// MJCF elements of the world body in addition to robot and ground, each named.
     pub obstacles: String,
@@ -54,7 +54,7 @@ pub struct Scene {
     pub extras: String,
     /// Attributes of `<option>` that choose another solver; empty for Newton.
     pub solver: &'static str,
-    /// Buffer sizes.
+    /// Sizes of MuJoCo's buffers for this scene.
     pub buffers: Buffers,
 }
 

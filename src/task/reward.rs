@@ -31,7 +31,7 @@ pub struct RewardInput<'a> {
     pub summary: &'a StepSummary,
     /// Swings that ended in the step.
     pub landings: &'a Landings,
-    /// Targets and sharpnesses.
+    /// Targets and sharpnesses of the terms.
     pub config: &'a Reward,
 }
 

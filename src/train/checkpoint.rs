@@ -53,7 +53,7 @@ pub struct Checkpoint {
 pub struct RunState {
     /// Name of the configuration.
     pub config_name: String,
-    /// The configuration.
+    /// Configuration of the run.
     pub config: Config,
     /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,

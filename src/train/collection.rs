@@ -28,7 +28,7 @@ pub struct Rollout {
     pub means: Vec<f32>,
     /// Log-probabilities of the actions, shape (n).
     pub log_probs: Vec<f32>,
-    /// Rewards, shape (n).
+    /// Rewards of the steps, shape (n).
     pub rewards: Vec<f32>,
     /// Values of the observations, shape (n).
     pub values: Vec<f32>,
@@ -44,7 +44,7 @@ pub struct Rollout {
 /// Settings of a collection.
 #[derive(Debug, Clone, Copy)]
 pub struct Collection<'a> {
-    /// Policy and value function.
+    /// Networks of the policy and the value function.
     pub network: &'a ActorCritic,
     /// Seed of the run.
     pub seed: u64,

@@ -34,7 +34,7 @@ pub enum EpisodeEnd {
     Fault,
 }
 
-/// Outcome of one step.
+/// The result of one policy step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EnvStep {
     /// Reward of equation 3, or of the recovery stage.
@@ -56,7 +56,7 @@ pub struct EpisodeReport {
     pub steps: usize,
     /// True if the robot was pushed.
     pub pushed: bool,
-    /// Sum of rewards.
+    /// Sum of the rewards over the episode.
     pub reward: f64,
     /// Sums of the terms over all steps, as measured (never replaced).
     pub terms: Terms,
@@ -473,7 +473,7 @@ mod tests {
     use crate::config::Pulls;
     use crate::sim::Pull;
 
-    /// Actions of a clumsy trot.
+    /// Returns an action of a clumsy trot.
     fn action(step: usize) -> [f32; 12] {
         std::array::from_fn(|joint| {
             let phase = step as f32 * 0.3 + if matches!(joint / 3, 0 | 3) { 0.0 } else { std::f32::consts::PI };

@@ -41,7 +41,7 @@ pub struct MemoryEstimate {
     gibibytes(.left)
 )]
 pub struct MemoryError {
-    /// Memory that the run needs.
+    /// Estimated memory of the run.
     pub memory: MemoryEstimate,
     /// Memory that is available \[bytes\].
     pub left: u64,

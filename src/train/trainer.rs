@@ -55,7 +55,7 @@ pub enum TrainError {
     Learner {
         /// Number of finished iterations.
         iteration: u64,
-        /// Error of the update.
+        /// The fault that the update met.
         fault: Box<UpdateFault>,
         /// The minibatch that failed, as CSV with a row for each sample; empty if no single minibatch failed.
         minibatch: String,

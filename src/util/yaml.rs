@@ -16,7 +16,7 @@ pub struct YamlError {
     pub name: String,
     /// The line of the error, if it is known.
     pub line: Option<usize>,
-    /// The reason.
+    /// Description of the error.
     pub message: String,
 }
 

@@ -19,7 +19,7 @@ pub struct Chromium {
     socket: WebSocket<TcpStream>,
     session: String,
     count: u64,
-    /// Requested addresses.
+    /// Addresses that the page has requested.
     pub requests: Vec<String>,
     /// Errors reported by the page.
     pub complaints: Vec<String>,

@@ -146,7 +146,7 @@ impl Page {
     }
 }
 
-/// Replays a session.
+/// Replays a session with the program, and returns its output.
 pub fn replay(folder: &Path, session: &str, arguments: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_drive"))
         .args(["--replay", session, "--headless"])

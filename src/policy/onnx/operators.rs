@@ -24,7 +24,7 @@ pub struct Call<'a> {
 }
 
 impl Call<'_> {
-    /// Computes the outputs.
+    /// Runs the operator and returns its outputs.
     pub fn evaluate(&self) -> Result<Vec<Tensor>> {
         let domain = self.node.domain.as_str();
         if !matches!(domain, "" | "ai.onnx") {

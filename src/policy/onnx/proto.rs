@@ -49,7 +49,7 @@ pub struct OperatorSet {
     pub version: i64,
 }
 
-/// A metadata entry.
+/// A metadata entry: key and value.
 #[derive(Clone, PartialEq, Message)]
 pub struct Property {
     #[prost(string, tag = "1")]
@@ -146,7 +146,7 @@ pub struct ValueInfo {
     pub doc_string: String,
 }
 
-/// A tensor type.
+/// Type of a value; only tensors are supported.
 #[derive(Clone, PartialEq, Message)]
 pub struct Type {
     #[prost(message, optional, tag = "1")]

@@ -16,7 +16,7 @@ use crate::ppo::loss::Minibatch;
 pub struct Chunk {
     /// Index of the first block.
     pub start: usize,
-    /// Number of blocks.
+    /// Number of blocks in the chunk.
     pub blocks: usize,
     /// True if the chunk completes the gradient: the minibatch ends, and no other rank adds to it.
     pub completes: bool,

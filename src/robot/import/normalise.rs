@@ -423,7 +423,7 @@ fn take_trunk(tree: Element, trunk: usize) -> Option<Element> {
     None
 }
 
-/// Formats values as `1`, or as `0.5 to 2`.
+/// Formats the range of values: `0.5 to 2`, or `1` if all are equal.
 fn range(values: &[f64]) -> String {
     let low = values.iter().copied().fold(f64::INFINITY, f64::min);
     let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);

@@ -79,7 +79,7 @@ pub struct Rubble {
 struct Piece {
     /// Centre, seen from above, world frame \[m\].
     centre: [f64; 2],
-    /// Half-lengths \[m\].
+    /// Half-lengths along the piece's axes \[m\].
     half: [f64; 3],
     /// Rotation about the vertical \[rad\].
     yaw: f64,

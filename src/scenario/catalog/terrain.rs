@@ -18,9 +18,9 @@ const MARGIN_M: f64 = 3.0;
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TerrainKind {
-    /// Gradient noise.
+    /// Smooth hills of Perlin's gradient noise.
     Perlin,
-    /// Up and down again.
+    /// Steps up and down again.
     Steps,
     /// An incline that begins 1 m ahead.
     Slope,
@@ -42,13 +42,13 @@ pub struct Terrain {
     /// Perlin: lattice cells per metre (1/m)
     #[arg(long)]
     pub frequency_per_m: f64,
-    /// Steps: length of each (m)
+    /// Steps: length of each step (m)
     #[arg(long)]
     pub step_length_m: f64,
     /// Steps: number of steps up, followed by as many down
     #[arg(long)]
     pub steps: u32,
-    /// Slope: rise over run
+    /// Slope: incline, rise over run
     #[arg(long)]
     pub incline: f64,
 }

@@ -12,7 +12,7 @@ impl<'a> Playback<'a> {
         &self.command
     }
 
-    /// Changes the command.
+    /// Changes the command from the next step on.
     pub fn ask(&mut self, command: Command) {
         self.command = command;
     }

@@ -34,7 +34,7 @@ const AFTER_GOAL_S: f64 = 1.0;
 pub struct PlaybackStep {
     /// The state after the step; `None` if the physics or the sensors failed.
     pub frame: Option<Frame>,
-    /// Events of the step.
+    /// Events that occurred in the step.
     pub events: Vec<Event>,
 }
 

@@ -37,7 +37,7 @@ pub enum LiveSessionError {
     /// The policy does not support the commanded compliance.
     #[error(transparent)]
     Compliance(#[from] ComplianceError),
-    /// MuJoCo fails.
+    /// MuJoCo fails even after a reset.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
     /// The newer policy needs other rates, gains or latency.
@@ -46,9 +46,9 @@ pub enum LiveSessionError {
     /// The setup has too few or too many robots, or an input names one that does not exist.
     #[error("{found} of robots, expected {expected}")]
     Robots {
-        /// The number that was found.
+        /// Description of the number that was found.
         found: String,
-        /// The allowed numbers.
+        /// Description of the allowed numbers.
         expected: String,
     },
 }
@@ -62,7 +62,7 @@ pub struct RobotStep {
     pub is_beginning: bool,
     /// The state after the step; `None` if the physics failed.
     pub frame: Option<Arc<Frame>>,
-    /// Events of the step.
+    /// Events that occurred in the step.
     pub events: Vec<Event>,
 }
 

@@ -45,11 +45,11 @@ pub const SQUARE: usize = 32 * 32;
 
 /// Work for the vector units while the tile unit multiplies, divided into sixteen pieces.
 pub trait Meanwhile {
-    /// Does some of the pieces.
+    /// Does the pieces of a range, between 0 and 16.
     fn pieces(&mut self, simd: V4, pieces: Range<usize>);
 }
 
-/// The empty work.
+/// The work that does nothing.
 impl Meanwhile for () {
     #[inline(always)]
     fn pieces(&mut self, _: V4, _: Range<usize>) {}
