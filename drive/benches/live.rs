@@ -24,7 +24,7 @@ use rand::RngExt;
 use serde_json::json;
 use tungstenite::Message;
 
-/// Measures a running drive.
+/// Measures latency, speed and memory of a running `drive`.
 #[derive(Parser)]
 struct Args {
     /// Name of the scene

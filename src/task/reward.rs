@@ -2,8 +2,8 @@
 
 `r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_f r_f))`
 
-The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and some runs learn to
-hop. Its weight is zero unless a configuration asks for it.
+The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and
+some runs learn to hop. Its weight is zero unless a configuration sets it.
 
 Interpretations where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means
 over the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's height is that of its lowest point;
@@ -256,7 +256,7 @@ pub struct Landings {
 }
 
 impl SwingTracker {
-    /// Starts with the present feet; `desired_m` is the desired peak height `p_des` \[m\].
+    /// Creates a tracker that starts with the feet in this state; `desired_m` is the desired peak height `p_des` \[m\].
     pub fn new(feet: &[FootState; 4], desired_m: f64) -> Self {
         SwingTracker { desired_m, in_contact: feet.map(|foot| foot.contact), ..SwingTracker::default() }
     }
