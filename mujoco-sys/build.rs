@@ -1,10 +1,10 @@
-//! Finds Debian's MuJoCo 2.2.2, generates the bindings, compiles the shim that catches fatal errors.
+//! Build script: finds Debian's MuJoCo 2.2.2, generates the bindings, compiles the shim that catches fatal errors.
 
 use std::env;
 use std::path::{Path, PathBuf};
 use std::process::exit;
 
-/// The release whose structs and semantics this crate is written for (`mjVERSION_HEADER`).
+/// Version of MuJoCo (`mjVERSION_HEADER`) for whose structs and semantics this crate is written.
 const VERSION: u32 = 222;
 const PACKAGE: &str = "Debian 12's package libmujoco-dev (MuJoCo 2.2.2): apt-get install libmujoco-dev";
 
@@ -67,7 +67,7 @@ fn check_header(header: &Path) {
     }
 }
 
-/// The folder of `libmujoco.so` below `prefix`, also in Debian's multi-architecture folders.
+/// Finds the folder of `libmujoco.so` below `prefix`, also in Debian's multi-architecture folders.
 fn find_library(prefix: &Path) -> PathBuf {
     let lib = prefix.join("lib");
     let arch = env::var("CARGO_CFG_TARGET_ARCH").unwrap_or_default();

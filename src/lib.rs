@@ -1,11 +1,17 @@
 /*! Supple trains and studies compliant legged locomotion: a quadruped that yields when pushed, pulled or blocked.
 
-It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. Data flow one way: a [`config`] and a
-[`robot`] make a [`sim`]ulation on [`mujoco`]; an [`observation`] says what a policy sees of it, the [`task`] what it is
-paid; [`train`] collects both, learns [`network`]s with [`ppo`] and leaves a [`policy`] behind. A [`scenario`] puts a policy
-to the test, on the true state or on what it can [`estimate`] from its sensors, and leaves a [`trace`](scenario::trace),
-which the packages `supple-evaluate` and `supple-record` read. Several processes train as
-[`ranks`] of one run. [`util`] has what all of them need.
+It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. The [`guide`] has examples of each use. To
+read the code, follow the data:
+
+1. [`config`] and [`robot`]: the settings and the quadruped as plain data;
+2. [`sim`] on [`mujoco`]: the robot simulated in its scene, one policy step at a time;
+3. [`observation`] and [`task`]: the policy's input, and its reward and episodes;
+4. [`train`], [`ppo`] and [`network`]: rollouts, updates and weights; several processes train one run as [`ranks`];
+5. [`policy`]: the result, as a file and as a controller;
+6. [`scenario`] and [`estimate`]: disturbances of a policy that acts on the true state or on its sensors, and their
+   [`trace`](scenario::trace), which the packages `supple-evaluate` and `supple-record` read.
+
+[`util`] contains helpers for all of them.
 */
 
 pub mod config;

@@ -1,14 +1,14 @@
-/*! How live it is: simulated against real time, from a message to motion, and memory over time.
+/*! Latency and load of `drive`: simulated against real time, from a message to motion, and memory over time.
 
 ```sh
 cargo bench -p supple-drive -- --scene ball-pit --seconds 60          # with a viewer that reads
 cargo bench -p supple-drive -- --scene flat --seconds 1200 --chromium # with rerun's viewer in headless Chromium
 ```
 
-The real program is started and driven over its sockets. A *command* is a message that asks for another velocity, sent at a
-random moment. It *takes effect* with the first state that says so; that step's joint targets act 30 ms later, as on the
-robot, so *motion* is in the step after it (`a_command_moves_a_robot_in_the_second_frame_after_it`). Both are timed when their
-state has been read from the socket.
+The benchmark starts the real program and drives it over its sockets. A *command* is a message with another velocity,
+sent at a random moment. It *takes effect* with the first state that contains it; that step's joint targets act 30 ms
+later, as on the robot, so *motion* is in the step after it (`a_command_moves_a_robot_in_the_second_frame_after_it`).
+Both times are taken when the state has been read from the socket.
 */
 
 #[path = "../tests/common/chromium.rs"]
@@ -24,22 +24,22 @@ use rand::RngExt;
 use serde_json::json;
 use tungstenite::Message;
 
-/// Measures a running drive.
+/// Measures latency, speed and memory of a running `drive`.
 #[derive(Parser)]
 struct Args {
-    /// Scene
+    /// Name of the scene
     #[arg(long, default_value = "ball-pit")]
     scene: String,
-    /// How long
+    /// Duration of the measurement (s)
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// No viewer
+    /// Run without a viewer
     #[arg(long)]
     blind: bool,
-    /// rerun's viewer in headless Chromium looks at the robots
+    /// Show the robots in rerun's viewer in headless Chromium
     #[arg(long)]
     chromium: bool,
-    /// Given by cargo
+    /// Flag that cargo passes to benchmarks
     #[arg(long, hide = true)]
     bench: bool,
 }
@@ -62,7 +62,7 @@ fn main() {
     }
 }
 
-/// A viewer that reads all that comes: frames and bytes.
+/// Runs a viewer that reads everything, and returns the number of frames and bytes.
 fn watch(drive: &Drive) -> std::thread::JoinHandle<(f64, f64)> {
     let mut socket = drive.socket("/view", Some(&format!("http://{}", drive.host)), &drive.token).expect("a viewer");
     std::thread::spawn(move || {
@@ -138,7 +138,7 @@ fn measure(args: &Args, drive: &Drive, page: &mut Page, mut browser: Option<chro
     }
 }
 
-/// Memory of the viewer's program in the browser [MB].
+/// Returns the memory of the viewer in the browser [MB].
 fn viewer_mb(browser: &mut chromium::Chromium) -> f64 {
     browser.value_in_viewer("window.memory?.buffer.byteLength").as_f64().unwrap_or(0.0) / f64::from(1 << 20)
 }

@@ -1,4 +1,4 @@
-/*! Robots driven live in a browser.
+/*! Robots driven live in a browser; start reading in [`live`].
 
 One thread owns the robots and plays them in real time ([`live`]). It receives [`message`]s through a queue and publishes
 the newest state and frames ([`publisher`]); each page and viewer takes as many of them as it can ([`viewer_stream`]). A web

@@ -24,7 +24,7 @@ use crate::watch_run;
 /// Longest silence of the driving page before the robots stop.
 pub const SILENCE: Duration = Duration::from_millis(350);
 
-/// One minute \[ticks\].
+/// Length of a minute \[ticks\].
 const MINUTE: u64 = 60 * RATE_HZ;
 
 /// The state of the thread that owns the robots.

@@ -19,7 +19,7 @@ pub enum Message {
     PolicySaved {
         /// Path of the policy.
         path: PathBuf,
-        /// The policy.
+        /// The newer policy, loaded.
         agent: Box<Agent>,
         /// Content of the policy's file.
         file: Option<Vec<u8>>,

@@ -23,9 +23,9 @@ const NOTICES: usize = 6;
 /// The channels to pages and viewers.
 #[derive(Debug, Clone)]
 pub struct Updates {
-    /// State for pages, as JSON.
+    /// State of the session for pages, as JSON.
     pub state: watch::Sender<Arc<str>>,
-    /// Frames for viewers.
+    /// Newest frames of the robots for viewers.
     pub shown: watch::Sender<Snapshot>,
 }
 
@@ -34,7 +34,7 @@ pub struct Updates {
 pub struct Publisher {
     /// Clock that ties simulated to real time.
     pub clock: Clock,
-    /// The driving page.
+    /// Id of the driving page, if there is one.
     pub driver: Option<PageId>,
     /// Time and number of the driving page's last message.
     pub heard: (Instant, u64),
@@ -43,7 +43,7 @@ pub struct Publisher {
     updates: Updates,
     notices: VecDeque<String>,
     noticed: u64,
-    /// Redraws while paused.
+    /// True if pages and viewers must be redrawn, also while paused.
     is_stale: bool,
 }
 

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use supple::scenario::session::{PushUnit, Reading, SceneKind};
 
-/// Identity of a connection.
+/// Number that identifies a page's connection.
 pub type PageId = u64;
 
 /// Largest push [m/s].
@@ -21,11 +21,11 @@ pub enum Request {
     Drive,
     /// Velocity command: forward [m/s], left [m/s], yaw rate [rad/s]. Repeated to show that the page is alive.
     Command([f64; 3]),
-    /// Push in the heading frame: forward, left.
+    /// Push the trunks, in the heading frame.
     Push {
-        /// Size along each axis.
+        /// Size forward and left, in the unit below.
         size: [f64; 2],
-        /// Unit of the size.
+        /// Unit of the size: velocity [m/s] or momentum [N·s].
         unit: PushUnit,
     },
     /// Pulling force in the heading frame, forward and left \[N\]; `None` ends the pull.
@@ -34,14 +34,14 @@ pub enum Request {
     Comply {
         /// Index of the robot: 0 or 1.
         robot: usize,
-        /// Compliance [m/s/N].
+        /// Commanded compliance [m/s/N].
         compliance: Option<f64>,
     },
     /// Put all robots back to the start.
     Reset,
     /// Choose a seed; `None` takes the next one.
     Seed(Option<u64>),
-    /// Choose a scene.
+    /// Choose a scene; the robots start anew in it.
     Scene(SceneKind),
     /// Choose the policy and the model of a robot; no policy removes the robot.
     Robot {
@@ -64,7 +64,7 @@ pub enum Request {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kept {
-    /// The last minute.
+    /// The last minute of the session.
     Minute,
     /// Everything since the start.
     All,
@@ -102,7 +102,7 @@ pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
 pub struct Hello {
     /// Names of the shipped policies.
     pub policies: Vec<String>,
-    /// Available scenes.
+    /// Scenes that can be chosen.
     pub scenes: Vec<SceneKind>,
     /// Largest push [m/s] and [N·s], and largest pull \[N\].
     pub most: [f64; 3],
@@ -125,7 +125,7 @@ pub struct State {
     pub behind: bool,
     /// True while paused.
     pub paused: bool,
-    /// The driving page.
+    /// Id of the driving page, if there is one.
     pub driver: Option<PageId>,
     /// Current scene.
     pub scene: SceneKind,
@@ -142,11 +142,11 @@ pub struct State {
 /// The status of a robot.
 #[derive(Debug, Clone, Serialize)]
 pub struct RobotStatus {
-    /// Name in the viewer.
+    /// Unique name of the robot in the viewer.
     pub name: String,
-    /// Policy as requested.
+    /// Policy as it was requested: name, file or run folder.
     pub policy: String,
-    /// Robot as requested.
+    /// Robot as it was requested: name or file.
     pub robot: String,
     /// Simulated time of the robot \[s\].
     pub time_s: f64,
@@ -158,9 +158,9 @@ pub struct RobotStatus {
     pub compliance: Option<f64>,
     /// Range of commanded compliance, and own compliance [m/s/N]; `None` if the policy is not calibrated.
     pub reach: Option<([f64; 2], f64)>,
-    /// Number of falls.
+    /// Number of falls since the last setup.
     pub falls: u32,
-    /// Measurements.
+    /// Present measurements: velocity, power, push and pull; `None` before the first step.
     pub reading: Option<Reading>,
 }
 

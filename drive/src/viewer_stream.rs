@@ -32,7 +32,7 @@ pub struct Cast {
 /// The newest frames and events of all robots.
 #[derive(Debug, Clone)]
 pub struct Snapshot {
-    /// Robots and scenes.
+    /// Robots and scenes that are shown.
     pub cast: Arc<Cast>,
     /// Newest frame of each robot.
     pub frames: Vec<Option<Arc<Frame>>>,

@@ -1,8 +1,8 @@
 /*! Training environments, stepped together on threads of their own.
 
-An environment is that of training, index and random streams included: the same seed and the same actions give the same
-bits. The curriculum goes on as in training, after every `ppo.batch_size` samples, by what the episodes were like that
-ended in them, until somebody sets it.
+Each environment is one of training, index and random streams included: the same seed and the same actions give the same
+bits. The curriculum advances as in training, after every `ppo.batch_size` samples, until the caller sets it. Start reading
+at [`Environments::step`]; `python/lib/supple/environment.py` turns its arrays into Gymnasium's.
 */
 
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
@@ -22,10 +22,10 @@ use supple::train::metrics::EpisodeMeans;
 
 use crate::failure::{apart, failed, refused};
 
-/// Environments that are made between two looks for Ctrl-C.
+/// Number of environments created between two checks for Ctrl-C.
 const MADE: usize = 64;
 
-/// When the next episode of an environment begins, as Gymnasium calls it.
+/// The autoreset modes of Gymnasium.
 #[derive(Clone, Copy, PartialEq)]
 enum Autoreset {
     /// The next episode begins in the step that ends one.
@@ -50,9 +50,9 @@ impl Autoreset {
 /// Environments of one configuration.
 #[pyclass(frozen, module = "supple._supple")]
 pub struct Environments {
-    /// None once they are closed, or broken by a defect.
+    /// The environments; `None` once they are closed or a panic has broken them.
     world: Mutex<Option<VecWorld>>,
-    /// That they were made in: a copy of the process has no threads to step them.
+    /// Id of the process that created them; a fork of it has no threads to step them.
     process: u32,
     config: Config,
     robot: Arc<Robot>,
@@ -66,43 +66,44 @@ struct VecWorld {
     /// True where the episode is over and the next one has not begun.
     over: Vec<bool>,
     autoreset: Autoreset,
-    /// Cuts first episodes at random.
+    /// True if first episodes are cut at random.
     stagger: bool,
     /// The seed of the first episodes, as long as all of them are at their start.
     seed: Option<u64>,
     curriculum: Curriculum,
-    /// That the curriculum starts from.
+    /// The curriculum after a reset with a seed.
     first_curriculum: Curriculum,
     advances: bool,
-    /// Steps of each environment that make a batch of training, and those since the last one.
+    /// Steps of each environment in a batch of training.
     batch_steps: usize,
     steps: usize,
-    /// That ended since then, by environment.
+    /// Episodes finished since the last batch, by environment.
     episodes: Vec<Vec<EpisodeReport>>,
-    /// The threads besides the calling one.
+    /// The worker threads besides the calling one.
     helpers: Option<ThreadPool>,
 }
 
-/// A step of one environment.
+/// The result of a step of one environment.
 struct Outcome {
     step: EnvStep,
-    /// That the observation after the step belongs to.
+    /// The command in the observation after the step.
     command: Command,
     /// The summary of the episode that the step ended.
     ended: Option<Ended>,
 }
 
-/// An episode that is over.
+/// An episode that has ended, with its last observation.
 struct Ended {
     report: EpisodeReport,
-    /// The last one, and what it asked for.
+    /// The last observation of the episode, normalised.
     observation: Vec<f32>,
     command: Command,
 }
 
 type Row<'py, T> = Bound<'py, PyArray1<T>>;
 type Table<'py, T> = Bound<'py, PyArray2<T>>;
-/// Environments, last observations and commands, returns, lengths, whether pushed, physics faults in words.
+/// Finished episodes: environment indices, last observations and commands, returns, lengths [steps], pushed or not, messages of
+/// physics faults by environment index.
 type Ends<'py> = (
     Row<'py, i64>,
     Table<'py, f32>,
@@ -112,7 +113,7 @@ type Ends<'py> = (
     Row<'py, bool>,
     Vec<(usize, String)>,
 );
-/// Observations, rewards, terminations, truncations, terms, stages, commands, ended.
+/// Observations, rewards, terminations, truncations, reward terms, stages, commands, finished episodes.
 type Stepped<'py> = (
     Table<'py, f32>,
     Row<'py, f64>,
@@ -177,7 +178,9 @@ impl Environments {
         Ok(Environments { world: Mutex::new(Some(world)), process: std::process::id(), config, robot, layout })
     }
 
-    /// Starts episodes: with a seed the first ones of that seed, without one the next ones. With a mask only where it is set.
+    /// Starts episodes: with a seed the first ones of that seed, else the next ones; with a mask only where it is true.
+    ///
+    /// Returns normalised observations, float32 (n, length), and commands, float64 (n, 3): forward, left [m/s], yaw rate [rad/s].
     fn reset<'py>(
         &self,
         py: Python<'py>,
@@ -188,7 +191,10 @@ impl Environments {
         Ok((table(py, observations, self.layout.length())?, table(py, commands, 3)?))
     }
 
-    /// One policy step of every environment.
+    /// Steps every environment once with actions, float32 (n, 12).
+    ///
+    /// A fall is a termination; a time limit is a truncation, and so is a physics fault, whose message is the last item of the
+    /// finished episodes.
     fn step<'py>(&self, py: Python<'py>, actions: PyReadonlyArray2<'py, f32>) -> PyResult<Stepped<'py>> {
         // Another thread of Python could write into the array while this one goes without the lock: the actions, which
         // are small, are copied.
@@ -219,18 +225,18 @@ impl Environments {
         ))
     }
 
-    /// Frees them, once the step of another thread is done. A copy of the process has nothing to free.
+    /// Frees the environments once the step of another thread is done. In a fork of the process it does nothing.
     fn close(&self, py: Python<'_>) {
         if std::process::id() == self.process {
             py.detach(|| {
                 let world = self.world.lock().unwrap_or_else(PoisonError::into_inner).take();
-                // It takes a while, for which the other thread shall not find them at work.
+                // Freeing takes a while; the lock is released first.
                 drop(world);
             });
         }
     }
 
-    /// Open fraction of the command range, whether there are pushes, open fraction of pulls.
+    /// Returns the open fraction of the command range, true if there are pushes, and the open fraction of pulls.
     fn curriculum(&self, py: Python<'_>) -> PyResult<(f64, bool, f64)> {
         self.with(py, |world| {
             let Curriculum { command_fraction, pushes, force_fraction } = world.curriculum;
@@ -247,32 +253,32 @@ impl Environments {
         })
     }
 
-    /// Name and unit of every number of an observation, before it is scaled.
+    /// Returns the name and the unit of every number of an observation, before it is scaled.
     fn observation_names(&self) -> Vec<String> {
         self.layout.names()
     }
 
-    /// Offset, scale and limit of each of them: what is seen is (value − offset) · scale, within ± limit.
+    /// Returns offset, scale and limit of every number of an observation: (value − offset) · scale, clipped to ± limit.
     fn observation_scaling<'py>(&self, py: Python<'py>) -> (Row<'py, f64>, Row<'py, f64>, Row<'py, f64>) {
         let row = |values: &[f64]| values.to_vec().into_pyarray(py);
         (row(self.layout.offset()), row(self.layout.scale()), row(self.layout.clip()))
     }
 
-    /// Names of the joints.
+    /// Returns the names of the joints in the order of actions.
     #[staticmethod]
     fn action_names() -> Vec<String> {
         joint_names().to_vec()
     }
 
-    /// Joint target = offset + scale · action \[rad\], for each joint.
+    /// Returns offset and scale of each joint: joint target \[rad\] = offset + scale · action.
     fn action_scaling<'py>(&self, py: Python<'py>) -> (Row<'py, f64>, Row<'py, f64>) {
         let action = &self.config.action;
         let offset = action.nominal_pose_rad.joints().to_vec();
         (offset.into_pyarray(py), vec![action.scale_rad; JOINTS].into_pyarray(py))
     }
 
-    /// The least and the largest action of each joint: from there on, the motor of a joint that is at rest within its range
-    /// gives all it has.
+    /// Returns the smallest and the largest action of each joint: beyond them, the motor of a joint at rest within its range is
+    /// at its torque limit.
     fn action_bounds<'py>(&self, py: Python<'py>) -> (Row<'py, f32>, Row<'py, f32>) {
         let (action, simulation) = (&self.config.action, &self.config.simulation);
         let nominal = action.nominal_pose_rad.joints();
@@ -286,20 +292,20 @@ impl Environments {
         (bound(0, -1.0).into_pyarray(py), bound(1, 1.0).into_pyarray(py))
     }
 
-    /// Names of the terms of the reward.
+    /// Returns the names of the reward terms.
     #[staticmethod]
     fn term_names() -> Vec<&'static str> {
         TERMS.iter().map(|term| term.name).collect()
     }
 
-    /// Policy steps in a second.
+    /// Returns the rate of policy steps \[Hz\].
     fn rate_hz(&self) -> u32 {
         self.config.simulation.policy_rate_hz
     }
 }
 
 impl Environments {
-    /// Works on the environments without the interpreter's lock.
+    /// Runs `work` on the environments without the interpreter's lock.
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut VecWorld) -> PyResult<T> + Send) -> PyResult<T> {
         if std::process::id() != self.process {
             return Err(PyRuntimeError::new_err(
@@ -319,7 +325,7 @@ impl Environments {
         let Some(mut world) = slot.take() else {
             return Err(PyRuntimeError::new_err("these environments are closed: make new ones"));
         };
-        // What panics is not put back.
+        // After a panic the environments are not put back.
         let (world, result) = apart(py, move || {
             let result = work(&mut world);
             Ok((world, result))
@@ -386,7 +392,7 @@ impl VecWorld {
         Ok((observations, outcomes))
     }
 
-    /// After every batch, as training does.
+    /// Counts a step, and advances the curriculum after every batch as training does.
     fn advance(&mut self) {
         self.steps += 1;
         if self.steps == self.batch_steps {
@@ -397,7 +403,7 @@ impl VecWorld {
     }
 }
 
-/// Starts the next episode of an environment, or the first one of a seed.
+/// Starts the next episode of an environment, or with a seed the first one of that seed.
 fn begin(
     environment: &mut LocomotionEnv,
     seed: Option<u64>,
@@ -412,7 +418,7 @@ fn begin(
     Ok(())
 }
 
-/// Steps an environment, and starts its next episode with a curriculum if there is one.
+/// Steps an environment; if the episode ends and `next` is given, starts the next episode with that curriculum.
 fn step(
     environment: &mut LocomotionEnv,
     action: &[f32],
@@ -437,8 +443,8 @@ fn pause(environment: &mut LocomotionEnv, curriculum: Curriculum, seen: &mut [f3
     Ok(Outcome { step, command: *environment.command(), ended: None })
 }
 
-/// Works on all of them: the thread that calls and its helpers each go through a stretch of their own, whose data are in the
-/// cache of their core from the step before, and then help with what is left of the others'.
+/// Distributes work over the calling thread and its helpers. Each starts with its own stretch of the items, whose data are still
+/// in the cache of its core, and then takes items from the stretches of the others.
 fn share<T: Send>(helpers: Option<&ThreadPool>, all: impl Iterator<Item = T>, work: impl Fn(T) + Sync) {
     let Some(pool) = helpers else { return all.for_each(work) };
     let (mut all, threads) = (all.collect::<Vec<T>>(), pool.current_num_threads() + 1);
@@ -462,7 +468,7 @@ fn share<T: Send>(helpers: Option<&ThreadPool>, all: impl Iterator<Item = T>, wo
     });
 }
 
-/// One thread fewer than there are to be, for the one that calls works too.
+/// Creates `threads - 1` helper threads; the calling thread works too.
 fn helpers(threads: usize) -> Result<Option<ThreadPool>, rayon::ThreadPoolBuildError> {
     let pool = |threads| ThreadPoolBuilder::new().num_threads(threads).thread_name(|k| format!("supple-{k}")).build();
     (threads > 1).then(|| pool(threads - 1)).transpose()
@@ -481,7 +487,7 @@ fn numbers(command: &Command) -> [f64; 3] {
     [command.forward, command.left, command.yaw]
 }
 
-/// Rows of a width, handed over.
+/// Turns values into an array of rows of `width` numbers, without a copy.
 fn table<T: numpy::Element>(py: Python<'_>, values: Vec<T>, width: usize) -> PyResult<Table<'_, T>> {
     let rows = values.len() / width;
     values.into_pyarray(py).reshape([rows, width])

@@ -1,7 +1,7 @@
-/*! The experiments of the paper with one policy: what `evaluate` measures, as arrays.
+/*! The experiments of the paper for Python: measures one policy and returns arrays.
 
-Trials have the scenarios and seeds that `evaluate` gives them, so that numbers of two policies are paired, and those of a
-policy file are the ones that the program keeps.
+Trials have the scenarios and seeds of the program `evaluate`: two policies are paired trial by trial, and a policy file gives
+the numbers that the program stores.
 */
 
 use std::path::Path;
@@ -21,15 +21,15 @@ use crate::failure::{apart, failed, refused};
 use crate::policy::Policy;
 use crate::scenario::sensing;
 
-/// Time between two looks for Ctrl-C.
+/// Time between two checks for Ctrl-C.
 const WAIT: Duration = Duration::from_millis(20);
 
-/// Name, conditions, quantities, values of shape (conditions, trials, quantities), ends of shape
+/// An experiment: name, conditions, quantities, values of shape (conditions, trials, quantities), ends of shape
 /// (conditions, trials).
 type Measured<'py> =
     (&'static str, Vec<String>, Vec<&'static str>, Bound<'py, PyArray3<f64>>, Bound<'py, PyArray2<i8>>);
 
-/// Measures experiments with a policy.
+/// Measures a policy in the named experiments, or in all of them.
 #[pyfunction]
 pub fn evaluate<'py>(
     py: Python<'py>,
@@ -74,7 +74,7 @@ pub fn evaluate<'py>(
     Ok(measured)
 }
 
-/// An experiment to be played.
+/// An experiment, its conditions and the policy to measure.
 struct Work<'a> {
     experiment: &'a dyn Experiment,
     conditions: &'a [Condition],
@@ -84,7 +84,7 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// All trials, by condition and trial: on threads, or those of a function on this one. Ctrl-C ends it.
+    /// Plays all trials and returns them by condition and trial. Policy functions run on the calling thread. Ctrl-C ends it.
     fn play(&self, threads: usize) -> PyResult<Vec<Sample>> {
         let trials = self.experiment.trials() as usize;
         let count = self.conditions.len() * trials;
@@ -128,7 +128,7 @@ impl Work<'_> {
     fn trial(&self, condition: usize, trial: usize) -> PyResult<Sample> {
         let seed = trial::trial_seed(self.seed, self.experiment.info().number, condition, trial as u32);
         let condition = &self.conditions[condition];
-        // A function may act otherwise the next time.
+        // A policy function may raise, and then the sample is void.
         let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing);
         self.policy.check()?;
         sample.map_err(failed)
@@ -144,7 +144,7 @@ fn protocol(name: &str) -> PyResult<Protocol> {
     .map_err(refused)
 }
 
-/// Names and titles of the experiments.
+/// Returns the name and the title of every experiment.
 #[pyfunction]
 pub fn experiments() -> PyResult<Vec<(&'static str, &'static str)>> {
     let protocol = Protocol::full().map_err(refused)?;

@@ -1,4 +1,4 @@
-//! Errors and panics on their way to Python.
+//! Conversion of errors and panics to Python exceptions.
 
 use std::any::Any;
 use std::error::Error;
@@ -8,17 +8,17 @@ use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use supple::util::terminal::complaint;
 
-/// What was given is not what it should be: `ValueError`.
+/// Converts an error about an invalid argument to `ValueError`.
 pub fn refused(error: impl Error) -> PyErr {
     PyValueError::new_err(complaint(&error))
 }
 
-/// What was given is fine, and it did not work all the same: `RuntimeError`.
+/// Converts any other error to `RuntimeError`.
 pub fn failed(error: impl Error) -> PyErr {
     PyRuntimeError::new_err(complaint(&error))
 }
 
-/// Works without the interpreter's lock. A panic, which is a defect of ours, becomes a `RuntimeError`.
+/// Runs `work` without the interpreter's lock. A panic, which is a defect of Supple, becomes a `RuntimeError`.
 pub fn apart<T: Send>(py: Python<'_>, work: impl FnOnce() -> PyResult<T> + Send) -> PyResult<T> {
     py.detach(|| catch_unwind(AssertUnwindSafe(work))).unwrap_or_else(|panic| {
         let words = words(&*panic);
@@ -32,7 +32,7 @@ fn words(panic: &(dyn Any + Send)) -> &str {
     text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("a panic without words")
 }
 
-/// Panics where the real work is done, for the test that no panic gets through.
+/// Panics inside [`apart`], to test that a panic becomes an exception.
 #[pyfunction]
 #[pyo3(name = "_panic")]
 pub fn panic(py: Python<'_>) -> PyResult<()> {

@@ -1,7 +1,7 @@
-/*! The native half of the Python package `supple`: environments, policies, scenarios and experiments as Python sees them.
+/*! The native half of the Python package `supple`: environments, policies, scenarios and experiments.
 
-What Python users meet is in `lib/supple/`, written in Python; here is what it calls. Everything long runs without the
-interpreter's lock, arrays that come out are handed over rather than copied, and no panic gets through: see `failure`.
+The public half is in `lib/supple/`, written in Python, and calls this one; start with `environments`. Everything long runs
+without the interpreter's lock, returned arrays are not copied, and a panic becomes a Python exception: see `failure`.
 */
 
 mod environments;
@@ -15,7 +15,7 @@ mod trace;
 
 use pyo3::prelude::*;
 
-/// What `lib/supple/` calls; `_supple.pyi` has the types.
+/// The native module that `lib/supple/` imports; `_supple.pyi` has its types.
 #[pymodule]
 mod _supple {
     #[pymodule_export]

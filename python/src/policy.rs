@@ -1,4 +1,4 @@
-//! Policies: ours, external ones, and functions in Python.
+//! Policies for Python: policy files, external policies, and Python functions.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -13,7 +13,7 @@ use supple::robot::{JOINTS, joint_names};
 
 use crate::failure::{apart, refused};
 
-/// The exception that a Python function has raised.
+/// The exception that a policy function raised, if any.
 type Raised = Arc<Mutex<Option<PyErr>>>;
 
 /// A policy with the robot, rates, gains and latency that it runs with.
@@ -21,21 +21,21 @@ type Raised = Arc<Mutex<Option<PyErr>>>;
 pub struct Policy {
     pub(crate) name: String,
     pub(crate) agent: Agent,
-    /// The exception, for policies that are functions.
+    /// The exception raised by the function; `None` for a policy that is no function.
     raised: Option<Raised>,
 }
 
 #[pymethods]
 impl Policy {
-    /// A policy file, a run's folder, the YAML file of an external policy, or a shipped one by name.
+    /// Loads a policy file, a run's folder, the YAML file of an external policy, or a shipped policy by name.
     #[staticmethod]
     fn load(name: &str) -> PyResult<Self> {
         let agent = shipped::find(name).map_err(refused)?;
         Ok(Policy { name: name.to_owned(), agent, raised: None })
     }
 
-    /// A function from what is observed in the environment of a configuration, shape (length), to an action, shape
-    /// (joints), both float32.
+    /// Wraps a Python function from the normalised observation of the environment of `config`, shape (length), to an action,
+    /// shape (12), both float32.
     #[staticmethod]
     fn of_function(config: &str, function: Py<PyAny>) -> PyResult<Self> {
         let config = Config::load(config).map_err(refused)?;
@@ -49,7 +49,7 @@ impl Policy {
         Ok(Policy { name: "function".into(), agent, raised: Some(raised) })
     }
 
-    /// Actions, shape (n, joints), for observations as the network sees them, shape (n, length).
+    /// Returns actions, float32 (n, 12), for normalised observations, float32 (n, length).
     fn act<'py>(
         &self,
         py: Python<'py>,
@@ -67,30 +67,30 @@ impl Policy {
         &self.name
     }
 
-    /// Identity: SHA-256 of its files.
+    /// SHA-256 of the policy's files, which identifies it.
     #[getter]
     fn sha256(&self) -> &str {
         &self.agent.sha256
     }
 
-    /// Seed of its training, if it is ours.
+    /// Seed of the training run; `None` for external policies and functions.
     #[getter]
     fn seed(&self) -> Option<u64> {
         Some(self.agent.policy()?.provenance.seed)
     }
 
-    /// Name and unit of every number that it sees, before it is scaled.
+    /// Returns the name and the unit of every number of an observation, before it is scaled.
     fn observation_names(&self) -> Vec<String> {
         self.agent.inference().layout.names()
     }
 
-    /// Names of the joints, in the order of its actions.
+    /// Returns the names of the joints in the order of the policy's actions.
     fn action_names(&self) -> Vec<String> {
         let names = joint_names();
         self.agent.inference().layout.order().iter().map(|joint| names[*joint].clone()).collect()
     }
 
-    /// Joint target = offset + scale · action \[rad\], in the order of its actions.
+    /// Returns offset and scale of each action: joint target \[rad\] = offset + scale · action.
     fn action_scaling<'py>(&self, py: Python<'py>) -> (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>) {
         let Inference { layout, action, .. } = self.agent.inference();
         let offset = |joint: &usize| match action.meaning {
@@ -112,14 +112,14 @@ impl Policy {
         self.raised.is_some()
     }
 
-    /// Raises what its function has raised.
+    /// Raises the exception that the policy function raised, if any.
     pub(crate) fn check(&self) -> PyResult<()> {
         let raised = self.raised.as_ref().and_then(|raised| lock(raised).take());
         raised.map_or(Ok(()), Err)
     }
 }
 
-/// Calls a function. Once it has raised something it is called no more: what it would have answered is not a number.
+/// Calls a policy function. After an exception it is not called again, and the actions are NaN.
 fn act(function: &Py<PyAny>, seen: &[f32], raised: &Raised) -> [f32; JOINTS] {
     if lock(raised).is_some() {
         return [f32::NAN; JOINTS];
@@ -130,8 +130,8 @@ fn act(function: &Py<PyAny>, seen: &[f32], raised: &Raised) -> [f32; JOINTS] {
     })
 }
 
-/// The package in Python sees to it that an answer is twelve finite numbers. A function that is not written in Python does not
-/// look for Ctrl-C itself.
+/// Calls the function once, after a check for Ctrl-C. The Python half of the package has made sure that the answer is twelve
+/// finite numbers.
 fn call(py: Python<'_>, function: &Py<PyAny>, seen: &[f32]) -> PyResult<[f32; JOINTS]> {
     py.check_signals()?;
     let answer = function.bind(py).call1((PyArray1::from_slice(py, seen),))?;
@@ -143,7 +143,7 @@ fn lock(raised: &Raised) -> std::sync::MutexGuard<'_, Option<PyErr>> {
     raised.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The YAML file that describes an ONNX file of a network that acts in the environment of a configuration.
+/// Returns the YAML text that describes an ONNX network trained in the environment of `config`.
 #[pyfunction]
 pub fn describe(config: &str, onnx: &str) -> PyResult<String> {
     Ok(external::describe_network(config, &Config::load(config).map_err(refused)?, onnx))

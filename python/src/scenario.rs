@@ -1,4 +1,4 @@
-//! Scenarios: a policy is disturbed, and what it did comes out as numbers.
+//! Scenarios for Python: plays a disturbance of a policy and returns metrics, trace and events.
 
 use std::path::PathBuf;
 
@@ -15,15 +15,15 @@ use crate::failure::{apart, failed, refused};
 use crate::policy::Policy;
 use crate::trace;
 
-/// Policy steps between two looks for Ctrl-C.
+/// Number of policy steps between two checks for Ctrl-C.
 const STEPS: usize = 60;
 
-/// Name, value and unit.
+/// Metrics: name, value and unit.
 type Numbers = Vec<(&'static str, Option<f64>, &'static str)>;
-/// Time, kind and words.
+/// Events: simulation time \[s\], kind and text.
 type Events = Vec<(f64, &'static str, String)>;
 
-/// Plays a scenario: metrics, trace, events, what comes too late to happen.
+/// Plays a scenario. Returns metrics, trace, events, and a warning if a disturbance would come after the end.
 #[pyfunction]
 pub fn run_scenario<'py>(
     py: Python<'py>,
@@ -55,7 +55,7 @@ pub fn run_scenario<'py>(
     Ok((metrics.collect(), trace::arrays(py, &trace)?, events.collect(), script.too_late()))
 }
 
-/// Returns the state that a policy acts on.
+/// Selects the state that a policy acts on: true or estimated.
 pub fn sensing(estimated: bool) -> Sensing {
     if estimated { Sensing::Estimated } else { Sensing::True }
 }
@@ -93,7 +93,7 @@ fn recorded(_: &std::path::Path, _: &Scenario, _: &Policy, _: &Script, _: &Trace
     Err(pyo3::exceptions::PyRuntimeError::new_err("this wheel was built without recordings"))
 }
 
-/// The name of a parameter is here that of an argument, not that of a flag.
+/// Converts an error, spelling a parameter as a Python argument (`push_m_s`) instead of a flag (`push-m-s`).
 fn unfit(error: ScriptError) -> PyErr {
     match error {
         ScriptError::Parameter(ParameterError { name, found, expected }) => {
@@ -113,7 +113,7 @@ fn kind(kind: EventKind) -> &'static str {
     }
 }
 
-/// Names of the scenarios, and their default parameters as YAML.
+/// Returns the name of every scenario and its default parameters as YAML.
 #[pyfunction]
 pub fn scenarios() -> Vec<(&'static str, &'static str)> {
     DEFAULTS.to_vec()

@@ -1,4 +1,4 @@
-//! Traces as arrays.
+//! Conversion of traces to NumPy arrays.
 
 use numpy::{IntoPyArray, PyArrayMethods};
 use pyo3::prelude::*;
@@ -6,7 +6,7 @@ use pyo3::types::PyDict;
 use supple::robot::JOINTS;
 use supple::scenario::trace::{Frame, Trace};
 
-/// A number of each frame, by name.
+/// Name of an array of shape (frames), and its number in a frame.
 type Scalar = (&'static str, fn(&Frame) -> f64);
 
 const SCALARS: [Scalar; 10] = [
@@ -22,7 +22,7 @@ const SCALARS: [Scalar; 10] = [
     ("obstacle_contact_s", |frame| frame.obstacle_contact_s),
 ];
 
-/// A vector of each frame, by name.
+/// Name of an array of shape (frames, 3), and its vector in a frame.
 type Vector = (&'static str, fn(&Frame) -> [f64; 3]);
 
 const VECTORS: [Vector; 5] = [
@@ -33,7 +33,7 @@ const VECTORS: [Vector; 5] = [
     ("roll_pitch_yaw", |frame| frame.roll_pitch_yaw),
 ];
 
-/// A number of each joint in each frame, by name.
+/// Name of an array of shape (frames, 12), and its number for each joint in a frame.
 type OfJoints = (&'static str, fn(&Frame) -> [f64; JOINTS]);
 
 const JOINT_VALUES: [OfJoints; 3] = [
@@ -42,7 +42,7 @@ const JOINT_VALUES: [OfJoints; 3] = [
     ("torques", |frame| frame.torques),
 ];
 
-/// Everything in a trace, by name: `docs/python.md` has shapes, units and frames.
+/// Returns all arrays of a trace by name; `docs/python.md` has shapes, units and frames.
 pub fn arrays<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, PyDict>> {
     let arrays = PyDict::new(py);
     let frames = &trace.frames;

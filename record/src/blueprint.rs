@@ -1,7 +1,7 @@
-/*! How a recording opens: its views, where they are, and what they show.
+/*! The layout of a recording: its views, their arrangement and their content.
 
-rerun's builder for layouts cannot set a view's camera, background or axes, which are ordinary components of entities
-below the view in the layout's own store; so the layout is logged entity by entity, as the builder does inside. Its
+rerun's layout builder cannot set a view's camera, background or axes, which are ordinary components of entities
+below the view in the layout's own store; so the layout is logged entity by entity, as the builder does internally. Its
 identifiers are counted, not random: the same robots give the same layout.
 */
 
@@ -23,7 +23,7 @@ use super::robot::{camera_path, events_path, robot_path};
 use super::stream::{APPLICATION, TIMELINE};
 use super::style::{BACKGROUND, EYE_DIRECTION, EYE_DISTANCE_M, opaque};
 
-/// Sends the layout for these robots to a recording and makes it the active one.
+/// Sends the layout for these robots to a recording and activates it.
 pub(super) fn send(
     recording: &RecordingStream,
     robots: &[&str],
@@ -68,7 +68,7 @@ pub(super) fn send(
     Ok(())
 }
 
-/// A view or container in its parent, and its share of it.
+/// Path of a view or container, and its share of its parent's space.
 type Item = (String, f32);
 
 struct Layout<'a> {
@@ -78,7 +78,7 @@ struct Layout<'a> {
 }
 
 impl Layout<'_> {
-    /// One robot: it and its events on the left, plots on the right.
+    /// Adds the layout of one robot: robot and events on the left, plots on the right.
     fn single(&mut self, robot: &str) -> Result<RootContainer, RecordError> {
         let left = [(self.world(robot)?, 0.84), (self.events(&[robot])?, 0.16)];
         let left = self.container(ContainerKind::Vertical, "Robot", &left)?.0;
@@ -86,7 +86,7 @@ impl Layout<'_> {
         Ok(self.container(ContainerKind::Horizontal, "Recording", &[(left, 0.64), (right, 0.36)])?.1)
     }
 
-    /// Several robots: side by side, below them their plots and events.
+    /// Adds the layout of several robots: side by side, with their plots and events below.
     fn comparison(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
         let worlds =
             robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
@@ -97,14 +97,14 @@ impl Layout<'_> {
         Ok(self.container(ContainerKind::Vertical, "Recording", &[(above, 0.6), (below, 0.4)])?.1)
     }
 
-    /// Robots side by side, and nothing else.
+    /// Adds the layout of a live view: robots side by side, nothing else.
     fn live(&mut self, robots: &[&str]) -> Result<RootContainer, RecordError> {
         let worlds =
             robots.iter().map(|robot| Ok((self.world(robot)?, 1.0))).collect::<Result<Vec<_>, RecordError>>()?;
         Ok(self.container(ContainerKind::Horizontal, "Robots", &worlds)?.1)
     }
 
-    /// A robot in 3D, with an eye that follows it.
+    /// Adds the 3D view of a robot, with a camera that follows it.
     fn world(&mut self, robot: &str) -> Result<String, RecordError> {
         let length = EYE_DIRECTION.iter().map(|x| x * x).sum::<f32>().sqrt();
         let target = [0.0, 0.0, 0.3];
@@ -126,7 +126,7 @@ impl Layout<'_> {
         )
     }
 
-    /// Tabs with all plots; those of a tab are stacked or side by side.
+    /// Adds tabs with all plots; those of a tab are stacked or side by side.
     fn plots(&mut self, robots: &[&str], arrangement: ContainerKind) -> Result<String, RecordError> {
         let mut containers = Vec::new();
         for (tab, title) in tabs(self.shown) {
@@ -146,7 +146,8 @@ impl Layout<'_> {
         Ok(self.container(ContainerKind::Tabs, "Plots", &containers)?.0)
     }
 
-    /// A plot. Colours mean the same in all plots of a tab: its first one has the legend, and those that have parts.
+    /// Adds a plot. Colours have the same meaning in all plots of a tab, so only the first one and those with parts
+    /// have a legend.
     fn plot(&mut self, plot: &Plot, robots: &[&str], title: &str, is_first: bool) -> Result<String, RecordError> {
         let contents: Vec<String> = robots.iter().map(|robot| format!("+ {}", plot.path(robot))).collect();
         let legend = PlotLegend::new()
@@ -163,7 +164,7 @@ impl Layout<'_> {
         self.view("TimeSeries", title, &origin, &contents, &properties)
     }
 
-    /// The text log: time, level and text, which begins with the robot's name.
+    /// Adds the text log: time, level and text, which begins with the robot's name.
     fn events(&mut self, robots: &[&str]) -> Result<String, RecordError> {
         use datatypes::TextLogColumnKind::{Body, LogLevel};
         let column = |kind| TextLogColumn(datatypes::TextLogColumn { visible: true.into(), kind });
@@ -214,14 +215,14 @@ impl Layout<'_> {
         Ok((path, RootContainer(rerun::datatypes::Uuid { bytes: identifier })))
     }
 
-    /// The next identifier: a UUID of version 4 in form, counted in its last byte.
+    /// Returns the next identifier: a UUID in the form of version 4, counted in its last byte.
     fn identifier(&mut self) -> [u8; 16] {
         self.count += 1;
         [0x5u8, 0, 0, 0, 0, 0, 0x40, 0, 0x80, 0, 0, 0, 0, 0, 0, self.count]
     }
 }
 
-/// A UUID as text.
+/// Formats a UUID as text.
 fn text(bytes: [u8; 16]) -> String {
     let hex: Vec<String> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
     [&hex[..4], &hex[4..6], &hex[6..8], &hex[8..10], &hex[10..]].map(<[String]>::concat).join("-")

@@ -1,4 +1,4 @@
-/*! From a MuJoCo model to rerun's solids.
+/*! Conversion of a MuJoCo model's geometries to rerun's solids.
 
 Every body becomes one entity with up to four archetypes, each a batch of its geometries of one kind in the body's
 frame, logged once. MuJoCo's conventions and rerun's differ in places: half-lengths against lengths, capsules about
@@ -13,11 +13,11 @@ use super::stream::Stream;
 use super::style::Rgb;
 use supple::mujoco::{Geom, Kind, Model, Shape};
 
-/// Visual groups that are drawn: looks, feet, obstacles. Group 3 is what only collides.
+/// Visual groups that are drawn: looks, feet, obstacles. Group 3 contains collision geometries.
 const DRAWN_GROUPS: std::ops::RangeInclusive<i32> = 0..=2;
-/// The number of free balls from which they become one entity.
+/// Number of free balls from which they are logged as one entity.
 const FEWEST_BALLS: usize = 4;
-/// Share of the tint in light parts of a robot.
+/// Weight of the tint in light parts of a robot, 0 to 1.
 const TINT_SHARE: f32 = 0.5;
 
 /// The moving parts of a model and their names.
@@ -25,13 +25,13 @@ const TINT_SHARE: f32 = 0.5;
 pub(super) struct Parts {
     /// Body id of the trunk.
     pub(super) trunk: usize,
-    /// Bodies that have their own entity.
+    /// Ids and paths of the bodies that have their own entity.
     pub(super) bodies: Vec<(usize, EntityPath)>,
-    /// Bodies that are single balls.
+    /// Ids of the bodies that are single balls.
     pub(super) balls: Vec<usize>,
 }
 
-/// Logs the looks of a model below `root`, but its ground; returns what moves.
+/// Logs the visible geometries of a model below `root`, except its ground; returns the moving parts.
 pub(super) fn log_model(
     stream: &Stream,
     root: &EntityPath,
@@ -77,12 +77,12 @@ pub(super) fn log_model(
     Ok(Parts { trunk, bodies, balls })
 }
 
-/// What of the scene is not a body of its own: grounds, what is fixed to the world, balls.
+/// Returns the path of the fixed parts of the scene: grounds, geometries of the world, balls.
 pub(super) fn scene_path(root: &EntityPath) -> EntityPath {
     child(root, "scene")
 }
 
-/// All balls together.
+/// Returns the path of the entity with all balls.
 pub(super) fn balls_path(root: &EntityPath) -> EntityPath {
     child(&scene_path(root), "balls")
 }
@@ -95,12 +95,12 @@ pub(super) fn has_obstacles(model: &Model) -> Result<bool, RecordError> {
     Ok((0..model.count(Kind::Geom)).any(|id| is_obstacle(model.geom(id))))
 }
 
-/// An entity below another one; the name may hold anything.
+/// Returns the path of an entity below another one; its name may contain any character.
 pub(super) fn child(parent: &EntityPath, name: &str) -> EntityPath {
     parent.join(&EntityPath::from_single_string(name.to_owned()))
 }
 
-/// What is drawn of a body: its looks, or what collides where it has no looks that can be drawn.
+/// Returns the drawn geometries of a body: its visual ones, or the collision geometries if it has no visual ones.
 fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
     let solid = |geom: &&Geom| {
         let flat = matches!(geom.shape, Shape::Plane | Shape::HeightField(_) | Shape::Mesh(_));
@@ -111,7 +111,7 @@ fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
     if shown.is_empty() && body != 0 { hidden } else { shown }
 }
 
-/// Light parts take on some of the tint, dark ones stay.
+/// Returns the drawn colour: light parts take on some of the tint, dark parts keep their colour.
 fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
     let lightness = red.max(green).max(blue);
     let share = if lightness > 0.6 { TINT_SHARE } else { 0.0 };
@@ -124,7 +124,7 @@ fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
     Color::from_unmultiplied_rgba(byte(red), byte(green), byte(blue), byte(alpha))
 }
 
-/// A geometry as rerun has it; sizes are MuJoCo's, see [`Shape`] \[m\].
+/// A geometry in rerun's conventions; the sizes are MuJoCo's, see [`Shape`] \[m\].
 struct Solid {
     shape: Shape,
     size: [f32; 3],
@@ -148,7 +148,7 @@ impl Solid {
     }
 }
 
-/// Logs the geometries of a body, those of a kind together.
+/// Logs the geometries of a body, one batch for each kind.
 fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<(), RecordError> {
     let half_sizes = |batch: &[&Solid]| batch.iter().map(|solid| HalfSize3D::from(solid.size)).collect::<Vec<_>>();
     let lengths = |batch: &[&Solid]| batch.iter().map(|solid| 2.0 * solid.size[1]).collect::<Vec<f32>>();
@@ -171,7 +171,7 @@ fn log_solids(stream: &Stream, path: &EntityPath, solids: &[Solid]) -> Result<()
     Ok(())
 }
 
-/// Centre of a capsule's lower cap: rerun's capsules begin there, MuJoCo's have their position in the middle.
+/// Returns the centre of a capsule's lower cap: rerun's capsules start there, MuJoCo's position is the middle.
 fn capsule_start(half_length: f32, position: [f32; 3], [w, x, y, z]: [f32; 4]) -> [f32; 3] {
     let axis = [2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)];
     std::array::from_fn(|k| position[k] - half_length * axis[k])

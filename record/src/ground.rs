@@ -1,9 +1,9 @@
-/*! The ground under a robot as a coloured mesh.
+/*! The ground under a robot, drawn as a coloured mesh.
 
 A plane is a chequered patch whose rim fades into the background and which moves with the robot in whole periods of its
-pattern: it looks endless, gives a sense of motion, and costs a few kilobytes. A height field is its own triangles,
-split along the same diagonal as MuJoCo's, with heights as shades; squares that differ in friction are blue where it
-is slippery and brown where it is not.
+pattern: it looks endless, gives a sense of motion, and costs a few kilobytes. A height field is drawn as its own
+triangles, split along the same diagonal as MuJoCo's, with heights as shades; squares that differ in friction are blue
+where they are slippery and brown where they are not.
 */
 
 use rerun::{EntityPath, Mesh3D};
@@ -15,29 +15,29 @@ use super::style::{BACKGROUND, Rgb};
 use supple::mujoco::{Geom, Kind, Model, Shape};
 use supple::sim::{Ground, Patches};
 
-/// Side of a square of the pattern \[m\].
+/// Edge of a square of the pattern \[m\].
 const SQUARE_M: f32 = 0.5;
-/// Squares along a side of the patch, even.
+/// Number of squares along an edge of the patch; even.
 const SQUARES: i32 = 48;
-/// Distance from the patch's middle at which the ground begins to fade, and at which it has vanished \[m\].
+/// Distances from the patch's middle at which the ground begins to fade and at which it has vanished \[m\].
 const FADE_M: [f32; 2] = [3.5, 11.5];
-/// Most grid points of a height field that are drawn along a side.
+/// Maximum number of drawn grid points of a height field along an edge.
 const MOST_POINTS: usize = 401;
-/// The two squares of a plane.
+/// Colours of the two kinds of squares of a plane.
 const SQUARE_COLOURS: [Rgb; 2] = [[92, 99, 108], [104, 112, 122]];
-/// Lowest and highest point of a height field.
+/// Colours of the lowest and the highest point of a height field.
 const HEIGHT_COLOURS: [Rgb; 2] = [[66, 74, 84], [150, 156, 150]];
 
-/// Squares of the least and the largest friction of a ground, and how much of their colour they show.
+/// Colours of the squares with the lowest and the highest friction, and the weight of these colours.
 const SLIPPERY: Rgb = [96, 140, 170];
 const GRIPPY: Rgb = [122, 104, 70];
 const FRICTION_SHARE: f32 = 0.55;
 
-/// A patch that follows the robot.
+/// A chequered patch of ground that follows the robot.
 #[derive(Debug)]
 pub(super) struct Patch {
     path: EntityPath,
-    /// Middle of the patch in periods of the pattern.
+    /// Position of the patch's middle, in periods of the pattern; `None` before it has been logged.
     cell: Option<[i32; 2]>,
 }
 
@@ -65,7 +65,7 @@ pub(super) fn log_grounds(
 }
 
 impl Patch {
-    /// Keeps the patch under the robot.
+    /// Moves the patch so that it stays under the robot.
     pub(super) fn follow(&mut self, stream: &Stream, [x, y, _]: [f32; 3]) -> Result<(), RecordError> {
         let period = 2.0 * SQUARE_M;
         let cell = [x, y].map(|value| (value / period).round() as i32);

@@ -1,8 +1,8 @@
 /*! Recordings for the rerun viewer: robots in their scenes, forces, plots and events on one time axis.
 
-This package and `drive` are the only ones that know rerun. A recording holds its own layout, so that a file opens ready to look at:
-robots on the left, one view for each, plots on the right, events below. It takes finished [`Frame`]s and [`Event`]s;
-nothing here steps physics, and nothing that steps physics waits here for longer than a few seconds.
+Start with [`Recorder`]. This package and `drive` are the only ones that use rerun. A recording contains its own layout:
+robots on the left, one view for each, plots on the right, events below. It receives finished [`Frame`]s and [`Event`]s;
+no physics runs here, and a playback never waits here for longer than a few seconds.
 */
 
 mod blueprint;
@@ -28,89 +28,90 @@ use supple::mujoco::{self, Model};
 use supple::scenario::trace::{Event, Frame, Trace};
 use supple::sim::Ground;
 
-/// Why there is no recording, or not all of it.
+/// The reason why a recording is missing or incomplete.
 #[derive(Debug, thiserror::Error)]
 pub enum RecordError {
     /// The file cannot be created.
     #[error("cannot create the recording {}: {source}", path.display())]
     Create {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Reason given by the operating system.
         source: std::io::Error,
     },
-    /// No viewer answers.
+    /// No viewer answers at the URL.
     #[error("no rerun viewer answers at {url}: {reason}; start one with `rerun`, or record to a file")]
     Viewer {
         /// The URL of the viewer.
         url: String,
-        /// rerun's reason.
+        /// Reason given by rerun.
         reason: String,
     },
-    /// A port is taken, or not ours to take.
+    /// A port cannot be opened: it is in use, or not permitted.
     #[error("cannot serve the viewer on port {port}: {reason}; choose another one, and have the next one free too")]
     Serve {
-        /// The port.
+        /// The port that cannot be opened.
         port: u16,
-        /// The system's reason.
+        /// Reason given by the operating system.
         reason: String,
     },
-    /// The disk is full, or the viewer went away.
+    /// The recording cannot be written: the disk is full, or the viewer has disconnected.
     #[error("the recording {target} is incomplete: {reason}")]
     Write {
-        /// File or URL.
+        /// Path of the file or URL of the viewer.
         target: String,
-        /// The reason.
+        /// Reason given by rerun or the operating system.
         reason: String,
     },
-    /// The recording has failed before.
+    /// The recording has failed before, and cannot continue.
     #[error("the recording {target} has failed before and takes no more data")]
     Closed {
-        /// File or URL.
+        /// Path of the file or URL of the viewer.
         target: String,
     },
-    /// A frame of another scene.
+    /// The frame belongs to another scene: its number of bodies differs.
     #[error("a frame of {robot} has {found} bodies, its model {expected}; record with the scene's own visual model")]
     Bodies {
-        /// The robot.
+        /// Name of the robot.
         robot: String,
-        /// Bodies of its model.
+        /// Number of bodies in the robot's model.
         expected: usize,
-        /// Bodies of the frame.
+        /// Number of bodies in the frame.
         found: usize,
     },
-    /// There is no such robot.
+    /// There is no robot of this index.
     #[error("there is no robot {index} in this recording of {count}")]
     Robot {
-        /// The index asked for.
+        /// The index that was given.
         index: usize,
-        /// How many there are.
+        /// Number of robots.
         count: usize,
     },
-    /// The model lacks a part.
+    /// The model lacks a part of the robot.
     #[error(transparent)]
     Model(#[from] mujoco::Error),
-    /// rerun refuses the data.
+    /// rerun refused the data.
     #[error("rerun: {0}")]
     Rerun(#[from] rerun::RecordingStreamError),
 }
 
-/// A robot to be recorded.
+/// A robot to be recorded, and how it is drawn.
 #[derive(Debug, Clone, Copy)]
 pub struct RobotView<'a> {
     /// The name in views and legends, such as `compliant`.
     pub name: &'a str,
-    /// The model to be looked at, see [`supple::sim::Scene::compile_visual`].
+    /// The model to draw, see [`supple::sim::Scene::compile_visual`].
     pub model: &'a Model,
-    /// The ground, for marks that are drawn on it.
+    /// The ground, on which shadows and trails are drawn.
     pub ground: &'a Ground,
-    /// Colour of its light parts, its trail and its plots; without, it keeps its own colours and plots are blue.
+    /// Colour of the robot's light parts, its trail and its plots; with `None` it keeps its own colours and plots are
+    /// blue.
     pub tint: Option<Rgb>,
-    /// Whether it acts on its sensors: its estimates are then plotted beside the truth.
+    /// True if the robot acts on its sensors: its estimates are then plotted with the true values.
     pub estimates: bool,
 }
 
-/// Writes a recording.
+/// A recording in progress: logs the frames and events of robots.
 #[derive(Debug)]
 pub struct Recorder {
     stream: Stream,
@@ -118,7 +119,7 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// Opens a recording and logs its layout and everything that does not move. Robots must have different names.
+    /// Opens a recording and logs its layout and all static parts. Robots must have different names.
     ///
     /// # Errors
     /// The file cannot be created, no viewer answers, or a model has no trunk.
@@ -126,11 +127,11 @@ impl Recorder {
         Self::on(Stream::open(sink, title)?, robots)
     }
 
-    /// Like [`Recorder::new`] for a live view, which keeps only the latest value of each entity: no plots, no events, no time.
-    /// Its memory stays constant, here and in the viewer. Robots and whole frames may be left out: the last one counts.
+    /// Opens a live view, which keeps only the latest value of each entity: no plots, no events, no time.
+    /// Its memory stays constant, here and in the viewer. Frames may be skipped, because only the latest one is shown.
     ///
     /// # Errors
-    /// As [`Recorder::new`].
+    /// No viewer answers, or a model has no trunk.
     pub fn live(sink: LiveSink, title: &str, robots: &[RobotView<'_>]) -> Result<Self, RecordError> {
         Self::on(Stream::open_live(sink, title)?, robots)
     }
@@ -148,10 +149,11 @@ impl Recorder {
         Ok(Recorder { stream, robots })
     }
 
-    /// Adds a frame of a robot, the index into the robots of [`Recorder::new`].
+    /// Adds a frame of a robot, given by its index in the robots of [`Recorder::new`].
     ///
     /// # Errors
-    /// The frame does not fit the robot's model, or the recording has failed: the disk is full, the viewer went away.
+    /// The frame does not fit the robot's model, or the recording has failed: the disk is full, or the viewer has
+    /// disconnected.
     pub fn frame(&mut self, robot: usize, frame: &Frame) -> Result<(), RecordError> {
         let count = self.robots.len();
         let robot = self.robots.get_mut(robot).ok_or(RecordError::Robot { index: robot, count })?;
@@ -169,7 +171,7 @@ impl Recorder {
         robot.event(&self.stream, event)
     }
 
-    /// A robot stands where it was put, as if nothing had been: labels and trails are taken away.
+    /// Removes a robot's labels and trails, after it was placed at its start or on its feet.
     ///
     /// # Errors
     /// There is no such robot, or the recording has failed.
@@ -179,18 +181,19 @@ impl Recorder {
         robot.begin_again(&self.stream)
     }
 
-    /// What was logged of a live recording in memory since the last time, as the bytes of a whole `.rrd` file for a viewer.
+    /// Takes the data logged in memory since the last call, as the bytes of a complete `.rrd` file for a viewer.
     ///
     /// # Errors
-    /// rerun has failed.
+    /// rerun cannot encode the data.
     pub fn take(&mut self) -> Result<Vec<u8>, RecordError> {
         self.stream.take()
     }
 
-    /// Adds a whole rollout of a robot.
+    /// Adds all frames and events of a playback.
     ///
     /// # Errors
-    /// As [`Recorder::frame`].
+    /// A frame does not fit the robot's model, or the recording has failed: the disk is full, or the viewer has
+    /// disconnected.
     pub fn trace(&mut self, robot: usize, trace: &Trace) -> Result<(), RecordError> {
         let mut events = trace.events.iter().peekable();
         for (index, frame) in trace.frames.iter().enumerate() {
@@ -204,10 +207,10 @@ impl Recorder {
         events.try_for_each(|event| self.event(robot, event))
     }
 
-    /// Writes out what is left and closes the recording.
+    /// Writes the remaining data and closes the recording.
     ///
     /// # Errors
-    /// The disk is full or the viewer went away: the recording is incomplete.
+    /// The disk is full, or the viewer has disconnected: the recording is incomplete.
     pub fn finish(self) -> Result<(), RecordError> {
         self.stream.finish()
     }

@@ -1,7 +1,7 @@
-/*! What is drawn beside bodies and grounds: forces, disturbances, trails, shadows and the label of an event.
+/*! Drawn marks: forces, disturbances, trails, shadows and the label of an event.
 
-Shadows lie straight below trunk and feet and show how high they are. The trunk's trail lies on the ground, those of the
-feet where the feet were; both are short enough to be logged whole each time.
+Shadows are straight below trunk and feet and show their height. The trunk's trail is on the ground, those of the
+feet are in the air; both are short enough to be logged completely each time.
 */
 
 use std::collections::VecDeque;
@@ -15,32 +15,32 @@ use super::style::*;
 use supple::scenario::trace::{Disturbance, Event, EventKind, Frame};
 use supple::sim::Ground;
 
-/// Time between two points of the trunk's trail \[s\], and how many there are.
+/// Interval \[s\] and number of points of the trunk's trail.
 const TRUNK_TRAIL: (f64, usize) = (0.1, 100);
-/// The interval \[s\] and the number of points of the feet's trails.
+/// Interval \[s\] and number of points of the feet's trails.
 const FOOT_TRAIL: (f64, usize) = (1.0 / 30.0, 22);
-/// Height of trails and shadows above the ground, so that both are seen \[m\].
+/// Height of trails and shadows above the ground, so that they are visible \[m\].
 const ABOVE_GROUND_M: f32 = 0.003;
 /// Height of an event's label above the trunk \[m\].
 const LABEL_HEIGHT_M: f32 = 0.28;
-/// The distance from the trunk's origin to its side \[m\].
+/// Distance from the trunk's origin to its side \[m\].
 const TRUNK_RADIUS_M: f64 = 0.13;
-/// The distance from the trunk's origin to its front \[m\].
+/// Distance from the trunk's origin to its front \[m\].
 const TRUNK_FRONT_M: f64 = 0.3;
 
-/// The marks drawn now, and the times at which they end.
+/// The marks that are drawn, and the times at which they end.
 #[derive(Debug)]
 pub(super) struct Overlay {
     root: EntityPath,
     ground: Ground,
-    /// The robot's colour.
+    /// Colour of the robot.
     colour: Rgb,
     trunk: [f32; 3],
     trunk_trail: VecDeque<[f32; 3]>,
     foot_trails: [VecDeque<[f32; 3]>; 4],
     next_trunk_trail_s: f64,
     next_foot_trail_s: f64,
-    /// Until when, and the velocity.
+    /// End of the push's arrow \[s\] and velocity of the push, world frame [m/s].
     push: Option<(f64, [f64; 3])>,
     is_pulled: bool,
     /// True if a rope with a load is drawn.
@@ -48,13 +48,13 @@ pub(super) struct Overlay {
     label_until_s: Option<f64>,
 }
 
-/// Where a robot's overlay is.
+/// Returns the path of a robot's marks.
 pub(super) fn overlay_path(robot: &EntityPath) -> EntityPath {
     child(robot, "overlay")
 }
 
 impl Overlay {
-    /// Logs what does not change.
+    /// Creates the overlay and logs its static parts.
     pub(super) fn new(stream: &Stream, robot: &EntityPath, ground: &Ground, colour: Rgb) -> Result<Self, RecordError> {
         let overlay = Overlay {
             root: overlay_path(robot),
@@ -74,7 +74,7 @@ impl Overlay {
         Ok(overlay)
     }
 
-    /// Logs a frame at the time that is set.
+    /// Logs the marks of a frame at the current time.
     pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
         self.trunk = trunk;
         self.log_trails(stream, frame, trunk)?;
@@ -85,7 +85,7 @@ impl Overlay {
         self.log_label(stream, frame.time_s)
     }
 
-    /// Logs the label of an event at the time that is set; that of a fall stays.
+    /// Logs the label of an event at the current time; that of a fall stays.
     pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<(), RecordError> {
         if self.label_until_s == Some(f64::INFINITY) {
             return Ok(());
@@ -104,7 +104,7 @@ impl Overlay {
         stream.replace(&self.entity("label"), &label)
     }
 
-    /// Takes away labels and trails.
+    /// Removes labels and trails.
     pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
         self.trunk_trail.clear();
         self.foot_trails.iter_mut().for_each(VecDeque::clear);
@@ -123,7 +123,7 @@ impl Overlay {
         [x, y, z + LABEL_HEIGHT_M]
     }
 
-    /// Moves the label of an event with the robot and takes it away in time.
+    /// Moves the label of an event with the robot, and removes it when its time is over.
     fn log_label(&mut self, stream: &Stream, time_s: f64) -> Result<(), RecordError> {
         match self.label_until_s {
             Some(until) if time_s > until => {
@@ -159,12 +159,13 @@ impl Overlay {
         stream.log(&self.entity("foot trails"), &feet)
     }
 
-    /// The point of the ground below a point.
+    /// Returns the point of the ground below a point, world frame \[m\].
     fn on_ground(&self, [x, y, _]: [f32; 3]) -> [f32; 3] {
         [x, y, self.ground.height(f64::from(x), f64::from(y)) as f32 + ABOVE_GROUND_M]
     }
 
-    /// Shadows are flat and dark: one with a soft rim below the trunk, unless the ground is uneven, and one for each foot.
+    /// Logs the shapes of the shadows: one with a soft rim below the trunk, unless the ground is uneven, and one for
+    /// each foot.
     fn log_shadow_looks(&self, stream: &Stream) -> Result<(), RecordError> {
         let dark = |alpha| Color::from_unmultiplied_rgba(0, 0, 0, alpha);
         if self.ground == Ground::Flat {
@@ -200,8 +201,8 @@ impl Overlay {
         stream.log(&self.entity("foot forces"), &arrows)
     }
 
-    /// A push is an arrow that ends at the trunk, and so is what presses it; a pull is a rope that begins there with the force at
-    /// its far end.
+    /// Logs the disturbance of a frame: pushes and pressing obstacles as arrows that end at the trunk; a pull as a rope
+    /// that starts there, with the force at its far end.
     fn log_disturbance(&mut self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
         let trunk = trunk.map(f64::from);
         let path = self.entity("push");
@@ -252,7 +253,7 @@ impl Overlay {
         Ok(())
     }
 
-    /// A rope with a load: bright while it pulls, grey while it is slack.
+    /// Logs a rope with a load: bright while it pulls, grey while it is slack.
     fn log_rope(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
         let path = self.entity("loaded rope");
         let Some(rope) = frame.rope.as_ref().filter(|rope| rope.points.len() > 1) else {

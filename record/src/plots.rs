@@ -1,4 +1,4 @@
-/*! The time series of a recording: one table that both the logging and the layout read.
+/*! The plots of a recording: one table that both the logging and the layout read.
 
 A plot shows every robot's quantity in the robot's colour and, where there is one, the first robot's command.
 */
@@ -12,62 +12,62 @@ use super::style::{BLUE, GREEN, GREY, ORANGE, PURPLE, Rgb, SKY, lighter, opaque}
 use supple::scenario::trace::{Frame, Sensed};
 use supple::task::reward::{TERMS, TermDefinition};
 
-/// A plot.
+/// A plot: one quantity over time.
 pub(super) struct Plot {
-    /// Name of its entities.
+    /// Name of the plot's entities.
     pub(super) entity: &'static str,
-    /// Title with the unit.
+    /// Title of the plot, with the unit.
     pub(super) title: &'static str,
-    /// Tab that it belongs to.
+    /// Tab in which the plot is shown.
     pub(super) tab: Tab,
-    /// The meaning of the series.
+    /// Kind of the plot's series.
     pub(super) series: Series,
-    /// Fixed range of its axis; without, that of its values.
+    /// Fixed range of the value axis; `None` for the range of the values.
     pub(super) range: Option<[f64; 2]>,
     values: fn(&Frame) -> Vec<f64>,
 }
 
-/// Tabs of the plots.
+/// A tab of plots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Tab {
-    /// Where the robot goes.
+    /// Velocity, height and orientation.
     Motion,
     /// Power, torque and forces.
     Effort,
-    /// The reward and its terms.
+    /// Reward and its terms.
     Reward,
-    /// The state estimated from sensors.
+    /// State estimated from sensors.
     Estimate,
 }
 
 /// The optional plots of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Shown {
-    /// There are obstacles.
+    /// True if there are obstacles.
     pub(super) obstacles: bool,
-    /// A robot acts on its sensors.
+    /// True if a robot acts on its sensors.
     pub(super) estimates: bool,
 }
 
-/// Tabs in their order; the first is open.
+/// Tabs in order, with their titles; the first one is open.
 const TABS: [(Tab, &str); 4] =
     [(Tab::Estimate, "Estimate"), (Tab::Motion, "Motion"), (Tab::Effort, "Effort"), (Tab::Reward, "Reward")];
 
-/// The tabs of a recording.
+/// Iterates over the tabs of a recording.
 pub(super) fn tabs(shown: Shown) -> impl Iterator<Item = (Tab, &'static str)> {
     TABS.into_iter().filter(move |(tab, _)| shown.estimates || *tab != Tab::Estimate)
 }
 
-/// Series of a plot.
+/// Kind of a plot's series.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Series {
-    /// One number in the robot's colour.
+    /// A single value, in the robot's colour.
     Single,
     /// The command, drawn first, and the measured value.
     Tracking,
     /// The true value in the robot's colour and the estimate in a lighter one.
     Belief,
-    /// The terms of the reward, each robot in a plot of its own.
+    /// The terms of the reward, in a separate plot for each robot.
     Terms,
 }
 
@@ -81,7 +81,7 @@ const fn plot(
     Plot { entity, title, tab, series, range: None, values }
 }
 
-/// Every plot.
+/// All plots of recordings, in order.
 const PLOTS: &[Plot] = &[
     plot("forward", "Forward velocity [m/s]", Tab::Motion, Series::Tracking, |frame| {
         vec![frame.command.forward, frame.velocity[0]]
@@ -125,13 +125,13 @@ const PLOTS: &[Plot] = &[
     },
 ];
 
-/// Power and torque have plots of their own.
+/// Iterates over the plotted terms; power and torque have plots of their own.
 fn shown_terms(frame: &Frame) -> impl Iterator<Item = (&'static TermDefinition, f64)> {
     let terms = TERMS.iter().zip(frame.terms.fields().map(|(_, value)| value));
     terms.filter(|(term, _)| !matches!(term.name, "energy" | "torque"))
 }
 
-/// Colours of the terms, over and over.
+/// Colours of the terms, used repeatedly.
 const TERM_COLOURS: [Rgb; 6] = [BLUE, ORANGE, GREEN, PURPLE, SKY, GREY];
 
 fn count(feet: [bool; 4]) -> f64 {
@@ -143,10 +143,10 @@ fn believed(frame: &Frame, truth: f64, belief: fn(&Sensed) -> f64) -> Vec<f64> {
     vec![truth, frame.sensed.as_ref().map_or(f64::NAN, belief)]
 }
 
-/// Name of the plot that says nothing without obstacles.
+/// Name of the plot that is shown only with obstacles.
 const OBSTACLE_FORCE: &str = "obstacle_force";
 
-/// The plots of a recording.
+/// Iterates over the plots of a recording.
 pub(super) fn plots(shown: Shown) -> impl Iterator<Item = &'static Plot> {
     let is_shown = move |plot: &&Plot| match plot.tab {
         Tab::Estimate => shown.estimates,
@@ -156,13 +156,13 @@ pub(super) fn plots(shown: Shown) -> impl Iterator<Item = &'static Plot> {
 }
 
 impl Plot {
-    /// The plot's entity of a robot.
+    /// Returns the path of the plot's entity for a robot.
     pub(super) fn path(&self, robot: &str) -> EntityPath {
         child(&child(&EntityPath::from("plots"), robot), self.entity)
     }
 }
 
-/// Logs names and colours of a robot's series, once.
+/// Logs names and colours of a robot's series, once at the start.
 pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bool) -> Result<(), RecordError> {
     for plot in PLOTS {
         let estimated = format!("{robot}, estimated");
@@ -182,7 +182,7 @@ pub(super) fn log_styles(stream: &Stream, robot: &str, colour: Rgb, is_first: bo
     Ok(())
 }
 
-/// Logs a robot's values.
+/// Logs a robot's values at the current time.
 pub(super) fn log_values(
     stream: &Stream,
     robot: &str,

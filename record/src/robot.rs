@@ -1,4 +1,4 @@
-/*! One robot with its ground and obstacles: what is logged of each frame.
+/*! One robot with its ground and obstacles: logs its frames and events.
 
 Poses are logged when they changed, and balls that rest keep their exact position, which costs nothing once compressed.
 The camera follows an invisible entity that glides after the trunk instead of shaking with it.
@@ -17,16 +17,16 @@ use supple::mujoco::Kind;
 use supple::scenario::trace::{Event, EventKind, Frame, Pose};
 use supple::task::Stage;
 
-/// Least movement \[m\] and turn (of a quaternion's components) that is logged.
+/// Smallest change of position \[m\] or of a quaternion's components that is logged.
 const LEAST_CHANGE: f32 = 2e-5;
-/// More balls than this are logged in every other frame, for the file's size.
+/// Number of balls above which they are logged only in every other frame, to limit the file's size.
 const BALLS_IN_EVERY_FRAME: usize = 500;
-/// Balls that moved less than this stay where they were logged \[m\].
+/// Smallest movement of a ball that is logged \[m\].
 const LEAST_BALL_CHANGE_M: f32 = 5e-4;
 /// Time constant of the camera \[s\].
 const CAMERA_LAG_S: f32 = 0.25;
 
-/// Where a robot's things are and what was logged last.
+/// The entities of a robot, and the values that were logged last.
 #[derive(Debug)]
 pub(super) struct Robot {
     name: String,
@@ -45,7 +45,7 @@ pub(super) struct Robot {
 }
 
 impl Robot {
-    /// Logs everything that does not change.
+    /// Logs all static parts.
     pub(super) fn new(
         stream: &Stream,
         view: &RobotView<'_>,
@@ -80,7 +80,7 @@ impl Robot {
         Ok(robot)
     }
 
-    /// Logs a frame.
+    /// Logs a frame at the current time.
     pub(super) fn frame(&mut self, stream: &Stream, frame: &Frame) -> Result<(), RecordError> {
         if frame.bodies.len() != self.body_count {
             let (expected, found) = (self.body_count, frame.bodies.len());
@@ -112,7 +112,7 @@ impl Robot {
         Ok(())
     }
 
-    /// Logs an event as text, and where the robot is.
+    /// Logs an event as text and as a label at the robot.
     pub(super) fn event(&mut self, stream: &Stream, event: &Event) -> Result<(), RecordError> {
         let level = match event.kind {
             EventKind::Disturbance => TextLogLevel::WARN,
@@ -126,7 +126,7 @@ impl Robot {
         self.overlay.event(stream, event)
     }
 
-    /// What was said of the robot no longer holds: it stands somewhere, as if nothing had been.
+    /// Removes labels and trails after the robot was placed at its start or on its feet.
     pub(super) fn begin_again(&mut self, stream: &Stream) -> Result<(), RecordError> {
         self.camera = None;
         self.overlay.begin_again(stream)
@@ -173,7 +173,7 @@ impl Robot {
         Ok(())
     }
 
-    /// The eye's distance follows from the size of what it follows: two invisible points.
+    /// Logs two invisible points, whose distance sets the distance of the camera.
     fn log_camera_size(&self, stream: &Stream) -> Result<(), RecordError> {
         // The viewer goes to 1.5 times the radius of the box around the entity.
         let half = EYE_DISTANCE_M / 1.5;
@@ -197,7 +197,7 @@ impl Robot {
     }
 }
 
-/// The sub-tree of a robot, its ground and its obstacles.
+/// Returns the path of a robot, its ground and its obstacles.
 pub(super) fn robot_path(name: &str) -> EntityPath {
     child(&EntityPath::from("world"), name)
 }
@@ -207,7 +207,7 @@ pub(super) fn camera_path(name: &str) -> EntityPath {
     child(&overlay_path(&robot_path(name)), "camera")
 }
 
-/// The text log of a robot.
+/// Returns the path of a robot's text log.
 pub(super) fn events_path(name: &str) -> EntityPath {
     child(&EntityPath::from("events"), name)
 }

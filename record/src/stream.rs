@@ -1,13 +1,13 @@
-/*! The way out: a rerun stream to a file or to a viewer that can fail but not hang.
+/*! The output stream of a recording, to a file or to a viewer: it can fail but not hang.
 
-rerun writes from threads of its own, keeps their errors to itself, and waits without end for a viewer that has stopped
-reading. So the stream is flushed now and then with a time limit, which turns a full disk and a dead viewer into errors
-while the program runs; a stream that has failed is let go in the background; and a finished file is checked for the
+rerun writes on threads of its own, hides their errors, and waits for ever for a viewer that has stopped
+reading. So the stream is flushed regularly with a time limit, which turns a full disk and a hung viewer into errors
+while the program runs; a stream that has failed is dropped in the background; and a finished file is checked for the
 footer that is written last.
 
-A live stream has no time: all of it is static, so that what is new takes the place of what was before, in our memory and in
-the viewer's, and hours of it take no more than a moment. A viewer keeps static transforms and forgets other static data,
-so poses are there what places an entity's own shapes.
+A live stream has no time: all its data are static, so that new data replace old ones, in this program's memory and in
+the viewer's, which stays constant for hours. A viewer keeps static transforms and forgets other static data,
+so transforms are used to place the shapes of entities.
 */
 
 use std::fs::{self, File};
@@ -31,44 +31,44 @@ use supple::util::files::Target;
 use super::RecordError;
 use super::style::PATIENCE;
 
-/// Name under which viewers file our recordings and layouts.
+/// Name under which viewers store our recordings and layouts.
 pub(super) const APPLICATION: &str = "supple";
-/// Small batches, for a viewer that watches live.
+/// Batching for live viewers: small batches.
 const LIVE: ChunkBatcherConfig =
     ChunkBatcherConfig { flush_tick: Duration::from_millis(30), ..ChunkBatcherConfig::LOW_LATENCY };
-/// The only timeline \[s\].
+/// Name of the only timeline, simulation time \[s\].
 pub(super) const TIMELINE: &str = "sim_time";
 
-/// Where a recording goes.
+/// Destination of a recording.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Sink {
     /// A new `.rrd` file; folders are created, an existing file is replaced.
     File(PathBuf),
     /// A running viewer: its URL such as `rerun+http://127.0.0.1:9876/proxy`, or the one on this machine.
     Connect(Option<String>),
-    /// Web browsers on this machine: the viewer's page on this port, see [`page_url`], and its data on the next one.
-    /// Served until the recording is finished; a page that is opened late still gets everything.
+    /// Web browsers on this machine: the viewer's page is on this port, see [`page_url`], and its data on the next one.
+    /// Both are served until the recording is finished; a page opened later still gets all data.
     Serve(u16),
 }
 
-/// Where what happens now is shown.
+/// Destination of a live view.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LiveSink {
-    /// Wherever [`Recorder::take`](super::Recorder::take) is carried to.
+    /// Memory, from which [`Recorder::take`](super::Recorder::take) takes the data.
     Memory,
     /// A running viewer, as in [`Sink::Connect`].
     Connect(Option<String>),
 }
 
-/// Where a browser finds the viewer that [`Sink::Serve`] serves on a port, with the recording open in it.
+/// Returns the address of the page that [`Sink::Serve`] serves on a port, with the recording open in it.
 pub fn page_url(port: u16) -> String {
     format!("http://{LOCAL}:{port}?url=rerun%2Bhttp://{LOCAL}:{}/proxy", port.saturating_add(1))
 }
 
-/// Pages are for this machine alone.
+/// Address on which pages are served, for this machine alone.
 const LOCAL: &str = "127.0.0.1";
 
-/// RERUN=off must not silently lose a recording that was asked for.
+/// Returns a builder that ignores the variable `RERUN`, because `RERUN=off` would silently lose a requested recording.
 fn builder(title: &str) -> RecordingStreamBuilder {
     RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title)
 }
@@ -78,24 +78,24 @@ type Page = Box<dyn std::any::Any + Send>;
 
 /// An open recording.
 pub(super) struct Stream {
-    /// Nothing after a failure.
+    /// The rerun stream; `None` after a failure.
     recording: Option<RecordingStream>,
     /// True for live streams, which keep only the latest value of each entity.
     is_live: bool,
-    /// The data that a live stream has logged and that has not been taken.
+    /// Data that a live stream has logged and not yet returned by `take`.
     memory: Option<BinaryStreamStorage>,
     file: Option<PathBuf>,
-    /// Serves the viewer's page as long as it lives.
+    /// The server of the viewer's page, which runs until this is dropped.
     _page: Option<Page>,
-    /// File or URL, for messages.
+    /// Path of the file or URL of the viewer, for error messages.
     target: String,
-    /// Frames between two flushes, and since the last one.
+    /// Number of frames between two flushes.
     frames_per_flush: usize,
     frames: usize,
 }
 
 impl Stream {
-    /// Creates the file or reaches the viewer.
+    /// Creates the file or connects to the viewer.
     pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
         let builder = builder(title);
         let (recording, file, page, target) = match sink {
@@ -136,7 +136,7 @@ impl Stream {
         Stream { recording, is_live, memory, file, _page: page, target, frames_per_flush, frames: 0 }.begin()
     }
 
-    /// Reaches the viewer, or begins to keep what is logged.
+    /// Connects to the viewer, or starts to store data in memory.
     pub(super) fn open_live(sink: LiveSink, title: &str) -> Result<Self, RecordError> {
         let mut stream = match sink {
             LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
@@ -174,18 +174,18 @@ impl Stream {
         self.is_live
     }
 
-    /// What was logged since the last time, as a whole `.rrd` file.
+    /// Takes the data logged since the last call, as a complete `.rrd` file.
     pub(super) fn take(&mut self) -> Result<Vec<u8>, RecordError> {
         self.flush()?;
         Ok(self.memory.as_ref().and_then(BinaryStreamStorage::read).unwrap_or_default())
     }
 
-    /// The rerun stream.
+    /// Returns the rerun stream, or the error of a stream that has failed.
     pub(super) fn recording(&self) -> Result<&RecordingStream, RecordError> {
         self.recording.as_ref().ok_or_else(|| RecordError::Closed { target: self.target.clone() })
     }
 
-    /// Sets the time of everything that is logged from now on \[s\].
+    /// Sets the current time, for all data logged from now on \[s\].
     pub(super) fn set_time(&self, time_s: f64) -> Result<(), RecordError> {
         if !self.is_live {
             self.recording()?.set_duration_secs(TIMELINE, time_s);
@@ -193,7 +193,7 @@ impl Stream {
         Ok(())
     }
 
-    /// Logs at the time that was set.
+    /// Logs data at the current time.
     pub(super) fn log(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
         if self.is_live {
             return self.log_static(path, data);
@@ -201,7 +201,7 @@ impl Stream {
         Ok(self.recording()?.log(path.clone(), data)?)
     }
 
-    /// Logs where an entity is, and how it is turned.
+    /// Logs position and orientation of an entity.
     pub(super) fn place(
         &self,
         path: &EntityPath,
@@ -222,8 +222,8 @@ impl Stream {
         }
     }
 
-    /// Logs all of an entity anew. What one flush holds of an entity arrives in any order, and of a live stream an update that
-    /// arrives after what replaces it stays for ever: so that goes ahead.
+    /// Replaces all data of an entity. Data of one flush arrive in any order, and in a live stream an update that
+    /// arrives after its replacement would stay for ever: so the stream is flushed first.
     pub(super) fn replace(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
         if self.is_live {
             self.recording()?.flush_with_timeout(PATIENCE).map_err(|error| self.unwritten(&error))?;
@@ -231,17 +231,17 @@ impl Stream {
         self.log(path, data)
     }
 
-    /// Logs that an entity is there no longer; `nothing` is what it was, without anything in it.
+    /// Removes an entity; `nothing` is the same archetype without content.
     pub(super) fn clear(&self, path: &EntityPath, nothing: &impl AsComponents) -> Result<(), RecordError> {
         if self.is_live { self.replace(path, nothing) } else { self.log(path, &Clear::flat()) }
     }
 
-    /// Logs something that holds at all times.
+    /// Logs static data, which hold at all times.
     pub(super) fn log_static(&self, path: &EntityPath, data: &impl AsComponents) -> Result<(), RecordError> {
         Ok(self.recording()?.log_static(path.clone(), data)?)
     }
 
-    /// Counts a frame; every so often makes sure that what was logged has arrived.
+    /// Counts a frame, and flushes regularly to check that the data have arrived.
     pub(super) fn end_frame(&mut self) -> Result<(), RecordError> {
         self.frames += 1;
         if self.frames < self.frames_per_flush {
@@ -266,7 +266,7 @@ impl Stream {
         RecordError::Write { target: self.target.clone(), reason: format!("{error}{hint}") }
     }
 
-    /// Writes out everything and closes the file or the connection.
+    /// Writes all data and closes the file or the connection.
     pub(super) fn finish(mut self) -> Result<(), RecordError> {
         self.flush()?;
         let failed = |reason: &str| RecordError::Write { target: self.target.clone(), reason: reason.to_owned() };
@@ -281,7 +281,7 @@ impl Stream {
     }
 }
 
-/// Serves a recording and a viewer for it on a port and the next.
+/// Serves a recording on `port + 1` and a viewer's page for it on `port`.
 fn serve(builder: RecordingStreamBuilder, port: u16) -> Result<(RecordingStream, Page), RecordError> {
     let failed = |port, reason: String| RecordError::Serve { port, reason };
     let data_port = port.checked_add(1).ok_or_else(|| failed(port, "there is no port after it for the data".into()))?;
@@ -307,7 +307,7 @@ impl std::fmt::Debug for Stream {
     }
 }
 
-/// A recorder that is given up on must not hang either.
+/// Drops the rerun stream in the background, because closing it may hang.
 impl Drop for Stream {
     fn drop(&mut self) {
         if self.recording.is_some() {
@@ -317,7 +317,7 @@ impl Drop for Stream {
     }
 }
 
-/// Closes a recording, which may wait without end, and says so when it is done.
+/// Closes a recording in the background, because that may hang, and notifies the receiver when it is done.
 fn drop_in_background(recording: RecordingStream) -> Receiver<()> {
     let (done, wait) = std::sync::mpsc::channel();
     let close = move || {
@@ -330,7 +330,7 @@ fn drop_in_background(recording: RecordingStream) -> Receiver<()> {
     wait
 }
 
-/// Returns true if a file ends like a complete recording.
+/// Returns true if a file ends with the footer of a complete recording.
 fn has_footer(path: &Path) -> bool {
     let tail = || -> io::Result<Vec<u8>> {
         let mut file = File::open(path)?;

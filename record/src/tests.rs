@@ -1,4 +1,4 @@
-//! Recordings read back, and the ways in which they fail.
+//! Tests that read recordings back, and tests of their failures.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -36,7 +36,7 @@ fn scene(ground: Ground) -> Scene {
     }
 }
 
-/// Poses of the scene's start; forces, commands and rewards are made up.
+/// Returns a frame with the poses of the scene's start and invented forces, commands and rewards.
 fn frame(model: &Model, time_s: f64) -> Frame {
     let mut data = Data::new(model.try_clone().unwrap()).unwrap();
     data.step1().unwrap();
@@ -63,7 +63,7 @@ fn frame(model: &Model, time_s: f64) -> Frame {
     }
 }
 
-/// Entities of the recording and of its layout, what the layout's views show, and what their eyes follow.
+/// Entities of the recording and of its layout, the contents of the layout's views, and the targets of their cameras.
 struct Content {
     recorded: BTreeSet<String>,
     shown: Vec<String>,

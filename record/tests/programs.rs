@@ -1,4 +1,4 @@
-//! `scenario` as a user runs it.
+//! Tests of the program `scenario` as users run it.
 
 #[path = "../../tests/it/support.rs"]
 mod support;
@@ -57,7 +57,7 @@ fn recording_or_not_and_the_same_seed_twice_give_the_same_bits() {
     assert!(folder.path().join("c.rrd").exists());
 }
 
-/// Plays a session, and keeps it in a file.
+/// Plays a session and saves it in a file.
 fn keep(inputs: &[(u64, Input)], until: u64, path: &std::path::Path) {
     let mut shelf = AgentCache::default();
     let robots = vec![shelf.find("baseline", None).unwrap()];

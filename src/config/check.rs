@@ -1,4 +1,4 @@
-//! The ranges of a configuration's values, as [`sections`](super::sections) names them behind its fields.
+//! Range checks of a configuration's values.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -9,19 +9,19 @@ use super::{Config, LearnerKind, LegPose, Precision};
 use crate::observation::Observed;
 use crate::util::yaml;
 
-/// Physics steps per second beyond which nothing is gained and a delay would need a long queue.
+/// Maximum physics rate \[Hz\]: a higher one gains nothing, and the latency would need a long queue.
 const MAX_PHYSICS_RATE_HZ: u32 = 20_000;
 
 /// Longest stage of an episode \[s\].
 pub const MAX_STAGE_S: f64 = 3600.0;
 
-/// Most samples of an iteration, of which memory has to hold some hundred numbers each.
+/// Maximum number of samples in an iteration; memory holds some hundred numbers for each.
 pub const MAX_BATCH_SIZE: usize = 1 << 22;
 
-/// Most hidden layers: deeper networks take hours to begin.
+/// Maximum number of hidden layers; deeper networks take hours to initialise.
 const MAX_LAYERS: usize = 16;
 
-/// Most epochs: each has its own order of the samples in memory.
+/// Maximum number of epochs; each has its own order of the samples in memory.
 pub const MAX_EPOCHS: usize = 1000;
 
 /// A value out of its range.
@@ -30,23 +30,24 @@ pub enum ValueError {
     /// A number outside its range.
     #[error("{key} is {found}, expected {expected}")]
     Range {
-        /// Dotted key.
+        /// Dotted key, such as `ppo.epochs`.
         key: String,
         /// The value found.
         found: String,
-        /// The valid values.
+        /// Description of the valid values.
         expected: String,
     },
-    /// A list of quantities that cannot be observed.
+    /// A list of quantities that cannot be observed; the text says why.
     #[error("{0}")]
     Observation(String),
 }
 
 impl Config {
-    /// Checks the range of every value: for configurations that do not come from YAML.
+    /// Checks the range of every value, for configurations that do not come from YAML.
     ///
     /// # Errors
-    /// A value is out of its range, or the observation does not fit the robot.
+    /// A value is out of range, or the observation is invalid; the error names the key, the value and the expected
+    /// range.
     pub fn check(&self) -> Result<(), ValueError> {
         let Err(report) = self.validate_with(self) else { return Ok(()) };
         let Some((path, error)) = report.iter().next() else { return Ok(()) };

@@ -1,9 +1,9 @@
-/*! A configuration for another robot than the one it was made for, by dynamic similarity.
+/*! Adapts a configuration to another robot, by dynamic similarity.
 
-Of two robots of one shape, let the second be λ times as tall and μ times as heavy. Heights go with λ, torques with μ λ, and
-times with √λ. So, to move alike and to be paid alike for the same velocities:
+Of two robots of one shape, let the second be λ times as tall and μ times as heavy. Heights scale with λ, torques with μ
+λ, times with √λ. To move alike and to get the same reward for the same velocities, keys scale like this:
 
-| key | goes with |
+| key | factor |
 |---|---|
 | `reward.base_height_m`, `reward.foot_height_m`, `episode.min_height_m` | λ |
 | `simulation.kp_n_m_per_rad` | μ λ |
@@ -12,8 +12,9 @@ times with √λ. So, to move alike and to be paid alike for the same velocities
 | `reward.torque`, of a squared torque | 1 / (μ λ)² |
 | `reward.height_sharpness`, `reward.foot_clearance`, of squared heights | 1 / λ² |
 
-The pose is the robot's own. A policy explores at least as widely as with `ppo.initial_log_std` −0.5, since a robot that is less at
-home in these numbers finds standing still before it finds walking. What the world does and what is asked for (commands, pushes, slopes), rates and latency stay.
+The pose is the robot's own. A policy explores at least as widely as with `ppo.initial_log_std` −0.5, since a robot that
+these numbers fit less well would otherwise learn to stand still before it learns to walk. Commands, pushes, slopes,
+rates and latency stay.
 */
 
 use std::path::Path;
@@ -25,10 +26,10 @@ use crate::util::numbers::maximum;
 use crate::util::paths;
 
 impl Config {
-    /// This configuration for another robot.
+    /// Returns this configuration, adapted to another robot.
     ///
     /// # Errors
-    /// [`FileError`]: this configuration's robot cannot be read, or the other one cannot stand in its nominal pose.
+    /// The robot of this configuration cannot be read, or the other robot cannot stand in its nominal pose.
     pub fn fitted_to(&self, robot: &Robot) -> Result<Config, FileError> {
         let model = robot_in(Path::new(""), &robot.name);
         if model == self.robot.model {
@@ -70,7 +71,8 @@ impl Config {
 }
 
 impl Config {
-    /// Lists the keys whose values another configuration has in place of this one's, one on a line; empty if they are the same.
+    /// Lists the keys whose values differ in another configuration, with its values, one on a line; empty if there are
+    /// none.
     pub fn changes(&self, other: &Config) -> String {
         let lines =
             self.differences(other).into_iter().map(|(key, [own, other])| format!("{key}: {other} (was {own})\n"));
@@ -78,7 +80,7 @@ impl Config {
     }
 }
 
-/// The robot's nominal pose, its sides made alike: the mean of each angle and its mirror image.
+/// Returns the robot's nominal pose made symmetric: the mean of each angle and its mirror image \[rad\].
 fn symmetric(robot: &Robot) -> Joints {
     std::array::from_fn(|joint| {
         let (image, sign) = robot.mirrored(joint);
@@ -105,7 +107,7 @@ fn check_pose(robot: &Robot, pose: &Joints) -> Result<(), String> {
     }
 }
 
-/// Rounds to three digits, the accuracy of the rules of scaling.
+/// Rounds to three digits, the accuracy of the scaling rules.
 fn rounded(value: f64) -> f64 {
     format!("{value:.2e}").parse().unwrap_or(value)
 }

@@ -1,8 +1,9 @@
-/*! Training configuration: YAML in, checked types out.
+/*! Configuration of a training run: YAML in, checked types out.
 
-Every number of the paper's section III, Table II and Table III is a key of `configs/compliant.yaml`; but for Adam's two
-decay rates, nothing has a default in code. A file may name another one as its `base` and state only what differs: the
-baseline is one key away from the compliant policy, and reads so.
+Start with [`Config::load`] and `configs/compliant.yaml`, then read the sections ([`Config`] and its fields). Every
+number of the paper's section III, Table II and Table III is a key; except Adam's two decay rates, nothing has a default
+in code. A file may name another one as its `base` and state only the differences: the baseline differs in one key from
+the compliant policy.
 
 Configurations outlive versions, being part of policies and checkpoints: a key that is added later has the default that
 keeps older files as they were.
@@ -24,7 +25,7 @@ use crate::robot::Robot;
 use crate::util::paths;
 use crate::util::yaml::{self, Text, Value, YamlError};
 
-/// The configurations inside the binary: name and text.
+/// Name and text of the configurations inside the program.
 pub const EMBEDDED: &[(&str, &str)] = &[
     ("compliant", include_str!("../../configs/compliant.yaml")),
     ("baseline", include_str!("../../configs/baseline.yaml")),
@@ -36,20 +37,20 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
 ];
 
-/// `ln σ` is kept within this range, far from where training goes: below it, log-densities lose their precision, above
-/// it, actions are nothing but noise.
+/// Range of `ln σ`, far beyond the values of training: below it, log-densities lose their precision, above it, actions
+/// are pure noise.
 pub const LOG_STD_RANGE: [f32; 2] = [-7.0, 2.0];
 
-/// How deep `base` may be nested.
+/// Maximum depth of nested `base` keys.
 const MAX_BASES: usize = 8;
 
-/// Why a configuration was refused.
+/// The reason why a configuration was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
-    /// Neither a file nor an embedded configuration.
+    /// The name is neither a file nor an embedded configuration.
     #[error("there is no config {}: give a file, or one of: {known}", path.display())]
     Unknown {
-        /// The file that was looked for.
+        /// Path of the missing file.
         path: PathBuf,
         /// Names of the embedded configurations.
         known: String,
@@ -57,20 +58,20 @@ pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read config {}: {source}", path.display())]
     Read {
-        /// The file.
+        /// Path of the file.
         path: PathBuf,
-        /// The system's reason.
+        /// Reason given by the operating system.
         source: std::io::Error,
     },
     /// The text is not YAML, a key is unknown or missing, or a value has another type.
     #[error("config {0}")]
     Parse(#[from] YamlError),
-    /// A value outside its range.
+    /// A value is outside its range.
     #[error("config {name}: {error}")]
     Value {
-        /// File or embedded name, with the line if there is one.
+        /// Name of the file or embedded configuration, with the line if it is known.
         name: String,
-        /// Which one.
+        /// The invalid value and its key.
         error: ValueError,
     },
 }
@@ -79,35 +80,38 @@ impl Config {
     /// Checks that this equals another configuration except for the length of the run.
     ///
     /// # Errors
-    /// In words: the keys in which they differ, with both values.
+    /// The configurations differ; the text lists the keys with both values.
     pub fn check_same(&self, other: &Config) -> Result<(), String> {
         let differences = self.differences(other).into_iter();
         let differences: Vec<_> = differences.map(|(key, [a, b])| format!("{key}: {a} and {b}")).collect();
         if differences.is_empty() { Ok(()) } else { Err(differences.join("; ")) }
     }
 
-    /// Loads an embedded configuration by name, or a file.
+    /// Loads an embedded configuration by name, or a YAML file by path.
     ///
     /// # Errors
-    /// [`ConfigError`] that names the file or key, what was found and what was expected.
+    /// The file is missing or invalid, a key is unknown or missing, or a value is out of range; the error names file
+    /// and key.
     pub fn load(name_or_path: &str) -> Result<Self, ConfigError> {
         Self::load_with(name_or_path, &[])
     }
 
-    /// As [`Config::load`], with other values for some keys, each as `ppo.epochs=4`, checked as if they stood in the file.
+    /// Loads a configuration like [`Config::load`] and changes some keys, each given as `ppo.epochs=4` and checked as
+    /// in the file.
     ///
     /// # Errors
-    /// As [`Config::load`].
+    /// The file is missing or invalid, a key is unknown or missing, or a value is out of range; the error names file
+    /// and key.
     pub fn load_with(name_or_path: &str, changes: &[String]) -> Result<Self, ConfigError> {
         let mut texts = Vec::new();
         let value = merged(name_or_path, Path::new(""), MAX_BASES, &mut texts)?;
         Self::changed(name_or_path, value, texts, changes)
     }
 
-    /// This configuration with other values for some keys, as with [`Config::load_with`].
+    /// Returns this configuration with other values for some keys, each given as `ppo.epochs=4`.
     ///
     /// # Errors
-    /// As [`Config::load`].
+    /// A change is not of this form, its key is unknown, or its value is out of range.
     pub fn with(&self, changes: &[String]) -> Result<Self, ConfigError> {
         let text = Text::new("fitted to the robot", &self.to_yaml());
         Self::changed("fitted to the robot", text.parse()?, vec![text], changes)
@@ -124,10 +128,10 @@ impl Config {
         Self::from_value(name, value, &texts)
     }
 
-    /// Parses YAML without a `base`, as stored with a run.
+    /// Parses a complete YAML text without a `base`, as stored with a run.
     ///
     /// # Errors
-    /// See [`Config::load`].
+    /// The text is not YAML, a key is unknown or missing, or a value is out of range.
     pub fn from_yaml(name: &str, text: &str) -> Result<Self, ConfigError> {
         let text = Text::new(name, text);
         Self::from_value(name, text.parse()?, &[text])
@@ -145,8 +149,8 @@ impl Config {
         Ok(config)
     }
 
-    /// Where this configuration and another one differ: dotted keys, and both values as YAML. The length of the run is not looked at, nor what is left to the
-    /// machine.
+    /// Lists the dotted keys in which another configuration differs, with both values as YAML. The length of the run
+    /// and values that are left to the machine are not compared.
     pub fn differences(&self, other: &Config) -> Vec<(String, [String; 2])> {
         let mut other = Config { run: self.run.clone(), ..other.clone() };
         if [self.ppo.precision, other.ppo.precision].contains(&Precision::Auto) {
@@ -155,7 +159,7 @@ impl Config {
         yaml::differences(self, &other)
     }
 
-    /// As it is in policy files, which go to other machines: without the folder of a robot that does not ship.
+    /// Removes the folder from the path of a robot that does not ship, because policy files are used on other machines.
     pub fn without_folder(mut self) -> Self {
         if let (false, Some(name)) = (Robot::ships(&self.robot.model), paths::as_path(&self.robot.model).file_name()) {
             self.robot.model = paths::as_text(name);
@@ -163,13 +167,14 @@ impl Config {
         self
     }
 
-    /// The complete configuration as YAML.
+    /// Formats the complete configuration as YAML.
     pub fn to_yaml(&self) -> String {
         yaml::to_text(self)
     }
 }
 
-/// Reads a configuration and lays it over its base. `folder` is where relative paths start; `texts` are what was read.
+/// Reads a configuration and merges it into its base. Relative paths start at `folder`; the texts read are added to
+/// `texts`.
 fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<Text>) -> Result<Value, ConfigError> {
     let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
     let path = folder.join(paths::as_path(name_or_path));
@@ -201,7 +206,7 @@ fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<
     Ok(whole)
 }
 
-/// `ppo.epochs=4` as the file that says so.
+/// Turns a change such as `ppo.epochs=4` into the YAML text that states it.
 fn changing(change: &str) -> Result<Text, YamlError> {
     let name = format!("--set {change}");
     let Some((key, value)) = change.split_once('=').filter(|(key, _)| !key.is_empty()) else {
@@ -212,7 +217,7 @@ fn changing(change: &str) -> Result<Text, YamlError> {
     Ok(Text::of_flag(&name, &format!("{opened}{value}{}", "}".repeat(depth))))
 }
 
-/// The path of a robot's file starts where the file that names it lies.
+/// Makes the path of a robot's file relative to the folder of the configuration that names it.
 fn resolve_robot(value: &mut Value, file: &Path) {
     let model = value.get_mut("robot").and_then(|robot| robot.get_mut("model"));
     if let Some(Value::String(model)) = model {
@@ -220,7 +225,7 @@ fn resolve_robot(value: &mut Value, file: &Path) {
     }
 }
 
-/// The name of a robot that ships, or the absolute path of another one's file, which is relative to a folder.
+/// Returns the name of a shipped robot, or the absolute path of a robot's file, which is relative to `folder`.
 fn robot_in(folder: &Path, model: &str) -> String {
     if Robot::ships(model) {
         return model.to_owned();

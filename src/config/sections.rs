@@ -1,4 +1,4 @@
-//! The sections of a configuration. Every struct is a section of the file: a key with its meaning, unit, range and default.
+//! The sections of a configuration: one struct for each section of the file.
 
 use std::fmt;
 use std::sync::Arc;
@@ -16,12 +16,23 @@ use crate::observation::{Layout, Nominal, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 
-/// Everything that defines a training run but its seed.
+/// A training configuration: everything that defines a run except its seed.
+///
+/// ```
+/// use supple::config::Config;
+///
+/// let config = Config::load("compliant")?; // a shipped name, or the path of a YAML file
+/// assert_eq!(config.simulation.policy_rate_hz, 60);
+/// let changed = config.with(&["ppo.epochs=4".to_owned()])?; // checked like the file itself
+/// assert_eq!(changed.ppo.epochs, 4);
+/// assert!(config.with(&["ppo.epochs=0".to_owned()]).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Config {
-    /// The robot.
+    /// The robot and its joint losses.
     #[garde(dive)]
     pub robot: RobotModel,
     /// Rates, gains, latency.
@@ -33,26 +44,26 @@ pub struct Config {
     /// The entries of the observation, in order.
     #[garde(custom(observable))]
     pub observation: Vec<Observed>,
-    /// Velocity commands and their curriculum.
+    /// Range of velocity commands, and its curriculum.
     #[garde(dive)]
     pub command: CommandRange,
     /// Stages, pushes, slopes, termination.
     #[garde(dive)]
     pub episode: Episode,
-    /// Sustained pulls on the trunk; without this section nothing pulls.
+    /// Sustained pulls on the trunk; none if the section is missing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub pulls: Option<Pulls>,
-    /// Weights and targets of Table II.
+    /// Weights and targets of the reward (Table II).
     #[garde(dive)]
     pub reward: Reward,
-    /// Dynamics randomisation.
+    /// Randomisation of friction and encoder bias.
     #[garde(dive)]
     pub randomisation: Randomisation,
-    /// Table III.
+    /// Settings of PPO (Table III).
     #[garde(dive)]
     pub ppo: Ppo,
-    /// Length of the run.
+    /// Length of the run, and how often it is saved.
     #[garde(dive)]
     pub run: Run,
 }
@@ -62,47 +73,47 @@ pub struct Config {
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct RobotModel {
-    /// Name of a robot that ships, or path of an MJCF file, or of a YAML file about one.
+    /// Name of a shipped robot, or path of an MJCF file or of a YAML description of one.
     #[garde(skip)]
     pub model: String,
     /// Dry friction of every joint [N·m].
     #[serde(default)]
     #[garde(custom(not_negative))]
     pub friction_loss_n_m: f64,
-    /// Viscous damping of every joint, beside `K_d` [N·m·s/rad].
+    /// Viscous damping of every joint, in addition to `K_d` [N·m·s/rad].
     #[serde(default)]
     #[garde(custom(not_negative))]
     pub damping_n_m_s_per_rad: f64,
 }
 
 impl RobotModel {
-    /// The robot.
+    /// Loads the robot, with the joint losses of this section.
     ///
     /// # Errors
-    /// See [`Robot::load`].
+    /// The robot's file is missing, unreadable, or not a quadruped that can be simulated.
     pub fn load(&self) -> Result<Arc<Robot>, FileError> {
         let losses = Losses { friction_n_m: self.friction_loss_n_m, damping_n_m_s_per_rad: self.damping_n_m_s_per_rad };
         Ok(Robot::load(&self.model)?.with_losses(losses))
     }
 
-    /// Gives its joints other losses.
+    /// Sets the joint losses.
     pub fn set_losses(&mut self, losses: Losses) {
         (self.friction_loss_n_m, self.damping_n_m_s_per_rad) = (losses.friction_n_m, losses.damping_n_m_s_per_rad);
     }
 }
 
-/// Section IV: physics at 240 Hz, policy at 60 Hz, PD control with delayed targets.
+/// Rates, gains and latency (section IV): physics at 240 Hz, policy at 60 Hz, PD control with delayed targets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Simulation {
-    /// Physics steps per second.
+    /// Physics rate \[Hz\].
     #[garde(custom(physics_rate))]
     pub physics_rate_hz: u32,
-    /// Policy queries per second; divides the physics rate.
+    /// Policy rate \[Hz\]; divides the physics rate.
     #[garde(custom(within(1..=1000, " Hz")))]
     pub policy_rate_hz: u32,
-    /// `K_p` [N·m/rad].
+    /// Proportional gain `K_p` of the PD controller [N·m/rad].
     #[garde(custom(not_negative))]
     pub kp_n_m_per_rad: f64,
     /// `K_d` [N·m·s/rad].
@@ -114,33 +125,34 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// Physics steps per policy step.
+    /// Returns the number of physics steps in a policy step.
     pub fn substeps(&self) -> usize {
         (self.physics_rate_hz / self.policy_rate_hz) as usize
     }
 
-    /// Duration of a physics step \[s\].
+    /// Returns the duration of a physics step \[s\].
     pub fn timestep_s(&self) -> f64 {
         1.0 / f64::from(self.physics_rate_hz)
     }
 
-    /// Duration of a policy step \[s\].
+    /// Returns the duration of a policy step \[s\].
     pub fn policy_period_s(&self) -> f64 {
         1.0 / f64::from(self.policy_rate_hz)
     }
 
-    /// Policy steps in a duration.
+    /// Returns the number of policy steps in a duration \[s\], rounded.
     pub fn policy_steps(&self, duration_s: f64) -> usize {
         (duration_s * f64::from(self.policy_rate_hz)).round() as usize
     }
 }
 
-/// Joint target = nominal pose + scale · action.
+/// The meaning of actions: joint target = nominal pose + scale · action.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Action {
-    /// Hip, thigh and calf of every leg, or twelve angles in the order of [`crate::robot::LEGS`] \[rad\].
+    /// Joint targets at action zero \[rad\]: hip, thigh and calf of every leg, or twelve angles in the order of
+    /// [`crate::robot::LEGS`].
     #[garde(custom(finite_angles))]
     pub nominal_pose_rad: LegPose,
     /// \[rad\] per unit of action.
@@ -148,18 +160,18 @@ pub struct Action {
     pub scale_rad: f64,
 }
 
-/// Joint angles of one leg, which stand for every leg, or of all four.
+/// Joint angles of one leg, used for every leg, or those of all four.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "three angles, or twelve")]
 pub enum LegPose {
-    /// Hip, thigh, calf of every leg.
+    /// Hip, thigh and calf of every leg \[rad\].
     Alike([f64; 3]),
-    /// One value for each joint.
+    /// Twelve angles, leg by leg \[rad\].
     Each(Joints),
 }
 
 impl LegPose {
-    /// Returns the value of each joint.
+    /// Returns the angle of each joint \[rad\].
     pub fn joints(&self) -> Joints {
         match *self {
             LegPose::Alike(leg) => same_in_every_leg(leg),
@@ -184,15 +196,15 @@ impl From<Joints> for LegPose {
     }
 }
 
-/// Commands are drawn uniformly from ± range · fraction.
+/// Range of velocity commands, which are drawn uniformly from ± range · fraction, base frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct CommandRange {
-    /// `v_z*` of the paper [m/s].
+    /// Largest forward velocity, `v_z*` of the paper [m/s].
     #[garde(custom(not_negative))]
     pub forward_m_s: f64,
-    /// `v_x*` of the paper [m/s].
+    /// Largest velocity to the left, `v_x*` of the paper [m/s].
     #[garde(custom(not_negative))]
     pub left_m_s: f64,
     /// `ω_y*` of the paper [rad/s].
@@ -201,10 +213,10 @@ pub struct CommandRange {
     /// Fraction of the range that is open at first.
     #[garde(custom(fraction))]
     pub initial_fraction: f64,
-    /// Widening per iteration.
+    /// Increase of the open fraction per iteration.
     #[garde(custom(fraction))]
     pub fraction_step: f64,
-    /// Mean `r_lin` above which it is widened.
+    /// Mean `r_lin` above which the open fraction increases.
     #[garde(custom(fraction))]
     pub fraction_gate: f64,
 }
@@ -223,7 +235,7 @@ pub struct Episode {
     /// Duration of the post-recovery stage \[s\].
     #[garde(custom(within(0.0..=MAX_STAGE_S, " s")))]
     pub post_recovery_s: f64,
-    /// Replaces tracking rewards in the recovery stage; false gives the baseline.
+    /// True replaces the tracking rewards in the recovery stage; false gives the baseline.
     #[garde(skip)]
     pub recovery_stage: bool,
     /// Mean `r_lin` of an iteration's walking stages above which episodes go on to the push, from then on.
@@ -235,7 +247,7 @@ pub struct Episode {
     /// Largest rotational push about each axis [rad/s].
     #[garde(custom(not_negative))]
     pub push_rate_rad_s: f64,
-    /// Largest incline (rise over run).
+    /// Steepest slope of the ground (rise over run).
     #[garde(custom(fraction))]
     pub slope: f64,
     /// Base height below which the robot has fallen \[m\].
@@ -248,7 +260,7 @@ pub struct Episode {
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Pulls {
-    /// The largest pull \[N\].
+    /// Largest force of a pull \[N\].
     #[garde(custom(not_negative))]
     pub force_n: f64,
     /// The shortest and the longest pull \[s\].
@@ -257,10 +269,10 @@ pub struct Pulls {
     /// The shortest and the longest time between two pulls \[s\].
     #[garde(custom(shortest_and_longest))]
     pub gap_s: [f64; 2],
-    /// Growth per iteration of the open fraction of `force_n`, from zero on.
+    /// Increase of the open fraction of `force_n` per iteration, starting at zero.
     #[garde(custom(fraction))]
     pub fraction_step: f64,
-    /// The mean `r_lin` above which that fraction grows.
+    /// Mean `r_lin` above which that fraction increases.
     #[garde(custom(fraction))]
     pub fraction_gate: f64,
 }
@@ -270,43 +282,43 @@ pub struct Pulls {
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Reward {
-    /// `w_lin`.
+    /// Weight `w_lin` of the linear velocity reward.
     #[garde(custom(not_negative))]
     pub linear_velocity: f64,
-    /// `w_ang`.
+    /// Weight `w_ang` of the yaw rate reward.
     #[garde(custom(not_negative))]
     pub angular_velocity: f64,
-    /// `w_e`.
+    /// Weight `w_e` of the energy cost; not above zero.
     #[garde(custom(cost))]
     pub energy: f64,
-    /// `w_τ`.
+    /// Weight `w_τ` of the torque cost; not above zero.
     #[garde(custom(cost))]
     pub torque: f64,
-    /// `w_pose`.
+    /// Weight `w_pose` of the pose cost; not above zero.
     #[garde(custom(cost))]
     pub pose: f64,
-    /// `w_cl`.
+    /// Weight `w_cl` of the foot clearance cost; not above zero.
     #[garde(custom(cost))]
     pub foot_clearance: f64,
-    /// `w_h`.
+    /// Weight `w_h` of the foot height cost; not above zero.
     #[garde(custom(cost))]
     pub foot_height: f64,
-    /// `w_f`, not in the paper: time in flight.
+    /// Weight `w_f` of the time in flight, a cost that is not in the paper; not above zero.
     #[garde(custom(cost))]
     pub flight: f64,
-    /// The 8 in `r_lin` and `r_ang`.
+    /// Sharpness of `r_lin` and `r_ang`; 8 in the paper.
     #[garde(custom(not_negative))]
     pub tracking_sharpness: f64,
-    /// The 10 in `r_pose` [1/m²].
+    /// Sharpness of the height in `r_pose`; 10 in the paper [1/m²].
     #[garde(custom(not_negative))]
     pub height_sharpness: f64,
-    /// The 0.45 of equation 3.
+    /// Sharpness of the negative part in equation 3; 0.45 in the paper.
     #[garde(custom(not_negative))]
     pub negative_sharpness: f64,
-    /// `y_des` \[m\].
+    /// Desired base height `y_des` \[m\].
     #[garde(custom(positive))]
     pub base_height_m: f64,
-    /// `p_des` \[m\].
+    /// Desired peak height of a foot's swing, `p_des` \[m\].
     #[garde(custom(positive))]
     pub foot_height_m: f64,
 }
@@ -316,13 +328,13 @@ pub struct Reward {
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Randomisation {
-    /// Off for the simulation experiments.
+    /// True randomises the dynamics; false for the simulation experiments.
     #[garde(skip)]
     pub enabled: bool,
     /// Range of the floor's sliding friction.
     #[garde(custom(low_and_high))]
     pub friction: [f64; 2],
-    /// Standard deviation of the encoders' biases, the paper's calibration offsets \[rad\].
+    /// Standard deviation of the encoder bias, which the paper calls calibration offset \[rad\].
     #[garde(custom(not_negative))]
     pub encoder_bias_sd_rad: f64,
     /// Sliding friction when randomisation is off.
@@ -330,22 +342,22 @@ pub struct Randomisation {
     pub default_friction: f64,
 }
 
-/// Table III and what Stable-Baselines3 does where the paper is silent.
+/// Settings of PPO: Table III, and those of Stable-Baselines3 where the paper is silent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Ppo {
-    /// Samples per iteration.
+    /// Number of samples in an iteration.
     #[garde(custom(within(1..=MAX_BATCH_SIZE, "")))]
     pub batch_size: usize,
-    /// Samples per gradient step.
+    /// Number of samples in a gradient step.
     #[garde(custom(divides_batch_above_one))]
     pub minibatch_size: usize,
     /// Passes over the batch.
     #[garde(custom(within(1..=MAX_EPOCHS, "")))]
     pub epochs: usize,
-    /// Parts that a run is divided into, a power of two; a run on several [`ranks`](crate::ranks) has at least one for each.
-    /// Sums run within each and then over a tree of them: the result depends on it.
+    /// Number of parts that a run is divided into, a power of two and at least the number of [`ranks`](crate::ranks).
+    /// Sums run within each part and then over a tree of the parts, so results depend on it.
     #[serde(default = "one")]
     #[garde(custom(power_of_two_that_divides))]
     pub shards: usize,
@@ -357,7 +369,7 @@ pub struct Ppo {
     #[serde(default)]
     #[garde(custom(known_to_learner))]
     pub precision: Precision,
-    /// Learns from half of the samples with left and right exchanged.
+    /// True trains on half of the samples with left and right exchanged.
     #[garde(skip)]
     pub symmetry: bool,
     /// Clip range of the probability ratio.
@@ -366,13 +378,13 @@ pub struct Ppo {
     /// Weight of the entropy bonus.
     #[garde(custom(not_negative))]
     pub entropy_coefficient: f64,
-    /// γ.
+    /// Discount factor γ.
     #[garde(custom(fraction))]
     pub discount: f64,
     /// λ of generalised advantage estimation.
     #[garde(custom(fraction))]
     pub gae_lambda: f64,
-    /// KL divergence at which the learning rate aims.
+    /// KL divergence that the adaptive learning rate aims at.
     #[garde(custom(positive))]
     pub desired_kl: f64,
     /// Logarithm of the initial standard deviation.
@@ -387,7 +399,7 @@ pub struct Ppo {
     /// Weight of the value loss.
     #[garde(custom(not_negative))]
     pub value_coefficient: f64,
-    /// Largest norm of the joint gradient.
+    /// Largest norm of the joint gradient; larger gradients are scaled down.
     #[garde(custom(positive))]
     pub max_gradient_norm: f64,
     /// ε of Adam.
@@ -408,61 +420,63 @@ fn one() -> usize {
     1
 }
 
-/// What computes PPO's updates: see [`crate::ppo`].
+/// The implementation of PPO's update, see [`crate::ppo`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LearnerKind {
-    /// The fast one.
+    /// The fast learner, with gradients written by hand.
     #[default]
     Fused,
-    /// The one to read and to change.
+    /// The readable learner, with automatic differentiation; for experiments with the loss.
     Candle,
 }
 
-/// The arithmetic of the fused learner. A run keeps to the one in which it began.
+/// The arithmetic of the fused learner. It stays the same for a whole run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Precision {
-    /// `mixed` where the processor can, else `f32`; what it comes to is written into the run.
+    /// `mixed` if the processor has tile units, else `f32`; the choice is stored with the run.
     Auto,
-    /// On any processor; in use before there was a choice.
+    /// Single precision, on any processor; the choice of old runs.
     #[default]
     F32,
-    /// On tile units: outputs as exact as f32, gradients of operands rounded to bf16.
+    /// On tile units (AMX): outputs as exact as f32, operands of gradients rounded to bf16.
     Mixed,
-    /// On tile units: both as exact as f32, with three bf16 products for one of f32.
+    /// On tile units (AMX): all as exact as f32, with three bf16 products in place of one of f32.
     #[serde(rename = "bf16x3")]
     Bf16x3,
-    /// On tile units: bf16 operands throughout.
+    /// On tile units (AMX): bf16 operands throughout.
     Bf16,
 }
 
 impl Ppo {
-    /// Steps of each environment in a batch.
+    /// Returns the number of steps of each environment in a batch.
     pub fn steps(&self) -> usize {
         self.batch_size / self.environments
     }
 }
 
-/// Length of the run.
+/// Length of the run, and how often it is saved.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
 pub struct Run {
-    /// Samples in all.
+    /// Number of samples in the whole run.
     #[garde(skip)]
     pub samples: u64,
     /// Iterations between checkpoints.
     #[garde(custom(at_least_one))]
     pub checkpoint_every: u64,
-    /// Samples between policies that are kept beside the newest, as `policy-SAMPLES.safetensors`; without it, none.
+    /// Number of samples between policies kept as `policy-SAMPLES.safetensors` in addition to the newest; none are kept
+    /// without it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(inner(custom(at_least_one)))]
     pub keep_policy_every: Option<u64>,
 }
 
 impl Config {
-    /// The largest velocity that an outer loop may command, forward and left, unless the command itself is larger [m/s].
+    /// Returns the largest velocity that an outer loop may command, forward and left, unless the command itself is
+    /// larger [m/s].
     pub fn outer_loop_limits_m_s(&self) -> [f64; 2] {
         [self.command.forward_m_s, self.command.left_m_s]
     }
@@ -470,7 +484,7 @@ impl Config {
     /// Builds the layout of the observation.
     ///
     /// # Errors
-    /// In words: the entry, what was found and what was expected.
+    /// An entry of the observation is invalid; the text names it, what was found and what was expected.
     pub fn layout(&self) -> Result<Layout, String> {
         Layout::new(&self.observation, &self.nominal())
     }

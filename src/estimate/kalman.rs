@@ -1,4 +1,4 @@
-/*! Where the trunk is and how fast: the linear Kalman filter of Bledt et al. (2018, "MIT Cheetah 3").
+/*! Position and velocity of the trunk: the linear Kalman filter of Bledt et al. (2018, "MIT Cheetah 3").
 
 State (18): position `p` and velocity `v` of the IMU's site, centres `p_1 … p_4` of the feet, all in the gravity-aligned
 world. Input: the site's acceleration `a = R f + g`. Measurements (28), with `Δ_i` the foot seen from the site:
@@ -31,32 +31,32 @@ use serde::Serialize;
 
 use crate::util::numbers::maximum;
 
-/// Index of the first foot in an axis' state; before it come position and velocity.
+/// Index of the first foot in the state of an axis, after position and velocity.
 const FEET: usize = 2;
 
-/// What the filter expects of its inputs, as standard deviations. A walk of density σ spreads by σ √t in time t.
+/// Noise that the filter assumes, as standard deviations. A random walk of density σ spreads by σ √t in time t.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct FilterNoise {
-    /// Walk of the position beyond what the velocity explains.
+    /// Random walk of the position in addition to the integrated velocity [m/√s].
     pub position_walk_m_sqrt_s: f64,
-    /// Walk of the velocity: errors of accelerometer and tilt.
+    /// Random walk of the velocity, from errors of accelerometer and tilt [m/s/√s].
     pub velocity_walk_m_s_sqrt_s: f64,
-    /// The same while the IMU's last reading is held.
+    /// Random walk of the velocity while the last reading of a silent IMU is held [m/s/√s].
     pub held_velocity_walk_m_s_sqrt_s: f64,
-    /// Walk of a foot in contact.
+    /// Random walk of a foot in contact [m/√s].
     pub stance_walk_m_sqrt_s: f64,
-    /// Walk of a foot in the air: so large that its position is what the joints say.
+    /// Random walk of a foot in the air [m/√s]; so large that the joints alone determine its position.
     pub swing_walk_m_sqrt_s: f64,
-    /// A foot's position from the joints, per axis.
+    /// Position of a foot from the joints, per axis \[m\].
     pub foot_position_m: f64,
-    /// The site's horizontal velocity from a foot in contact, per axis.
+    /// Horizontal velocity of the IMU's site from a foot in contact, per axis [m/s].
     pub foot_velocity_m_s: f64,
-    /// The site's vertical velocity from a foot in contact: larger, since rubber and ground give way at touchdown and
-    /// come back through all of the stance.
+    /// Vertical velocity of the IMU's site from a foot in contact [m/s]; larger than the horizontal one, because rubber
+    /// and ground give way at touchdown and recover during the stance.
     pub foot_sinking_m_s: f64,
-    /// Height of the ground under a foot in contact.
+    /// Height of the ground under a foot in contact \[m\].
     pub foot_height_m: f64,
-    /// Misfit of a foot's velocity from which on its trust falls, in standard deviations.
+    /// Misfit of a foot's velocity above which its trust falls, in standard deviations.
     pub misfit_limit: f64,
 }
 
@@ -78,18 +78,18 @@ impl Default for FilterNoise {
 }
 
 impl FilterNoise {
-    /// Standard deviation of a foot's velocity along x, y or z [m/s].
+    /// Returns the standard deviation of a foot's velocity along x, y or z [m/s].
     fn velocity_sd(&self, axis: usize) -> f64 {
         if axis == 2 { self.foot_sinking_m_s } else { self.foot_velocity_m_s }
     }
 }
 
-/// The position and velocity of a foot by joints and gyro, world axes.
+/// Position and velocity of a foot from joints and gyro, world axes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FootMeasurement {
-    /// The foot's centre from the IMU's site, `Δ_i` \[m\].
+    /// Position of the foot's centre relative to the IMU's site, `Δ_i` \[m\].
     pub offset: Vector3<f64>,
-    /// The foot's centre relative to the IMU's site, `dΔ_i/dt` [m/s].
+    /// Velocity of the foot's centre relative to the IMU's site, `dΔ_i/dt` [m/s].
     pub velocity: Vector3<f64>,
     /// Angular velocity of the foot, `Ω` [rad/s].
     pub spin: Vector3<f64>,
@@ -98,39 +98,39 @@ pub struct FootMeasurement {
 }
 
 impl FootMeasurement {
-    /// Velocity of the centre of a foot that rolls on level ground [m/s].
+    /// Returns the velocity of the centre of a foot that rolls on level ground [m/s].
     fn roll(&self) -> Vector3<f64> {
         self.spin.cross(&Vector3::new(0.0, 0.0, self.radius_m))
     }
 
-    /// `v_i` [m/s].
+    /// Returns `v_i`, the velocity of the IMU's site if the foot rolls without slipping [m/s].
     fn site_velocity(&self) -> Vector3<f64> {
         self.roll() - self.velocity
     }
 }
 
-/// How well a step's measurements fitted.
+/// Agreement of a step's measurements with the prediction.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Fit {
-    /// Normalised innovation squared `νᵀ S⁻¹ ν`, over all rows.
+    /// Normalised innovation squared `νᵀ S⁻¹ ν`, summed over all rows.
     pub squared: f64,
-    /// Number of rows: what `squared` is on average.
+    /// Number of rows, the expected value of `squared`.
     pub rows: usize,
     /// Trust in each foot's contact, from 0 to 1.
     pub trust: [f64; 4],
 }
 
-/// The filter.
+/// The Kalman filter for position and velocity of the trunk and positions of the feet.
 #[derive(Debug, Clone, PartialEq)]
 pub struct KalmanFilter {
     noise: FilterNoise,
-    /// x, y and z.
+    /// The independent filters along x, y and z.
     axes: [Axis; 3],
 }
 
 impl KalmanFilter {
-    /// Starts at rest with the trunk's origin above the world's, the feet in contact on the ground; without any contact,
-    /// the lowest foot. `arm` is the IMU's site from the trunk's origin, world axes \[m\].
+    /// Starts at rest with the trunk's origin above the world's, and the feet in contact (or else the lowest foot) on
+    /// the ground. `arm` points from the trunk's origin to the IMU's site, world axes \[m\].
     pub fn new(noise: FilterNoise, arm: &Vector3<f64>, feet: &[FootMeasurement; 4], contacts: [bool; 4]) -> Self {
         let depths = feet.iter().zip(contacts).filter(|(_, contact)| *contact).map(|(foot, _)| -foot.offset.z);
         let (count, sum) = depths.fold((0.0, 0.0), |(count, sum), depth| (count + 1.0, sum + depth));
@@ -152,17 +152,17 @@ impl KalmanFilter {
         KalmanFilter { noise, axes }
     }
 
-    /// Position of the IMU's site, world frame \[m\].
+    /// Returns the position of the IMU's site, world frame \[m\].
     pub fn position(&self) -> Vector3<f64> {
         self.across(0)
     }
 
-    /// Velocity of the IMU's site, world frame [m/s].
+    /// Returns the velocity of the IMU's site, world frame [m/s].
     pub fn velocity(&self) -> Vector3<f64> {
         self.across(1)
     }
 
-    /// Centre of a foot, world frame \[m\].
+    /// Returns the centre of a foot, world frame \[m\].
     pub fn foot(&self, leg: usize) -> Vector3<f64> {
         self.across(FEET + leg)
     }
@@ -171,8 +171,8 @@ impl KalmanFilter {
         Vector3::from_fn(|axis, _| self.axes[axis].state[index])
     }
 
-    /// One tick of `dt_s` \[s\] that ends now. `acceleration` is the site's over that time, world frame [m/s²], `held` if it
-    /// is an old one; `feet` is `None` if the encoders gave nothing.
+    /// Advances by a tick of `dt_s` \[s\] that ends now. `acceleration` is that of the IMU's site, world frame [m/s²];
+    /// `held` is true if it is an old reading; `feet` is `None` if the encoders were silent.
     pub fn step(
         &mut self,
         acceleration: &Vector3<f64>,
@@ -184,7 +184,7 @@ impl KalmanFilter {
         self.step_over(&[0.0; 4], acceleration, held, feet, contacts, dt_s)
     }
 
-    /// [`KalmanFilter::step`] over ground of the given height under each foot \[m\].
+    /// Like [`KalmanFilter::step`], with the height of the ground under each foot \[m\].
     fn step_over(
         &mut self,
         ground: &[f64; 4],
@@ -239,7 +239,7 @@ impl KalmanFilter {
         }
     }
 
-    /// Trust in each foot's contact: one if its velocity fits the prediction, or another foot's.
+    /// Returns the trust in each foot's contact: one if its velocity fits the prediction or that of another foot.
     fn trust(&self, feet: &[FootMeasurement; 4], contacts: [bool; 4]) -> [f64; 4] {
         let variances = [0, 1, 2].map(|axis| self.noise.velocity_sd(axis).powi(2));
         let velocities = feet.map(|foot| foot.site_velocity());
@@ -273,7 +273,7 @@ struct Axis {
 }
 
 impl Axis {
-    /// `x ← A x + B a`, `P ← A P Aᵀ`, where A differs from one in `p ← p + dt v` alone.
+    /// Predicts: `x ← A x + B a`, `P ← A P Aᵀ`, where A is the identity except `p ← p + dt v`.
     fn predict(&mut self, acceleration: f64, dt_s: f64) {
         self.state[0] += dt_s * (self.state[1] + 0.5 * dt_s * acceleration);
         self.state[1] += dt_s * acceleration;
@@ -285,7 +285,8 @@ impl Axis {
         }
     }
 
-    /// Takes one measurement of `x[plus] − x[minus]`. The covariance stays symmetric to the last bit. Returns `ν² / s`.
+    /// Corrects with one measurement of `x[plus] − x[minus]` and returns `ν² / s`. The covariance stays exactly
+    /// symmetric.
     fn correct(&mut self, plus: usize, minus: Option<usize>, value: f64, variance: f64) -> f64 {
         let mut cross: State = self.covariance.column(plus).into();
         let (mut expected, mut own) = (self.state[plus], cross[plus]);

@@ -11,7 +11,7 @@ const FOOT_RADIUS_M: f64 = 0.02;
 
 type Whole = SMatrix<f64, 18, 18>;
 
-/// A noise whose misfit limit never acts: the filter is then linear.
+/// Returns a noise whose misfit limit never acts, so that the filter is linear.
 fn linear() -> FilterNoise {
     FilterNoise { misfit_limit: f64::INFINITY, ..FilterNoise::default() }
 }
@@ -32,7 +32,7 @@ fn some_feet(rng: &mut ChaCha8Rng) -> [FootMeasurement; 4] {
     })
 }
 
-/// The filter as the textbook has it: 18 states, all rows at once, Joseph's form. Index of a state: 3 · which + axis.
+/// The textbook filter: 18 states, all rows at once, Joseph's form. Index of a state: 3 · which + axis.
 struct Textbook {
     state: SVector<f64, 18>,
     covariance: Whole,
@@ -141,8 +141,8 @@ fn innovations_match_expected_size_with_own_noise() {
     }
 }
 
-/// Sum of the normalised squares of a filter's innovations, and their number, in a world that obeys its own model: state
-/// and measurements are drawn with the noise that it expects.
+/// Returns the sum and the number of normalised squared innovations in a world that obeys the filter's own model:
+/// states and measurements are drawn with the noise that it assumes.
 fn innovations(noise: FilterNoise, seed: u64) -> [f64; 2] {
     let ticks = 4000;
     let mut rng = ChaCha8Rng::seed_from_u64(seed);

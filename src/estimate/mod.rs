@@ -1,7 +1,8 @@
-/*! The state of the robot from what it can feel (section IV-D): IMU, joint encoders, and which feet touch the ground.
+/*! State estimation from the robot's own sensors (section IV-D): IMU, joint encoders, and estimated foot contacts.
 
-[`sensors`] says what is felt, and how badly; [`orientation`] finds up; the robot's kinematics
-find the feet; [`kalman`] puts them together. All of it is pure: readings in, estimate out.
+[`Estimator`] turns readings into an [`Estimate`]. Read in this order: [`sensors`] models the readings and their errors,
+[`orientation`] estimates the tilt, [`contact`] the feet in contact, [`kalman`] position and velocity. All of it is
+pure: readings in, estimate out.
 
 The world of an [`Estimate`] is aligned with gravity, has the ground at height zero, and its origin and heading are those
 of the start. Horizontal position and heading drift, because nothing on the robot measures them.
@@ -27,35 +28,35 @@ pub use sensors::{EncoderReading, ImuReading, SensorNoise, Sensors};
 
 use crate::robot::{GRAVITY_M_S2, Robot, kinematics};
 
-/// Why a reading was refused. The estimator keeps its last good state.
+/// The reason why a reading was refused. The estimator keeps its last good state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SensorFault {
     /// A reading is NaN or infinite.
     #[error("{reading} reads {found}, expected a finite number")]
     NotFinite {
-        /// Which one, such as `gyro x` or `rate of FR_thigh`.
+        /// Name of the reading, such as `gyro x` or `rate of FR_thigh`.
         reading: String,
-        /// The reading.
+        /// The value that was read.
         found: f64,
     },
-    /// The time since the last tick makes no sense.
+    /// The time since the last tick is not a valid time step.
     #[error("the time since the last tick is {dt_s} s, expected a positive number")]
     Timestep {
-        /// The time step given \[s\].
+        /// The invalid time step \[s\].
         dt_s: f64,
     },
-    /// A sensor has given nothing yet.
+    /// A sensor has not delivered a first reading.
     #[error("no reading of the {sensor} yet: an estimator starts with one of IMU and encoders each")]
     Missing {
-        /// `IMU` or `encoders`.
+        /// Name of the sensor: `IMU` or `encoders`.
         sensor: &'static str,
     },
-    /// A sensor has given nothing for too long.
+    /// A sensor has been silent for longer than can be bridged.
     #[error(
         "no reading of the {sensor} for {silent_s:.3} s, at most {limit_s:.3} s can be bridged; start a new estimator when it is back"
     )]
     Silent {
-        /// `IMU` or `encoders`.
+        /// Name of the sensor: `IMU` or `encoders`.
         sensor: &'static str,
         /// The length of the silence \[s\].
         silent_s: f64,
@@ -67,14 +68,14 @@ pub enum SensorFault {
 /// Settings of the [`Estimator`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct EstimatorConfig {
-    /// `κ_ref` of the orientation filter. A gyro bias b leaves a tilt of b / κ until it is learnt, a change of speed Δv one
-    /// of κ Δv / g.
+    /// Gain `κ_ref` of the orientation filter [1/s]. A gyro bias b causes a tilt error of b / κ until the bias is
+    /// learnt, and a change of speed Δv one of κ Δv / g.
     pub orientation_gain_per_s: f64,
     /// Time constant of the average of the specific force: about half a period of a trot \[s\].
     pub orientation_averaging_s: f64,
-    /// The longest silence of a sensor that the others bridge.
+    /// The longest silence of a sensor that the other sensor bridges \[s\].
     pub max_silence_s: f64,
-    /// Noise that the Kalman filter expects.
+    /// Noise that the Kalman filter assumes.
     pub noise: FilterNoise,
 }
 
@@ -101,20 +102,20 @@ pub struct Estimate {
     pub world_from_base: UnitQuaternion<f64>,
     /// Gravity, base frame [m/s²].
     pub gravity_in_base: Vector3<f64>,
-    /// Angular velocity of the trunk, base frame [rad/s]: the gyro's, less the bias that is learnt.
+    /// Angular velocity of the trunk, base frame [rad/s]: the gyro's reading minus its estimated bias.
     pub angular_velocity_in_base: Vector3<f64>,
     /// Origin of the trunk, gravity-aligned world \[m\].
     pub position: Vector3<f64>,
     /// Centres of the feet, gravity-aligned world \[m\].
     pub feet: [Vector3<f64>; 4],
-    /// How well the readings fitted, and the trust in each contact.
+    /// Agreement of the readings with the prediction, and the trust in each contact.
     pub fit: Fit,
 }
 
-/// Turns readings into estimates.
+/// The state estimator of one robot.
 ///
-/// A silent IMU is bridged by holding its last reading, with less confidence in it and without correcting the tilt;
-/// silent encoders are bridged by integrating the IMU.
+/// A silent IMU is bridged by holding its last reading, with more noise and without correcting the tilt; silent
+/// encoders are bridged by integrating the IMU.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimator {
     robot: Arc<Robot>,
@@ -138,17 +139,18 @@ impl Estimator {
         Estimator { robot, config, filters: None }
     }
 
-    /// The last good estimate; `None` before the first.
+    /// Returns the last good estimate; `None` before the first.
     pub fn estimate(&self) -> Option<&Estimate> {
         self.filters.as_ref().map(|filters| &filters.estimate)
     }
 
-    /// Takes the readings of a tick, `dt_s` \[s\] after the last tick; `None` for a sensor that gave nothing. The first
-    /// call should find the robot at rest: up is where the accelerometer points.
+    /// Processes the readings of a tick, `dt_s` \[s\] after the last one; `None` for a silent sensor. The robot should
+    /// be at rest in the first call, which takes the accelerometer's direction as up.
     ///
     /// # Errors
-    /// [`SensorFault`]. State and estimate are then as before the call. The next call goes on from there, but not after
-    /// [`SensorFault::Silent`], which stays until a new estimator is started.
+    /// A reading is not finite, the time step is invalid, or a sensor is missing or silent for too long. State and
+    /// estimate stay as before the call. The next call may continue, except after [`SensorFault::Silent`]: then create
+    /// a new estimator.
     pub fn update(
         &mut self,
         imu: Option<&ImuReading>,
@@ -224,7 +226,7 @@ impl Filters {
     }
 }
 
-/// The feet as seen from the IMU's site, world axes. `rate` is the trunk's angular velocity, base frame [rad/s].
+/// Returns the feet relative to the IMU's site, world axes. `rate` is the trunk's angular velocity, base frame [rad/s].
 fn measure(
     robot: &Robot,
     rate: &Vector3<f64>,
@@ -244,7 +246,7 @@ fn measure(
     })
 }
 
-/// From the IMU's site back to the trunk's origin. `rate` is the trunk's angular velocity, base frame [rad/s].
+/// Converts from the IMU's site to the trunk's origin. `rate` is the trunk's angular velocity, base frame [rad/s].
 fn summarise(
     robot: &Robot,
     orientation: &OrientationFilter,
@@ -267,7 +269,7 @@ fn summarise(
     }
 }
 
-/// Refuses what is not finite, before anything changes.
+/// Checks that all inputs are finite, before any state changes.
 fn check(imu: Option<&ImuReading>, encoders: Option<&EncoderReading>, dt_s: f64) -> Result<(), SensorFault> {
     if !(dt_s.is_finite() && dt_s > 0.0) {
         return Err(SensorFault::Timestep { dt_s });

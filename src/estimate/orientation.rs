@@ -1,6 +1,6 @@
-/*! Which way is up: the complementary filter of Bledt et al. (2018, "MIT Cheetah 3").
+/*! The orientation filter: the complementary filter of Bledt et al. (2018, "MIT Cheetah 3"), which estimates the tilt.
 
-The gyro is integrated on SO(3) and corrected towards the accelerometer, which sees up as long as the trunk does not
+The gyro is integrated on SO(3) and corrected towards the accelerometer, which points up as long as the trunk does not
 accelerate:
 
 `R ← R exp((ω + κ ω_corr) dt)`, `ω_corr = a/|a| × Rᵀ e_z`, `κ = κ_ref max(0, min(1, 1 − ||a| − g| / g))`.
@@ -23,26 +23,26 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::sensors::ImuReading;
 use crate::robot::GRAVITY_M_S2;
 
-/// The largest bias that is learnt, per axis: the BMI088's before any zeroing, 1 °/s [rad/s].
+/// Limit of the estimated gyro bias per axis [rad/s]: 1 °/s, that of a BMI088 before any zeroing.
 const MOST_BIAS_RAD_S: f64 = std::f64::consts::PI / 180.0;
 
 /// Rotation from the base frame to the gravity-aligned world frame, tracked from the IMU.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OrientationFilter {
-    /// `κ_ref` [1/s].
+    /// Gain `κ_ref` [1/s].
     gain: f64,
-    /// Time constant of the average \[s\].
+    /// Time constant of the averaged specific force \[s\].
     averaging_s: f64,
     world_from_base: UnitQuaternion<f64>,
     /// Averaged specific force, world frame [m/s²].
     average: Vector3<f64>,
-    /// The bias of the gyro, base frame [rad/s].
+    /// Estimated bias of the gyro, base frame [rad/s].
     bias: Vector3<f64>,
 }
 
 impl OrientationFilter {
-    /// Starts as if the trunk were at rest: up is where the specific force points, and the base's x points along the
-    /// world's x.
+    /// Starts as if the trunk were at rest: up is the direction of the specific force, and the base's x axis points
+    /// along the world's.
     pub fn new(gain_per_s: f64, averaging_s: f64, specific_force: &Vector3<f64>) -> Self {
         // Turned by half a turn about x if the robot lies exactly on its back, where the shortest rotation is not unique.
         let level = UnitQuaternion::rotation_between(specific_force, &Vector3::z())
@@ -58,18 +58,18 @@ impl OrientationFilter {
         }
     }
 
-    /// Angular velocity, base frame [rad/s]: what a gyro reads, less its bias.
+    /// Returns the angular velocity, base frame [rad/s]: the gyro's reading minus its estimated bias.
     pub fn angular_velocity(&self, gyro: &Vector3<f64>) -> Vector3<f64> {
         gyro - self.bias
     }
 
-    /// The rotation now.
+    /// Returns the present rotation from the base frame to the gravity-aligned world.
     pub fn world_from_base(&self) -> UnitQuaternion<f64> {
         self.world_from_base
     }
 
-    /// Goes on by `dt_s` \[s\] with a reading taken at the end of that time. Without `correct`, the accelerometer is not
-    /// listened to: the reading is an old one.
+    /// Advances by `dt_s` \[s\] with a reading taken at the end of that time. With `correct` false, the accelerometer
+    /// is ignored, because the reading is an old one.
     pub fn update(&mut self, reading: &ImuReading, dt_s: f64, correct: bool) {
         let correction = if correct {
             let specific_force = self.world_from_base * reading.specific_force;
@@ -86,7 +86,7 @@ impl OrientationFilter {
         self.world_from_base.renormalize_fast();
     }
 
-    /// `κ ω_corr`, base frame [rad/s].
+    /// Returns `κ ω_corr`, the correction towards the accelerometer, base frame [rad/s].
     fn correction(&self) -> Vector3<f64> {
         let size = self.average.norm();
         let trust = (1.0 - (size - GRAVITY_M_S2).abs() / GRAVITY_M_S2).clamp(0.0, 1.0);

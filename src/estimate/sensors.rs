@@ -1,9 +1,9 @@
-/*! What the robot can feel: an IMU in the trunk and an encoder at every joint, and what is wrong with their readings.
+/*! Sensor models: an IMU in the trunk and an encoder at every joint, with noise, bias and quantisation.
 
-Unitree names no parts. The defaults of [`SensorNoise`] are those of an IMU of the kind that is usual in such robots
+Unitree names no parts. The defaults of [`SensorNoise`] are those of an IMU that is common in such robots
 (Bosch BMI088, data sheet BST-BMI088-DS001) and of the GO-M8010-6 motor's protocol, as each key says. A constant error
-of the joint angles, which calibration leaves, is not here: the simulation has it
-(`Conditions::encoder_bias`), since the controller suffers from it too.
+of the joint angles, which calibration leaves, is part of the simulation (`Conditions::encoder_bias`), since the
+controller suffers from it too.
 */
 
 use std::f64::consts::TAU;
@@ -30,7 +30,7 @@ pub struct ImuReading {
 pub struct EncoderReading {
     /// Joint angles \[rad\].
     pub angles: Joints,
-    /// Joint rates as the encoders' own filter gives them [rad/s].
+    /// Joint rates after the encoders' own low-pass filter [rad/s].
     pub rates: Joints,
 }
 
@@ -43,7 +43,7 @@ impl EncoderReading {
     /// Checks that the readings are finite.
     ///
     /// # Errors
-    /// [`SensorFault::NotFinite`] for the first that is not.
+    /// A value is NaN or infinite; the error names the first one.
     pub fn check(&self) -> Result<(), SensorFault> {
         let of = |name, joints: &Joints| finite(joints, |joint| format!("{name} of {}", joint_name(joint)));
         of("angle", &self.angles)?;
@@ -56,12 +56,12 @@ fn finite(values: &[f64], name: impl Fn(usize) -> String) -> Result<(), SensorFa
     bad.map_or(Ok(()), |(index, found)| Err(SensorFault::NotFinite { reading: name(index), found: *found }))
 }
 
-/// How the trunk moves, for [`ImuReading::exact`].
+/// The motion of the trunk, from which [`ImuReading::exact`] computes a reading.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrunkMotion {
     /// Rotation from the base frame to the world frame.
     pub world_from_base: UnitQuaternion<f64>,
-    /// Acceleration of the trunk's origin, world frame [m/s²]: a free joint's first three of `qacc`.
+    /// Acceleration of the trunk's origin, world frame [m/s²]: the first three of a free joint's `qacc`.
     pub acceleration: Vector3<f64>,
     /// Angular velocity, base frame [rad/s]: the last three of `qvel`.
     pub angular_velocity: Vector3<f64>,
@@ -70,8 +70,8 @@ pub struct TrunkMotion {
 }
 
 impl ImuReading {
-    /// Returns the reading of an IMU without errors that sits at `arm` from the trunk's origin, base frame \[m\], under `gravity` in the
-    /// world frame [m/s²].
+    /// Returns the reading of a perfect IMU at `arm` from the trunk's origin, base frame \[m\], under `gravity`, world
+    /// frame [m/s²].
     pub fn exact(motion: &TrunkMotion, arm: Vector3<f64>, gravity: Vector3<f64>) -> Self {
         let rate = motion.angular_velocity;
         let of_origin = motion.world_from_base.inverse() * (motion.acceleration - gravity);
@@ -82,7 +82,7 @@ impl ImuReading {
     /// Checks that the readings are finite.
     ///
     /// # Errors
-    /// [`SensorFault::NotFinite`] for the first that is not.
+    /// A value is NaN or infinite; the error names the first one.
     pub fn check(&self) -> Result<(), SensorFault> {
         let of =
             |name, vector: &Vector3<f64>| finite(vector.as_slice(), |axis| format!("{name} {}", ["x", "y", "z"][axis]));
@@ -91,31 +91,35 @@ impl ImuReading {
     }
 }
 
-/// Errors of the sensors, as standard deviations where they are random.
+/// Errors of the sensors: standard deviations where they are random.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SensorNoise {
-    /// White noise of the gyro, spectral density. BMI088: 0.014 °/s/√Hz.
+    /// Spectral density of the gyro's white noise [rad/s/√Hz]. BMI088: 0.014 °/s/√Hz.
     pub gyro_density_rad_s_sqrt_hz: f64,
-    /// Constant error of the gyro, drawn at switch-on. What is left of the BMI088's ±1 °/s after the zeroing at rest that
-    /// such robots do at start: its drift of 0.015 °/s/K over 10 K.
+    /// Constant error of the gyro [rad/s], drawn at switch-on: the rest of the BMI088's ±1 °/s after the zeroing at
+    /// rest that such robots do at start, that is its drift of 0.015 °/s/K over 10 K.
     pub gyro_bias_rad_s: f64,
-    /// White noise of the accelerometer, spectral density. BMI088: 175 µg/√Hz, mean of its axes.
+    /// Spectral density of the accelerometer's white noise [m/s²/√Hz]. BMI088: 175 µg/√Hz, mean of its axes.
     pub accelerometer_density_m_s2_sqrt_hz: f64,
-    /// Constant error of the accelerometer, drawn at switch-on. A quarter of the BMI088's ±20 mg: the rest is calibrated.
+    /// Constant error of the accelerometer [m/s²], drawn at switch-on: a quarter of the BMI088's ±20 mg; the rest is
+    /// calibrated.
     pub accelerometer_bias_m_s2: f64,
-    /// White noise of joint angles. The ±0.5° that a magnetic encoder is usually off, at the rotor, behind a gear of 6.33.
+    /// White noise of joint angles \[rad\]: the typical ±0.5° of a magnetic encoder at the rotor, behind a gear of
+    /// 6.33.
     pub angle_rad: f64,
-    /// Steps of the angle at the rotor. Unitree's protocol has 2¹⁵ to a turn (`ris_protocol.h`, "q15").
+    /// Resolution of the angle at the rotor, steps per turn. Unitree's protocol has 2¹⁵ (`ris_protocol.h`, "q15").
     pub angle_steps_per_turn: f64,
-    /// White noise of joint rates. The root mean square over the joints of a Go2, whose motors are of the same make, that
-    /// stands still (`motor_state_data_example_standup.py` in hanlinniu/unitree_sdk2_python).
+    /// White noise of joint rates [rad/s]: the root mean square over the joints of a standing Go2, whose motors are of
+    /// the same make (`motor_state_data_example_standup.py` in hanlinniu/unitree_sdk2_python).
     pub rate_rad_s: f64,
-    /// Steps of the rate at the rotor. The protocol has 2⁸ to a turn per second ("q8"); the Go2's rates confirm it.
+    /// Resolution of the rate at the rotor, steps per turn per second. The protocol has 2⁸ ("q8"); the Go2's rates
+    /// confirm it.
     pub rate_steps_per_turn_s: f64,
-    /// First-order low-pass of the rate inside the motor. An assumption: a twentieth of the servo's usual 2 kHz and more.
+    /// Cut-off of the first-order low-pass of the rate inside the motor \[Hz\]. Assumed: a twentieth of the servo's
+    /// usual 2 kHz.
     pub rate_cutoff_hz: f64,
-    /// Turns of the rotor for one turn of hip, thigh and calf. Unitree: 6.33; at the calf 1.5 times as much.
+    /// Gear ratio of hip, thigh and calf. Unitree: 6.33, at the calf 1.5 times as much.
     pub gear: [f64; 3],
 }
 
@@ -142,12 +146,13 @@ pub struct Sensors {
     noise: SensorNoise,
     gyro_bias: Vector3<f64>,
     accelerometer_bias: Vector3<f64>,
-    /// State of the rates' low-pass; `None` before the first reading.
+    /// State of the low-pass of the rates [rad/s]; `None` before the first reading.
     filtered_rates: Option<Joints>,
 }
 
 impl Sensors {
-    /// Switches on: draws the constant errors. The generator is a stream of [`crate::util::random::Purpose::Sensor`].
+    /// Switches the sensors on and draws their constant errors. `rng` is a stream of
+    /// [`crate::util::random::Purpose::Sensor`].
     pub fn new(noise: SensorNoise, rng: &mut impl Rng) -> Self {
         Sensors {
             gyro_bias: noise.gyro_bias_rad_s * normal(rng),
@@ -157,7 +162,7 @@ impl Sensors {
         }
     }
 
-    /// Adds the IMU's errors to an exact reading, `dt_s` \[s\] after the last one.
+    /// Adds noise and bias to an exact IMU reading, `dt_s` \[s\] after the last one.
     pub fn imu(&self, exact: &ImuReading, dt_s: f64, rng: &mut impl Rng) -> ImuReading {
         // White noise of density n, seen through the band up to half the sampling rate, has variance n² / (2 dt).
         let bandwidth = (0.5 / dt_s).sqrt();
@@ -169,7 +174,7 @@ impl Sensors {
         }
     }
 
-    /// Adds the encoders' errors to exact angles \[rad\] and rates [rad/s], `dt_s` \[s\] after the last reading.
+    /// Adds noise and quantisation to exact angles \[rad\] and rates [rad/s], `dt_s` \[s\] after the last reading.
     pub fn encoders(&mut self, exact: &EncoderReading, dt_s: f64, rng: &mut impl Rng) -> EncoderReading {
         let noise = &self.noise;
         let before = self.filtered_rates.unwrap_or(exact.rates);

@@ -1,4 +1,4 @@
-//! The estimator on a made-up trot with the sensors' default errors, and on everything that goes wrong.
+//! Tests of the estimator on a synthetic trot with the default sensor errors, and on faulty sensors.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -7,7 +7,7 @@ use rand_chacha::ChaCha8Rng;
 use super::walker::{DT_S, Truth, Walker};
 use super::*;
 
-/// A run's errors, tick by tick after the start.
+/// Errors of an estimate, tick by tick after the start.
 #[derive(Debug, Default)]
 struct Errors {
     time_s: Vec<f64>,
@@ -31,7 +31,7 @@ impl Errors {
         self.time_s.partition_point(|time| *time < time_s)
     }
 
-    /// Root mean square of the velocity's error per axis, from a time on [m/s].
+    /// Returns the root mean square error of the velocity per axis, from a time on [m/s].
     fn velocity_rmse(&self, from_s: f64) -> f64 {
         let errors = &self.velocity[self.after(from_s)..];
         (errors.iter().map(Vector3::norm_squared).sum::<f64>() / (3 * errors.len()) as f64).sqrt()
@@ -51,7 +51,7 @@ impl Errors {
     }
 }
 
-/// The readings of a tick, for a test to spoil.
+/// The readings of a tick, which a test can corrupt.
 struct Tick {
     time_s: f64,
     imu: Option<ImuReading>,

@@ -1,4 +1,4 @@
-//! A made-up trot whose every number is known: what the estimator's tests are measured against.
+//! A synthetic trot whose exact state is known, for the estimator's tests.
 
 use std::sync::Arc;
 
@@ -8,11 +8,11 @@ use super::sensors::{EncoderReading, ImuReading};
 use crate::robot::{GRAVITY_M_S2, JOINTS, Joints, PARTS, Robot, kinematics, of_leg, same_in_every_leg};
 
 pub const DT_S: f64 = 1.0 / 240.0;
-/// The robot stands for a second, then takes a second to reach its speed.
+/// Time in which the robot stands, and time in which it then reaches its speed \[s\].
 const START_S: f64 = 1.0;
 const SWING_S: f64 = 0.25;
 
-/// The truth at one tick, and what sensors without errors read.
+/// The true state at one tick, and the readings of perfect sensors.
 #[derive(Debug, Clone, Copy)]
 pub struct Truth {
     pub position: Vector3<f64>,
@@ -31,16 +31,16 @@ pub struct Walker {
     tick: u32,
     feet: [Vector3<f64>; 4],
     feet_velocity: [Vector3<f64>; 4],
-    /// Where the foot left the ground, and whether it is in the air.
+    /// Place where each foot left the ground, and true if it is in the air.
     lift: [Vector3<f64>; 4],
     flying: [bool; 4],
     angles: Joints,
-    /// Velocity that this foot slips with, world frame [m/s].
+    /// A foot that slips, and its velocity, world frame [m/s].
     pub slip: Option<(usize, Vector3<f64>)>,
 }
 
 impl Walker {
-    /// `speed` in m/s; a robot of speed zero stands perfectly still.
+    /// Creates a robot that walks at `speed` [m/s]; at speed zero it stands perfectly still.
     pub fn new(speed: f64) -> Self {
         let robot = Robot::load("go1").unwrap();
         let feet = std::array::from_fn(|leg| nominal(&robot, leg, 0.0));
@@ -61,7 +61,7 @@ impl Walker {
         f64::from(self.tick) * DT_S
     }
 
-    /// How far it has come [m], and the fraction of its full motion.
+    /// Returns the distance walked \[m\] and the fraction of the full motion.
     fn progress(&self, time: f64) -> (f64, f64) {
         let u = (time - START_S).clamp(0.0, 1.0);
         let beyond = (time - START_S - 1.0).max(0.0);
@@ -82,7 +82,7 @@ impl Walker {
         position + rotation * self.robot.imu_in_base
     }
 
-    /// The next tick.
+    /// Advances by a tick.
     pub fn step(&mut self) -> Truth {
         self.tick += 1;
         let (time, h) = (self.time_s(), 1e-4);
@@ -134,7 +134,7 @@ impl Walker {
         }
     }
 
-    /// Share of its flight that a foot has done; `None` on the ground. FR and RL take turns with FL and RR.
+    /// Returns the completed fraction of a foot's flight; `None` on the ground. FR and RL alternate with FL and RR.
     fn flight(&self, leg: usize, time: f64) -> Option<f64> {
         let steps = (time - START_S) / SWING_S;
         let turn = usize::from(leg == 1 || leg == 2);
@@ -154,7 +154,7 @@ impl Walker {
         self.feet_velocity[leg] = ((to - from) * (6.0 * u * (1.0 - u)) + Vector3::z() * rise) / SWING_S;
     }
 
-    /// Joint angles that put the foot there, by Newton's method from those of the last tick.
+    /// Sets the joint angles that place the foot at `target`, by Newton's method from those of the last tick.
     fn reach(&mut self, leg: usize, target: Vector3<f64>) {
         let of_robot = self.robot.legs[leg];
         let mut angles = Vector3::from(of_leg(&self.angles, leg));
@@ -167,7 +167,7 @@ impl Walker {
     }
 }
 
-/// Foot under its thigh joint when the trunk is `forward` [m] from the start.
+/// Returns the point under a leg's thigh joint when the trunk is `forward` \[m\] from the start.
 fn nominal(robot: &Robot, leg: usize, forward: f64) -> Vector3<f64> {
     let below = robot.legs[leg].foot_position([0.0; 3]);
     Vector3::new(forward + below.x, below.y, robot.legs[leg].foot_radius_m)

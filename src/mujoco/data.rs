@@ -1,4 +1,4 @@
-//! The state of one simulation, together with the model that it belongs to.
+//! The state of one simulation, together with its model.
 
 use std::ptr::NonNull;
 
@@ -8,7 +8,7 @@ use super::error::{Buffer, Error, Result, StateKind};
 use super::model::{Kind, Model};
 use super::{EMPTY_MESSAGE, Message, check};
 
-/// A contact point that MuJoCo found in its last position stage.
+/// A contact point found by MuJoCo's last position stage.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contact {
     /// Index among the contacts, for [`Data::contact_force`].
@@ -21,15 +21,15 @@ pub struct Contact {
     pub distance: f64,
 }
 
-/// An owned `mjData` and its [`Model`]: one independent simulation.
+/// A simulation: an owned `mjData` and its [`Model`].
 ///
-/// Owning the model, and lending it to be read only, makes it impossible to step data with a model of another size, and
-/// lets every environment have its own gravity and friction (a model without meshes is a few ten kilobytes).
+/// Each simulation owns its model, so data cannot be stepped with a model of another size, and every environment can
+/// have its own gravity and friction. A model without meshes is a few ten kilobytes.
 #[derive(Debug)]
 pub struct Data {
     raw: NonNull<sys::mjData>,
     model: Model,
-    /// MuJoCo has left a call in the middle, through its fatal error handler.
+    /// True after a fatal error, which leaves `mjData` in an undefined state.
     broken: bool,
 }
 
@@ -159,44 +159,44 @@ impl Data {
     /// Allocates a simulation in the model's reference configuration.
     ///
     /// # Errors
-    /// [`Error::Engine`] if MuJoCo cannot allocate it.
+    /// MuJoCo cannot allocate the data.
     pub fn new(model: Model) -> Result<Self> {
         Ok(Data { raw: allocate(&model)?, model, broken: false })
     }
 
-    /// Memory that it takes, with its model \[bytes\].
+    /// Returns the memory of the simulation and its model \[bytes\].
     pub fn bytes(&self) -> usize {
         let raw = self.raw();
         self.model.bytes() + raw.nbuffer as usize + raw.nstack as usize * size_of::<f64>()
     }
 
-    /// The model.
+    /// Returns the model.
     pub fn model(&self) -> &Model {
         &self.model
     }
 
-    /// See [`Model::set_gravity`].
+    /// Sets gravity [m/s²], world frame; see [`Model::set_gravity`].
     pub fn set_gravity(&mut self, gravity: [f64; 3]) {
         self.model.set_gravity(gravity);
     }
 
-    /// See [`Model::set_sliding_friction`].
+    /// Sets the sliding friction coefficient of a geometry; see [`Model::set_sliding_friction`].
     ///
     /// # Panics
-    /// If there is no geometry of this id.
+    /// There is no geometry of this id.
     pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
         self.model.set_sliding_friction(geom, friction);
     }
 
-    /// See [`Model::set_longest_tendon`].
+    /// Sets the maximum length of a tendon \[m\]; see [`Model::set_longest_tendon`].
     ///
     /// # Panics
-    /// If there is no tendon of this id.
+    /// There is no tendon of this id.
     pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
         self.model.set_longest_tendon(tendon, length_m);
     }
 
-    /// Makes the contact buffer smaller.
+    /// Shrinks the contact buffer to `contacts` points.
     #[cfg(test)]
     pub(crate) fn limit_contacts(&mut self, contacts: i32) {
         self.model.limit_contacts(contacts);
@@ -207,7 +207,7 @@ impl Data {
         unsafe { self.raw.as_ref() }
     }
 
-    /// Simulation time \[s\].
+    /// Returns the simulation time \[s\].
     pub fn time_s(&self) -> f64 {
         self.raw().time
     }
@@ -218,11 +218,11 @@ impl Data {
         unsafe { self.raw.as_mut() }.time = time_s;
     }
 
-    /// Back to the reference configuration at rest, time 0, all warnings cleared. After a fatal error inside MuJoCo,
-    /// which leaves its data in the middle of something, they are made anew.
+    /// Restores the reference configuration at rest, at time 0, without warnings. After a fatal error inside MuJoCo the
+    /// data are allocated anew.
     ///
     /// # Errors
-    /// [`Error::Engine`] if MuJoCo reports a fatal error.
+    /// MuJoCo reports a fatal error.
     pub fn reset(&mut self) -> Result<()> {
         if self.broken {
             let left = std::mem::replace(&mut self.raw, allocate(&self.model)?);
@@ -233,27 +233,28 @@ impl Data {
         self.call("mj_resetData", sys::supple_reset_data)
     }
 
-    /// First half of a step: everything that follows from positions and velocities (kinematics, contacts, bias forces).
+    /// Runs the first half of a step: all that follows from positions and velocities (kinematics, contacts, bias
+    /// forces).
     ///
     /// # Errors
-    /// Any fault that MuJoCo reports, see [`Error`].
+    /// The simulation is unstable, a contact or constraint buffer is full, or MuJoCo reports a fatal error.
     pub fn step1(&mut self) -> Result<()> {
         self.call("mj_step1", sys::supple_step1)
     }
 
-    /// Second half of a step: actuation, constraint forces, integration. Contact forces are readable afterwards, until
-    /// the next [`Data::step1`].
+    /// Runs the second half of a step: actuation, constraint forces, integration. Contact forces can be read from then
+    /// until the next [`Data::step1`].
     ///
     /// # Errors
-    /// Any fault that MuJoCo reports, see [`Error`].
+    /// The simulation is unstable, a contact or constraint buffer is full, or MuJoCo reports a fatal error.
     pub fn step2(&mut self) -> Result<()> {
         self.call("mj_step2", sys::supple_step2)
     }
 
-    /// A whole step.
+    /// Runs a whole physics step.
     ///
     /// # Errors
-    /// Any fault that MuJoCo reports, see [`Error`].
+    /// The simulation is unstable, a contact or constraint buffer is full, or MuJoCo reports a fatal error.
     pub fn step(&mut self) -> Result<()> {
         self.call("mj_step", sys::supple_step)
     }
@@ -271,8 +272,8 @@ impl Data {
         self.check_warnings()
     }
 
-    /// Any counter above zero is a fault: MuJoCo resets an unstable simulation silently and then sets its counter to 1,
-    /// so that a difference between two steps would not show it.
+    /// Turns warning counters above zero into errors. MuJoCo resets an unstable simulation silently and then sets its
+    /// counter to 1, so a difference between two steps would not show it.
     fn check_warnings(&self) -> Result<()> {
         let warnings = &self.raw().warning;
         if warnings.iter().all(|warning| warning.number == 0) {
@@ -297,12 +298,12 @@ impl Data {
         Err(Error::BufferFull { buffer: Buffer::Constraints, size: self.model.njmax() })
     }
 
-    /// Number of contact points.
+    /// Returns the number of contact points.
     pub fn contact_count(&self) -> usize {
         self.raw().ncon as usize
     }
 
-    /// The contact points of the last first half-step that take part in the dynamics.
+    /// Iterates over the contact points of the last [`Data::step1`] that take part in the dynamics.
     pub fn contacts(&self) -> impl Iterator<Item = Contact> + '_ {
         let contacts = self.slice(self.raw().contact, self.contact_count());
         contacts.iter().enumerate().filter(|(_, contact)| contact.exclude == 0).map(|(index, contact)| Contact {
@@ -313,11 +314,11 @@ impl Data {
         })
     }
 
-    /// Force on the second geometry of a contact by the first, world frame \[N\]. Valid after [`Data::step2`] and before
-    /// the next [`Data::step1`]. NaN, never zero, should MuJoCo report an error.
+    /// Returns the force of a contact on its second geometry, world frame \[N\]. Valid after [`Data::step2`] and before
+    /// the next [`Data::step1`].
     ///
     /// # Panics
-    /// If there is no contact of this index.
+    /// There is no contact of this index.
     pub fn contact_force(&self, index: usize) -> [f64; 3] {
         assert!(index < self.contact_count(), "contact {index} out of range");
         let (mut in_contact, mut message) = ([0.0; 6], EMPTY_MESSAGE);
@@ -340,8 +341,8 @@ impl Data {
         std::array::from_fn(|k| (0..3).map(|axis| frame[3 * axis + k] * in_contact[axis]).sum())
     }
 
-    /// Force with which a tendon that has reached its longest pulls its ends together \[N\], zero while it is slack.
-    /// Valid after [`Data::step2`] and before the next [`Data::step1`].
+    /// Returns the force with which a tendon at its maximum length pulls its ends together \[N\]; zero while it is
+    /// slack. Valid after [`Data::step2`] and before the next [`Data::step1`].
     pub fn tendon_limit_force(&self, tendon: usize) -> f64 {
         let raw = self.raw();
         let rows = raw.nefc as usize;
@@ -353,10 +354,10 @@ impl Data {
         (0..rows).filter(is_its_limit).map(|row| forces[row]).sum()
     }
 
-    /// Velocity of a geometry's centre, world axes [m/s]; NaN, never zero, should MuJoCo report an error.
+    /// Returns the velocity of a geometry's centre, world axes [m/s].
     ///
     /// # Panics
-    /// If there is no geometry of this id.
+    /// There is no geometry of this id.
     pub fn geom_velocity(&self, geom: usize) -> [f64; 3] {
         assert!(geom < self.model.count(Kind::Geom), "geom {geom} out of range");
         let (mut velocity, mut message) = ([0.0; 6], EMPTY_MESSAGE);
@@ -387,10 +388,10 @@ fn allocate(model: &Model) -> Result<NonNull<sys::mjData>> {
     NonNull::new(data).ok_or(Error::Engine { call: "mj_makeData", message: "no memory".into() })
 }
 
-/// Faults on demand.
+/// Fault injection for tests.
 #[cfg(test)]
 impl Data {
-    /// Makes MuJoCo's stack so small that the next step raises a fatal error inside it.
+    /// Shrinks MuJoCo's stack so much that the next step raises a fatal error.
     pub(crate) fn exhaust_stack(&mut self) {
         // SAFETY: the pointer is valid and `self` is borrowed mutably; less than what is allocated is always safe.
         unsafe { self.raw.as_mut() }.nstack = 8;

@@ -1,78 +1,78 @@
-//! Everything that can go wrong inside MuJoCo.
+//! Errors of MuJoCo as values.
 
 /// Result of a MuJoCo call.
 pub type Result<T> = std::result::Result<T, Error>;
 
-/// Which part of the state became invalid (NaN or beyond 1e10).
+/// The part of the state that became invalid (NaN or beyond 1e10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StateKind {
-    /// Generalised positions.
+    /// The generalised positions.
     Position,
-    /// Generalised velocities.
+    /// The generalised velocities.
     Velocity,
-    /// Generalised accelerations.
+    /// The generalised accelerations.
     Acceleration,
-    /// Actuator controls.
+    /// The actuator controls.
     Control,
-    /// The mass matrix could not be factorised.
+    /// The mass matrix, which could not be factorised.
     Inertia,
 }
 
-/// Which of the fixed-size buffers of `mjData` was too small.
+/// The fixed-size buffer of `mjData` that was too small.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Buffer {
-    /// Contacts, `nconmax`.
+    /// The contact buffer, `nconmax`.
     Contacts,
-    /// Constraint rows, `njmax`.
+    /// The buffer of constraint rows, `njmax`.
     Constraints,
 }
 
 /// A fault reported by MuJoCo.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
-    /// Another libmujoco than the one these bindings were generated for was loaded at run time.
+    /// The libmujoco loaded at run time has another version than the headers of these bindings.
     #[error("libmujoco has version {found} at run time, expected {expected}; install Debian 12's libmujoco2.2.2")]
     Version {
-        /// Version of the headers.
+        /// Version of the headers, as `mj_version` counts.
         expected: i32,
-        /// Version of the library.
+        /// Version of the library, as `mj_version` counts.
         found: i32,
     },
     /// The model could not be read or compiled.
     #[error("MuJoCo cannot load {what}: {message}")]
     Load {
-        /// File or scene name.
+        /// Name of the file or scene.
         what: String,
-        /// MuJoCo's own words.
+        /// Message of MuJoCo.
         message: String,
     },
     /// The model has no element of this name.
     #[error("the model has no {kind} named '{name}'; it has: {known}")]
     Name {
-        /// Element kind.
+        /// Kind of the element, such as `joint`.
         kind: &'static str,
-        /// The name asked for.
+        /// The name that was looked up.
         name: String,
-        /// The names there are.
+        /// The names that the model has.
         known: String,
     },
-    /// The fatal error handler was called.
+    /// MuJoCo called its fatal error handler.
     #[error("MuJoCo's {call} failed: {message}")]
     Engine {
-        /// The call that was running.
+        /// Name of the C function that was running.
         call: &'static str,
-        /// MuJoCo's own words.
+        /// Message of MuJoCo.
         message: String,
     },
-    /// What drives the simulation is NaN or infinite: no fault of MuJoCo, which does not get to see it.
+    /// An input of the simulation is NaN or infinite, and was not passed to MuJoCo.
     #[error("{what} is {found}, expected a finite number: whatever controls the robot is at fault, not the physics")]
     Input {
-        /// The input, such as a joint's target.
+        /// Name of the input, such as a joint's target.
         what: String,
-        /// The number.
+        /// The value that was found.
         found: String,
     },
-    /// The simulation became unstable; MuJoCo has reset it.
+    /// The simulation became unstable, and MuJoCo has reset it.
     #[error("the simulation became unstable: invalid {kind:?} at index {index}")]
     Unstable {
         /// The quantity that was NaN or huge.
@@ -83,9 +83,9 @@ pub enum Error {
     /// A fixed buffer was full and contacts or constraints were dropped.
     #[error("the buffer for {buffer:?} is full at {size}: enlarge it in the scene (nconmax, njmax)")]
     BufferFull {
-        /// Which buffer.
+        /// The buffer that was full.
         buffer: Buffer,
-        /// The size of the array.
+        /// Capacity of the buffer.
         size: usize,
     },
 }

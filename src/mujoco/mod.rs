@@ -1,6 +1,7 @@
-/*! The safe face of MuJoCo 2.2.2: [`Model`], [`Data`] and every fault as an [`Error`].
+/*! The safe wrapper of MuJoCo 2.2.2: start with [`Model`] (compiled from MJCF), then [`Data`] (one simulation), then
+[`Error`].
 
-MuJoCo reports trouble in four ways, and all of them end up here as values: a fatal error handler that would end the
+MuJoCo reports trouble in four ways, and all of them become an [`Error`] here: a fatal error handler that would end the
 process (caught in `mujoco-sys`' C shim), warning counters in `mjData` (unstable states reset the simulation silently,
 full buffers drop contacts silently), text in a caller's buffer (XML), and null pointers. Apart from `mujoco-sys` this
 module is the only one that holds `unsafe` code.
@@ -20,7 +21,7 @@ pub use sizes::check_sizes;
 use std::ffi::CStr;
 use std::sync::OnceLock;
 
-/// The MuJoCo version these bindings were written for, as `mj_version` gives it.
+/// The MuJoCo version these bindings were written for, as `mj_version` counts.
 pub const VERSION: i32 = mujoco_sys::mjVERSION_HEADER as i32;
 
 /// Installs the error handlers and checks the version of the library that was loaded, once per process.
@@ -40,7 +41,7 @@ type Message = [std::ffi::c_char; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
 
 const EMPTY_MESSAGE: Message = [0; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
 
-/// MuJoCo's message on one line.
+/// Joins MuJoCo's message into one line.
 fn text(message: &Message) -> String {
     // SAFETY: the shim and MuJoCo always terminate the message within the buffer, which starts as zeros.
     let text = unsafe { CStr::from_ptr(message.as_ptr()) }.to_string_lossy();

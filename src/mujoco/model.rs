@@ -11,29 +11,29 @@ use super::error::{Error, Result};
 use super::{EMPTY_MESSAGE, check, initialise, sizes, text as text_of};
 use crate::util::xml;
 
-/// Kinds of named elements.
+/// A kind of named model element.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
-    /// A body.
+    /// A body: a rigid part with mass.
     Body,
-    /// A joint.
+    /// A joint between a body and its parent.
     Joint,
     /// A collision or visual geometry.
     Geom,
-    /// A marked point.
+    /// A site: a marked point.
     Site,
-    /// An actuator.
+    /// An actuator, such as a motor.
     Actuator,
     /// A custom numeric field.
     Numeric,
-    /// A height field.
+    /// A height field, such as uneven ground.
     HeightField,
-    /// A tendon.
+    /// A tendon, such as a rope.
     Tendon,
 }
 
 impl Kind {
-    /// MuJoCo's number of it, and what messages call it.
+    /// Returns MuJoCo's constant of the kind and its name in messages.
     fn known(self) -> (u32, &'static str) {
         match self {
             Kind::Body => (sys::mjOBJ_BODY, "body"),
@@ -48,33 +48,33 @@ impl Kind {
     }
 }
 
-/// Shape of a geometry with MuJoCo's size convention.
+/// Shape of a geometry, with MuJoCo's convention for its sizes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Shape {
-    /// Infinite plane; sizes are the half-lengths drawn.
+    /// An infinite plane; sizes are the drawn half-lengths.
     Plane,
-    /// Height field of this id.
+    /// The height field of this id.
     HeightField(usize),
-    /// Radius.
+    /// A sphere; size: radius.
     Sphere,
-    /// Radius, half-length along z.
+    /// A capsule along z; sizes: radius, half-length.
     Capsule,
-    /// Three radii.
+    /// An ellipsoid; sizes: three radii.
     Ellipsoid,
-    /// Radius, half-length along z.
+    /// A cylinder along z; sizes: radius, half-length.
     Cylinder,
-    /// Three half-lengths.
+    /// A box; sizes: three half-lengths.
     Box,
-    /// Mesh of this id.
+    /// The mesh of this id.
     Mesh(usize),
 }
 
-/// One geometry of a model.
+/// A geometry of a model.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geom {
-    /// Name, empty if it has none.
+    /// Name, empty if the geometry has none.
     pub name: String,
-    /// Body it is fixed to.
+    /// Id of the body that the geometry is fixed to.
     pub body: usize,
     /// The shape of the geometry.
     pub shape: Shape,
@@ -86,24 +86,24 @@ pub struct Geom {
     pub quaternion: [f64; 4],
     /// Colour and opacity, 0 to 1.
     pub rgba: [f32; 4],
-    /// Visual group.
+    /// Visual group, 0 to 5.
     pub group: i32,
 }
 
 /// The effect of an actuator on a joint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Actuator {
-    /// The joint, if it acts on one.
+    /// Id of the joint; `None` if the actuator acts on something else.
     pub joint: Option<usize>,
-    /// Torque per unit of its force.
+    /// Gear ratio: joint torque per unit of actuator force.
     pub gear: f64,
-    /// Force per unit of control.
+    /// Actuator force per unit of control.
     pub gain: f64,
     /// True if the actuator's force depends on the joint's state, like that of a servo.
     pub has_bias: bool,
-    /// Limits of its control, if it has any.
+    /// Limits of the control, if it is limited.
     pub control_range: Option<[f64; 2]>,
-    /// Limits of its force, if it has any.
+    /// Limits of the force, if it is limited.
     pub force_range: Option<[f64; 2]>,
 }
 
@@ -113,7 +113,7 @@ impl Actuator {
         self.has_bias
     }
 
-    /// The largest torque that it can give, if that is limited [N·m].
+    /// Returns the largest torque, if it is limited [N·m].
     pub fn largest_torque(&self) -> Option<f64> {
         let size = |[low, high]: [f64; 2]| low.abs().max(high.abs());
         let force = match (self.force_range, self.control_range) {
@@ -125,20 +125,20 @@ impl Actuator {
     }
 }
 
-/// How a geometry makes contact.
+/// Contact parameters of a geometry, as MJCF names them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GeomContact {
-    /// Mask of what it is.
+    /// Bit mask of the geometry's contact type.
     pub contype: i32,
-    /// Mask of what it meets.
+    /// Bit mask of the contact types that the geometry collides with.
     pub conaffinity: i32,
-    /// Dimensions of the contact force.
+    /// Dimension of the contact force: 1, 3, 4 or 6.
     pub condim: i32,
-    /// The settings of the geometry with the higher one hold.
+    /// Priority: in a contact, the geometry with the higher priority sets friction and softness.
     pub priority: i32,
-    /// Sliding, torsional, rolling.
+    /// Sliding, torsional and rolling friction.
     pub friction: [f64; 3],
-    /// Softness.
+    /// Impedance of the contact, which sets its softness.
     pub solimp: [f64; 5],
 }
 
@@ -149,7 +149,7 @@ impl GeomContact {
     }
 }
 
-/// An owned `mjModel`.
+/// A compiled model: an owned `mjModel`.
 #[derive(Debug)]
 pub struct Model(NonNull<sys::mjModel>);
 
@@ -289,10 +289,10 @@ impl Model {
 }
 
 impl Model {
-    /// Compiles MJCF held in memory: `(name, text)` pairs, the main file first, then those it includes.
+    /// Compiles MJCF held in memory: `(name, text)` pairs, the main file first, then the files that it includes.
     ///
     /// # Errors
-    /// [`Error::Load`] with MuJoCo's message if the XML is invalid.
+    /// The XML is invalid, or asks for more memory or time than any scene needs; the error has MuJoCo's message.
     pub fn from_xml(files: &[(&str, &str)]) -> Result<Self> {
         initialise()?;
         let what = files.first().map_or("", |file| file.0).to_owned();
@@ -329,10 +329,10 @@ impl Model {
         model
     }
 
-    /// An independent copy.
+    /// Copies the model.
     ///
     /// # Errors
-    /// [`Error::Engine`] if MuJoCo cannot allocate it.
+    /// MuJoCo cannot allocate the copy.
     pub fn try_clone(&self) -> Result<Self> {
         let (mut copy, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
         // SAFETY: the source is valid; the shim catches errors.
@@ -356,12 +356,12 @@ impl Model {
         unsafe { self.0.as_mut() }
     }
 
-    /// Memory that it takes \[bytes\].
+    /// Returns the memory of the model \[bytes\].
     pub(super) fn bytes(&self) -> usize {
         self.raw().nbuffer as usize
     }
 
-    /// Number of elements of a kind.
+    /// Returns the number of elements of a kind.
     pub fn count(&self, kind: Kind) -> usize {
         let raw = self.raw();
         (match kind {
@@ -376,10 +376,10 @@ impl Model {
         }) as usize
     }
 
-    /// Id of a named element.
+    /// Returns the id of a named element.
     ///
     /// # Errors
-    /// [`Error::Name`], which lists the names there are.
+    /// The model has no such element; the error lists the names that it has.
     pub fn id(&self, kind: Kind, name: &str) -> Result<usize> {
         // No element's name holds a zero byte.
         let id = CString::new(name).map_or(-1, |name| {
@@ -393,7 +393,7 @@ impl Model {
         })
     }
 
-    /// Name of an element, empty if it has none or does not exist.
+    /// Returns the name of an element; empty if it has none or does not exist.
     pub fn name(&self, kind: Kind, id: usize) -> &str {
         // SAFETY: MuJoCo checks the id's range and returns null for elements without a name.
         let name = unsafe { sys::mj_id2name(self.as_ptr(), kind.known().0 as i32, id as i32) };
@@ -404,12 +404,12 @@ impl Model {
         unsafe { CStr::from_ptr(name) }.to_str().unwrap_or("")
     }
 
-    /// Physics step \[s\].
+    /// Returns the physics step \[s\].
     pub fn timestep_s(&self) -> f64 {
         self.raw().opt.timestep
     }
 
-    /// Gravity [m/s²], world frame.
+    /// Returns gravity [m/s²], world frame.
     pub fn gravity(&self) -> [f64; 3] {
         self.raw().opt.gravity
     }
@@ -419,11 +419,11 @@ impl Model {
         self.raw_mut().opt.gravity = gravity;
     }
 
-    /// Sets the sliding friction coefficient of a geometry, and of the pairs that name it: they have their own, whatever
-    /// the priorities of their geometries.
+    /// Sets the sliding friction coefficient of a geometry and of the contact pairs that name it, which have their own
+    /// coefficient whatever the priorities are.
     ///
     /// # Panics
-    /// If there is no geometry of this id.
+    /// There is no geometry of this id.
     pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
         assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
         let raw = self.raw_mut();
@@ -440,20 +440,20 @@ impl Model {
         }
     }
 
-    /// Sets which of two geometries decides how they touch: the one of higher priority (friction, softness).
+    /// Sets the priority of a geometry: in a contact, the geometry with the higher priority sets friction and softness.
     ///
     /// # Panics
-    /// If there is no geometry of this id.
+    /// There is no geometry of this id.
     pub fn set_priority(&mut self, geom: usize, priority: i32) {
         assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
         // SAFETY: geom_priority holds a number for each geom; the id was checked.
         unsafe { *self.raw_mut().geom_priority.add(geom) = priority };
     }
 
-    /// Sets what a hinge loses: dry friction [N·m] and viscous damping [N·m·s/rad].
+    /// Sets the losses of a hinge: dry friction [N·m] and viscous damping [N·m·s/rad].
     ///
     /// # Panics
-    /// If there is no joint of this id.
+    /// There is no joint of this id.
     pub fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) {
         let dof = self.joint_velocity_index(joint);
         // SAFETY: both hold a number for each degree of freedom, of which a joint's first is one.
@@ -463,22 +463,22 @@ impl Model {
         }
     }
 
-    /// Sets the length that a limited tendon cannot exceed \[m\].
+    /// Sets the maximum length of a limited tendon \[m\].
     ///
     /// # Panics
-    /// If there is no tendon of this id.
+    /// There is no tendon of this id.
     pub fn set_longest_tendon(&mut self, tendon: usize, length_m: f64) {
         assert!(tendon < self.count(Kind::Tendon), "tendon {tendon} out of range");
         // SAFETY: tendon_range holds 2 numbers for each tendon; the id was checked.
         unsafe { *self.raw_mut().tendon_range.add(2 * tendon + 1) = length_m };
     }
 
-    /// Index among the bodies that are moved from outside, if a body is one.
+    /// Returns the index of a body among the mocap bodies; `None` if it is none.
     pub fn mocap_index(&self, body: usize) -> Option<usize> {
         usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[body]).ok()
     }
 
-    /// Returns true if a joint leaves its body free in space.
+    /// Returns true if a joint is a free joint, which leaves its body free in space.
     pub fn is_free(&self, joint: usize) -> bool {
         self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_FREE as i32
     }
@@ -501,7 +501,7 @@ impl Model {
         }
     }
 
-    /// How a geometry makes contact.
+    /// Returns the contact parameters of a geometry.
     pub fn geom_contact(&self, id: usize) -> GeomContact {
         let raw = self.raw();
         GeomContact {
@@ -514,7 +514,7 @@ impl Model {
         }
     }
 
-    /// A geometry's position in the frame of its body's parents up to and including the first with a joint \[m\].
+    /// Returns a geometry's position in the frame of its nearest ancestor body with a joint \[m\].
     pub fn geom_position_at_rest(&self, id: usize) -> [f64; 3] {
         let raw = self.raw();
         let mut position: [f64; 3] = row(self.slice(raw.geom_pos, 3 * raw.ngeom), id);
@@ -527,7 +527,7 @@ impl Model {
         position
     }
 
-    /// Returns true if a body is `ancestor` or below it.
+    /// Returns true if a body is `ancestor` or a descendant of it.
     pub fn is_below(&self, mut body: usize, ancestor: usize) -> bool {
         while body != 0 && body != ancestor {
             body = self.body_parent(body);
@@ -535,7 +535,7 @@ impl Model {
         body == ancestor
     }
 
-    /// Positions of the keyframe `home`, or else of the first, shape (nq).
+    /// Returns the positions of the keyframe `home`, or else of the first keyframe, shape (nq).
     pub fn keyframe(&self) -> Option<&[f64]> {
         // SAFETY: model and name are valid.
         let home = unsafe { sys::mj_name2id(self.as_ptr(), sys::mjOBJ_KEY as i32, c"home".as_ptr()) };
@@ -543,13 +543,13 @@ impl Model {
         all.nth(usize::try_from(home).unwrap_or(0))
     }
 
-    /// Rotation from a body's frame to that of the body above it.
+    /// Returns the rotation from a body's frame to its parent's frame.
     pub fn body_rotation(&self, body: usize) -> UnitQuaternion<f64> {
         let [w, x, y, z] = row(self.slice(self.raw().body_quat, 4 * self.raw().nbody), body);
         UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z))
     }
 
-    /// Everything that is needed to draw a geometry.
+    /// Returns all data for drawing a geometry.
     pub fn geom(&self, id: usize) -> Geom {
         let raw = self.raw();
         let mesh = self.slice(raw.geom_dataid, raw.ngeom)[id].max(0) as usize;
@@ -581,7 +581,8 @@ impl Model {
         }
     }
 
-    /// Rows, columns, and (half-length x, half-length y, height of 1.0, base depth) of a height field.
+    /// Returns rows, columns, and (half-length x, half-length y, height of elevation 1, base depth) \[m\] of a height
+    /// field.
     pub fn height_field_size(&self, id: usize) -> (usize, usize, [f64; 4]) {
         let raw = self.raw();
         let rows = self.slice(raw.hfield_nrow, raw.nhfield)[id] as usize;
@@ -589,7 +590,7 @@ impl Model {
         (rows, columns, row(self.slice(raw.hfield_size, 4 * raw.nhfield), id))
     }
 
-    /// Elevations of a height field in units of its height, row-major, y rows by x columns.
+    /// Returns the elevations of a height field from 0 to 1, row-major, y rows by x columns.
     pub fn height_field(&self, id: usize) -> &[f32] {
         let raw = self.raw();
         let start = self.slice(raw.hfield_adr, raw.nhfield)[id] as usize;
@@ -597,7 +598,7 @@ impl Model {
         &self.slice(raw.hfield_data, raw.nhfielddata)[start..start + rows * columns]
     }
 
-    /// As [`Model::height_field`], to be written before the first step.
+    /// Like [`Model::height_field`], but writable before the first step.
     pub fn height_field_mut(&mut self, id: usize) -> &mut [f32] {
         let start = self.slice(self.raw().hfield_adr, self.raw().nhfield)[id] as usize;
         let (rows, columns, _) = self.height_field_size(id);
@@ -606,10 +607,10 @@ impl Model {
         unsafe { std::slice::from_raw_parts_mut(raw.hfield_data.add(start), rows * columns) }
     }
 
-    /// A `<custom><numeric>` field.
+    /// Returns the numbers of a `<custom><numeric>` field.
     ///
     /// # Errors
-    /// [`Error::Name`] if the model has none of this name.
+    /// The model has no field of this name; the error lists the names that it has.
     pub fn numeric(&self, name: &str) -> Result<&[f64]> {
         let id = self.id(Kind::Numeric, name)?;
         let raw = self.raw();
@@ -618,7 +619,7 @@ impl Model {
         Ok(&self.slice(raw.numeric_data, raw.nnumericdata)[start..start + size])
     }
 
-    /// A model array as a slice.
+    /// Borrows a model array as a slice.
     fn slice<T>(&self, start: *const T, length: i32) -> &[T] {
         if length == 0 || start.is_null() {
             return &[];
@@ -628,10 +629,10 @@ impl Model {
     }
 }
 
-/// Faults on demand.
+/// Fault injection for tests.
 #[cfg(test)]
 impl Model {
-    /// Makes the contact buffer smaller.
+    /// Shrinks the contact buffer to `contacts` points.
     pub(crate) fn limit_contacts(&mut self, contacts: i32) {
         assert!(contacts <= self.raw().nconmax);
         self.raw_mut().nconmax = contacts;
@@ -643,7 +644,7 @@ fn row<T: Copy, const N: usize>(values: &[T], index: usize) -> [T; N] {
 }
 
 fn load(what: &str, file: &CStr, vfs: *const sys::mjVFS) -> Result<Model> {
-    /// Whether MuJoCo's reader was left in the middle, with its lock held: to wait for it would be forever.
+    /// True if MuJoCo's XML reader was left with its lock held by a fatal error: waiting for it would never end.
     static LOCKED: AtomicBool = AtomicBool::new(false);
     let failed = |message: String| Error::Load { what: what.to_owned(), message };
     if LOCKED.load(Ordering::Acquire) {

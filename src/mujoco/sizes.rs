@@ -1,13 +1,14 @@
-/*! Sizes that MuJoCo takes at their word.
+/*! Limits on the sizes that an MJCF text may ask for.
 
-An MJCF text says how large a height field, a texture or a buffer is, or how long a solver tries, and MuJoCo 2.2.2 allocates
-and does just that: a slip of the keyboard costs all memory and minutes, where no error handler helps. Such numbers are
-refused before MuJoCo sees the text, and so is what would have it read other files than it is given.
+An MJCF text states the size of a height field, a texture or a buffer, and the number of solver iterations, and MuJoCo
+2.2.2
+allocates and iterates as stated: one typing error costs all memory and minutes, where no error handler helps. Such
+numbers are refused before MuJoCo sees the text, and so are references to other files than the given ones.
 */
 
 use crate::util::xml::Element;
 
-/// Elements, attributes, and the largest product of the numbers in one.
+/// Limited attributes: element, attributes, and the largest product of their numbers.
 const LIMITS: [(&str, &str, f64); 17] = [
     ("hfield", "nrow", 4_096.0),
     ("hfield", "ncol", 4_096.0),
@@ -29,13 +30,13 @@ const LIMITS: [(&str, &str, f64); 17] = [
     ("lengthrange", "inttotal", 1_000.0),
 ];
 
-/// Numbers beside each body, joint and so on: `nuser_body` and its like.
+/// Prefix and limit of the attributes that add numbers to each body, joint and so on: `nuser_body` and its like.
 const PER_ELEMENT: (&str, f64) = ("nuser_", 100.0);
 
-/// Refuses what asks for more than any scene needs.
+/// Checks that an MJCF tree does not ask for more memory or time than any scene needs.
 ///
 /// # Errors
-/// In words: the attribute, what was found and expected.
+/// An attribute is beyond its limit; the text says what was found and what was expected.
 pub fn check_sizes(element: &Element) -> Result<(), String> {
     for (name, value) in &element.attributes {
         let own = LIMITS.iter().find(|(of, limited, _)| *of == element.name && limited == name);
@@ -49,10 +50,10 @@ pub fn check_sizes(element: &Element) -> Result<(), String> {
     element.children.iter().try_for_each(check_sizes)
 }
 
-/// Refuses files beside those that are given by name.
+/// Checks that an MJCF tree includes no other files than the given ones.
 ///
 /// # Errors
-/// In words: which one.
+/// Another file is included; the text names it.
 pub fn check_includes(element: &Element, given: &[&str]) -> Result<(), String> {
     if let ("include", Some(file)) = (element.name.as_str(), element.get("file"))
         && !given.contains(&file)
@@ -62,7 +63,7 @@ pub fn check_includes(element: &Element, given: &[&str]) -> Result<(), String> {
     element.children.iter().try_for_each(|child| check_includes(child, given))
 }
 
-/// As the parser reads a whole number: digits up to whatever comes then.
+/// Parses a whole number as MuJoCo does: digits up to the first other character.
 fn leading_number(word: &str) -> f64 {
     let word = word.strip_prefix('+').unwrap_or(word);
     let end = word.find(|character: char| !character.is_ascii_digit()).unwrap_or(word.len());

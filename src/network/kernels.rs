@@ -1,5 +1,4 @@
-/*!
-The products and activations of the learner, in portable SIMD.
+/*! The matrix products and activations of the learner, in portable SIMD.
 
 Three matrix products make up a training step of a linear layer: `y = x·Wᵀ + b`, `δx = δy·W` and `δWᵀ = xᵀ·δy`. All
 three are the same sum `c[m, n] = Σ_k a[m, k]·b[k, n]` with `b` contiguous in `n`, so there is one register-tiled
@@ -20,16 +19,16 @@ use std::ops::{Deref, DerefMut};
 
 use pulp::{Arch, Simd, WithSimd};
 
-/// Columns of a panel.
+/// Number of columns of a panel.
 pub const PANEL: usize = 32;
 
-/// Floats in a cache line, and in the widest vector.
+/// Number of floats in a cache line, and in the widest vector.
 const LINE: usize = 16;
 
-/// A row of a panel.
+/// A row of a panel: [`PANEL`] columns.
 pub type Row = [f32; PANEL];
 
-/// Zeroed floats that start on a cache line: a vector load then never touches two lines.
+/// A zero-initialised float array that starts on a cache line, so that a vector load never touches two lines.
 #[derive(Debug)]
 pub struct Buffer {
     storage: Vec<f32>,
@@ -38,7 +37,7 @@ pub struct Buffer {
 }
 
 impl Buffer {
-    /// `len` zeros.
+    /// Allocates `len` zeros.
     pub fn zeros(len: usize) -> Self {
         let storage = vec![0.0; len + LINE - 1];
         let start = storage.as_ptr().align_offset(LINE * size_of::<f32>()).min(LINE - 1);
@@ -78,7 +77,7 @@ impl DerefMut for Buffer {
     }
 }
 
-/// A matrix in panels, one after the other. What lies beyond the columns in use does not count.
+/// A matrix stored as panels, one after the other. Columns beyond those in use have no meaning.
 #[derive(Debug)]
 pub struct Matrix {
     rows: usize,
@@ -86,17 +85,17 @@ pub struct Matrix {
 }
 
 impl Matrix {
-    /// Zeros.
+    /// Allocates a matrix of zeros.
     pub fn zeros(rows: usize, columns: usize) -> Self {
         Self { rows, values: Buffer::zeros(rows * columns.next_multiple_of(PANEL)) }
     }
 
-    /// Columns that there is room for.
+    /// Returns the number of columns that fit into the panels.
     pub fn columns(&self) -> usize {
         self.values.len() / self.rows
     }
 
-    /// The panel that starts at column 32 `index`.
+    /// Returns the panel that starts at column 32 · `index`.
     pub fn panel(&self, index: usize) -> &[Row] {
         &self.values.rows()[index * self.rows..][..self.rows]
     }
@@ -111,7 +110,7 @@ impl Matrix {
         self.values.rows_mut().chunks_mut(self.rows)
     }
 
-    /// Sets the first columns of a row.
+    /// Writes the first columns of a row.
     pub fn set_row(&mut self, row: usize, values: &[f32]) {
         for (panel, values) in self.panels_mut().zip(values.chunks(PANEL)) {
             panel[row][..values.len()].copy_from_slice(values);
@@ -126,44 +125,44 @@ impl Matrix {
     }
 }
 
-/// `c[m, n] = finish(start(n) + Σ_k a[m, k]·b[k, n])`, where `b` and `c` are a panel each.
+/// The product `c[m, n] = finish(start(n) + Σ_k a[m, k]·b[k, n])`, where `b` and `c` are one panel each.
 pub struct Product<'a> {
-    /// Number of `m`. With `a_transposed` up to 32.
+    /// Number of rows `m`; up to 32 with `a_transposed`.
     pub rows: usize,
-    /// Number of `n` that matter, up to 32.
+    /// Number of columns `n` in use, up to 32.
     pub columns: usize,
-    /// The inner dimension, in order.
+    /// The stretches of the inner dimension `k`, in order.
     pub stretches: &'a [Stretch<'a>],
-    /// `a` is stored as (k, m) rather than (m, k).
+    /// True if `a` is stored as (k, m) rather than (m, k).
     pub a_transposed: bool,
-    /// The start and the end of the sums.
+    /// The start values and the final operation of the sums.
     pub ends: Ends<'a>,
-    /// Shape (m, n).
+    /// The result, shape (m, n).
     pub c: &'a mut [Row],
 }
 
-/// Consecutive `k` of a product, with the parts of `a` and `b` that belong to them.
+/// A stretch of consecutive `k` of a product, with the matching parts of `a` and `b`.
 #[derive(Clone, Copy)]
 pub struct Stretch<'a> {
-    /// Left operand, a panel of it: shape (m, k), of up to 32 `k`, or shape (k, m).
+    /// Left operand, one panel: shape (m, k) with up to 32 `k`, or shape (k, m).
     pub a: &'a [Row],
     /// Right operand, shape (k, n).
     pub b: &'a [Row],
 }
 
-/// The start and the end of a product's sums.
+/// The start values and the final operation of a product's sums.
 pub enum Ends<'a> {
-    /// Begin with the bias and end with ELU, if asked for: a layer's output.
+    /// Starts with the bias and ends with ELU if `elu` is set: a layer's output.
     Bias { bias: &'a Row, elu: bool },
-    /// Begin with zero and end with a factor ELU′, where `y`, shaped like `c`, is ELU's output: the loss gradient one
+    /// Starts with zero and ends with a factor ELU′, where `y`, shaped like `c`, is ELU's output: the loss gradient one
     /// layer further back.
     EluSlope { y: &'a [Row] },
-    /// Begin with what `c` holds: the loss gradient by the weights.
+    /// Starts with the content of `c`: the loss gradient by the weights.
     Add,
 }
 
 impl Product<'_> {
-    /// Sets `c`.
+    /// Computes the product into `c`.
     #[inline(never)] // one copy of the kernels for all callers
     pub fn compute(self, arch: Arch) {
         arch.dispatch(self);
@@ -203,7 +202,8 @@ impl Product<'_> {
         }
     }
 
-    /// `V` vectors of columns, all rows. Where the rows do not divide, the last tile overlaps the one before if it may.
+    /// Computes all rows of `V` vectors of columns. If the rows do not divide, the last tile overlaps the one before if
+    /// allowed.
     #[inline(always)]
     fn strip<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, column: usize) {
         // What is added to must not be met twice.
@@ -224,7 +224,7 @@ impl Product<'_> {
         }
     }
 
-    /// `R` rows of `V` vectors.
+    /// Computes a tile of `R` rows and `V` vectors.
     #[inline(always)]
     fn tile<S: Simd, const A_T: bool, const R: usize, const V: usize>(&mut self, simd: S, row: usize, column: usize) {
         let mut sums = [[simd.splat_f32s(0.0); V]; R];
@@ -303,28 +303,28 @@ fn load<S: Simd>(from: &[f32]) -> S::f32s {
     S::as_simd_f32s(&from[..S::F32_LANES]).0[0]
 }
 
-/// `x` where positive, `eˣ − 1` elsewhere (also for NaN).
+/// Computes ELU: `x` where positive, `eˣ − 1` elsewhere (also for NaN).
 #[inline(always)]
 fn elu<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     let positive = simd.greater_than_f32s(x, simd.splat_f32s(0.0));
     simd.select_f32s(positive, x, exp_m1(simd, x))
 }
 
-/// ELU′ from ELU's output: 1 where positive, `y + 1` elsewhere.
+/// Computes ELU′ from ELU's output: 1 where positive, `y + 1` elsewhere.
 #[inline(always)]
 fn elu_slope<S: Simd>(simd: S, y: S::f32s) -> S::f32s {
     let one = simd.splat_f32s(1.0);
     simd.select_f32s(simd.greater_than_f32s(y, simd.splat_f32s(0.0)), one, simd.add_f32s(y, one))
 }
 
-/// `eˣ − 1` to about 1 ulp for `x ≤ 0`; meaningless above.
+/// Computes `eˣ − 1` to about 1 ulp for `x ≤ 0`; the result for positive `x` has no meaning.
 ///
-/// With `n = round(x / ln 2)` and `r = x − n ln 2` it is `2ⁿ (eʳ − 1) + (2ⁿ − 1)`. The polynomial is the minimax fit of
+/// For `n = round(x / ln 2)` and `r = x − n ln 2` it is `2ⁿ (eʳ − 1) + (2ⁿ − 1)`. The polynomial is the minimax fit of
 /// `(eʳ − 1 − r) / r²` on `|r| ≤ ln 2 / 2`, weighted to the least error of `eʳ` (Lawson's iteration).
 #[inline(always)]
 fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     const C: [f32; 5] = [0.499_999_94, 0.166_665_21, 0.041_668_39, 0.008_368_717, 0.001_381_459_9];
-    /// Adding it leaves `n + 127`, the exponent field of `2ⁿ`, in the lowest bits.
+    /// Constant whose addition leaves `n + 127`, the exponent field of `2ⁿ`, in the lowest bits.
     const ROUND: f32 = 12_582_912.0 + 127.0;
 
     // e⁻³⁰ − 1 is −1 already, and 2ⁿ stays a normal number. A comparison, not a maximum, so that NaN passes.
@@ -344,11 +344,11 @@ fn exp_m1<S: Simd>(simd: S, x: S::f32s) -> S::f32s {
     simd.mul_add_f32s(scale, p, simd.sub_f32s(scale, simd.splat_f32s(1.0)))
 }
 
-/// Adds the columns of all stretches of `b` to `sums`: the loss gradient by the bias.
+/// Column sums of all stretches of `b`, added to `sums`: the loss gradient by the bias.
 pub struct ColumnSums<'a> {
-    /// Only their `b` counts.
+    /// The stretches, of which only `b` is used.
     pub stretches: &'a [Stretch<'a>],
-    /// One for each column.
+    /// The sums, one for each column.
     pub sums: &'a mut Row,
 }
 
@@ -369,7 +369,7 @@ impl WithSimd for ColumnSums<'_> {
     }
 }
 
-/// `Σ x²`, in a fixed order.
+/// The sum of squares `Σ x²`, in a fixed order.
 pub struct SumOfSquares<'a>(pub &'a [f32]);
 
 impl WithSimd for SumOfSquares<'_> {

@@ -1,5 +1,4 @@
-/*!
-Weights of the policy and the value function, as plain numbers.
+/*! Weights of the policy and the value function as plain numbers.
 
 Everything else (both learners, inference, checkpoints, ONNX) reads and writes this form.
 */
@@ -12,19 +11,19 @@ use rand_distr::{Distribution, StandardNormal};
 /// A linear layer, `y = W·x + b`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer {
-    /// Shape (outputs, inputs), row-major, as in PyTorch.
+    /// Weights `W`, shape (outputs, inputs), row-major as in PyTorch.
     pub weight: Vec<f32>,
-    /// Shape (outputs).
+    /// Biases `b`, shape (outputs).
     pub bias: Vec<f32>,
 }
 
 impl Layer {
-    /// All zero.
+    /// Creates a layer of zeros.
     pub fn zeros(inputs: usize, outputs: usize) -> Self {
         Self { weight: vec![0.0; inputs * outputs], bias: vec![0.0; outputs] }
     }
 
-    /// Weights with orthonormal rows or columns, whichever are fewer, times `gain`; no bias.
+    /// Creates weights with orthonormal rows or columns, whichever are fewer, times `gain`, and biases of zero.
     pub fn orthogonal(inputs: usize, outputs: usize, gain: f64, rng: &mut impl Rng) -> Self {
         let vectors = orthonormal_vectors(inputs.min(outputs), inputs.max(outputs), rng);
         let mut layer = Self::zeros(inputs, outputs);
@@ -36,12 +35,12 @@ impl Layer {
         layer
     }
 
-    /// Number of inputs.
+    /// Returns the number of inputs.
     pub fn inputs(&self) -> usize {
         self.weight.len() / self.bias.len()
     }
 
-    /// Number of outputs.
+    /// Returns the number of outputs.
     pub fn outputs(&self) -> usize {
         self.bias.len()
     }
@@ -50,7 +49,7 @@ impl Layer {
 /// A multilayer perceptron: ELU (α = 1) after each layer but the last.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mlp {
-    /// The layers from the input on; never empty.
+    /// The layers from input to output; never empty.
     pub layers: Vec<Layer>,
 }
 
@@ -62,17 +61,17 @@ impl Mlp {
         Mlp { layers: widths.windows(2).enumerate().map(layer).collect() }
     }
 
-    /// Number of inputs.
+    /// Returns the number of inputs.
     pub fn inputs(&self) -> usize {
         self.layers.first().map_or(0, Layer::inputs)
     }
 
-    /// Number of outputs.
+    /// Returns the number of outputs.
     pub fn outputs(&self) -> usize {
         self.layers.last().map_or(0, Layer::outputs)
     }
 
-    /// Names, shapes and values in order: `0.weight`, `0.bias`, …, each after `prefix`.
+    /// Returns names, shapes and values in order: `0.weight`, `0.bias`, …, each name after `prefix`.
     pub fn tensors(&self, prefix: &str) -> Vec<(String, Vec<usize>, &[f32])> {
         let mut tensors = Vec::new();
         for (k, layer) in self.layers.iter().enumerate() {
@@ -83,10 +82,10 @@ impl Mlp {
         tensors
     }
 
-    /// The inverse of [`Mlp::tensors`] with no prefix, in any order.
+    /// Creates a network from the tensors of [`Mlp::tensors`] with an empty prefix, in any order.
     ///
     /// # Errors
-    /// In words: a tensor is missing, or does not fit the others or this number of inputs or outputs.
+    /// A tensor is missing, or its shape does not fit the others or the number of inputs or outputs.
     pub fn from_tensors(
         tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
         inputs: usize,
@@ -99,24 +98,24 @@ impl Mlp {
 /// A Gaussian policy with state-independent standard deviation, and a value function.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ActorCritic {
-    /// Observation to mean action.
+    /// Network from observation to mean action.
     pub policy: Mlp,
-    /// Observation to value (one output).
+    /// Network from observation to value (one output).
     pub value: Mlp,
-    /// `ln σ` of the actions.
+    /// `ln σ` of each action, shape (actions).
     pub log_std: Vec<f32>,
 }
 
 impl ActorCritic {
-    /// Initialised as in Stable-Baselines3: orthogonal weights with gain √2 in hidden layers, 0.01 in the policy's last
-    /// and 1 in the value's last layer; biases zero; `ln σ` the same for all actions.
+    /// Initialises as Stable-Baselines3 does: orthogonal weights with gain √2 in hidden layers, 0.01 in the policy's
+    /// last and 1 in the value's last layer; biases zero; `ln σ` the same for all actions.
     pub fn orthogonal(observations: usize, hidden: &[usize], actions: usize, log_std: f32, rng: &mut impl Rng) -> Self {
         let policy = Mlp::orthogonal(&[&[observations], hidden, &[actions]].concat(), 0.01, rng);
         let value = Mlp::orthogonal(&[&[observations], hidden, &[1]].concat(), 1.0, rng);
         Self { policy, value, log_std: vec![log_std; actions] }
     }
 
-    /// All zero, with the shapes of `self`.
+    /// Returns zeros with the shapes of `self`.
     pub fn zeros_like(&self) -> Self {
         let zeros = |mlp: &Mlp| Mlp {
             layers: mlp.layers.iter().map(|layer| Layer::zeros(layer.inputs(), layer.outputs())).collect(),
@@ -124,7 +123,7 @@ impl ActorCritic {
         Self { policy: zeros(&self.policy), value: zeros(&self.value), log_std: vec![0.0; self.log_std.len()] }
     }
 
-    /// Names, shapes and values in a fixed order: `policy.0.weight`, `policy.0.bias`, …, `value.0.weight`, …,
+    /// Returns names, shapes and values in a fixed order: `policy.0.weight`, `policy.0.bias`, …, `value.0.weight`, …,
     /// `log_std`.
     pub fn tensors(&self) -> Vec<(String, Vec<usize>, &[f32])> {
         let mut tensors = [self.policy.tensors("policy."), self.value.tensors("value.")].concat();
@@ -132,10 +131,10 @@ impl ActorCritic {
         tensors
     }
 
-    /// The inverse of [`Self::tensors`], in any order.
+    /// Creates the networks from the tensors of [`Self::tensors`], in any order.
     ///
     /// # Errors
-    /// In words: a tensor is missing, belongs to nothing, or does not fit the others.
+    /// A tensor is missing, has an unknown name, or does not fit the others.
     pub fn from_tensors(tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>) -> Result<Self, String> {
         let mut tensors = by_name(tensors);
         let log_std = take(&mut tensors, "log_std", &[None])?;
@@ -154,7 +153,7 @@ fn by_name(tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>) ->
     tensors.into_iter().map(|(name, shape, values)| (name, (shape, values))).collect()
 }
 
-/// Values of a tensor, where the sizes that are known are as expected.
+/// Takes the values of a tensor whose shape agrees with the sizes that are known.
 fn take(tensors: &mut Tensors, name: &str, known: &[Option<usize>]) -> Result<Vec<f32>, String> {
     let (shape, values) = tensors.remove(name).ok_or_else(|| format!("there is no tensor `{name}`"))?;
     let size = |(k, known): (usize, &Option<usize>)| known.or(shape.get(k).copied()).unwrap_or(0);
@@ -182,8 +181,8 @@ fn take_mlp(tensors: &mut Tensors, prefix: &str, inputs: Option<usize>, outputs:
     }
 }
 
-/// `count` orthonormal vectors of `length` ≥ `count`, uniform over all such: Gram-Schmidt, twice over for accuracy, on
-/// normal deviates. This is the Q of their QR decomposition with positive diagonal of R.
+/// Draws `count` orthonormal vectors of `length` ≥ `count`, uniformly: Gram-Schmidt, run twice for accuracy, on normal
+/// deviates. This is the Q of their QR decomposition with a positive diagonal of R.
 fn orthonormal_vectors(count: usize, length: usize, rng: &mut impl Rng) -> Vec<Vec<f64>> {
     let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let mut vectors: Vec<Vec<f64>> = Vec::with_capacity(count);

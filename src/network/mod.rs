@@ -1,7 +1,7 @@
-/*! Networks: their weights as plain numbers, and their evaluation.
+/*! Networks: weights as plain numbers, and their evaluation.
 
-Everything that has or trains a network reads and writes [`Mlp`]: learners, policy files, the contact network, ONNX.
-[`PackedMlp`] evaluates one, with the same bits for a row alone and in a batch.
+Start with [`Mlp`] and [`ActorCritic`], the form in which learners, policy files, the contact network and ONNX exchange
+weights. [`PackedMlp`] evaluates a network, with the same bits for a row alone and in a batch.
 */
 
 pub(crate) mod kernels;

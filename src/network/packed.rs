@@ -1,6 +1,4 @@
-/*!
-Inference, with weights rearranged for the kernels.
-*/
+//! Inference of a network whose weights are rearranged for the SIMD kernels.
 
 use pulp::Arch;
 
@@ -8,11 +6,11 @@ use super::kernels::{Buffer, Matrix};
 use super::panel::{self, pack, panel_starts};
 use super::{Layer, Mlp};
 
-/// Rows that go through a network together: their activations stay in the cache between layers.
+/// Number of rows evaluated together, so that their activations stay in the cache between layers.
 pub const BLOCK: usize = 64;
 
-/// A network ready for evaluation. Rows may be evaluated in any grouping, on any number of threads at once: each row's
-/// bits stay the same.
+/// A network packed for evaluation. Rows may be evaluated in any grouping and on any number of threads: the bits of
+/// each row stay the same.
 #[derive(Debug)]
 pub struct PackedMlp {
     arch: Arch,
@@ -26,10 +24,10 @@ struct PackedLayer {
     panels: Vec<Buffer>,
 }
 
-/// Intermediate activations of [`PackedMlp::forward`]; one for each thread.
+/// Intermediate activations of [`PackedMlp::forward`]; each thread needs its own.
 #[derive(Debug)]
 pub struct Scratch {
-    /// A layer's input and its output.
+    /// Input and output of a layer.
     activations: [Matrix; 2],
 }
 
@@ -40,7 +38,7 @@ impl Default for Scratch {
 }
 
 impl PackedMlp {
-    /// Packs the weights.
+    /// Packs the weights of a network.
     pub fn new(mlp: &Mlp) -> Self {
         let pack_layer = |layer: &Layer| PackedLayer {
             outputs: layer.outputs(),
@@ -49,21 +47,21 @@ impl PackedMlp {
         Self { arch: Arch::new(), inputs: mlp.inputs(), layers: mlp.layers.iter().map(pack_layer).collect() }
     }
 
-    /// Width of the input.
+    /// Returns the number of inputs.
     pub fn inputs(&self) -> usize {
         self.inputs
     }
 
-    /// Width of the output.
+    /// Returns the number of outputs.
     pub fn outputs(&self) -> usize {
         self.layers.last().map_or(self.inputs, |layer| layer.outputs)
     }
 
-    /// Evaluates `inputs`, shape (rows, inputs), to `outputs`, shape (rows, outputs). Allocates next to nothing once
-    /// `scratch` has served a network as wide.
+    /// Evaluates `inputs`, shape (rows, inputs), into `outputs`, shape (rows, outputs). Allocates almost nothing once
+    /// `scratch` has served a network of this width.
     ///
     /// # Panics
-    /// When the slices do not have these shapes.
+    /// The slices do not have these shapes.
     pub fn forward(&self, rows: usize, inputs: &[f32], outputs: &mut [f32], scratch: &mut Scratch) {
         let output_count = self.outputs();
         assert_eq!(inputs.len(), rows * self.inputs, "inputs must have shape (rows, inputs)");

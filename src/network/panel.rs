@@ -1,23 +1,21 @@
-/*!
-Layers cut into panels of 32 outputs, the unit in which weights are stored.
-*/
+//! Layers split into panels of 32 outputs, the unit in which weights are stored.
 
 use pulp::Arch;
 
 use super::Layer;
 use super::kernels::{Buffer, Ends, Matrix, PANEL, Product, Stretch};
 
-/// First output of each panel of a layer with `outputs` outputs.
+/// Iterates over the first output of each panel of a layer with `outputs` outputs.
 pub fn panel_starts(outputs: usize) -> impl Iterator<Item = usize> {
     (0..outputs).step_by(PANEL)
 }
 
-/// Outputs in the panel that starts at `first`, without padding.
+/// Returns the number of outputs in the panel that starts at `first`, without padding.
 pub fn panel_outputs(outputs: usize, first: usize) -> usize {
     PANEL.min(outputs - first)
 }
 
-/// The panel that starts at output `first`: a row for each input, the bias last.
+/// Packs the panel that starts at output `first`: a row for each input, the bias last.
 pub fn pack(layer: &Layer, first: usize) -> Buffer {
     let inputs = layer.inputs();
     let mut values = Buffer::zeros((inputs + 1) * PANEL);
@@ -29,7 +27,7 @@ pub fn pack(layer: &Layer, first: usize) -> Buffer {
     values
 }
 
-/// The inverse of [`pack`].
+/// Writes the values of a panel back into a layer; the inverse of [`pack`].
 pub fn unpack(values: &Buffer, first: usize, layer: &mut Layer) {
     let inputs = layer.inputs();
     for i in 0..panel_outputs(layer.outputs(), first) {
@@ -38,7 +36,7 @@ pub fn unpack(values: &Buffer, first: usize, layer: &mut Layer) {
     }
 }
 
-/// A layer's output for the first `rows` rows of `x`, panel by panel.
+/// Computes a layer's output for the first `rows` rows of `x`, panel by panel.
 pub fn forward<'a>(
     arch: Arch,
     rows: usize,

@@ -1,4 +1,4 @@
-//! An entry of an observation: as it is written in a file, and checked.
+//! An entry of an observation, as written in a file and checked.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,31 +6,32 @@ use super::Quantity;
 use super::quantity::Kind;
 use crate::robot::{JOINTS, Joints};
 
-/// Longest history \[policy steps\].
+/// Maximum age of a quantity \[policy steps\].
 const MAX_STEPS_AGO: u32 = 200;
 
-/// Longest observation.
+/// Maximum length of an observation.
 pub(super) const MAX_LENGTH: usize = 1 << 16;
 
-/// An entry of an observation, as it is written in a file. What is left out has the value in brackets.
+/// An entry of an observation, as written in a file. A missing key has the value in brackets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Observed {
-    /// The quantity.
+    /// The observed quantity.
     pub quantity: Quantity,
-    /// Parts of a vector, in order: forward, left, up, or backward, right, down; yaw of a command [forward, left, up].
+    /// Elements of a vector, in order: forward, left, up, or backward, right, down; yaw of a command [forward, left,
+    /// up].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub elements: Option<Vec<String>>,
-    /// How old, in policy steps, or several ages in order \[0\].
+    /// Age in policy steps, or several ages in order \[0\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_ago: Option<Ages>,
-    /// Subtracted \[0\].
+    /// Offset, subtracted first \[0\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub offset: Option<Numbers>,
-    /// Multiplied with after that, not zero \[1\].
+    /// Scale, applied after the offset; not zero \[1\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scale: Option<Numbers>,
-    /// Limit after that; none if left out.
+    /// Limit of the scaled value, ± `clip`; unlimited if missing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub clip: Option<f64>,
     /// Frequency of the clocks \[Hz\].
@@ -39,13 +40,13 @@ pub struct Observed {
     /// Phases of the clocks, as fractions of a period \[0\].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub phases: Option<Vec<f64>>,
-    /// Values of the constants.
+    /// Values of the quantity [`Quantity::Constant`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub values: Option<Vec<f64>>,
 }
 
 impl Observed {
-    /// A quantity of now as it is.
+    /// Creates an entry of a quantity at the present step, with offset 0 and scale 1.
     pub fn now(quantity: Quantity) -> Self {
         Observed {
             quantity,
@@ -61,79 +62,80 @@ impl Observed {
     }
 }
 
-/// A number, one for each element, or a number that the robot or the action decides.
+/// An offset or a scale: one number, one for each element, or a name for a number of the robot or the action.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "expected a number, a list of numbers, `nominal` (an offset) or `action` (a scale)")]
 pub enum Numbers {
-    /// The same for all elements.
+    /// One number for all elements.
     All(f64),
-    /// The entries, in the order of the observation.
+    /// One number for each element, in the order of the observation.
     Each(Vec<f64>),
-    /// See [`Word`].
+    /// The name of a number.
     Word(Word),
 }
 
-/// A number in words.
+/// A name that stands for a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Word {
-    /// As an offset: what the quantity is in the nominal pose, for base height, joint angles and targets.
+    /// The offset that equals the value in the nominal pose, for base height, joint angles and joint targets.
     Nominal,
-    /// As a scale of joints: one over that of the action, so that targets become what the network has put out.
+    /// The scale of joint values that is the inverse scale of the action, which turns joint targets back into network
+    /// outputs.
     Action,
 }
 
-/// An age, or several.
+/// One age or several ages \[policy steps\].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged, expecting = "expected a number of steps or a list of them")]
 pub enum Ages {
-    /// One.
+    /// One age.
     One(u32),
-    /// Several, in order.
+    /// Several ages, in order.
     Several(Vec<u32>),
 }
 
-/// The numbers that named offsets and scales stand for.
+/// Values behind the named offsets and scales.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nominal {
-    /// Joint angles, our order \[rad\].
+    /// Joint angles of the nominal pose \[rad\].
     pub pose: Joints,
-    /// Base height \[m\].
+    /// Base height in the nominal pose \[m\].
     pub height_m: f64,
-    /// The policy's order \[rad\] per unit of action.
+    /// Change of the joint target per unit of action, in the policy's order of joints \[rad\].
     pub action_scale_rad: Joints,
 }
 
-/// A stretch of the observation, at one age or several.
+/// A checked entry of the observation: one quantity at one age or several.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Block {
-    /// The quantity.
+    /// The observed quantity.
     pub quantity: Quantity,
-    /// Axis of each element of a vector (forward, left, up or yaw), and its sign.
+    /// Axis (forward, left, up or yaw) and sign of each element of a vector.
     pub axes: Vec<(usize, f64)>,
-    /// Policy steps ago, in order.
+    /// Ages in order \[policy steps\].
     pub steps_ago: Vec<u32>,
     /// Frequency of the clocks \[Hz\].
     pub frequency_hz: f64,
-    /// Phases of clocks, or values of constants.
+    /// Phases of clocks (fractions of a period), or values of constants.
     pub values: Vec<f64>,
     pub(super) width: usize,
-    /// Where it begins in a frame.
+    /// Index of the block's first number in a frame.
     pub(super) start: usize,
 }
 
 impl Block {
-    /// Numbers in all.
+    /// Returns the number of values, over all ages.
     pub fn length(&self) -> usize {
         self.width * self.steps_ago.len()
     }
 
-    /// Unit of its numbers; of a command, three.
+    /// Returns the unit of the values; three units for a command.
     pub fn unit(&self) -> &'static str {
         self.quantity.about().2
     }
 
-    /// Names of the elements, such as left, up, forward; empty if the quantity is no vector.
+    /// Returns the names of the elements, such as left, up, forward; empty if the quantity is no vector.
     pub fn elements(&self) -> Vec<&'static str> {
         let command = self.quantity.about().0 == Kind::Command;
         self.axes.iter().map(|(axis, sign)| part(*axis, *sign, command)).collect()
@@ -215,7 +217,7 @@ pub(super) fn scale(entry: &Observed, block: &Block, nominal: &Nominal) -> Resul
     }
 }
 
-/// A part of a vector in words.
+/// Returns the name of a vector's element, such as `left`.
 fn part(axis: usize, sign: f64, command: bool) -> &'static str {
     match (axis, sign > 0.0) {
         (0, true) => "forward",
@@ -240,7 +242,7 @@ fn axis(name: &str, third: &str) -> Result<(usize, f64), String> {
     }
 }
 
-/// One number for each element, finite.
+/// Checks an offset or a scale, and returns one finite number for each element.
 pub(crate) fn numbers(key: &str, found: Option<&Numbers>, width: usize, default: f64) -> Result<Vec<f64>, String> {
     let numbers = match found {
         None => vec![default; width],
@@ -257,7 +259,7 @@ pub(crate) fn numbers(key: &str, found: Option<&Numbers>, width: usize, default:
     Ok(numbers)
 }
 
-/// A limit, infinite if there is none.
+/// Checks a limit; infinite if there is none.
 pub(crate) fn limit(key: &str, found: Option<f64>) -> Result<f64, String> {
     match found {
         None => Ok(f64::INFINITY),

@@ -1,4 +1,4 @@
-//! A list of observed quantities, checked and made ready: what is measured, where each number of the observation comes from.
+//! The layout of an observation: a checked list of quantities, and the origin of each number.
 
 use super::Quantity;
 use super::entry::{Block, MAX_LENGTH, Nominal, Observed, ages, block, limit, offset, scale};
@@ -7,25 +7,25 @@ use super::quantity::Kind;
 use crate::robot::{JOINTS, Robot, joint_name};
 use crate::util::numbers::finite_in_single;
 
-/// Where a number of the observation comes from.
+/// The origin of a number of the observation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Source {
-    /// Steps ago.
+    /// Age of the frame \[policy steps\].
     pub(super) age: usize,
-    /// Within the frame of that step.
+    /// Index of the number within that frame.
     pub(super) index: usize,
 }
 
-/// A checked observation.
+/// The layout of an observation.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layout {
     blocks: Vec<Block>,
-    /// Index in our joint order of each of the policy's joints.
+    /// Index in Supple's order of each of the policy's joints.
     order: [usize; JOINTS],
-    /// Steps ago of each repetition of the whole, in order.
+    /// Ages of the repetitions of the whole observation, in order \[policy steps\].
     history: Vec<u32>,
     sources: Vec<Source>,
-    /// Shape (length) each, in the observation's units.
+    /// Offset of each number, shape (length), in its unit.
     offset: Vec<f64>,
     scale: Vec<f64>,
     clip: Vec<f64>,
@@ -33,18 +33,19 @@ pub struct Layout {
 }
 
 impl Layout {
-    /// The observation of `entries`, of a policy that has the joints in our order.
+    /// Creates the layout of `entries` for a policy with Supple's order of joints.
     ///
     /// # Errors
-    /// In words: the entry, what was found and what was expected.
+    /// An entry is invalid; the text names it, what was found and what was expected.
     pub fn new(entries: &[Observed], nominal: &Nominal) -> Result<Self, String> {
         Self::repeated(entries, &[0], None, std::array::from_fn(|joint| joint), nominal)
     }
 
-    /// As [`Layout::new`], repeated as of so many steps ago, limited to ± `clip`, with the joints in another order.
+    /// Creates a layout like [`Layout::new`] that repeats the observation at the ages `history`, limits it to ± `clip`,
+    /// and has another order of joints.
     ///
     /// # Errors
-    /// As [`Layout::new`].
+    /// An entry, the history or the limit is invalid; the text names it, what was found and what was expected.
     pub fn repeated(
         entries: &[Observed],
         history: &[u32],
@@ -98,50 +99,50 @@ impl Layout {
         Ok(layout)
     }
 
-    /// Numbers of the observation.
+    /// Returns the length of the observation.
     pub fn length(&self) -> usize {
         self.sources.len()
     }
 
-    /// Its parts, in order; each repeated as of the [`Layout::history`].
+    /// Returns the blocks in order; all of them are repeated for each age in [`Layout::history`].
     pub fn blocks(&self) -> &[Block] {
         &self.blocks
     }
 
-    /// Steps ago of each repetition of the whole.
+    /// Returns the ages of the repetitions of the whole observation \[policy steps\].
     pub fn history(&self) -> &[u32] {
         &self.history
     }
 
-    /// Index in our joint order of each of the policy's joints.
+    /// Returns the index in Supple's order of each of the policy's joints.
     pub fn order(&self) -> &[usize; JOINTS] {
         &self.order
     }
 
-    /// Subtracted from each number, shape (length), in its unit.
+    /// Returns the offset of each number, in its unit, shape (length).
     pub fn offset(&self) -> &[f64] {
         &self.offset
     }
 
-    /// Scale of each number, applied after the offset; shape (length).
+    /// Returns the scale of each number, applied after the offset, shape (length).
     pub fn scale(&self) -> &[f64] {
         &self.scale
     }
 
-    /// Limit of each number after that, shape (length); infinite for none.
+    /// Returns the limit of each scaled number, infinite for none, shape (length).
     pub fn clip(&self) -> &[f64] {
         &self.clip
     }
 
-    /// True if any number is limited.
+    /// Returns true if any number is limited.
     pub fn clips(&self) -> bool {
         self.clip.iter().any(|clip| clip.is_finite())
     }
 
-    /// The same observation with other offsets and scales, shape (length) each.
+    /// Returns the same layout with other offsets and scales, shape (length) each.
     ///
     /// # Errors
-    /// In words, if they have other lengths.
+    /// Offset or scale has another length, or a number that is not finite.
     pub fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, String> {
         let (found, expected) = ([offset.len(), scale.len()], self.length());
         if found != [expected; 2] {
@@ -152,7 +153,7 @@ impl Layout {
         Ok(self)
     }
 
-    /// One that sees NaN in its first number.
+    /// Returns a layout that produces NaN in its first number, for tests.
     #[cfg(test)]
     pub(crate) fn blinded(&self) -> Self {
         let mut layout = self.clone();
@@ -160,7 +161,7 @@ impl Layout {
         layout
     }
 
-    /// Networks see single precision, in which larger numbers are infinite.
+    /// Checks that offsets and scales are finite in single precision, which networks use.
     fn check_normaliser(&self) -> Result<(), String> {
         let finite = |k: &usize| finite_in_single(&[self.offset[*k], self.scale[*k]]);
         let Some(k) = (0..self.length()).find(|k| !finite(k)) else { return Ok(()) };
@@ -168,12 +169,12 @@ impl Layout {
         Err(format!("the offset {offset:e} or the scale {scale:e} of '{name}' is not finite in single precision"))
     }
 
-    /// Number `k` of the observation as the network sees it.
+    /// Normalises number `k` of the observation for the network.
     pub fn normalised(&self, k: usize, raw: f64) -> f32 {
         ((raw - self.offset[k]) * self.scale[k]).clamp(-self.clip[k], self.clip[k]) as f32
     }
 
-    /// Name and unit of every number, such as `previous gravity left [m/s^2]`.
+    /// Returns name and unit of every number, such as `previous gravity left [m/s^2]`.
     pub fn names(&self) -> Vec<String> {
         let mut names = Vec::with_capacity(self.length());
         for frame in &self.history {
@@ -204,10 +205,10 @@ impl Layout {
         names
     }
 
-    /// Source index and sign of each number under a left-right mirror.
+    /// Returns source index and sign of each number under a left-right mirror.
     ///
     /// # Errors
-    /// In words: what has no mirror image, or is not scaled like its image.
+    /// A quantity has no mirror image, or another scale than its image; the text names it.
     pub fn mirrored(&self, robot: &Robot) -> Result<Vec<(usize, f32)>, String> {
         let mut images = Vec::with_capacity(self.length());
         for _ in &self.history {
@@ -233,7 +234,7 @@ impl Layout {
         Ok(images)
     }
 
-    /// Within a block.
+    /// Returns the mirror image of element `k` of a block: index within the block, and sign.
     fn image(&self, block: &Block, k: usize, robot: &Robot) -> Result<(usize, f64), String> {
         let sign = |signs: [f64; 3]| Ok((k, signs[block.axes[k].0]));
         match block.quantity.about().0 {
@@ -258,12 +259,12 @@ impl Layout {
         }
     }
 
-    /// Numbers that are measured in a step.
+    /// Returns the number of values measured in a policy step.
     pub fn frame_width(&self) -> usize {
         self.blocks.iter().map(|block| block.width).sum()
     }
 
-    /// Frames that have to be kept.
+    /// Returns the number of frames that the history needs.
     pub(super) fn depth(&self) -> usize {
         self.depth
     }

@@ -1,11 +1,13 @@
-/*! What a policy sees, as data: one description for training, shipped and external policies, ONNX, cards and the mirror.
+/*! The policy's observation as data: one description for training, shipped and external policies, ONNX, cards and the
+mirror.
 
-An observation is a list of [`Observed`] quantities, each of now or of steps ago, `(value − offset) · scale`. The paper's
-83 numbers are one such list, in `configs/compliant.yaml`; a policy of another framework brings its own. [`Layout`] is the
-list checked and made ready for a robot; an [`Observer`] measures it and keeps the history that it needs.
+Read in this order: [`Quantity`] (what can be observed), [`Observed`] (an entry of the list in a file), [`Layout`] (the
+checked list), [`Observer`] (measures it and keeps its history). Each number is `(value − offset) · scale` of a
+quantity, now or some steps ago. The paper's 83 numbers are such a list, in `configs/compliant.yaml`; a policy of
+another framework brings its own.
 
-A new quantity is a variant of [`Quantity`], described and measured in `quantity.rs` and nowhere else,
-unless its numbers are of a kind that there is not yet.
+To add a quantity, add a variant to [`Quantity`], and describe and measure it in `quantity.rs`; other files need changes
+only if its numbers are of a new kind.
 */
 
 mod entry;
@@ -24,11 +26,11 @@ use serde::{Deserialize, Serialize};
 /// The command to a policy, base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Command {
-    /// `v_z*` of the paper [m/s].
+    /// Forward velocity, `v_z*` of the paper [m/s].
     pub forward: f64,
-    /// `v_x*` of the paper [m/s].
+    /// Velocity to the left, `v_x*` of the paper [m/s].
     pub left: f64,
-    /// `ω_y*` of the paper [rad/s].
+    /// Yaw rate, counter-clockwise, `ω_y*` of the paper [rad/s].
     pub yaw: f64,
     /// Commanded compliance: velocity per sustained horizontal force [m/s/N]; not in the paper. `None` leaves the policy its
     /// own.
@@ -37,7 +39,7 @@ pub struct Command {
 }
 
 impl Command {
-    /// A walk: forward and left [m/s], yaw rate [rad/s].
+    /// Creates a walking command: forward and left [m/s], yaw rate [rad/s].
     pub fn velocity(forward: f64, left: f64, yaw: f64) -> Self {
         Command { forward, left, yaw, ..Command::default() }
     }

@@ -1,41 +1,41 @@
-//! Measures what a policy sees, step by step, and keeps the history that it needs.
+//! Measures the observation step by step, and keeps the history that it needs.
 
 use serde::{Deserialize, Serialize};
 
 use super::{Command, Layout};
 use crate::robot::{Joints, RobotState};
 
-/// Everything that there is to be measured before a policy step.
+/// All that can be observed before a policy step.
 #[derive(Debug, Clone, Copy)]
 pub struct Moment<'a> {
-    /// The robot, as its sensing has it.
+    /// State of the robot, true or estimated.
     pub state: &'a RobotState,
-    /// The command.
+    /// Command to the policy, base frame.
     pub command: &'a Command,
     /// The network's last outputs, clipped, in the policy's order; zero at first.
     pub last_action: &'a Joints,
-    /// The last joint targets \[rad\]; the nominal pose at first.
+    /// Last joint targets \[rad\]; the nominal pose at first.
     pub last_target: &'a Joints,
-    /// The pose that the policy moves about \[rad\].
+    /// Joint targets at action zero \[rad\].
     pub nominal: &'a Joints,
-    /// Since the policy began \[s\].
+    /// Time since the policy began \[s\].
     pub time_s: f64,
 }
 
-/// The measurements that an observation is made of: now, and as many steps ago as the layout looks back.
+/// The measured frames of an observation: now, and as many steps ago as the layout needs.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Observer {
-    /// Physical units; the newest first. Each has the width of the layout's frame.
+    /// Frames in physical units, newest first. Each has the width of the layout's frame.
     frames: Vec<Vec<f64>>,
 }
 
 impl Observer {
-    /// Without a past: before the first measurement, everything was as it is in it.
+    /// Creates an observer without history; the first measurement also fills the past.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Takes note of now.
+    /// Measures the present frame.
     pub fn measure(&mut self, layout: &Layout, now: &Moment<'_>) {
         let begun = !self.frames.is_empty();
         self.frames.resize_with(layout.depth(), || vec![0.0; layout.frame_width()]);
@@ -48,25 +48,25 @@ impl Observer {
         }
     }
 
-    /// The observation in physical units, shape (layout's length).
+    /// Returns the observation in physical units, shape (layout's length).
     ///
     /// # Panics
-    /// Before the first measurement.
+    /// Nothing has been measured yet.
     pub fn raw(&self, layout: &Layout) -> Vec<f64> {
         layout.sources().iter().map(|source| self.frames[source.age][source.index]).collect()
     }
 
-    /// The observation as the network sees it, shape (layout's length).
+    /// Writes the normalised observation, shape (layout's length).
     ///
     /// # Panics
-    /// Before the first measurement, or if the slice is shorter.
+    /// Nothing has been measured yet, or the slice is shorter than the layout.
     pub fn normalised(&self, layout: &Layout, out: &mut [f32]) {
         for (k, source) in layout.sources().iter().enumerate() {
             out[k] = layout.normalised(k, self.frames[source.age][source.index]);
         }
     }
 
-    /// True if the stored history fits this layout.
+    /// Returns true if the stored history fits this layout.
     pub fn fits(&self, layout: &Layout) -> bool {
         self.frames.len() == layout.depth() && self.frames.iter().all(|frame| frame.len() == layout.frame_width())
     }

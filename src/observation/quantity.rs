@@ -1,7 +1,7 @@
-/*! The quantities that observations are made of: for each its name, unit and kind, and how it is measured.
+/*! Quantities that can be observed: the name, unit, kind and measurement of each.
 
-Vectors are in the base frame, (forward, left, up); which of their parts a layout takes, in which order and with which sign,
-is the layout's to say. The paper has (left, up, forward).
+Vectors are in the base frame, (forward, left, up). The layout selects their elements, order and signs; the paper has
+(left, up, forward).
 */
 
 use std::f64::consts::TAU;
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::observer::Moment;
 use crate::robot::{JOINTS, Joints};
 
-/// A physical quantity.
+/// A physical quantity that can be observed; vectors are in the base frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
@@ -37,35 +37,35 @@ pub enum Quantity {
     LastTarget,
     /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
     Command,
-    /// sin 2π(f·t + phase) for each of `phases`.
+    /// Clock sin 2π(f·t + phase), for each of `phases`.
     ClockSin,
-    /// cos 2π(f·t + phase) for each of `phases`.
+    /// Clock cos 2π(f·t + phase), for each of `phases`.
     ClockCos,
-    /// `values`, always.
+    /// The constants `values`.
     Constant,
 }
 
-/// What a quantity's numbers are: how they are named, and what becomes of them in a mirror.
+/// The kind of a quantity's numbers, which decides their names and their mirror images.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
-    /// One number without a side.
+    /// A scalar: one number, which a mirror leaves unchanged.
     Scalar,
-    /// A vector that is reflected: its left part changes sign.
+    /// A polar vector: a mirror reverses its left element.
     Polar,
-    /// A turn: a reflection keeps its part about the left and reverses the others.
+    /// An axial vector: a mirror keeps its left element and reverses the others.
     Axial,
-    /// Forward, left, yaw rate.
+    /// A command: forward, left, yaw rate.
     Command,
-    /// One for each joint.
+    /// Joint values: one number for each joint.
     Joints,
-    /// One number for each phase that the layout lists, with a frequency.
+    /// A clock: one number for each phase that the layout lists.
     Clock,
     /// The constants that the layout lists.
     Constant,
 }
 
 impl Quantity {
-    /// Kind, name in words, unit (of each number, if they differ).
+    /// Returns kind, name and unit (three units if the elements differ).
     pub(super) fn about(self) -> (Kind, &'static str, &'static str) {
         match self {
             Quantity::BaseHeight => (Kind::Scalar, "base height", "m"),
@@ -85,8 +85,8 @@ impl Quantity {
         }
     }
 
-    /// Measures this quantity into a slice of its width: of a vector these axes with their signs, of a clock this frequency
-    /// \[Hz\] and these phases, of a constant these values.
+    /// Measures this quantity into `out`, a slice of its width. `axes` selects the elements and signs of a vector;
+    /// `values` are the phases of a clock or the values of a constant; `order` is the policy's order of joints.
     pub(super) fn measure(
         self,
         axes: &[(usize, f64)],
@@ -126,7 +126,7 @@ impl Quantity {
     }
 }
 
-/// Reorders joint values from our order to the policy's.
+/// Reorders joint values from Supple's order to the policy's.
 fn reorder(joints: &Joints, order: &[usize; JOINTS], out: &mut [f64]) {
     out.iter_mut().zip(order).for_each(|(out, joint)| *out = joints[*joint]);
 }

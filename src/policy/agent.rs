@@ -1,4 +1,4 @@
-//! The policy that a scenario plays: a policy file of Supple, or an external one.
+//! Agents: a policy of Supple or an external one, with the robot and configuration that it runs with.
 
 use std::borrow::Borrow;
 use std::path::Path;
@@ -17,30 +17,30 @@ use crate::util::paths;
 /// The reason why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum AgentError {
-    /// A policy file, or what is described in it.
+    /// The policy file, or a file that it names, cannot be read or is invalid.
     #[error(transparent)]
     File(#[from] FileError),
-    /// The simulation that an external policy asks for.
+    /// The simulation settings of an external policy are invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// Neither a file nor a shipped policy.
+    /// The name is neither a file nor a shipped policy.
     #[error(
         "there is no policy '{name}': give a policy file, a run's folder, the YAML file of an external policy, or \
          one of: {known}"
     )]
     Unknown {
-        /// The requested name.
+        /// The name that was given.
         name: String,
-        /// The shipped ones.
+        /// Names of the shipped policies.
         known: String,
     },
-    /// An ONNX file alone.
+    /// The path is an ONNX file without a description.
     #[error(
         "{name} does not say what it sees and what its outputs mean: describe it in a YAML file that names it, as \
          examples/policies/rsl_rl.yaml does, and give that"
     )]
     Undescribed {
-        /// The file.
+        /// Path of the ONNX file.
         name: String,
     },
     /// A compliance is commanded where the policy does not play.
@@ -52,17 +52,28 @@ pub enum AgentError {
     /// The policy is external.
     #[error("{name} is an external policy: this works with policy files of Supple")]
     External {
-        /// The requested name.
+        /// The name that was given.
         name: String,
     },
 }
 
 /// A policy with the robot, rates, gains and latency that it runs with.
+///
+/// ```
+/// use supple::policy::shipped;
+///
+/// let agent = shipped::find("compliant")?; // Supple's policies and external ones alike
+/// assert_eq!(agent.config.robot.model, "go1");
+/// let controller = agent.controller(); // from the state and a command to joint targets
+/// assert_eq!(controller.rest(), agent.config.action.nominal_pose_rad.joints());
+/// assert!(agent.check_compliance(0.0).is_ok()); // 0: the policy's own compliance
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Agent {
     /// The configuration that the policy runs with.
     pub config: Config,
-    /// Identity of the policy: SHA-256 of its files.
+    /// SHA-256 of the policy's files, which identifies it.
     pub sha256: String,
     /// The measured compliance, if the policy was calibrated.
     pub calibration: Option<PolicyCalibration>,
@@ -78,10 +89,10 @@ enum Kind {
 }
 
 impl Agent {
-    /// Reads a policy: a YAML file describes an external one, everything else is a policy file of ours.
+    /// Reads a policy: a YAML file is the description of an external one, every other file is a policy file of Supple.
     ///
     /// # Errors
-    /// [`AgentError`]
+    /// A file cannot be read or is invalid, or the calibration next to it is invalid.
     pub fn load(path: &Path) -> Result<Self, AgentError> {
         let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
@@ -89,7 +100,8 @@ impl Agent {
         Ok(agent)
     }
 
-    /// A policy that is in no file of ours, with what it runs with. Its identity is for what keeps results by policy.
+    /// Creates an agent from an inference that is in no policy file. `sha256` identifies it wherever results are stored
+    /// by policy.
     pub fn external(inference: Inference, config: Config, sha256: String) -> Self {
         Agent {
             config,
@@ -100,8 +112,8 @@ impl Agent {
         }
     }
 
-    /// The path of a robot that does not ship starts beside the policy; in a run's folder the robot may lie where the run had it.
-    /// If it is nowhere, the policy can still be looked at, or run on another robot.
+    /// Resolves the path of a robot that does not ship: relative to the policy's folder, or as the run's configuration
+    /// has it. If it does not exist, the policy can still be inspected, or run on another robot.
     fn find_robot(&mut self, folder: &Path) {
         let model = &mut self.config.robot.model;
         if Robot::ships(model) || paths::as_path(model).is_absolute() {
@@ -154,7 +166,7 @@ impl Agent {
         }
     }
 
-    /// Puts the policy on another robot.
+    /// Replaces the robot that the policy runs on.
     pub fn run_on(&mut self, robot: &Robot) {
         self.config.robot.model.clone_from(&robot.name);
     }

@@ -1,7 +1,7 @@
-/*! Compliance as a command of a policy that tracks a velocity: how far it yields is measured once, and then commanded.
+/*! Compliance control: a policy that tracks a velocity is calibrated once, and then its compliance can be commanded.
 
-Around the policy goes the outer loop of [`crate::task::compliance`]. What a setting of it comes to has been measured, and the
-setting is chosen that gives what is commanded.
+The outer loop of [`crate::task::compliance`] is put around the policy. The calibration maps its setting to the measured
+compliance, and is inverted to find the setting that gives the commanded one.
 */
 
 use std::io::ErrorKind;
@@ -22,9 +22,9 @@ use crate::util::paths;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PolicyCalibration {
-    /// Identity of the policy: SHA-256 of its files.
+    /// SHA-256 of the policy's files, which identifies it.
     pub sha256: String,
-    /// Compliance by itself, `C₀` [m/s/N].
+    /// Own compliance of the policy, `C₀` [m/s/N].
     pub own_m_s_per_n: f64,
     /// The velocity error of the undisturbed policy, forward and left [m/s], as a constant and the factors of the commanded
     /// forward [m/s], left [m/s] and yaw rate [rad/s].
@@ -33,13 +33,13 @@ pub struct PolicyCalibration {
     pub points: Vec<Point>,
 }
 
-/// A setting and what it comes to.
+/// A setting of the outer loop and the compliance measured with it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// `c` of the outer loop [m/s/N].
+    /// Setting `c` of the outer loop [m/s/N].
     pub setting: f64,
-    /// Measured: mean over directions [m/s/N].
+    /// Measured compliance, mean over directions of the pull [m/s/N].
     pub measured: f64,
 }
 
@@ -49,11 +49,11 @@ pub enum ComplianceError {
     /// The commanded compliance is out of the policy's range.
     #[error("compliance {found} m/s/N is out of range: this policy supports {low:.4} to {high:.4} m/s/N")]
     OutOfReach {
-        /// The commanded compliance.
+        /// The commanded compliance [m/s/N].
         found: f64,
-        /// The least that it can give.
+        /// The smallest compliance that the policy supports [m/s/N].
         low: f64,
-        /// The largest.
+        /// The largest compliance that the policy supports [m/s/N].
         high: f64,
     },
     /// The policy does not observe a quantity that the outer loop needs.
@@ -61,7 +61,7 @@ pub enum ComplianceError {
         "compliance control needs '{name}', which this policy does not observe; run the outer loop in your own controller"
     )]
     NotSeen {
-        /// The number.
+        /// Name of the quantity.
         name: String,
     },
     /// The policy has not been calibrated.
@@ -79,23 +79,23 @@ pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
     split.unwrap_or((name, None))
 }
 
-/// The name of the file's kind in errors.
+/// Name of the file type in error messages.
 const WHAT: &str = "calibration";
 
-/// Larger files are no calibrations.
+/// Maximum size of a calibration \[bytes\].
 const MAX_BYTES: u64 = 64 << 10;
 
 impl PolicyCalibration {
-    /// Where a policy's calibration is: `NAME.calibration.json`.
+    /// Returns the path of a policy's calibration, `NAME.calibration.json`.
     pub fn path(policy: &Path) -> PathBuf {
         policy.with_extension("calibration.json")
     }
 
-    /// Reads the calibration beside a policy's file, if there is one; `None` if it was measured with another version of the
-    /// policy.
+    /// Reads the calibration next to a policy file, if there is one; `None` if it was measured with another version of
+    /// the policy.
     ///
     /// # Errors
-    /// A file that cannot be read, or is no calibration.
+    /// The file cannot be read, or is not a valid calibration.
     pub fn load_for(policy: &Path, sha256: &str) -> Result<Option<Self>, FileError> {
         let path = Self::path(policy);
         match files::read_bounded(&path, MAX_BYTES) {
@@ -111,10 +111,10 @@ impl PolicyCalibration {
         }
     }
 
-    /// Reads and checks one.
+    /// Parses and checks a calibration.
     ///
     /// # Errors
-    /// It is no calibration, or another policy's.
+    /// The text is not a calibration, its values are invalid, or it belongs to another policy.
     pub fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
         let found: PolicyCalibration = serde_json::from_str(text).map_err(FileError::of(WHAT, path))?;
         found.checked(sha256).map_err(FileError::of(WHAT, path))
@@ -123,7 +123,7 @@ impl PolicyCalibration {
     /// Returns `self` if it belongs to this policy and its values are valid.
     ///
     /// # Errors
-    /// In words: what is wrong with it, and what to do.
+    /// The calibration belongs to another policy, or its values are invalid; the text says what to do.
     pub fn checked(self, sha256: &str) -> Result<Self, &'static str> {
         let points = &self.points;
         let numbers = points.iter().flat_map(|point| [point.setting, point.measured]).chain([self.own_m_s_per_n]);
@@ -145,7 +145,7 @@ impl PolicyCalibration {
         PolicyCalibration { sha256: sha256.to_owned(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points }
     }
 
-    /// The least and the largest compliance that the policy can give [m/s/N].
+    /// Returns the smallest and the largest compliance that the policy supports [m/s/N].
     pub fn range(&self) -> [f64; 2] {
         let measured = |point: Option<&Point>| point.map_or(0.0, |point| point.measured);
         [measured(self.points.first()), measured(self.points.last())]
@@ -154,14 +154,14 @@ impl PolicyCalibration {
     /// Checks that a commanded compliance [m/s/N] is in the policy's range.
     ///
     /// # Errors
-    /// [`ComplianceError::OutOfReach`] if it is not.
+    /// The compliance is out of the policy's range.
     pub fn check(&self, compliance: f64) -> Result<(), ComplianceError> {
         let [low, high] = self.range();
         let within = (low..=high).contains(&compliance);
         if within { Ok(()) } else { Err(ComplianceError::OutOfReach { found: compliance, low, high }) }
     }
 
-    /// The setting that gives a compliance, or comes nearest to it [m/s/N].
+    /// Returns the setting whose compliance is nearest to the commanded one [m/s/N].
     fn nearest_setting(&self, compliance: f64) -> f64 {
         let [low, high] = self.range();
         let wanted = compliance.clamp(low, high);
@@ -181,12 +181,12 @@ impl PolicyCalibration {
     }
 }
 
-/// The outer loop outer_loop a calibrated policy, with its state.
+/// The outer loop of a calibrated policy, with its state.
 #[derive(Debug)]
 struct CalibratedLoop {
     calibration: PolicyCalibration,
     outer_loop: OuterLoop,
-    /// State of the loop's low-pass.
+    /// State of the loop's low-pass, forward and left, base frame [m/s].
     low_pass: [f64; 2],
 }
 
@@ -219,7 +219,7 @@ impl ObservationOuterLoop {
     /// Creates the loop for a commanded compliance [m/s/N]; observations arrive at the policy's own rate.
     ///
     /// # Errors
-    /// [`ComplianceError`]
+    /// The policy does not observe velocity and command, or the compliance is out of its range.
     pub fn new(policy: &Policy, calibration: PolicyCalibration, compliance: f64) -> Result<Self, ComplianceError> {
         calibration.check(compliance)?;
         let names = policy.layout().names();
@@ -239,7 +239,7 @@ impl ObservationOuterLoop {
         })
     }
 
-    /// Replaces the command in the next observation.
+    /// Replaces the command in an observation with the next one of the outer loop.
     pub fn apply(&mut self, observation: &mut [f64]) {
         let [forward, left, yaw] = self.command.map(|place| observation[place]);
         let command = Command::velocity(forward, left, yaw);

@@ -1,18 +1,19 @@
-//! What turns the robot's state into joint targets, once in a policy step.
+//! The interface of controllers, which turn the robot's state into joint targets once per policy step.
 
 use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
 
 /// A controller under test: a trained policy, an external one, or a hand-written gait.
 ///
-/// It can go to another thread. It sees states as a robot's sensing would give them and keeps what it needs of the past itself.
+/// A controller can be sent to another thread. It receives states as a robot's sensors would give them, and stores
+/// what it needs of the past.
 pub trait Controller: Send {
-    /// Joint targets that are held until the first step \[rad\].
+    /// Returns the joint targets that are held until the first step \[rad\].
     fn rest(&self) -> Joints;
 
-    /// Forgets the past: the robot stands in `state`.
+    /// Resets the controller for a robot that stands in `state`.
     fn begin(&mut self, state: &RobotState);
 
-    /// Joint targets \[rad\] for the state now and what is asked for.
+    /// Returns the joint targets \[rad\] for the present state and command.
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints;
 }

@@ -1,8 +1,8 @@
-/*! The deployable policy: one safetensors file with everything that is needed to run it on a robot.
+/*! The policy file: one safetensors file with all that is needed to run a policy on a robot.
 
-Weights and normaliser are tensors; what they mean (observation layout with units, joint order, nominal pose, scale,
-gains, latency, rates, where it came from) is JSON under the metadata key `supple`. Three observations with the joint
-targets they lead to are stored with it, so that every reader can check itself.
+Weights and normaliser are tensors; their meaning (observation layout with units, joint order, nominal pose, scale,
+gains, latency, rates, provenance) is JSON under the metadata key `supple`. The file also contains three observations
+and their joint targets, with which every reader can test itself.
 */
 
 use std::path::Path;
@@ -24,32 +24,32 @@ use crate::util::tensors::{self, Tensor};
 /// Version of the file format that is written.
 pub const FORMAT: u32 = 1;
 
-/// Larger files are not policies.
+/// Maximum size of a policy file \[bytes\].
 const MAX_BYTES: u64 = 64 << 20;
 
-/// The name of the file's kind in errors.
+/// Name of the file type in error messages.
 const POLICY: &str = "policy";
 
-/// Stored pairs of observation and joint targets.
+/// Number of stored pairs of observation and joint targets.
 const GOLDEN: usize = 3;
 
-/// Joint targets may differ by this much from the stored ones on another machine \[rad\].
+/// Largest difference from the stored joint targets on another machine \[rad\].
 const GOLDEN_TOLERANCE: f64 = 1e-5;
 
-/// A stretch of the observation, in words for other programs.
+/// Description of a block of the observation, for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct BlockInfo {
-    /// The quantity of the entry.
+    /// The observed quantity.
     quantity: String,
-    /// Policy steps ago that it was measured.
+    /// Age of the measurement \[policy steps\].
     age: u32,
-    /// How many numbers.
+    /// Number of values.
     length: usize,
-    /// Their unit.
+    /// Unit of the values.
     unit: String,
 }
 
-/// Where a policy came from.
+/// Origin of a policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Provenance {
     /// Name of the configuration.
@@ -58,28 +58,28 @@ pub struct Provenance {
     pub config: Config,
     /// Seed of the run.
     pub seed: u64,
-    /// Samples it has seen.
+    /// Number of training samples.
     pub samples: u64,
-    /// Git revision of the program that trained it.
+    /// Git revision of the program that trained the policy.
     pub git_revision: String,
-    /// MuJoCo version it was trained on.
+    /// MuJoCo version that simulated the training.
     pub mujoco_version: String,
 }
 
-/// The facts that a program in another language needs to run the policy.
+/// Instructions for a program in another language that runs the policy.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Usage {
     /// Name and unit of every number of the observation, in order.
     pub observation_elements: Vec<String>,
-    /// The input of the first layer.
+    /// Formula of the first layer's input.
     pub network_input: String,
-    /// The activation between the layers.
+    /// Activation between the layers, and names of the weights.
     pub activation: String,
-    /// The meaning of the last layer's outputs.
+    /// Formula from the last layer's outputs to joint targets.
     pub joint_target: String,
-    /// Ranges of the joints \[rad\].
+    /// Ranges of the joints \[rad\]; missing in old files of imported robots.
     pub joint_limits_rad: [[f64; 2]; JOINTS],
-    /// Limits of the PD law's torques [N·m].
+    /// Torque limits of the PD controller [N·m]; missing in old files of imported robots.
     pub torque_limits_n_m: Joints,
 }
 
@@ -110,14 +110,30 @@ struct Metadata {
     usage: Usage,
 }
 
-/// A trained policy with what is needed to use it.
+/// A trained policy: the network and everything that a robot needs to run it.
+///
+/// ```
+/// use supple::policy::{Buffers, shipped};
+/// use supple::{task::Curriculum, train::environment::LocomotionEnv};
+///
+/// let policy = shipped::find_ours("compliant")?; // a shipped name, a policy file or a run's folder
+/// let mut env = LocomotionEnv::new(&policy.provenance.config, 0, 0, Curriculum::complete())?;
+/// env.without_stagger();
+/// let (nominal, mut buffers) = (policy.nominal_pose(), Buffers::default());
+/// for _ in 0..60 {
+///     let targets = policy.joint_targets(&env.observation(), &mut buffers); // twelve angles [rad]
+///     let action: [f32; 12] = std::array::from_fn(|j| ((targets[j] - nominal[j]) / policy.scale_rad()) as f32);
+///     assert_eq!(env.step(&action).0.end, None); // it walks for a second
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Policy {
     /// The network from normalised observation to the mean action.
     pub actor: Mlp,
-    /// Where it came from; rates, gains and latency are those of its configuration.
+    /// Origin of the policy; its configuration has the rates, gains and latency.
     pub provenance: Provenance,
-    /// The facts that other programs need.
+    /// Instructions for other programs.
     pub usage: Usage,
     inference: Inference,
     /// SHA-256 of the file that the policy was read from, or would be written to.
@@ -125,7 +141,7 @@ pub struct Policy {
 }
 
 impl Policy {
-    /// The deterministic policy of a network in training, which sees `layout` of `robot`.
+    /// Creates the deterministic policy of a network in training, for a `robot` observed with `layout`.
     pub fn new(network: &ActorCritic, robot: &Robot, layout: Layout, mut provenance: Provenance) -> Self {
         provenance.config = provenance.config.without_folder();
         let config = &provenance.config;
@@ -143,12 +159,12 @@ impl Policy {
         &self.inference.layout
     }
 
-    /// Joint targets at action zero \[rad\].
+    /// Returns the joint targets at action zero \[rad\].
     pub fn nominal_pose(&self) -> &Joints {
         &self.inference.action.nominal_pose
     }
 
-    /// \[rad\] per unit of action.
+    /// Returns the change of the joint target per unit of action \[rad\].
     pub fn scale_rad(&self) -> f64 {
         self.inference.action.scale_rad[0]
     }
@@ -158,17 +174,20 @@ impl Policy {
         &self.inference
     }
 
-    /// Joint targets \[rad\] for an observation in physical units, shape (length of the layout).
+    /// Returns the joint targets \[rad\] for an observation in physical units, shape (length of the layout).
     ///
     /// # Panics
-    /// If the observation has another length.
+    /// The observation has another length.
     pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
         let layout = self.layout();
         let seen: Vec<f32> = observation.iter().enumerate().map(|(k, raw)| layout.normalised(k, *raw)).collect();
         self.inference.act(&seen, buffers).1
     }
 
-    /// Bytes of the policy file.
+    /// Serialises the policy to the bytes of a policy file.
+    ///
+    /// # Errors
+    /// The weights do not fit their shapes.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
         let mut all = Tensor::of_network(self.actor.tensors("policy."));
         let (observations, targets) = self.golden();
@@ -180,7 +199,7 @@ impl Policy {
         tensors::serialize(&all, self.metadata_json())
     }
 
-    /// The metadata as JSON.
+    /// Formats the metadata as JSON.
     pub fn metadata_json(&self) -> String {
         let metadata = Metadata {
             format: FORMAT,
@@ -196,7 +215,7 @@ impl Policy {
         serde_json::to_string(&metadata).unwrap_or_default()
     }
 
-    /// Identity: the SHA-256 of the policy file.
+    /// Returns the SHA-256 of the policy file, which identifies it.
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
@@ -204,25 +223,25 @@ impl Policy {
     /// Writes the policy file atomically.
     ///
     /// # Errors
-    /// [`FileError`]
+    /// The file cannot be written, for example because the disk is full.
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         let bytes = self.to_bytes().map_err(FileError::of(POLICY, path))?;
         files::write_atomically(path, &bytes).map_err(FileError::of(POLICY, path))
     }
 
-    /// Reads a policy file and checks everything in it, the golden pairs included.
+    /// Reads a policy file and checks all of it, including the stored joint targets.
     ///
     /// # Errors
-    /// [`FileError`] that says what was found and what was expected.
+    /// The file cannot be read, is damaged, or has another format; the error says what was found and what was expected.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(POLICY, path))?;
         Self::from_bytes(&bytes, path)
     }
 
-    /// As [`Policy::load`] from memory; `path` is for messages.
+    /// Reads a policy from memory like [`Policy::load`]; `path` is for error messages.
     ///
     /// # Errors
-    /// See [`Policy::load`].
+    /// The bytes are damaged or have another format; the error says what was found and what was expected.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
         Self::parse(bytes).map_err(FileError::of(POLICY, path))
     }
@@ -263,7 +282,7 @@ impl Policy {
         rows.flat_map(|row| self.joint_targets(row, &mut buffers)).collect()
     }
 
-    /// Plausible observations and the joint targets they lead to.
+    /// Returns plausible observations and their joint targets.
     fn golden(&self) -> (Vec<f64>, Vec<f64>) {
         let mut rng = stream(0, Purpose::Weights, u64::MAX, 0);
         let (layout, length) = (self.layout(), self.layout().length());
@@ -293,7 +312,7 @@ fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, 
 }
 
 impl Metadata {
-    /// The observation that it describes.
+    /// Checks the metadata and returns the layout of the observation.
     fn check(&self) -> Result<Layout, String> {
         let config = &self.provenance.config;
         config.check().map_err(|error| error.to_string())?;
@@ -319,7 +338,7 @@ impl Metadata {
     }
 }
 
-/// The observation in words and numbers.
+/// Describes the blocks of an observation.
 fn block_infos(layout: &Layout) -> Vec<BlockInfo> {
     let mut infos = Vec::new();
     for block in layout.blocks() {

@@ -1,4 +1,4 @@
-//! From the robot's state to joint targets: what a policy sees, its network, what its outputs mean.
+//! Inference: from the robot's state over the observation and the network to joint targets.
 
 use std::borrow::Borrow;
 use std::fmt;
@@ -20,29 +20,29 @@ pub enum Meaning {
     JointAngle,
 }
 
-/// The map from outputs to joint targets.
+/// The map from network outputs to joint targets.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Action {
-    /// Our order \[rad\].
+    /// Joint targets at action zero, in Supple's order \[rad\].
     pub nominal_pose: Joints,
-    /// The meaning of an output.
+    /// The meaning of the network's outputs.
     pub meaning: Meaning,
-    /// The policy's order \[rad\].
+    /// Scale of each output, in the policy's order \[rad\].
     pub scale_rad: Joints,
-    /// Limit of every output, before it is scaled.
+    /// Limit of every output before it is scaled, ± `clip`.
     pub clip: f64,
 }
 
 /// A function from an observation, shape (length of the layout), to one output for each joint.
 pub type Function = Box<dyn Fn(&[f32]) -> [f32; JOINTS] + Send + Sync>;
 
-/// A network of ours or an external one.
+/// A network of Supple, of an ONNX file, or of the calling program.
 pub enum Network {
     /// The network of a policy file.
     Mlp(PackedMlp),
     /// The network of an ONNX file.
     Onnx(onnx::Network),
-    /// A function of the program that uses this library.
+    /// A function of the calling program.
     Function(Function),
 }
 
@@ -56,20 +56,20 @@ impl fmt::Debug for Network {
     }
 }
 
-/// Everything that turns states into joint targets.
+/// A policy's map from states to joint targets: observation, network, action.
 #[derive(Debug)]
 pub struct Inference {
     /// The layout of the observation.
     pub layout: Layout,
     /// The map from outputs to joint targets.
     pub action: Action,
-    /// The network.
+    /// The network from normalised observation to outputs.
     pub network: Network,
-    /// Between two steps \[s\].
+    /// Duration of a policy step \[s\].
     pub period_s: f64,
 }
 
-/// Buffers of a network; one for each thread.
+/// Buffers of a network; each thread needs its own.
 #[derive(Debug, Default)]
 pub struct Buffers {
     output: Vec<f32>,
@@ -78,7 +78,7 @@ pub struct Buffers {
 }
 
 impl Network {
-    /// One output for each joint, for each row of `seen`: shape (rows, joints).
+    /// Evaluates rows of normalised observations, and returns one output for each joint, shape (rows, joints).
     fn forward<'a>(&self, rows: usize, seen: &[f32], buffers: &'a mut Buffers) -> &'a [f32] {
         let Buffers { output, mlp: scratch, onnx } = buffers;
         output.resize(rows * JOINTS, 0.0);
@@ -94,11 +94,11 @@ impl Network {
 }
 
 impl Inference {
-    /// A network that acts in the training environment of `config`: it sees what that observes, and its outputs are the
-    /// environment's actions.
+    /// Creates the inference of a network trained in the environment of `config`: its inputs are the normalised
+    /// observations, its outputs the environment's actions.
     ///
     /// # Errors
-    /// An observation that does not fit in the robot.
+    /// The observation of the configuration does not fit its robot.
     pub fn in_environment(config: &Config, network: Network) -> Result<Self, ValueError> {
         let action = &config.action;
         Ok(Inference {
@@ -114,17 +114,17 @@ impl Inference {
         })
     }
 
-    /// Clipped outputs for rows of what is seen, shape (rows, length of the layout): shape (rows, joints), in the
-    /// policy's order. Each row's bits are those that it has alone.
+    /// Returns the clipped outputs, shape (rows, joints), in the policy's order, for normalised observations, shape
+    /// (rows, length of the layout). Each row has the same bits as when it is evaluated alone.
     ///
     /// # Panics
-    /// If `seen` has another shape.
+    /// `seen` has another shape.
     pub fn actions(&self, rows: usize, seen: &[f32], buffers: &mut Buffers) -> Vec<f32> {
         let clip = self.action.clip as f32;
         self.network.forward(rows, seen, buffers).iter().map(|output| output.clamp(-clip, clip)).collect()
     }
 
-    /// Clipped outputs, in the policy's order, and the joint targets that they mean, in ours \[rad\].
+    /// Returns the clipped outputs, in the policy's order, and their joint targets, in Supple's order \[rad\].
     pub fn act(&self, seen: &[f32], buffers: &mut Buffers) -> (Joints, Joints) {
         let output = self.network.forward(1, seen, buffers);
         let Action { nominal_pose, meaning, scale_rad, clip } = &self.action;
@@ -146,19 +146,19 @@ impl Inference {
     }
 }
 
-/// The history of one robot that a policy observes.
+/// The past of one robot that a policy observes.
 #[derive(Debug, Clone, Default)]
 struct History {
     observer: Observer,
     /// The number of policy steps so far.
     step: u64,
-    /// The last outputs, in the policy's order.
+    /// The last outputs of the network, clipped, in the policy's order.
     last_action: Joints,
-    /// The last joint targets, in our order [rad].
+    /// The last joint targets, in Supple's order \[rad\].
     last_target: Joints,
 }
 
-/// A policy at work on one robot, with the history that its observation needs (section III-A).
+/// A policy that controls one robot, with the history that its observation needs (section III-A).
 #[derive(Debug)]
 pub struct PolicyController<I> {
     inference: I,
@@ -168,14 +168,14 @@ pub struct PolicyController<I> {
 }
 
 impl<I: Borrow<Inference>> PolicyController<I> {
-    /// Creates a controller of a policy that is borrowed or shared.
+    /// Creates a controller from a borrowed or shared inference.
     pub fn new(inference: I) -> Self {
         let Inference { layout, action, .. } = inference.borrow();
         let past = History { last_target: action.nominal_pose, ..History::default() };
         PolicyController { past, seen: vec![0.0; layout.length()], buffers: Buffers::default(), inference }
     }
 
-    /// The observation of the last step.
+    /// Returns the normalised observation of the last step.
     pub fn seen(&self) -> &[f32] {
         &self.seen
     }
@@ -229,7 +229,7 @@ mod tests {
         }
     }
 
-    /// 48 numbers for the fixture's network, twice 24.
+    /// A description of 48 numbers for the fixture's network, twice 24.
     const SPEC: &str = "
 onnx: rsl_rl.onnx
 simulation: {physics_rate_hz: 200, policy_rate_hz: 50, kp_n_m_per_rad: 20.0, kd_n_m_s_per_rad: 0.5, latency_s: 0.0}

@@ -1,7 +1,9 @@
-/*! Policies: ours in their files, external ones behind a description, and both at work on a robot.
+/*! Policies: policy files of Supple, external policies, and controllers that run them.
 
-[`file`] is the format, [`shipped`] finds what is in the box, [`external`] plays networks of other frameworks through
-[`onnx`], and an [`Agent`] is any of them. A [`Controller`] is one at work.
+Start with [`shipped::find`], which returns an [`Agent`]: any policy with its robot and configuration. Then read
+[`Policy`] (the policy file), [`Controller`] (the interface to a robot) and [`Inference`] (observation, network,
+action). [`external`] runs networks of other frameworks through [`onnx`]; [`compliance`] makes a policy's compliance a
+command.
 */
 
 mod agent;

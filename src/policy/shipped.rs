@@ -1,4 +1,4 @@
-//! The policies that ship inside the program, and finding one by name or path.
+//! The shipped policies inside the program, and the look-up of a policy by name or path.
 
 use std::path::{Path, PathBuf};
 
@@ -6,18 +6,17 @@ use crate::policy::compliance::{PolicyCalibration, split_compliance};
 use crate::policy::{Agent, AgentError, Policy};
 use crate::util::paths;
 
-/// Name and file of every policy in `policies/` at build time, by name; one in a folder is `hardware/compliant-seed0`.
+/// Name and file of every policy in `policies/` at build time, sorted by name, such as `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
 
-/// Name and calibration of those of them that have one.
+/// Name and calibration of the shipped policies that have one.
 const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibrations.rs"));
 
-/// Finds a policy by the path of its file, of a run's folder or of the YAML file of an external one, or by the name of a
-/// shipped one; `compliant` stands for the least seed that ships, `compliant-seed0`. With `@0.03` behind it, the policy is
-/// commanded a compliance [m/s/N].
+/// Finds a policy: the path of a policy file, of a run's folder or of an external policy's YAML file, or the name of a
+/// shipped policy; `compliant` is short for the one with the smallest seed, `compliant-seed0`.
 ///
 /// # Errors
-/// There is no such policy, or its files cannot be read.
+/// There is no such policy (the error lists the shipped ones), or its file is invalid.
 pub fn find(name: &str) -> Result<Agent, AgentError> {
     let (name, compliance) = split_compliance(name);
     let mut agent = find_by_name(name)?;
@@ -47,13 +46,13 @@ fn find_by_name(name: &str) -> Result<Agent, AgentError> {
     Ok(agent)
 }
 
-/// The file that [`find`] reads; none for a policy inside the program.
+/// Returns the file that [`find`] would read; `None` for a policy inside the program.
 pub fn file_of(name: &str) -> Option<PathBuf> {
     let path = paths::as_path(name);
     if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.exists().then_some(path) }
 }
 
-/// Which of the names is meant: itself, or the least seed's.
+/// Returns the index of the meant name: the name itself, or the one with the smallest seed.
 fn position(names: &[&str], name: &str) -> Option<usize> {
     let seed = |known: &str| known.strip_prefix(name)?.strip_prefix("-seed")?.parse::<u64>().ok();
     let of_seeds = names.iter().enumerate().filter_map(|(index, known)| Some((seed(known)?, index)));
@@ -63,7 +62,7 @@ fn position(names: &[&str], name: &str) -> Option<usize> {
 /// Like [`find`], for functions that need a policy file of Supple.
 ///
 /// # Errors
-/// There is no such policy, its files cannot be read, a compliance is commanded, or the policy is external.
+/// There is no such policy, its file is invalid, or it is external.
 pub fn find_ours(name: &str) -> Result<Policy, AgentError> {
     let agent = find(name)?;
     if agent.commanded_compliance.is_some() {

@@ -1,11 +1,10 @@
-/*!
-The diagonal Gaussian of the policy: log-density, entropy and Kullback-Leibler divergence.
+/*! The diagonal Gaussian of the policy: log-density, entropy and Kullback-Leibler divergence.
 
-The standard deviation does not depend on the state, so what depends on it alone is computed once for many rows. Sums
+The standard deviation does not depend on the state, so its terms are computed once for many rows. Sums
 run in f64: the KL rule compares numbers near zero, and two equal policies must be at distance zero exactly.
 */
 
-/// `½ ln 2π`
+/// The constant `½ ln 2π`.
 const HALF_LOG_TWO_PI: f64 = 0.918_938_533_204_672_8;
 
 /// The state-independent part of a diagonal Gaussian policy `N(μ(s), diag σ²)`.
@@ -26,18 +25,18 @@ impl DiagonalGaussian {
         Self { log_std, inverse_std, log_peak }
     }
 
-    /// `1/σ`, one for each action.
+    /// Returns `1/σ`, one for each action.
     pub fn inverse_std(&self) -> &[f64] {
         &self.inverse_std
     }
 
-    /// `ln p(action)`, summed over actions.
+    /// Computes `ln p(action)`, summed over actions.
     #[inline(always)]
     pub fn log_prob(&self, mean: &[f32], action: &[f32]) -> f64 {
         self.log_peak - 0.5 * self.squared_distance(action, mean)
     }
 
-    /// `Σ ((a − b) / σ)²`, in four sums that a vector can hold.
+    /// Computes `Σ ((a − b) / σ)²` in four parallel sums, which the compiler vectorises.
     #[inline(always)]
     fn squared_distance(&self, a: &[f32], b: &[f32]) -> f64 {
         let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<4>(), b.as_chunks::<4>());
@@ -58,13 +57,13 @@ impl DiagonalGaussian {
         (sums[0] + sums[1]) + (sums[2] + sums[3])
     }
 
-    /// `Σ (½ + ½ ln 2π + ln σ)`
+    /// Returns the entropy `Σ (½ + ½ ln 2π + ln σ)`.
     pub fn entropy(&self) -> f64 {
         0.5 * self.log_std.len() as f64 - self.log_peak
     }
 }
 
-/// `KL(old ‖ new)` of two diagonal Gaussians, summed over actions:
+/// The divergence `KL(old ‖ new)` of two diagonal Gaussians, summed over actions:
 /// `Σ ln(σ_new/σ_old) + (σ_old² + (μ_old − μ_new)²) / (2 σ_new²) − ½`.
 #[derive(Debug, Clone)]
 pub struct KlDivergence<'a> {
@@ -82,7 +81,7 @@ impl<'a> KlDivergence<'a> {
         Self { new, of_equal_means: terms.sum() }
     }
 
-    /// Returns the divergence at a state with these means.
+    /// Returns the divergence at a state with these mean actions.
     #[inline(always)]
     pub fn at(&self, old_mean: &[f32], new_mean: &[f32]) -> f64 {
         self.of_equal_means + 0.5 * self.new.squared_distance(old_mean, new_mean)

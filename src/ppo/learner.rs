@@ -1,6 +1,4 @@
-/*!
-What trains: two learners behind one trait.
-*/
+//! The interface of the two learners, and the choice between them.
 
 use std::fmt::Debug;
 use std::sync::Arc;
@@ -14,31 +12,49 @@ use crate::network::ActorCritic;
 use crate::ranks::Ranks;
 use crate::util::yaml;
 
-/// Trains an [`ActorCritic`] by PPO.
+/// A learner that trains an [`ActorCritic`] by PPO.
+///
+/// ```
+/// use supple::{config::Config, network::ActorCritic, ranks::Alone, util::random::{Purpose, stream}};
+/// use supple::ppo::{DiagonalGaussian, LearnerState, Samples, learner};
+///
+/// let mut ppo = Config::load("fast")?.ppo;
+/// ppo.minibatch_size = 4;
+/// let network = ActorCritic::orthogonal(3, &[8], 2, -1.0, &mut stream(0, Purpose::Weights, 0, 0));
+/// let mut learner = learner(&ppo, LearnerState::new(network, &ppo), 1, Alone::shared())?;
+/// let log_std = vec![-1.0; 2];
+/// let log_prob = DiagonalGaussian::new(&log_std).log_prob(&[0.0; 2], &[0.1; 2]) as f32;
+/// let batch = Samples { observations: vec![0.5; 12], actions: vec![0.1; 8], means: vec![0.0; 8], log_std,
+///     log_probs: vec![log_prob; 4], advantages: vec![1.0, -1.0, 2.0, -2.0], returns: vec![1.0; 4] };
+/// learner.update(&batch.batch(), &[vec![0, 1, 2, 3], vec![3, 2, 1, 0]])?; // two epochs of one minibatch
+/// assert_eq!(learner.state().steps, 2);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub trait Learner: Debug + Send {
-    /// One PPO update: for each of `permutations` one epoch over the batch in that order, a gradient step for each
-    /// `minibatch_size` samples (and one for what remains). With several shards, batch and permutations are those of the
-    /// shards of this rank, each minibatch shard by shard.
+    /// Runs one PPO update: for each of `permutations` one epoch over the batch in that order, a gradient step for each
+    /// `minibatch_size` samples and one for the rest. With several shards, batch and permutations are those of this
+    /// rank's shards, each minibatch shard by shard.
     ///
     /// # Errors
-    /// When the batch or a permutation does not fit, or the loss or its gradient is not finite. Steps before the fault
-    /// stay taken.
+    /// The batch or a permutation does not fit, or the loss or its gradient is not finite. Steps before the fault are
+    /// kept.
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault>;
 
-    /// A copy of everything needed to continue with the same bits.
+    /// Returns a copy of the complete state, from which training continues with the same bits.
     fn state(&self) -> LearnerState;
 
-    /// A copy of the networks.
+    /// Returns a copy of the networks.
     fn parameters(&self) -> ActorCritic;
 }
 
-/// The learner that a configuration asks for, continuing from `state`. The number of threads changes the speed only.
+/// Creates the learner of a configuration, which continues from `state`. The number of threads changes only the speed.
 ///
 /// # Errors
-/// When this machine does not have the arithmetic.
+/// The processor does not support the precision.
 ///
 /// # Panics
-/// When the minibatch size is zero, the moments do not have the shapes of the parameters, or candle is to have shards.
+/// The minibatch size is zero, the moments do not have the shapes of the parameters, or candle's learner should use
+/// shards.
 pub fn learner(
     ppo: &Ppo,
     state: LearnerState,
@@ -76,7 +92,7 @@ pub fn resolved(ppo: &Ppo) -> Precision {
     }
 }
 
-/// An arithmetic that this machine does not have.
+/// The error of a precision that this processor does not support.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error(
     "ppo.precision is {}, but this processor has no tile unit for bf16 (AMX): \
@@ -84,18 +100,18 @@ pub fn resolved(ppo: &Ppo) -> Precision {
 )]
 pub struct PrecisionError(Precision);
 
-/// Everything that an update depends on besides its batch; what a checkpoint has to keep.
+/// Complete state of a learner, as stored in a checkpoint.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LearnerState {
-    /// Policy and value function.
+    /// Weights of the policy and the value function.
     pub parameters: ActorCritic,
     /// Adam's first moments, one for each parameter.
     pub first_moment: ActorCritic,
     /// Adam's second moments, one for each parameter.
     pub second_moment: ActorCritic,
-    /// Gradient steps taken.
+    /// Number of gradient steps taken.
     pub steps: u64,
-    /// Learning rate of the last step.
+    /// Learning rate of the last gradient step.
     pub learning_rate: f64,
 }
 

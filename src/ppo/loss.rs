@@ -1,16 +1,15 @@
-/*!
-PPO's per-sample arithmetic.
+/*! PPO's arithmetic per sample: minibatches, normalised advantages, the clipped surrogate.
 
-Settings are those of the configuration; the number of epochs is that of the permutations given to each update.
+Settings are those of the configuration; the number of epochs is the number of permutations given to an update.
 */
 
 use crate::config::Ppo;
 use crate::ranks::{Ranks, tree_sum};
 
 impl Ppo {
-    /// The learning rate for a step at which the policy is `kl` away from the rollout's (Rudin et al., 2021): lower by
-    /// 1.5 above twice the desired divergence, higher by 1.5 below half of it. As in rsl_rl, a divergence of exactly
-    /// zero (the first minibatch of an update) says nothing and changes nothing.
+    /// Returns the learning rate for a step at which the policy has the divergence `kl` from the rollout's (Rudin et
+    /// al., 2021): divided by 1.5 above twice the desired divergence, multiplied by 1.5 below half of it. As in rsl_rl,
+    /// a divergence of exactly zero (the first minibatch of an update) changes nothing.
     pub fn adapted_learning_rate(&self, learning_rate: f64, kl: f64) -> f64 {
         if kl > 2.0 * self.desired_kl {
             (learning_rate / 1.5).max(self.min_learning_rate)
@@ -22,10 +21,10 @@ impl Ppo {
     }
 }
 
-/// What the rollouts have gathered: n samples, in any order.
+/// The samples of an update, borrowed: n samples in any order.
 #[derive(Debug, Clone, Copy)]
 pub struct Batch<'a> {
-    /// Shape (n, observations).
+    /// Normalised observations, shape (n, observations).
     pub observations: &'a [f32],
     /// Actions as sampled, not clipped; shape (n, actions).
     pub actions: &'a [f32],
@@ -42,7 +41,7 @@ pub struct Batch<'a> {
 }
 
 impl Batch<'_> {
-    /// Asks for all that a pass reads of these samples.
+    /// Prefetches the numbers of these samples.
     pub(super) fn prefetch(&self, samples: &[u32], prefetch: fn(&[f32])) {
         let count = self.returns.len();
         for slice in [self.observations, self.actions, self.means, self.log_probs, self.advantages, self.returns] {
@@ -52,7 +51,7 @@ impl Batch<'_> {
     }
 }
 
-/// A batch that owns its numbers; fields as in [`Batch`].
+/// A batch that owns its numbers; the fields are those of [`Batch`].
 #[derive(Debug, Clone, Default)]
 #[allow(missing_docs)]
 pub struct Samples {
@@ -66,7 +65,7 @@ pub struct Samples {
 }
 
 impl Samples {
-    /// Losses over the samples, for the learner.
+    /// Borrows the samples as a batch.
     pub fn batch(&self) -> Batch<'_> {
         Batch {
             observations: &self.observations,
@@ -80,29 +79,29 @@ impl Samples {
     }
 }
 
-/// One minibatch of an update, and what its samples share. Of several ranks each has the rows of its own shards.
+/// A minibatch of an update. With several ranks, each has the rows of its own shards.
 #[derive(Debug, Clone, Copy)]
 pub struct Minibatch<'a> {
     pub batch: &'a Batch<'a>,
     pub settings: &'a Ppo,
-    /// Counted from zero.
+    /// Index of the epoch, counted from zero.
     pub epoch: usize,
-    /// Within the epoch, counted from zero.
+    /// Index within the epoch, counted from zero.
     pub index: usize,
     /// The minibatch's samples on this rank, shard by shard.
     pub rows: &'a [u32],
-    /// Shards on this rank, with equally many rows.
+    /// Number of shards on this rank, which have equally many rows.
     pub shards: usize,
-    /// Samples on all ranks.
+    /// Number of samples on all ranks.
     pub samples: usize,
     advantage_mean: f64,
-    /// 1 / (unbiased standard deviation + 1e-8)
+    /// Factor that normalises advantages: 1 / (unbiased standard deviation + 1e-8).
     advantage_scale: f64,
 }
 
 impl<'a> Minibatch<'a> {
-    /// Those of an update: for each of `permutations` an epoch over the batch in that order, the last minibatch of each
-    /// with what remains. A single sample is not normalised, as in Stable-Baselines3.
+    /// Iterates over the minibatches of an update: for each of `permutations` an epoch over the batch in that order,
+    /// whose last minibatch has the rest. A single sample is not normalised, as in Stable-Baselines3.
     pub fn all(batch: &'a Batch<'a>, settings: &'a Ppo, permutations: &'a [Vec<u32>], ranks: &dyn Ranks) -> Vec<Self> {
         let count = ranks.count();
         let of_epoch = |(epoch, order): (usize, &'a Vec<u32>)| {
@@ -143,7 +142,7 @@ impl<'a> Minibatch<'a> {
         })
     }
 
-    /// Blocks of `size` rows in each shard, of which the last may have fewer.
+    /// Returns the number of blocks of `size` rows in each shard, of which the last may have fewer.
     pub fn shard_blocks(&self, size: usize) -> usize {
         (self.rows.len() / self.shards).div_ceil(size)
     }
@@ -155,7 +154,7 @@ impl<'a> Minibatch<'a> {
         &self.rows[shard * rows..][start..rows.min(start + size)]
     }
 
-    /// Normalised advantage of a sample.
+    /// Returns the normalised advantage of a sample.
     pub fn advantage(&self, row: usize) -> f64 {
         (f64::from(self.batch.advantages[row]) - self.advantage_mean) * self.advantage_scale
     }
@@ -164,7 +163,7 @@ impl<'a> Minibatch<'a> {
 /// The clipped surrogate of one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surrogate {
-    /// `−min(A·r, A·clip(r, 1 − c, 1 + c))`
+    /// The loss `−min(A·r, A·clip(r, 1 − c, 1 + c))`.
     pub loss: f64,
     /// Derivative of the loss by the log-probability.
     pub slope: f64,
@@ -189,7 +188,7 @@ pub(in crate::ppo) mod tests {
     use crate::config::Config;
     use crate::ranks::Alone;
 
-    /// The paper's.
+    /// Returns the settings of the paper.
     pub fn settings() -> Ppo {
         Config::load("compliant").unwrap().ppo
     }
@@ -213,7 +212,7 @@ pub(in crate::ppo) mod tests {
         assert!(Surrogate::new(1.0, f64::NAN, 0.2).loss.is_nan());
     }
 
-    /// Samples of which nothing else is known.
+    /// Creates a batch with only advantages.
     fn of_advantages(advantages: &[f32]) -> Batch<'_> {
         let [observations, actions, means, log_std, log_probs, returns] = [&[] as &[f32]; 6];
         Batch { observations, actions, means, log_std, log_probs, advantages, returns }

@@ -1,15 +1,15 @@
-/*!
-Proximal policy optimisation on the CPU.
+/*! Proximal policy optimisation on the CPU.
 
-Start reading in [`mod@candle`]: it states what is computed, in the order of the textbook. A [`Learner`] makes an update of
-a batch; there are two, and the key `ppo.learner` chooses between them:
+Start reading in [`mod@candle`], which computes the update in the order of the textbook. A [`Learner`] makes an update
+of a batch; there are two, and the key `ppo.learner` chooses between them:
 
-- [`CandleLearner`] computes just that, with gradients by automatic differentiation;
-- [`FusedLearner`], the default, computes the same several times faster, with gradients by hand and fused products on all
-  cores. [`PackedMlp`](crate::network::PackedMlp) evaluates one network during rollouts, with the same bits.
+- [`CandleLearner`] computes the textbook's formulas with automatic differentiation;
+- [`FusedLearner`], the default, computes the same several times faster, with gradients written by hand and fused
+  products on all cores. [`PackedMlp`](crate::network::PackedMlp) evaluates one network during rollouts, with the same
+  bits.
 
-To try a new loss, change [`candle::Loss::new`] and train with `ppo.learner: candle`; nothing else has to know. A term that
-is worth keeping then goes into the fused learner, and the tests that hold the two together say when it is right.
+To try a new loss, change [`candle::Loss::new`] and train with `ppo.learner: candle`; nothing else needs a change. To
+keep it, add it to the fused learner; the tests that compare the two tell when it is right.
 
 The semantics are those of Stable-Baselines3 (advantages normalised per minibatch, unclipped value loss, joint
 gradient-norm clip, Adam) with the adaptive learning rate of Rudin et al. ("Learning to walk in minutes using

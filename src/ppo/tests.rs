@@ -1,4 +1,4 @@
-//! All learners against the textbook and against one another, and their promises about bits.
+//! Tests of all learners against the textbook and against each other, and of their reproducibility.
 
 use candle_core::{DType, Tensor};
 use proptest::prelude::*;
@@ -20,7 +20,7 @@ use crate::network::{ActorCritic, Layer, PackedMlp, Scratch};
 use crate::ranks::Alone;
 
 impl Samples {
-    /// Samples a batch from a policy somewhat away from the one to be trained.
+    /// Samples a batch from a policy that differs somewhat from the one to be trained.
     fn new(network: &ActorCritic, samples: usize, seed: u64) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
         let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());
@@ -60,7 +60,7 @@ fn permutations(samples: usize, epochs: usize, seed: u64) -> Vec<Vec<u32>> {
     (0..epochs).map(|_| permutation()).collect()
 }
 
-/// Sizes that divide by nothing convenient; the policy's head is large enough to matter.
+/// Creates a network of awkward sizes, whose policy has a large last layer.
 fn network() -> ActorCritic {
     let rng = &mut ChaCha8Rng::seed_from_u64(7);
     let mut network = ActorCritic::orthogonal(19, &[50, 37, 23], 5, -0.5, rng);
@@ -79,7 +79,7 @@ fn fused<A: Arithmetic>(network: &ActorCritic, settings: Ppo, threads: usize) ->
     FusedLearner::new(&LearnerState::new(network.clone(), &settings), settings, threads, Alone::shared())
 }
 
-/// Every learner that this machine has, going on from `state`, and how far an update of it may be off.
+/// Returns every learner that this machine supports, continuing from `state`, with the tolerance of an update.
 fn resumed(state: &LearnerState, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64)> {
     let mut learners: Vec<(Box<dyn Learner>, f64)> = vec![
         (Box::new(FusedLearner::<Panels>::new(state, settings.clone(), 2, Alone::shared())), 1e-4),
@@ -97,12 +97,13 @@ fn resumed(state: &LearnerState, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64)>
     learners
 }
 
-/// Every learner at the start.
+/// Returns every learner in its initial state.
 fn learners(network: &ActorCritic, settings: &Ppo) -> Vec<(Box<dyn Learner>, f64)> {
     resumed(&LearnerState::new(network.clone(), settings), settings)
 }
 
-/// Gradient of the loss over one minibatch by automatic differentiation, in the order of [`ActorCritic::tensors`].
+/// Returns the gradient of the loss over one minibatch by automatic differentiation, in the order of
+/// [`ActorCritic::tensors`].
 fn candle_gradient(networks: &Networks, loss: &Loss) -> Vec<Vec<f64>> {
     let gradients = loss.total.backward().unwrap();
     networks.variables.iter().map(|variable| numbers(gradients.get(variable).unwrap())).collect()
@@ -116,8 +117,8 @@ fn norm(x: impl Iterator<Item = f64>) -> f64 {
     x.map(|x| x * x).sum::<f64>().sqrt()
 }
 
-/// Checks gradients over networks and minibatches of several sizes: by tensor, the largest error that its norm, its
-/// elements and, in which much cancels, the norm of the gradient by `ln σ` may have.
+/// Checks gradients over networks and minibatches of several sizes. The errors are tolerances by tensor: of its norm,
+/// of its elements and, because much cancels there, of the norm of the gradient by `ln σ`.
 fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64, log_std_error: f64) {
     for (sizes, rows) in [(None, 150), (None, 64), (None, 3), (Some([83, 256, 128, 64, 12]), 512)] {
         let network = match sizes {
@@ -169,7 +170,7 @@ fn gradients_of_tiles_equal_those_of_automatic_differentiation() {
     check_gradients::<Tiles<1, 1>>(0.15, 1.5, 1.0);
 }
 
-/// Stable-Baselines3's loop with the learning-rate rule of rsl_rl, on candle's f64 gradients.
+/// Runs Stable-Baselines3's loop with the learning-rate rule of rsl_rl, on candle's f64 gradients.
 fn reference_update(
     network: &ActorCritic,
     batch: &Batch<'_>,
@@ -302,7 +303,7 @@ fn shards_give_same_sums_for_any_number_of_threads() {
     }
 }
 
-/// An update of minibatches of 8 · 88 rows, 88 being a block and a part of one.
+/// Checks an update with minibatches of 8 · 88 rows, 88 being a block and a part of one.
 fn check_shards<A: Arithmetic>(tolerance: f64) {
     let network = network();
     let samples = Samples::new(&network, 1408, 1);
@@ -513,7 +514,7 @@ fn a_batch_that_does_not_fit_is_refused() {
 }
 
 impl<A: Arithmetic> FusedLearner<A> {
-    /// Gradient over one minibatch, without a step.
+    /// Returns the gradient over one minibatch, without a step.
     fn gradient(&self, batch: &Batch<'_>, settings: &Ppo, rows: &[u32]) -> ActorCritic {
         let orders = [rows.to_vec()];
         let minibatch = &Minibatch::all(batch, settings, &orders, &Alone)[0];

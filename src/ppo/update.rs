@@ -1,6 +1,4 @@
-/*!
-The course of an update: from the sums of a minibatch to its step, statistics or fault.
-*/
+//! The parts of an update that all learners share: from the sums of a minibatch to its step, statistics or fault.
 
 use serde::{Deserialize, Serialize};
 
@@ -9,26 +7,26 @@ use super::loss::Minibatch;
 use crate::config::Ppo;
 use crate::ranks::Ranks;
 
-/// Statistics of an update: means over its minibatches unless said otherwise.
+/// Statistics of an update: means over its minibatches unless stated otherwise.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct UpdateStatistics {
-    /// Clipped surrogate, negated.
+    /// Policy loss: the negated clipped surrogate.
     pub policy_loss: f64,
     /// Mean squared error of the values.
     pub value_loss: f64,
     /// Entropy of the policy.
     pub entropy: f64,
-    /// Divergence from the policy of the rollout.
+    /// KL divergence from the policy of the rollout.
     pub kl: f64,
     /// Fraction of samples with a probability ratio outside the clip range.
     pub clip_fraction: f64,
     /// Largest probability ratio of a sample, over all minibatches.
     pub max_ratio: f64,
-    /// Joint norm before clipping.
+    /// Norm of the joint gradient before clipping.
     pub gradient_norm: f64,
-    /// Largest joint norm before clipping.
+    /// Largest norm of the joint gradient before clipping.
     pub max_gradient_norm: f64,
-    /// Learning rate.
+    /// Adapted learning rate.
     pub learning_rate: f64,
 }
 
@@ -38,46 +36,46 @@ pub enum UpdateFault {
     /// A slice of the batch does not fit the others.
     #[error("{name} of the batch should have {expected} elements, but has {actual}")]
     Shape {
-        /// The slice.
+        /// Name of the slice.
         name: &'static str,
-        /// Length that fits.
+        /// Expected length.
         expected: usize,
-        /// Length given.
+        /// Length that was given.
         actual: usize,
     },
     /// A minibatch cannot be divided among the shards.
     #[error("the permutation of epoch {epoch} leaves {rows} samples for {shards} shards, which do not divide them")]
     Shards {
-        /// Counted from zero.
+        /// Index of the epoch, counted from zero.
         epoch: usize,
-        /// Samples of a minibatch.
+        /// Number of samples in the minibatch.
         rows: usize,
-        /// Shards on this rank.
+        /// Number of shards on this rank.
         shards: usize,
     },
-    /// A permutation names a sample that is not in the batch.
+    /// A permutation contains a sample that is not in the batch.
     #[error("the permutation of epoch {epoch} names sample {sample} of only {samples}")]
     Sample {
-        /// Counted from zero.
+        /// Index of the epoch, counted from zero.
         epoch: usize,
-        /// Index given.
+        /// Index of the sample that is not in the batch.
         sample: u32,
-        /// Number of samples.
+        /// Number of samples in the batch.
         samples: usize,
     },
-    /// The loss, the divergence or the gradient is infinite or not a number.
+    /// The loss, the divergence or the gradient is infinite or NaN.
     #[error("minibatch {minibatch} of epoch {epoch} is not finite: {summary:?}")]
     NotFinite {
-        /// Counted from zero.
+        /// Index of the epoch, counted from zero.
         epoch: usize,
-        /// Within the epoch, counted from zero.
+        /// Index of the minibatch within the epoch, counted from zero.
         minibatch: usize,
-        /// Samples of the minibatch.
+        /// Indices of the minibatch's samples.
         samples: Vec<u32>,
-        /// The values seen.
+        /// Statistics of the minibatch.
         summary: UpdateStatistics,
     },
-    /// The candle learner met an error of candle; the parameters are those before the update.
+    /// Candle failed; the parameters are those before the update.
     #[error("candle: {0}")]
     Candle(String),
 }
@@ -88,7 +86,8 @@ impl From<candle_core::Error> for UpdateFault {
     }
 }
 
-/// Adam's decay of the first and the second moment: its own, which neither the paper nor Stable-Baselines3 changes.
+/// Adam's decay rates of the first and the second moment; the defaults, which neither the paper nor Stable-Baselines3
+/// changes.
 pub const ADAM_BETAS: [f64; 2] = [0.9, 0.999];
 
 /// State passed from one minibatch of an update to the next.
@@ -97,9 +96,9 @@ pub struct UpdateProgress {
     pub steps: u64,
     pub learning_rate: f64,
     pub statistics: UpdateStatistics,
-    /// Minibatches of the update.
+    /// Number of minibatches in the update.
     count: usize,
-    /// The step to take; none after a fault.
+    /// The step to take; `None` after a fault.
     pub step: Option<OptimizerStep>,
     pub fault: Option<UpdateFault>,
 }
@@ -107,15 +106,15 @@ pub struct UpdateProgress {
 /// The parts of a gradient step that all learners share.
 #[derive(Debug, Clone, Copy)]
 pub struct OptimizerStep {
-    /// Counted from one.
+    /// Number of the step, counted from one.
     pub count: u64,
     pub learning_rate: f64,
-    /// Clips the norm of the joint gradient.
+    /// Factor that clips the norm of the joint gradient.
     pub gradient_scale: f64,
 }
 
 impl OptimizerStep {
-    /// Returns the scalars of a step for a joint gradient of norm `gradient_norm`.
+    /// Computes the scalars of a step for a joint gradient of norm `gradient_norm`.
     pub fn new(settings: &Ppo, count: u64, learning_rate: f64, gradient_norm: f64) -> Self {
         let gradient_scale = (settings.max_gradient_norm / (gradient_norm + 1e-6)).min(1.0);
         Self { count, learning_rate, gradient_scale }
@@ -123,12 +122,12 @@ impl OptimizerStep {
 }
 
 impl UpdateProgress {
-    /// At the start of an update of `count` minibatches.
+    /// Creates the progress at the start of an update of `count` minibatches.
     pub fn new(steps: u64, learning_rate: f64, count: usize) -> Self {
         Self { steps, learning_rate, statistics: UpdateStatistics::default(), count, step: None, fault: None }
     }
 
-    /// Decides on the step of `minibatch` from its statistics.
+    /// Determines the step of `minibatch` from its statistics, or records the fault.
     pub fn conclude(&mut self, minibatch: &Minibatch<'_>, mut summary: UpdateStatistics) {
         let Minibatch { epoch, index, rows, settings, .. } = *minibatch;
         summary.learning_rate = settings.adapted_learning_rate(self.learning_rate, summary.kl);
@@ -149,7 +148,7 @@ impl UpdateStatistics {
         [self.policy_loss, self.value_loss, self.entropy, self.kl, self.gradient_norm].iter().all(|x| x.is_finite())
     }
 
-    /// Adds a minibatch that has this weight in the update.
+    /// Adds the statistics of a minibatch with a weight.
     fn add(&mut self, minibatch: &Self, weight: f64) {
         self.policy_loss += weight * minibatch.policy_loss;
         self.value_loss += weight * minibatch.value_loss;
@@ -163,7 +162,8 @@ impl UpdateStatistics {
     }
 }
 
-/// Checks that slices have fitting lengths, and that permutations stay within the batch and can be divided among the shards.
+/// Checks that slices have fitting lengths, and that permutations stay within the batch and can be divided among the
+/// shards.
 pub fn check(
     batch: &Batch<'_>,
     permutations: &[Vec<u32>],

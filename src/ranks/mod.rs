@@ -1,13 +1,13 @@
-/*! The processes that train one run together, and the order in which they sum.
+/*! Ranks: the processes that train one run together, and the order in which they sum.
 
-A run is divided into `ppo.shards` equal parts, a power of two: shard `s` of `S` has environments `s·E/S` to `(s + 1)·E/S`,
-the samples they make, an order of its own in which those are learnt from, and an equal part of every minibatch. Whatever
-is summed over samples is summed within each shard in order, then over shards by a fixed tree,
-`((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7))`. A rank has the same number of shards as every other, one after the other, so
-that its sum is a node of that tree: the result depends on the number of shards, but neither on that of ranks nor on that
-of threads.
+Start with the trait [`Ranks`] and [`Alone`], the single process; with the feature `mpi`, `Mpi` is a process started by
+`mpirun`.
 
-[`Alone`] is a program by itself; with the feature `mpi`, `Mpi` is one of those that `mpirun` has started.
+A run is divided into `ppo.shards` equal parts, a power of two: shard `s` of `S` has environments `s·E/S` to
+`(s + 1)·E/S`, their samples, its own order of the samples, and an equal part of every minibatch. A sum over samples runs
+within each shard in order, then over the shards by a fixed tree, `((0 + 1) + (2 + 3)) + ((4 + 5) + (6 + 7))`. Every
+rank has the same number of consecutive shards, so that its sum is a node of that tree: the result depends on the number
+of shards, but neither on that of ranks nor on that of threads.
 */
 
 #[cfg(feature = "mpi")]
@@ -26,15 +26,15 @@ use serde_json::Value;
 
 use crate::util::yaml;
 
-/// This process among those that train together. Whatever is done together is called by all of them, in the same order.
+/// This process among those that train together. All of them call collective operations, in the same order.
 pub trait Ranks: Debug + Send + Sync {
-    /// Which of them it is, counted from zero.
+    /// Returns the index of this rank, counted from zero.
     fn index(&self) -> usize;
 
-    /// How many there are; a power of two wherever a run is trained.
+    /// Returns the number of ranks; a power of two in training.
     fn count(&self) -> usize;
 
-    /// How many of them are on this machine, itself included.
+    /// Returns the number of ranks on this machine, this one included.
     fn here(&self) -> usize {
         1
     }
@@ -44,7 +44,7 @@ pub trait Ranks: Debug + Send + Sync {
         false
     }
 
-    /// What a rank below [`count`](Ranks::count) is called, with the machine that it is on.
+    /// Returns the name of a rank below [`count`](Ranks::count) and its machine.
     fn name(&self, rank: usize) -> String;
 
     /// Replaces numbers by their sums over all ranks, over a fixed tree.
@@ -53,14 +53,14 @@ pub trait Ranks: Debug + Send + Sync {
     /// Gathers the bytes of every rank, in rank order.
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>>;
 
-    /// The part of `whole` that is this rank's, `whole` being a multiple of their number.
+    /// Returns this rank's part of `whole`, which is a multiple of the number of ranks.
     fn share(&self, whole: usize) -> Range<usize> {
         let each = whole / self.count();
         self.index() * each..(self.index() + 1) * each
     }
 }
 
-/// A program by itself.
+/// The single rank of a program that was not started by `mpirun`.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Alone;
 
@@ -95,7 +95,7 @@ impl Ranks for Alone {
     }
 }
 
-/// The sum of `part` over `shards`, a power of two of them, over their tree.
+/// Sums `part` over `shards`, a power of two, in the order of their tree.
 pub fn tree_sum(shards: usize, part: impl Fn(usize) -> f64) -> f64 {
     fn node(shards: Range<usize>, part: &impl Fn(usize) -> f64) -> f64 {
         if shards.len() < 2 {
@@ -107,7 +107,7 @@ pub fn tree_sum(shards: usize, part: impl Fn(usize) -> f64) -> f64 {
     node(0..shards, &part)
 }
 
-/// The sum of `of` over the samples of all ranks, of which `samples` in `shards` shards are here.
+/// Sums `of` over the samples of all ranks; this rank has `samples` of them, in `shards` shards.
 pub fn sum_over_samples(ranks: &dyn Ranks, shards: usize, samples: usize, of: impl Fn(usize) -> f64) -> f64 {
     let size = samples / shards;
     let mut sum = vec![tree_sum(shards, |shard| (shard * size..(shard + 1) * size).map(&of).sum())];
@@ -122,20 +122,20 @@ pub fn any(ranks: &dyn Ranks, own: bool) -> bool {
     count[0] > 0.0
 }
 
-/// An error on one of several ranks, known to all.
+/// An error on one of several ranks, reported on all of them.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{name}: {problem}")]
 pub struct RankError {
-    /// Rank and host.
+    /// Index and host of the rank.
     pub name: String,
-    /// The error's own message.
+    /// Message of the error.
     pub problem: String,
 }
 
 /// Returns every rank's result in rank order, or the error of the first rank that failed.
 ///
 /// # Errors
-/// A single rank's own error; of several ranks, a [`RankError`] on all of them.
+/// A rank failed: with a single rank its own error, with several a [`RankError`] on all of them.
 pub fn agree<T, E>(ranks: &dyn Ranks, own: Result<T, E>) -> Result<Vec<T>, E>
 where
     T: Serialize + DeserializeOwned,
@@ -154,10 +154,10 @@ where
     told.iter().enumerate().map(read).collect()
 }
 
-/// Checks that facts, by name, are the same on all ranks as on the first.
+/// Checks that named values are the same on all ranks as on the first.
 ///
 /// # Errors
-/// A [`RankError`] that names a rank on which they are not, and which ones; the same on all of them.
+/// A value differs; the error, the same on all ranks, names a rank and the values.
 pub fn check_alike(ranks: &dyn Ranks, facts: Value) -> Result<(), RankError> {
     let all = agree::<_, RankError>(ranks, Ok(facts))?;
     for (rank, own) in all.iter().enumerate() {

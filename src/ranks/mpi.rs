@@ -1,16 +1,16 @@
 /*! Ranks over MPI.
 
-All calls of MPI are made by one thread, which does nothing else: whoever wants something hands its numbers over and waits
-for them to come back. On a machine with other work that is much faster than a call by the thread that has just computed:
-having slept, this one is let in at once, whereas one that has used up its time loses the core as soon as it waits.
+One thread makes all MPI calls and does nothing else: other threads hand it their numbers and wait
+for the results. On a busy machine that is much faster than a call by the thread that has just computed: a thread that
+has slept gets a core at once, whereas one that has used up its time slice loses it as soon as it waits.
 
 Sums go by recursive doubling: with 8 ranks, each first exchanges numbers with its neighbour, then with the rank two places
 away, then four. Both sides compute `a + b`, which has the same bits as `b + a`. Of many numbers, each side of an exchange
 sums one half only, and half of that in the next; the sums then go back the same way. So a rank sends less than twice
 what it sums, however many ranks there are, and the tree is the same.
 
-A rank that hangs does not take the others with it. Whoever has waited too long tells all others that it waits; those that wait
-too say the same; and whoever is not heard of is to blame.
+A rank that hangs does not block the others for ever. A rank that has waited too long tells all others that it waits;
+those that wait, too, reply; the rank that did not answer is reported.
 */
 
 use std::ops::{AddAssign, Range};
@@ -37,20 +37,20 @@ const NUMBERS: Tag = 0;
 /// The tag of messages from a rank that has waited too long.
 const WAITING: Tag = 1;
 
-/// Longest time that the others may take to say that they wait, too.
+/// Longest time in which the other ranks must reply that they wait, too.
 const HEARING: Duration = Duration::from_secs(2);
 
-/// Fewer numbers are not halved: their way takes no longer than that of half of them.
+/// Number of values below which they are not halved, because halving would save no time.
 const MANY: usize = 8192;
 
-/// Looks for an answer before a waiting rank offers its core to others: see [`Team`](crate::ppo).
+/// Number of polls before a waiting rank offers its core to others: see [`Team`](crate::ppo).
 const SPINS: u32 = 100;
 
-/// One of the processes that `mpirun` has started.
+/// A process started by `mpirun`.
 #[derive(Debug)]
 pub struct Mpi {
     index: usize,
-    /// The hosts of all ranks.
+    /// Host of each rank.
     hosts: Vec<String>,
     messenger: Mutex<Messenger>,
 }
@@ -62,7 +62,7 @@ struct Messenger {
     thread: Option<JoinHandle<()>>,
 }
 
-/// An operation on numbers, which come back as its result.
+/// A collective operation on numbers, which become its result.
 #[derive(Debug)]
 enum Call {
     Sum(Vec<f32>, Vec<f64>),
@@ -70,10 +70,10 @@ enum Call {
 }
 
 impl Mpi {
-    /// Joins the others. No rank waits longer than `timeout` for another: then it ends the program, and with it all of them.
+    /// Joins the other ranks. A rank that waits longer than `timeout` for another ends the whole program.
     ///
     /// # Errors
-    /// In words: MPI cannot be used.
+    /// MPI is not available, or does not support calls from another thread; the text says why.
     pub fn join(timeout: Duration) -> Result<Self, String> {
         let (calls, to_do) = channel();
         let (done, answers) = channel();
@@ -119,7 +119,7 @@ impl Mpi {
 }
 
 impl Drop for Mpi {
-    /// Leaves in peace, which waits for the others to do so too.
+    /// Leaves MPI, which waits for the other ranks.
     fn drop(&mut self) {
         let messenger = self.messenger.get_mut().unwrap_or_else(PoisonError::into_inner);
         messenger.calls = channel().0;
@@ -161,7 +161,7 @@ impl Ranks for Mpi {
     }
 }
 
-/// A rank and its host, once that is known.
+/// Returns the name of a rank, with its host once it is known.
 fn name(rank: usize, hosts: &[String]) -> String {
     match &*hosts[rank] {
         "" => format!("rank {rank}"),
@@ -169,12 +169,12 @@ fn name(rank: usize, hosts: &[String]) -> String {
     }
 }
 
-/// All ranks, as the thread that calls MPI knows them.
+/// The communicator of all ranks, used by the MPI thread.
 struct MpiComm {
     ranks: SimpleCommunicator,
     rank: usize,
     count: usize,
-    /// The hosts of all ranks; empty until they have been exchanged.
+    /// Host of each rank; empty until they have been exchanged.
     hosts: Vec<String>,
     timeout: Duration,
 }
@@ -189,7 +189,7 @@ impl MpiComm {
         world
     }
 
-    /// `others` is where those of other ranks go, with room to spare from one sum to the next.
+    /// Sums values over all ranks. `others` is a buffer for those of other ranks, reused from one sum to the next.
     fn sum<T: Copy + Default + AddAssign + Equivalence>(&self, values: &mut [T], others: &mut Vec<T>)
     where
         [T]: Buffer + BufferMut,
@@ -225,7 +225,7 @@ impl MpiComm {
         }
     }
 
-    /// Every rank hands its own to each of the others, the next one first.
+    /// Sends this rank's bytes to each of the other ranks, the next one first.
     fn gather(&self, own: Vec<u8>) -> Vec<Vec<u8>> {
         let mut all = vec![Vec::new(); self.count];
         for distance in 1..self.count {
@@ -239,7 +239,7 @@ impl MpiComm {
         all
     }
 
-    /// Hands `own` to one rank and takes `others` from one.
+    /// Sends `own` to one rank and receives `others` from one.
     fn exchange<T>(&self, own: &[T], to: usize, others: &mut [T], from: usize)
     where
         [T]: Buffer + BufferMut,
@@ -270,7 +270,7 @@ impl MpiComm {
         });
     }
 
-    /// Ends this rank, which has waited too long for an answer `from` another, and names who is to blame.
+    /// Ends this rank, which has waited too long for rank `from`, and reports the rank that did not answer.
     fn end_waiting(&self, from: usize) -> ! {
         for rank in (0..self.count).filter(|rank| *rank != self.rank) {
             let process = self.ranks.process_at_rank(rank as i32);

@@ -1,9 +1,9 @@
-//! A robot in words, for people.
+//! A readable description of a robot.
 
 use super::{JOINTS, Joints, Robot, joint_name};
 
 impl Robot {
-    /// Describes the parts read from the robot's file and the changes made to it.
+    /// Describes the values read from the robot's file and the changes made to it.
     pub fn description(&self) -> String {
         let height = self.standing_height_m(&self.nominal_pose);
         let mut text = format!("{}: {:.3} kg, trunk {height:.3} m above the ground\n", self.name, self.mass_kg);
@@ -16,7 +16,7 @@ impl Robot {
     }
 }
 
-/// A line for each joint: its place, name, nominal angle \[rad\], range \[rad\] and largest torque [N·m].
+/// Returns a line for each joint: leg and part, name, nominal angle \[rad\], range \[rad\] and largest torque [N·m].
 pub fn joint_table(pose: &Joints, limits: &[[f64; 2]; JOINTS], torques: &Joints) -> String {
     let mut text = "joints            nominal [rad]  range [rad]         largest torque [N m]\n".to_owned();
     for (joint, angle) in pose.iter().enumerate() {

@@ -1,23 +1,23 @@
-//! How far a trunk reaches, from its collision shapes.
+//! Dimensions of a trunk, from its collision shapes.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
 use crate::mujoco::{Geom, Model, Shape};
 use crate::util::numbers::maximum;
 
-/// The distances from the trunk's origin to its ends \[m\].
+/// Distances from the trunk's origin to its ends, base frame \[m\].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Extent {
-    /// Ahead, of all its shapes.
+    /// Distance to the front end, over all shapes \[m\].
     pub ahead: f64,
-    /// Behind, of all its shapes.
+    /// Distance to the rear end, over all shapes \[m\].
     pub behind: f64,
-    /// At the sides, of the largest one: the body between head and tail.
+    /// Distance to the sides of the largest shape, the body between head and tail \[m\].
     pub side: f64,
 }
 
 impl Extent {
-    /// Measures a body; zero if none of its geometries collides.
+    /// Measures a body; the distances are zero if none of its geometries collides.
     pub(super) fn of(model: &Model, body: usize) -> Self {
         let is_shape = |geom: &usize| model.geom_body(*geom) == body && model.geom_contact(*geom).collides();
         let shapes: Vec<Geom> =
@@ -37,7 +37,7 @@ impl Extent {
     }
 }
 
-/// Half of a shape's width along a unit vector of its body's frame \[m\].
+/// Returns half of a shape's width along a unit vector of its body's frame \[m\].
 fn half_width(shape: &Geom, direction: Vector3<f64>) -> f64 {
     let [w, x, y, z] = shape.quaternion;
     let along = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)).inverse() * direction;

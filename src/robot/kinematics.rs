@@ -1,7 +1,7 @@
-/*! Where a foot is and how it moves, from joint angles and rates: any leg of three hinges in closed form.
+/*! Forward kinematics of the feet, from joint angles and rates: any leg of three hinges in closed form.
 
-A leg is read from the model as it stands at zero angles, all in the base frame: the hip's place, the vectors from hip to
-thigh joint, from there to the knee, from there to the foot, and the axes that the joints turn about. Thigh and calf turn
+A leg is read from the model at zero angles, all in the base frame: the hip's position, the vectors from hip to
+thigh joint, from there to the knee, from there to the foot, and the axes of the joints. Thigh and calf turn
 about parallel axes, so that their angles add. `golden.c` prints what MuJoCo makes of the Go1's legs, and a test compares.
 */
 
@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use super::legs::{Joints, LEGS, PARTS, of_leg};
 use crate::mujoco::{Kind, Model};
 
-/// A foot as the trunk sees it: what changes if the trunk is held still.
+/// Position and motion of a foot relative to the trunk.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Foot {
     /// Centre of the foot's sphere, base frame \[m\].
@@ -21,10 +21,10 @@ pub struct Foot {
     pub spin: Vector3<f64>,
 }
 
-/// A leg at zero angles, base frame \[m\].
+/// Geometry of a leg at zero angles, base frame \[m\].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Leg {
-    /// Angles of the joints in that pose, as the model counts them \[rad\].
+    /// Joint angles in that pose, as the model counts them \[rad\].
     zero: [f64; 3],
     /// Axes of hip and thigh, unit vectors.
     hip_axis: Vector3<f64>,
@@ -43,13 +43,13 @@ pub struct Leg {
     pub foot_radius_m: f64,
 }
 
-/// A knee that is bent by less does not carry a trunk that goes up and down \[rad\].
+/// Knee bend below which a leg counts as straight \[rad\].
 const STRAIGHT: f64 = 0.4;
 
-/// How far the Go1's knees are bent in its nominal pose \[rad\].
+/// Knee bend of the Go1 in its nominal pose \[rad\].
 const BENT: f64 = 1.44;
 
-/// Axes count as parallel up to this angle \[rad\].
+/// Largest angle between axes that count as parallel \[rad\].
 const PARALLEL: f64 = 1e-3;
 
 impl Leg {
@@ -92,14 +92,14 @@ impl Leg {
         })
     }
 
-    /// Centre of the foot, base frame \[m\], from the leg's hip, thigh and calf angle \[rad\].
+    /// Returns the centre of the foot, base frame \[m\], for the leg's hip, thigh and calf angle \[rad\].
     pub fn foot_position(&self, angles: [f64; 3]) -> Vector3<f64> {
         let [hip, ..] = self.turned(angles);
         let (thigh, calf) = self.links(angles);
         self.hip + about(&self.hip_axis, hip, &((thigh + calf) + self.thigh))
     }
 
-    /// Derivative of [`Leg::foot_position`] by the three angles, a column each [m/rad].
+    /// Returns the derivative of [`Leg::foot_position`] by the three angles, one column each [m/rad].
     pub fn foot_jacobian(&self, angles: [f64; 3]) -> Matrix3<f64> {
         let [hip, ..] = self.turned(angles);
         let (thigh, calf) = self.links(angles);
@@ -113,7 +113,7 @@ impl Leg {
         Matrix3::from_columns(&columns.map(|column| about(&self.hip_axis, hip, &column)))
     }
 
-    /// Position and motion of the foot.
+    /// Returns position and motion of the foot for angles \[rad\] and rates [rad/s] of hip, thigh and calf.
     pub fn foot(&self, angles: [f64; 3], rates: [f64; 3]) -> Foot {
         let spin = self.thigh_axis * (rates[1] + self.calf_sign * rates[2]);
         Foot {
@@ -129,8 +129,8 @@ impl Leg {
         (self.lean(&thigh) - self.lean(&calf)).abs() < STRAIGHT
     }
 
-    /// The angles of a leg that is bent at the knee as the Go1's in its nominal pose: the foot below the thigh joint, the knee
-    /// behind both.
+    /// Returns the angles \[rad\] of a leg whose knee is bent like the Go1's in its nominal pose: the foot below the
+    /// thigh joint, the knee behind both.
     pub(super) fn bent(&self) -> [f64; 3] {
         // About an axis that points to the left, what hangs down goes back as its angle grows.
         let bend = self.thigh_axis.y.signum() * BENT;
@@ -139,23 +139,23 @@ impl Leg {
         [self.zero[0], self.zero[1] - self.lean(&to_foot), self.zero[2] + self.calf_sign * calf]
     }
 
-    /// By how much a vector is turned about the thigh's axis from pointing down \[rad\].
+    /// Returns the angle of a vector about the thigh's axis, counted from straight down \[rad\].
     fn lean(&self, vector: &Vector3<f64>) -> f64 {
         let down = -Vector3::z();
         self.thigh_axis.dot(&down.cross(vector)).atan2(down.dot(vector))
     }
 
-    /// Axes of hip, thigh and calf at zero angles, base frame.
+    /// Returns the axes of hip, thigh and calf at zero angles, base frame.
     pub(super) fn axes(&self) -> [Vector3<f64>; 3] {
         [self.hip_axis, self.thigh_axis, self.thigh_axis * self.calf_sign]
     }
 
-    /// How far each joint has turned from the pose that the vectors are of \[rad\].
+    /// Returns the rotation of each joint from the zero pose \[rad\].
     fn turned(&self, angles: [f64; 3]) -> [f64; 3] {
         std::array::from_fn(|part| angles[part] - self.zero[part])
     }
 
-    /// Thigh and calf, turned about the thigh's axis.
+    /// Returns the thigh and calf vectors, turned about the thigh's axis \[m\].
     fn links(&self, angles: [f64; 3]) -> (Vector3<f64>, Vector3<f64>) {
         let [_, thigh, calf] = self.turned(angles);
         let turn = |angle, link| about(&self.thigh_axis, angle, link);
@@ -163,7 +163,7 @@ impl Leg {
     }
 }
 
-/// All feet, in the order of [`LEGS`].
+/// Returns all feet, in the order of [`LEGS`].
 pub fn feet(legs: &[Leg; 4], angles: &Joints, rates: &Joints) -> [Foot; 4] {
     std::array::from_fn(|leg| legs[leg].foot(of_leg(angles, leg), of_leg(rates, leg)))
 }
@@ -182,7 +182,7 @@ fn walk(model: &Model, from: usize, to: usize, place: &mut Vector3<f64>, turn: &
     }
 }
 
-/// A vector turned about a unit axis: what lies along the axis stays, the rest goes round.
+/// Rotates a vector about a unit axis by an angle \[rad\].
 fn about(axis: &Vector3<f64>, angle: f64, vector: &Vector3<f64>) -> Vector3<f64> {
     let (sin, cos) = angle.sin_cos();
     let along = axis * axis.dot(vector);
@@ -197,7 +197,7 @@ mod tests {
     const ANGLES: Joints = [0.2, 0.7, -1.5, -0.3, 0.9, -1.8, -0.1, 0.5, -1.2, 0.4, 1.1, -2.1];
     const RATES: Joints = [1.5, -2.0, 3.0, -0.5, 4.0, -1.0, 2.0, 0.5, 0.7, -1.0, -3.0, 2.5];
 
-    /// Position, velocity, spin of each foot as `golden.c` prints them.
+    /// Position, velocity and spin of each foot as printed by `golden.c`.
     const GOLDEN: [[[f64; 3]; 3]; 4] = [
         [
             [0.203678479980, -0.063307593748, -0.320997989489],

@@ -1,19 +1,19 @@
-/*! Four legs of three hinges, in one order.
+/*! The order of legs and joints.
 
-Every robot's joints are numbered alike, whatever its file calls them: legs FR, FL, RR, RL, in each hip (abduction), thigh,
-calf. That is Unitree's order.
+Every robot's joints have the same order, whatever its file calls them: legs FR, FL, RR, RL, in each hip (abduction),
+thigh, calf. That is Unitree's order.
 */
 
-/// Legs, right before left, front before rear.
+/// Names of the legs, right before left, front before rear.
 pub const LEGS: [&str; 4] = ["FR", "FL", "RR", "RL"];
 
-/// Joints of a leg from the trunk downwards.
+/// Names of a leg's joints, from the trunk downwards.
 pub const PARTS: [&str; 3] = ["hip", "thigh", "calf"];
 
 /// Number of actuated joints.
 pub const JOINTS: usize = LEGS.len() * PARTS.len();
 
-/// One number for each joint.
+/// One number for each joint, leg by leg in the order of [`LEGS`].
 pub type Joints = [f64; JOINTS];
 
 /// Returns the joint target that an action means: nominal pose + scale · action \[rad\] (section III-A).
@@ -26,23 +26,23 @@ pub fn same_in_every_leg<T: Copy>(of_leg: [T; 3]) -> [T; JOINTS] {
     std::array::from_fn(|joint| of_leg[joint % PARTS.len()])
 }
 
-/// Name of a joint, such as `FR_hip`.
+/// Returns the name of a joint, such as `FR_hip`.
 pub fn joint_name(joint: usize) -> String {
     format!("{}_{}", LEGS[joint / PARTS.len()], PARTS[joint % PARTS.len()])
 }
 
-/// Names of all joints.
+/// Returns the names of all joints.
 pub fn joint_names() -> [String; JOINTS] {
     std::array::from_fn(joint_name)
 }
 
-/// The joint on the other side of the robot.
+/// Returns the joint on the other side of the robot.
 pub fn opposite(joint: usize) -> usize {
     let (leg, part) = (joint / PARTS.len(), joint % PARTS.len());
     (leg ^ 1) * PARTS.len() + part
 }
 
-/// The three numbers of a leg.
+/// Returns the three numbers of a leg.
 pub fn of_leg(joints: &Joints, leg: usize) -> [f64; 3] {
     std::array::from_fn(|part| joints[leg * PARTS.len() + part])
 }

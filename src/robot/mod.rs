@@ -1,8 +1,9 @@
-/*! A quadruped as data: everything that depends on which robot it is, read from its MJCF.
+/*! Robots as data: all that depends on which quadruped it is, read from its MJCF.
 
-A robot is a trunk that floats freely and four legs of three hinges. The Go1 ships (`models/go1.xml`); any other one is an
-MJCF file, or a YAML file that names one and says what its parts are called, made to fit by `import`. Scenes include
-[`Robot::mjcf`], which has our names for trunk, joints, feet and motors, whatever the file called them.
+Start with [`Robot`], then [`Joints`] (the order of joints) and [`RobotState`]; [`kinematics`] computes foot positions.
+A robot is a free-floating trunk with four legs of three hinges. The Go1 and the Go2 ship (`models/`); any other one is
+an MJCF file, or a YAML description of one, converted by `import`. Scenes include [`Robot::mjcf`], which has Supple's
+names for trunk, joints, feet and motors, whatever the file called them.
 */
 
 mod describe;
@@ -31,26 +32,26 @@ use crate::util::files::{self, FileError};
 use crate::util::numbers::maximum;
 use crate::util::paths;
 
-/// The robots inside the program: name and MJCF.
+/// Name and MJCF of the robots inside the program.
 const SHIPPED: &[(&str, &str)] =
     &[("go1", include_str!("../../models/go1.xml")), ("go2", include_str!("../../models/go2.xml"))];
 
 /// Name of the site at the trunk's centre of mass, to which ropes are tied.
 pub const HARNESS: &str = "harness";
 
-/// The name of the file's kind in errors.
+/// Name of the file type in error messages.
 const ROBOT: &str = "robot";
 
 /// The losses of every joint, in addition to the controller's `K_d`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Losses {
-    /// Dry friction [N·m].
+    /// Dry friction of a joint [N·m].
     pub friction_n_m: f64,
     /// Viscous damping [N·m·s/rad].
     pub damping_n_m_s_per_rad: f64,
 }
 
-/// Joints to try all policies with, whatever they were trained with.
+/// Joint losses that replace those of a policy's configuration, to test all policies alike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JointLosses {
@@ -69,37 +70,50 @@ impl From<JointLosses> for Losses {
     }
 }
 
-/// A quadruped.
+/// A quadruped: masses, joint limits, leg geometry and the MJCF document that scenes include.
+///
+/// ```
+/// use supple::robot::{Robot, joint_name};
+///
+/// let robot = Robot::load("go1")?; // "go1", "go2", or the path of an MJCF or YAML file
+/// assert_eq!(joint_name(2), "FR_calf"); // legs FR, FL, RR, RL; joints hip, thigh, calf
+/// let [low, high] = robot.joint_limits[2]; // [rad]
+/// assert!(low < robot.nominal_pose[2] && robot.nominal_pose[2] < high);
+/// let height_m = robot.standing_height_m(&robot.nominal_pose);
+/// assert!((0.2..0.4).contains(&height_m));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Robot {
-    /// As it was asked for: `go1`, or the path of its file.
+    /// The name it was loaded by: `go1`, or the path of its file.
     pub name: String,
     mjcf: String,
     sha256: String,
     /// The changes made to the file and the parts left out, one on a line.
     pub report: Vec<String>,
-    /// Ranges of the joints \[rad\].
+    /// Ranges of the joints (low, high) \[rad\].
     pub joint_limits: [[f64; 2]; JOINTS],
     /// Largest torques of the motors [N·m].
     pub torque_limits: Joints,
-    /// Losses in the joints: none, unless a configuration says so.
+    /// Losses in the joints; zero unless a configuration sets them.
     pub losses: Losses,
-    /// What the robot starts from: the trunk's position and quaternion, then the joint angles in the model's order.
+    /// Starting configuration: the trunk's position \[m\] and quaternion, then the joint angles \[rad\], in the model's
+    /// order.
     pub stand: Vec<f64>,
-    /// Joint angles that the robot stands on, the middle of what a policy does \[rad\].
+    /// Joint angles of the nominal stance, the targets at action zero \[rad\].
     pub nominal_pose: Joints,
     /// Geometry of the legs, in the order of [`LEGS`].
     pub legs: [Leg; 4],
-    /// Where the IMU is, base frame \[m\]: the site `imu`, or the trunk's origin.
+    /// Position of the IMU, base frame \[m\]: the site `imu`, or the trunk's origin.
     pub imu_in_base: Vector3<f64>,
     /// Mass of all parts \[kg\].
     pub mass_kg: f64,
-    /// How far the trunk reaches from its origin \[m\].
+    /// Distances from the trunk's origin to its ends \[m\].
     pub trunk: Extent,
-    /// Base height below which it counts as fallen, if its description says so \[m\].
+    /// Base height below which the robot counts as fallen, if its description states one \[m\].
     pub fall_height_m: Option<f64>,
-    /// Whether it is no fall that a shank touches the ground: so of robots from elsewhere, where its shape may reach down into
-    /// the foot, as the A1's does.
+    /// True if a shank on the ground is no fall: the case for imported robots, whose shank may reach down into the
+    /// foot, as the A1's does.
     pub shanks_may_touch: bool,
     /// Names of the geometries that can touch the ground.
     pub colliding: Vec<String>,
@@ -115,14 +129,15 @@ static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::
     SHIPPED.iter().map(robot).collect()
 });
 
-/// Robots from elsewhere that this process has read: name, what their files say.
+/// Imported robots that this process has read: name and text of the files.
 static IMPORTED_ROBOTS: Mutex<Vec<([String; 2], Arc<Robot>)>> = Mutex::new(Vec::new());
 
 impl Robot {
-    /// A robot that ships, by name, or that of an MJCF file, or of a YAML file about one.
+    /// Loads a shipped robot by name, or a robot from an MJCF file or a YAML description of one.
     ///
     /// # Errors
-    /// [`FileError`] that says what does not fit.
+    /// The file is missing or unreadable, or its robot is not a quadruped of this kind; the error says what does not
+    /// fit.
     pub fn load(name: &str) -> Result<Arc<Self>, FileError> {
         if let Some(index) = SHIPPED.iter().position(|(shipped, _)| *shipped == name) {
             return SHIPPED_ROBOTS[index].clone();
@@ -164,7 +179,7 @@ impl Robot {
         ));
     }
 
-    /// The same robot with other losses in its joints.
+    /// Returns the same robot with other joint losses.
     pub fn with_losses(self: Arc<Self>, losses: Losses) -> Arc<Self> {
         if self.losses == losses { self } else { Arc::new(Robot { losses, ..Robot::clone(&self) }) }
     }
@@ -174,7 +189,7 @@ impl Robot {
         SHIPPED.iter().any(|(shipped, _)| *shipped == name)
     }
 
-    /// Reads everything from an MJCF document that has our names.
+    /// Reads all properties from an MJCF document with Supple's names.
     fn new(name: &str, imported: Imported) -> Result<Self, FileError> {
         let Imported { mjcf, report, has_pose, fall_height_m, sha256 } = imported;
         let path = &paths::as_path(name);
@@ -227,24 +242,24 @@ impl Robot {
         Ok(robot)
     }
 
-    /// The MJCF document that scenes include.
+    /// Returns the MJCF document that scenes include.
     pub fn mjcf(&self) -> &str {
         &self.mjcf
     }
 
-    /// Identity of the robot: SHA-256 of its files, meshes and description included, wherever they lie.
+    /// Returns the SHA-256 of the robot's files, meshes and description included, which identifies it.
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
 
-    /// How far the trunk's origin is above the ground on the lowest foot, the trunk level \[m\].
+    /// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
     pub fn standing_height_m(&self, pose: &Joints) -> f64 {
         let depth = |leg: usize| self.legs[leg].foot_radius_m - self.legs[leg].foot_position(of_leg(pose, leg)).z;
         (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, maximum)
     }
 
-    /// What becomes of a joint's angle in a mirror between the left and the right legs: the joint that takes it over, and
-    /// the sign. Legs of one side are taken to be built like those of the other.
+    /// Mirrors a joint between left and right: returns the joint that takes over its angle, and the sign. The legs of
+    /// both sides are assumed to be built alike.
     pub fn mirrored(&self, joint: usize) -> (usize, f64) {
         let axis = |joint: usize| self.legs[joint / PARTS.len()].axes()[joint % PARTS.len()];
         // A reflection keeps the part of a turn about its normal, which points to the left, and reverses the others.

@@ -1,4 +1,4 @@
-/*! What there is to know about a robot at one instant.
+/*! The state of a robot at one instant.
 
 Vectors are in MuJoCo's axes: x forward, y left, z up.
 */
@@ -7,10 +7,10 @@ use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Joints;
 
-/// Gravity, as in the paper's simulator and in MuJoCo [m/s²].
+/// Gravitational acceleration, as in the paper's simulator and in MuJoCo [m/s²].
 pub const GRAVITY_M_S2: f64 = 9.81;
 
-/// Where a foot is.
+/// Height and contact of a foot.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Foothold {
     /// Bottom of the foot's sphere above the ground under it \[m\].
@@ -19,14 +19,14 @@ pub struct Foothold {
     pub contact: bool,
 }
 
-/// A foot at the end of a policy step.
+/// Height, velocity and contact of a foot at the end of a policy step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FootState {
     /// Bottom of the foot's sphere above the ground under it \[m\].
     pub height: f64,
-    /// Velocity of its centre, world frame [m/s].
+    /// Velocity of the foot's centre, world frame [m/s].
     pub velocity: [f64; 3],
-    /// True if the part touches anything.
+    /// True if the foot touches anything.
     pub contact: bool,
 }
 
@@ -54,23 +54,23 @@ pub struct RobotState {
 }
 
 impl RobotState {
-    /// Roll, pitch and yaw of the trunk relative to the world \[rad\].
+    /// Returns roll, pitch and yaw of the trunk relative to the world \[rad\].
     pub fn roll_pitch_yaw(&self) -> (f64, f64, f64) {
         self.world_from_base.euler_angles()
     }
 
-    /// Velocity of the base in the world frame [m/s].
+    /// Returns the velocity of the base, world frame [m/s].
     pub fn velocity_in_world(&self) -> Vector3<f64> {
         self.world_from_base * self.velocity_in_base
     }
 
-    /// From the heading frame to the world's: the trunk's turn about the vertical alone.
+    /// Returns the rotation from the heading frame to the world frame: the trunk's yaw alone.
     pub fn heading(&self) -> UnitQuaternion<f64> {
         let (_, _, yaw) = self.roll_pitch_yaw();
         UnitQuaternion::from_euler_angles(0.0, 0.0, yaw)
     }
 
-    /// Velocity in the heading frame [m/s].
+    /// Returns the velocity of the base, heading frame [m/s].
     pub fn velocity_in_heading(&self) -> Vector3<f64> {
         self.heading().inverse() * self.velocity_in_world()
     }

@@ -1,7 +1,7 @@
 /*! Calibration: measures the compliance of a policy by pulls in all directions, and its bias by undisturbed walks.
 
-Walking at 0.5 m/s on a plane, the robot is pulled to twelve sides with up to 20 N, one after the other; the mean of
-the velocity along the pull, less that without, over the force is its compliance.
+While it walks at 0.5 m/s on a plane, the robot is pulled in twelve directions with up to 20 N, one after the other. Its
+compliance is the mean velocity along the pull, minus that without the pull, divided by the force.
 */
 
 use nalgebra::{SMatrix, SVector};
@@ -18,23 +18,23 @@ use crate::policy::compliance::{Point, PolicyCalibration};
 /// Number of directions of the pulls.
 const DIRECTIONS: u32 = 12;
 
-/// Largest pulls \[N\].
+/// Forces of the pulls \[N\].
 const FORCES_N: [f64; 2] = [10.0, 20.0];
 
-/// Largest velocity to which a pull may lead the robot [m/s]; stronger pulls are reduced.
+/// Largest velocity to which a pull may carry the robot [m/s]; stronger pulls are reduced.
 const LED_M_S: f64 = 0.4;
 
-/// When the pull begins, how long it lasts, over how much of its end the mean is taken \[s\]. The softest robot takes 2 s to
-/// follow.
+/// Time at which the pull begins, its duration, and the length of the mean at its end \[s\]. The most compliant robot
+/// takes 2 s to follow.
 const AT_S: f64 = 2.0;
 const FOR_S: f64 = 6.0;
 const MEAN_S: f64 = 3.0;
 
-/// Settings of the outer loop, in units of what the policy yields by itself. Below, the loop would fight its own delay; above,
-/// any bias would lead the robot away.
+/// Settings of the outer loop, relative to the policy's own compliance. Below, the loop would work against its own
+/// delay; above, a small bias would make the robot drift away.
 const SETTINGS: [f64; 9] = [0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0];
 
-/// Walks that show the bias: forward [m/s], left [m/s], yaw rate [rad/s].
+/// Walks from which the bias is fitted: forward [m/s], left [m/s], yaw rate [rad/s].
 const WALKS: [[f64; 3]; 11] = [
     [0.0, 0.0, 0.0],
     [0.5, 0.0, 0.0],
@@ -58,20 +58,20 @@ pub enum CalibrationError {
     /// The scenario's default parameters are invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// MuJoCo fails.
+    /// MuJoCo fails during a walk.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
-    /// The robot falls undisturbed, or under the weakest pull.
+    /// The robot falls without a pull, or under the weakest pull.
     #[error("it falls {0}: there is no compliance to measure")]
     Falls(&'static str),
-    /// The measured compliance does not rise with the setting.
+    /// The measured compliance does not increase with the setting.
     #[error(
         "it yields by {0:.4?} m/s/N, alone and at rising settings: it does not follow its command well enough to be led"
     )]
     NotRising(Vec<f64>),
 }
 
-/// A walk with a pull.
+/// A walk with or without a pull.
 #[derive(Debug, Clone, Copy)]
 struct Probe {
     command: Command,
@@ -88,7 +88,7 @@ impl Probe {
 /// Calibrates a policy on its robot, using `threads` threads.
 ///
 /// # Errors
-/// The robot falls, does not follow the rising settings, or cannot be simulated.
+/// The robot falls, its compliance does not increase with the setting, or it cannot be simulated.
 pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration, CalibrationError> {
     let mut calibration = PolicyCalibration::unmeasured(&agent.sha256);
     let walks: Vec<Probe> =
@@ -118,7 +118,7 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration,
     Ok(PolicyCalibration { points, ..calibration })
 }
 
-/// Mean compliance over all sides at a setting [m/s/N]; none if the robot fell.
+/// Measures the mean compliance over all directions at a setting [m/s/N]; `None` if the robot fell.
 fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, CalibrationError> {
     let command = Command { compliance: Some(setting), ..Command::velocity(0.5, 0.0, 0.0) };
     let side = |index: u32| 360.0 * f64::from(index) / f64::from(DIRECTIONS);
@@ -138,8 +138,8 @@ fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, 
     }))
 }
 
-/// Mean velocity less the commanded one at the end of each probe, forward and left, in the heading that the robot started
-/// with [m/s]; none where it fell.
+/// Measures the mean velocity minus the commanded one at the end of each probe, forward and left, in the heading at the
+/// start [m/s]; `None` where the robot fell.
 fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option<[f64; 2]>>, CalibrationError> {
     let base: Leash = defaults("leash")?;
     let offset = &|probe: &Probe| -> Result<Option<[f64; 2]>, CalibrationError> {

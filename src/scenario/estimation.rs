@@ -9,7 +9,7 @@ use crate::scenario::trace::{Frame, Sensed, Trace};
 /// Errors of the state estimate over all frames before the first fall.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Estimation {
-    /// Root mean square of the length of the velocity's error, base frame [m/s].
+    /// Root mean square of the velocity's error, base frame [m/s].
     pub velocity_rmse_m_s: f64,
     /// Root mean square of the height's error \[m\].
     pub height_rmse_m: f64,
@@ -45,7 +45,7 @@ impl Estimation {
         })
     }
 
-    /// The errors as metrics of a scenario.
+    /// Returns the errors as metrics of a scenario.
     pub fn metrics(trace: &Trace) -> [Metric; 4] {
         let found = Self::of(&trace.on_its_feet());
         let metric = |name, label, value, unit| Metric::new(name, label, value, unit).because("there are no estimates");
@@ -65,7 +65,8 @@ mod tests {
     use crate::scenario::metrics::tests::synthetic;
     use crate::scenario::trace::{Event, EventKind};
 
-    /// Two seconds; the estimate is off by (0.03, 0.04, 0) m/s and 1 cm, and drifts by 1 cm/s to the left.
+    /// Returns a trace of two seconds whose estimate is off by (0.03, 0.04, 0) m/s and 1 cm, and drifts by 1 cm/s to
+    /// the left.
     fn trace() -> Trace {
         let mut trace = synthetic(2.0, |_| [0.5, 0.0, 0.0]);
         for (index, frame) in trace.frames.iter_mut().enumerate() {

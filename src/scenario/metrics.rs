@@ -14,31 +14,31 @@ pub const STRIDE_S: f64 = 0.4;
 /// Length of a shorter moving average, for robots that stand \[s\].
 pub const BRIEF_S: f64 = 0.1;
 
-/// A disturbance comes up to this much later, as the seed has it, so that it meets the gait at any phase \[s\]: about a
+/// Largest delay of a disturbance, drawn from the seed so that it meets the gait at any phase \[s\]: about a
 /// stride at 0.5 m/s of the slowest shipped policies, which take up to 0.69 s.
 pub const PHASE_S: f64 = 0.65;
 
 /// Time after which a robot that started at rest walks steadily \[s\].
 pub const SETTLE_S: f64 = 2.0;
 
-/// Least contact force of a foot that counts as touching \[N\].
+/// Smallest contact force of a foot that counts as touching \[N\].
 const CONTACT_N: f64 = 1.0;
 
 /// Unit of truth values: 1 for yes, 0 for no.
 pub const TRUTH: &str = "yes/no";
 
-/// A named number with its unit, or why the trace does not define it.
+/// A named number with its unit, or the reason why the trace does not define it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Metric {
-    /// Name in snake case, with its unit.
+    /// Name in snake case, which ends in the unit.
     pub name: &'static str,
-    /// Label for people.
+    /// Label in tables and figures.
     pub label: &'static str,
-    /// The number.
+    /// The value, if the trace defines it.
     pub value: Option<f64>,
     /// Unit of the number.
     pub unit: &'static str,
-    /// Reason why there is no number.
+    /// Reason why there is no value.
     pub reason: Option<&'static str>,
 }
 
@@ -46,12 +46,12 @@ pub struct Metric {
 pub const NO_FALL: &str = "it did not fall";
 
 impl Metric {
-    /// A number without a reason yet.
+    /// Creates a metric without a reason for a missing value.
     pub fn new(name: &'static str, label: &'static str, value: Option<f64>, unit: &'static str) -> Self {
         Metric { name, label, value, unit, reason: None }
     }
 
-    /// Sets the reason for a missing number, unless one is set.
+    /// Sets the reason for a missing value, unless one is set.
     pub fn because(mut self, reason: &'static str) -> Self {
         if self.value.is_none() {
             self.reason.get_or_insert(reason);
@@ -59,7 +59,7 @@ impl Metric {
         self
     }
 
-    /// True if the metric is a truth value.
+    /// Returns true if the metric is a truth value.
     pub fn is_truth(&self) -> bool {
         self.unit == TRUTH
     }
@@ -73,26 +73,26 @@ impl Metric {
     }
 }
 
-/// Frames of a window.
+/// Iterates over the frames of a window.
 pub fn window(trace: &Trace, from_s: f64, until_s: f64) -> impl Iterator<Item = &Frame> + Clone {
     let half_s = 0.5 * trace.period_s;
     trace.frames.iter().filter(move |frame| frame.time_s > from_s + half_s && frame.time_s < until_s + half_s)
 }
 
-/// Frames of a window, if the trace has all of it.
+/// Iterates over the frames of a window, if the trace covers all of it.
 pub fn whole_window(trace: &Trace, from_s: f64, until_s: f64) -> Option<impl Iterator<Item = &Frame> + Clone> {
     let half_s = 0.5 * trace.period_s;
     let end_s = trace.frames.last()?.time_s;
     (from_s > -half_s && end_s + half_s > until_s).then(|| window(trace, from_s, until_s))
 }
 
-/// Mean of a quantity over frames, if there are any.
+/// Returns the mean of a quantity over frames, if there are any.
 pub fn mean<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
     let (sum, count) = frames.fold((0.0, 0_u32), |(sum, count), frame| (sum + of(frame), count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// Mean velocity minus command: forward [m/s], left [m/s], yaw rate [rad/s].
+/// Returns the mean velocity minus the command: forward [m/s], left [m/s], yaw rate [rad/s].
 pub fn velocity_errors(trace: &Trace, from_s: f64, until_s: f64) -> Option<[f64; 3]> {
     let frames = window(trace, from_s, until_s);
     Some([
@@ -102,12 +102,13 @@ pub fn velocity_errors(trace: &Trace, from_s: f64, until_s: f64) -> Option<[f64;
     ])
 }
 
-/// Length of the horizontal part of [`velocity_errors`] [m/s].
+/// Returns the length of the horizontal part of [`velocity_errors`] [m/s].
 pub fn velocity_error(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     velocity_errors(trace, from_s, until_s).map(|[forward, left, _]| forward.hypot(left))
 }
 
-/// Mechanical power over weight times horizontal speed; none of a robot that stands, or is asked to.
+/// Returns mechanical power divided by weight and horizontal speed; `None` if the robot stands or is commanded to
+/// stand.
 pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let frames = window(trace, from_s, until_s);
     if frames.clone().all(|frame| Command { compliance: None, ..frame.command } == Command::default()) {
@@ -120,17 +121,17 @@ pub fn cost_of_transport(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64
     (speed > 0.05).then(|| power_w / (trace.weight_n * speed))
 }
 
-/// True if a foot touches the ground.
+/// Returns true if a foot touches the ground.
 fn touching(frame: &Frame, leg: usize) -> bool {
     frame.foot_forces[leg].iter().map(|force| force * force).sum::<f64>().sqrt() > CONTACT_N
 }
 
-/// Fraction of the time in which no foot touches the ground: about none in a trot, most of it in hopping.
+/// Returns the fraction of the time in which no foot touches the ground: near 0 in a trot, near 1 in hopping.
 pub fn flight_fraction(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     mean(window(trace, from_s, until_s), |frame| f64::from(!(0..4).any(|leg| touching(frame, leg))))
 }
 
-/// Touchdowns of a foot per second, mean over the feet \[Hz\].
+/// Returns the number of touchdowns of a foot per second, mean over the feet \[Hz\].
 pub fn stride_frequency(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let mut touchdowns = 0_u32;
     for leg in 0..4 {
@@ -150,7 +151,7 @@ pub fn stride_frequency(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64>
     (until_s > from_s).then(|| f64::from(touchdowns) / 4.0 / (until_s - from_s))
 }
 
-/// Mean of the highest points that feet reach between touchdowns \[m\].
+/// Returns the mean peak height of feet between touchdowns \[m\].
 pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
     let mut peaks = Vec::new();
     for leg in 0..4 {
@@ -170,24 +171,24 @@ pub fn swing_height(trace: &Trace, from_s: f64, until_s: f64) -> Option<f64> {
 /// Duration of a velocity disturbance.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Decay {
-    /// Time from the push to the last time at which it exceeds the threshold \[s\].
+    /// Time from the push to the last time at which the disturbance exceeds the threshold \[s\].
     pub time_s: f64,
     /// False if the threshold is still exceeded at the end of the trace; `time_s` is then a lower bound.
     pub is_over: bool,
 }
 
 impl Decay {
-    /// Duration of the disturbance, if it is over \[s\].
+    /// Returns the duration of the disturbance, if it is over \[s\].
     pub fn ended_s(self) -> Option<f64> {
         self.is_over.then_some(self.time_s)
     }
 }
 
-/// How long a velocity disturbance lasts.
+/// Measures how long a velocity disturbance lasts.
 ///
 /// `e(t)` is the velocity along the push minus its mean over the last second before the push, smoothed by a centred
 /// moving average of `average_s`. It lasts until the last time after the push at which `|e|` exceeds `threshold`
-/// times the push's size. None after a fall, or if the trace does not reach around the push.
+/// times the push's size. Returns `None` after a fall, or if the trace does not cover the time around the push.
 pub fn decay(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average_s: f64) -> Option<Decay> {
     let (error, size) = push_error(trace, push_s, push)?;
     let half = (0.5 * average_s / trace.period_s).round() as usize;
@@ -204,9 +205,9 @@ pub fn decay(trace: &Trace, push_s: f64, push: [f64; 2], threshold: f64, average
     })
 }
 
-/// Displacement by a push along its direction, relative to the undisturbed walk: the integral of `e(t)` over
-/// `for_s` after the push \[m\]. No threshold and no average: over the push's size it is the time constant of an
-/// exponential decay. None after a fall, or if the trace ends before.
+/// Returns the displacement by a push along its direction, relative to the undisturbed walk: the integral of `e(t)`
+/// over `for_s` after the push \[m\]. It needs no threshold and no average; divided by the push's size it is the time
+/// constant of an exponential decay. `None` after a fall, or if the trace ends before.
 pub fn carried(trace: &Trace, push_s: f64, push: [f64; 2], for_s: f64) -> Option<f64> {
     let (error, _) = push_error(trace, push_s, push)?;
     let half_s = 0.5 * trace.period_s;
@@ -217,7 +218,8 @@ pub fn carried(trace: &Trace, push_s: f64, push: [f64; 2], for_s: f64) -> Option
     Some(after.map(|(_, value)| value * trace.period_s).sum())
 }
 
-/// Time since a push and velocity along it minus its mean over the last second before, and the push's size.
+/// Returns, for each frame, the time since a push and the velocity along it minus its mean over the second before, and
+/// the size of the push.
 fn push_error(trace: &Trace, push_s: f64, push: [f64; 2]) -> Option<(Vec<(f64, f64)>, f64)> {
     let size = push[0].hypot(push[1]);
     if trace.fall().is_some() || size <= 0.0 {
@@ -229,7 +231,7 @@ fn push_error(trace: &Trace, push_s: f64, push: [f64; 2]) -> Option<(Vec<(f64, f
     Some((trace.frames.iter().map(|frame| (frame.time_s - push_s, along(frame) - before)).collect(), size))
 }
 
-/// Mean velocity offset from the command along a force that is constant in the world [m/s].
+/// Returns the mean velocity offset from the command along a force that is constant in the world frame [m/s].
 pub fn offset_along_force(trace: &Trace, force: [f64; 2], from_s: f64, until_s: f64) -> Option<f64> {
     let size = force[0].hypot(force[1]);
     let along = |frame: &Frame| {
@@ -244,7 +246,7 @@ pub fn offset_along_force(trace: &Trace, force: [f64; 2], from_s: f64, until_s: 
     if trace.fall().is_some() || size <= 0.0 { None } else { mean(window(trace, from_s, until_s), along) }
 }
 
-/// Yaw at a time \[rad\]: that of the last frame up to then.
+/// Returns the yaw at a time, that of the last frame up to then \[rad\].
 pub fn yaw_at(trace: &Trace, time_s: f64) -> Option<f64> {
     let half_s = 0.5 * trace.period_s;
     trace.frames.iter().rfind(|frame| frame.time_s < time_s + half_s).map(|frame| frame.roll_pitch_yaw[2])
@@ -256,8 +258,8 @@ pub fn in_world([forward, left]: [f64; 2], yaw: f64) -> [f64; 2] {
     [forward * cos - left * sin, forward * sin + left * cos]
 }
 
-/// Displacement along a direction beyond the commanded one \[m\]. The direction and the commanded course
-/// are those of the heading at the start. None after a fall, or if the trace does not reach that far.
+/// Returns the displacement along a direction beyond the commanded one \[m\]. The direction and the commanded course
+/// are those of the heading at the start. `None` after a fall, or if the trace ends before.
 pub fn displacement_off_course(trace: &Trace, direction: [f64; 2], from_s: f64, until_s: f64) -> Option<f64> {
     let yaw = yaw_at(trace, from_s)?;
     let frames = || window(trace, from_s, until_s);
@@ -271,12 +273,12 @@ pub fn displacement_off_course(trace: &Trace, direction: [f64; 2], from_s: f64, 
     Some(moved[0] * along[0] + moved[1] * along[1] - commanded * (last.time_s - first.time_s))
 }
 
-/// Largest value of a quantity.
+/// Returns the largest value of a quantity.
 pub fn largest<'a>(frames: impl Iterator<Item = &'a Frame>, of: impl Fn(&Frame) -> f64) -> Option<f64> {
     frames.map(of).fold(None, |largest: Option<f64>, value| Some(largest.map_or(value, |old| maximum(old, value))))
 }
 
-/// Times at which the trunk passes two lines across the course (world frame, x), if it passes both \[s\].
+/// Returns the times at which the trunk passes two lines across the course (world frame, x), if it passes both \[s\].
 pub fn crossing(trace: &Trace, first_m: f64, last_m: f64) -> Option<[f64; 2]> {
     let when = |line_m: f64| Some(trace.frames.iter().find(|frame| frame.position[0] > line_m)?.time_s);
     Some([when(first_m)?, when(last_m)?])
@@ -287,7 +289,7 @@ pub(crate) mod tests {
     use super::*;
     use crate::scenario::trace::{Event, EventKind};
 
-    /// A trace at 60 Hz whose heading velocity is given as a function of time.
+    /// Creates a trace at 60 Hz whose velocity in the heading frame is a function of time.
     pub(crate) fn synthetic(duration_s: f64, velocity: impl Fn(f64) -> [f64; 3]) -> Trace {
         let period_s = 1.0 / 60.0;
         let frames = (1..=(duration_s / period_s).round() as usize)

@@ -1,9 +1,9 @@
 /*! Scenarios: disturbances of a policy, and how it reacts.
 
-A scenario is a [`Script`]: a scene, a command and what happens when, all plain data. [`Playback`] plays any script with
-any [`Controller`](crate::policy::Controller) and yields a [`Trace`](crate::scenario::trace::Trace), frame by frame; [`metrics`] reads traces. With
-[`Sensing::Estimated`] the controller acts on sensors, not on the true state. Nothing here is ever seen in
-training.
+Read in this order: [`catalog::Scenario`] (parameters), [`Script`] (scene, command and disturbances, plain data),
+[`Playback`] (plays a script with a [`Controller`](crate::policy::Controller)), [`Trace`](trace::Trace) (its frames and
+events), [`metrics`] (numbers from traces). With [`Sensing::Estimated`] the controller acts on sensors, not on the true
+state. [`session`] is for robots driven live. Policies never see a scenario in training.
 */
 
 pub mod calibration;
@@ -39,27 +39,40 @@ pub struct TimedPush {
 }
 
 /// The scene, the command and the disturbances of one playback.
+///
+/// ```
+/// use supple::config::Config;
+/// use supple::scenario::{TimedPush, catalog::Scenario};
+/// use supple::sim::Push;
+///
+/// let mut script = Scenario::named("walk", "{duration_s: 3.0}")?.script(0, &Config::load("compliant")?)?;
+/// assert!(script.pushes.is_empty());
+/// let push = Push { linear: [0.0, 0.8], angular: [0.0; 3] }; // 0.8 m/s to the left
+/// script.pushes.push(TimedPush { time_s: 1.0, push });
+/// assert_eq!(script.too_late(), None);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Script {
-    /// Robot, ground, obstacles.
+    /// The scene: robot, ground and obstacles.
     pub scene: Scene,
-    /// Slope, friction, encoder offsets.
+    /// Slope, friction and encoder bias.
     pub conditions: Conditions,
-    /// The command from start to end.
+    /// The command, from start to end.
     pub command: Command,
     /// Length of the playback \[s\].
     pub duration_s: f64,
-    /// Time still played after a fall \[s\].
+    /// Time that is still played after a fall \[s\].
     pub after_fall_s: f64,
     /// The pushes in order of time.
     pub pushes: Vec<TimedPush>,
-    /// A leash that pulls with a constant force.
+    /// A constant pull on the trunk.
     pub pull: Option<Pull>,
     /// A spring: a leash whose other end moves, or a soft wall.
     pub spring: Option<Spring>,
-    /// A load on a rope.
+    /// A load on a rope, such as a weight over a pulley.
     pub rig: Option<Rig>,
-    /// The goal to reach.
+    /// The goal that the robot has to reach.
     pub goal: Option<Goal>,
 }
 

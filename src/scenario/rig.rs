@@ -2,9 +2,9 @@
 
 A rope is a MuJoCo tendon whose length is limited: it pulls when it is taut and does nothing when it is slack, and the
 load at its end is a free body with its own inertia. Until the release, the whole rig moves along with the robot and
-the load's weight is borne; at that moment it is set down, aimed at where the robot will be. An aim at the
-start of the rollout would miss a robot that walks: in two or three seconds the best policy is off its course by more
-than a trunk is wide.
+the load's weight is carried. At the release the rig stays where it is, aimed at the robot's predicted position. An aim
+at the start of the playback would miss a robot that walks: in two or three seconds the best policy is off its course by
+more than a trunk is wide.
 */
 
 use nalgebra::{Rotation2, Vector2};
@@ -16,74 +16,74 @@ use crate::scenario::trace::{Event, EventKind, Rope};
 use crate::sim::{Buffers, Sim};
 use crate::task::Command;
 
-/// Name of the tendon that is the rope.
+/// Name of the rope's tendon.
 const ROPE: &str = "rope";
 
-/// Longer than any rope \[m\].
+/// A length beyond that of any rope \[m\].
 const ENDLESS_M: f64 = 1000.0;
 
-/// How ropes give: MuJoCo's shortest stable time constant at 240 Hz is 8.3 ms. Under the weight of its load a rope of
-/// these stretches by a tenth of a millimetre.
+/// Softness of ropes: MuJoCo's shortest stable time constant at 240 Hz is 8.3 ms. Under the weight of its load a rope
+/// stretches by a tenth of a millimetre.
 const ROPE_LIMIT: &str = r#"limited="true" range="0 1000" solreflimit="0.01 1" solimplimit="0.95 0.99 0.001""#;
 
-/// A rope with a load, and when it acts.
+/// A rope with a load, and the time in which it acts.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Rig {
-    /// Site of the robot where the rope begins; none if the first holder carries it alone.
+    /// Site of the robot where the rope begins; `None` if it begins at the first holder.
     pub from: Option<&'static str>,
-    /// Holders that the rope passes over, in order.
+    /// Holders that the rope passes over, in order from the robot.
     pub holders: Vec<Holder>,
     /// Load at the end of the rope.
     pub load: Load,
     /// True if heights count from the trunk's origin instead of the ground.
     pub is_level_with_trunk: bool,
-    /// Length of the rope beyond what it needs when the load is let go \[m\].
+    /// Length of the rope beyond the taut length at the release \[m\].
     pub slack_m: f64,
-    /// Time after the release for which the robot's place is predicted to aim the rig \[s\].
+    /// Time after the release for which the robot's position is predicted to aim the rig \[s\].
     pub lead_s: f64,
     /// Time of the release \[s\].
     pub release_s: f64,
-    /// Time at which the rope is taken off \[s\].
+    /// Time at which the rope is removed \[s\].
     pub until_s: f64,
 }
 
-/// A bead that holds up the rope and collides with nothing. Its body and its site have its name.
+/// A bead that supports the rope and collides with nothing. Its body and its site have its name.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Holder {
-    /// Name.
+    /// Name of the holder's body and site.
     pub name: &'static str,
-    /// Place relative to the aim: ahead, left, height \[m\].
+    /// Position relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],
-    /// Radius in drawings \[m\].
+    /// Radius of the bead in drawings \[m\].
     pub radius_m: f64,
-    /// True if it is drawn on a post.
+    /// True if the holder is drawn on a post.
     pub has_post: bool,
 }
 
 /// A free body at the rope's end. Its joint, geometry and site have its name, too.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Load {
-    /// Name, also in events.
+    /// Name of the load, also used in events.
     pub name: &'static str,
-    /// Place of the release, relative to the aim: ahead, left, height \[m\].
+    /// Position at the release, relative to the aim: ahead, left, height \[m\].
     pub place: [f64; 3],
-    /// Mass \[kg\].
+    /// Mass of the load \[kg\].
     pub mass_kg: f64,
-    /// Shape.
+    /// Shape of the load.
     pub shape: Shape,
 }
 
 /// Shape of a load.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Shape {
-    /// Half the edge \[m\].
+    /// A cube of half this edge \[m\].
     Cube(f64),
-    /// Radius \[m\].
+    /// A ball of this radius \[m\].
     Ball(f64),
 }
 
 impl Rig {
-    /// Puts the rig into a script.
+    /// Adds the rig to a script.
     pub(super) fn hang_in(self, script: &mut Script) {
         script.scene.obstacles = self.bodies();
         script.scene.extras = self.rope();
@@ -91,12 +91,12 @@ impl Rig {
         script.rig = Some(self);
     }
 
-    /// Sites that the rope goes through.
+    /// Iterates over the sites that the rope passes through.
     fn path(&self) -> impl Iterator<Item = &'static str> {
         self.from.into_iter().chain(self.holders.iter().map(|holder| holder.name)).chain([self.load.name])
     }
 
-    /// The MJCF of holders and load.
+    /// Returns the MJCF of holders and load.
     fn bodies(&self) -> String {
         // Places until the first step; high enough to touch nothing.
         let lift_m = if self.is_level_with_trunk { 1.0 } else { 0.0 };
@@ -137,7 +137,7 @@ impl Rig {
             )
     }
 
-    /// The MJCF of the rope.
+    /// Returns the MJCF of the rope.
     fn rope(&self) -> String {
         let sites: String = self.path().map(|site| format!("<site site=\"{site}\"/>")).collect();
         format!("  <tendon><spatial name=\"{ROPE}\" {ROPE_LIMIT}>{sites}</spatial></tendon>\n")
@@ -151,7 +151,7 @@ enum Phase {
     Off,
 }
 
-/// A rig being played.
+/// The state of a rig during a playback.
 #[derive(Debug)]
 pub(super) struct RigState {
     tendon: usize,
@@ -159,7 +159,7 @@ pub(super) struct RigState {
     load_geom: usize,
     load_position: usize,
     load_velocity: usize,
-    /// Index among the bodies that are moved from outside.
+    /// Indices of the holders among the mocap bodies.
     holders: Vec<usize>,
     sites: Vec<usize>,
     phase: Phase,
@@ -170,7 +170,7 @@ pub(super) struct RigState {
 }
 
 impl RigState {
-    /// Looks up the rig's parts.
+    /// Looks up the rig's parts in the model.
     pub(super) fn new(rig: &Rig, sim: &Sim) -> mujoco::Result<Self> {
         let model = sim.data().model();
         let load = rig.load.name;
@@ -198,12 +198,12 @@ impl RigState {
         })
     }
 
-    /// The rope's tendon.
+    /// Returns the id of the rope's tendon.
     pub(super) fn tendon(&self) -> usize {
         self.tendon
     }
 
-    /// Carries the rig, lets the load go or takes the rope off, as is due before the step at `time_s`.
+    /// Carries the rig, releases the load or removes the rope, as is due before the step at `time_s`.
     pub(super) fn before_step(
         &mut self,
         rig: &Rig,
@@ -278,7 +278,7 @@ impl RigState {
         }
     }
 
-    /// Puts holders and load to their places about where the robot is going, at rest, the load's weight borne.
+    /// Places holders and load around the robot's predicted position, at rest, with the load's weight carried.
     fn place(&self, rig: &Rig, command: &Command, sim: &mut Sim) -> mujoco::Result<()> {
         let state = sim.state();
         let (aim, heading) = aim(&state, command, rig.lead_s);
@@ -298,7 +298,7 @@ impl RigState {
         self.set_rope(sim, ENDLESS_M, weight_n)
     }
 
-    /// Sets the rope's length and the force that bears the load.
+    /// Sets the rope's length and the force that carries the load.
     fn set_rope(&self, sim: &mut Sim, longest_m: f64, bearing_n: f64) -> mujoco::Result<()> {
         let data: &mut Data = sim.data_mut();
         data.set_longest_tendon(self.tendon, longest_m);
@@ -307,7 +307,7 @@ impl RigState {
     }
 }
 
-/// Predicts the robot's place after `lead_s` of the commanded walk; also returns its heading.
+/// Predicts the robot's position after `lead_s` of the commanded walk; also returns its heading.
 fn aim(state: &RobotState, command: &Command, lead_s: f64) -> (Vector2<f64>, Rotation2<f64>) {
     let (_, _, yaw) = state.roll_pitch_yaw();
     let heading = Rotation2::new(yaw);
@@ -333,7 +333,7 @@ impl RopeForces {
         self.count += 1;
     }
 
-    /// Largest force \[N\].
+    /// Returns the largest force \[N\].
     pub(super) fn peak_n(&self) -> f64 {
         self.peak_n
     }
@@ -348,7 +348,8 @@ mod tests {
     use super::*;
     use crate::mujoco::Model;
 
-    /// A block of 12 kg that slides along x without friction, 4 m from a pulley over which a weight of 1 kg hangs.
+    /// Creates a block of 12 kg that slides along x without friction, 4 m from a pulley over which a weight of 1 kg
+    /// hangs.
     fn block_and_weight() -> Data {
         let xml = format!(
             r#"<mujoco>

@@ -1,11 +1,11 @@
 /*! Sensing: the controller acts on the true state or on one estimated from sensors (section IV-D).
 
-With [`Sensing::Estimated`], noisy IMU and encoders are read after every physics step; the contact network says which
-feet touch, and the filters of [`crate::estimate`] make a state of it. The controller begins and acts on that alone. A
-sensor that reads what is no number counts as silent in that tick: the other one bridges it, for as long as the filters
-allow. The motors' own loop keeps acting on the joints as they are, with the encoder bias that the simulation has.
+With [`Sensing::Estimated`], noisy IMU and encoders are read after every physics step; the contact network estimates the
+contacts, and the filters of [`crate::estimate`] the state. The controller gets only that state. A
+sensor whose reading is not finite counts as silent in that tick: the other one bridges it, for as long as the filters
+allow. The motors' own loop keeps acting on the true joints, with the encoder bias of the simulation.
 
-Pushes change the trunk's velocity in no time. The IMU feels them all the same: it reads the change of velocity since its
+Pushes change the trunk's velocity instantly. The IMU feels them nevertheless: it reads the change of velocity since its
 last reading, which without a push is the simulator's acceleration to the last bit or so. Its range (±24 g) is not
 modelled, since only such a push exceeds it.
 */
@@ -32,10 +32,10 @@ use crate::util::random::{Purpose, stream};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Sensing {
-    /// The simulator's state.
+    /// The true state of the simulator.
     #[default]
     True,
-    /// State estimated from a noisy IMU, noisy encoders and the contact network.
+    /// The state estimated from a noisy IMU, noisy encoders and the contact network.
     Estimated,
 }
 
@@ -48,7 +48,7 @@ pub enum SensingError {
     /// The contact network was trained for another physics rate.
     #[error("the physics run at {found_hz} Hz, the contact network at {RATE_HZ} Hz: sense the true state instead")]
     Rate {
-        /// Rate of the physics \[Hz\].
+        /// Rate of the scene's physics \[Hz\].
         found_hz: f64,
     },
     /// The first reading is invalid.
@@ -66,7 +66,7 @@ pub struct Senses {
     estimator: Estimator,
     /// Encoder bias \[rad\].
     offsets: Joints,
-    /// Start of the robot, world frame \[m\].
+    /// Position of the robot at its start, world frame \[m\].
     origin: Vector3<f64>,
     /// Trunk's velocity at the last reading: linear, world frame [m/s], and angular, base frame [rad/s].
     last_velocity: (Vector3<f64>, Vector3<f64>),
@@ -127,7 +127,7 @@ impl Senses {
         }
     }
 
-    /// Notes the joint targets \[rad\] that act from now on.
+    /// Stores the joint targets \[rad\] that act from now on.
     pub fn act(&mut self, target: &Joints) {
         self.target = *target;
     }
@@ -181,7 +181,7 @@ impl Senses {
         }
     }
 
-    /// The estimated state.
+    /// Returns the estimated state.
     ///
     /// # Panics
     /// Never: there is an estimate from the start.
@@ -247,7 +247,7 @@ mod tests {
         (Scenario::Walk(walk).script(0, &config).unwrap(), config)
     }
 
-    /// Holds the nominal pose and keeps what it is shown.
+    /// A controller that holds the nominal pose and records what it is given.
     #[derive(Default)]
     struct Witness {
         seen: Vec<RobotState>,

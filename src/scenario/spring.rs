@@ -1,12 +1,13 @@
 /*! A spring between the trunk and a moving point: a leash whose holder walks away, or a soft wall.
 
-It acts along one horizontal direction of the world, that of its force, and only one way: it does nothing where it is slack.
-From its beginning on, the point goes along the direction with a constant speed v, and the trunk's centre of mass by x,
+It acts along one horizontal direction of the world, that of its force, and only one way: it exerts no force while it is
+slack. From its start on, the point moves along the direction with a constant speed v, and the trunk's centre of mass by
+x:
 
 `s = v t − x − gap,   F = max(0, k s + d ṡ) where s > 0, else 0`
 
-with the stiffness k and the damping d. It is formed anew in every physics step: at 700 N/m a robot of 12 kg would swing
-once in 0.8 s, 200 of them.
+with the stiffness k and the damping d. The force is updated in every physics step: at 700 N/m a robot of 12 kg would
+oscillate with a period of 0.8 s, about 200 physics steps.
 */
 
 use nalgebra::Vector3;
@@ -17,18 +18,18 @@ use crate::robot::HARNESS;
 use crate::scenario::trace::{Disturbance, Stretch};
 use crate::sim::Sim;
 
-/// A spring and its start.
+/// A spring between the trunk and a moving point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spring {
     /// Kind of the other end.
     pub end: SpringEnd,
-    /// Time at which the point sets off \[s\].
+    /// Time at which the point starts to move \[s\].
     pub from_s: f64,
     /// Direction of the force and of the point's motion: horizontal unit vector, world frame.
     pub direction: [f64; 2],
     /// Speed of the point [m/s].
     pub speed_m_s: f64,
-    /// Distance that point and trunk can part before the spring is stretched \[m\].
+    /// Distance by which point and trunk can part before the spring is stretched \[m\].
     pub gap_m: f64,
     /// Stiffness k [N/m].
     pub stiffness_n_per_m: f64,
@@ -39,14 +40,14 @@ pub struct Spring {
 /// The other end of a spring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum SpringEnd {
-    /// The hand that holds a leash.
+    /// A hand that holds a leash.
     Hand,
-    /// A wall.
+    /// A soft wall.
     Wall,
 }
 
 impl SpringEnd {
-    /// Text of the event when the spring first acts.
+    /// Returns the text of the event when the spring first acts.
     fn text(self) -> &'static str {
         match self {
             SpringEnd::Hand => "the leash is taut",
@@ -56,7 +57,7 @@ impl SpringEnd {
 }
 
 impl Spring {
-    /// The disturbance to draw for a force of this size \[N\].
+    /// Returns the disturbance to draw for a force of this size \[N\].
     pub(super) fn disturbance(&self, force_n: f64) -> Option<Disturbance> {
         let force = [force_n * self.direction[0], force_n * self.direction[1], 0.0];
         (force_n > 0.0).then_some(match self.end {
@@ -65,19 +66,20 @@ impl Spring {
         })
     }
 
-    /// Force \[N\] when the spring is stretched by `stretch_m` \[m\], and the stretch grows at `rate_m_s` [m/s].
+    /// Returns the force \[N\] when the spring is stretched by `stretch_m` \[m\], and the stretch grows at `rate_m_s`
+    /// [m/s].
     fn force_n(&self, stretch_m: f64, rate_m_s: f64) -> f64 {
         let force_n = self.stiffness_n_per_m * stretch_m + self.damping_n_s_per_m * rate_m_s;
         if stretch_m > 0.0 { force_n.max(0.0) } else { 0.0 }
     }
 }
 
-/// A spring being played.
+/// The state of a spring during a playback.
 #[derive(Debug)]
 pub(super) struct SpringState {
-    /// Site of the trunk's centre of mass.
+    /// Id of the site at the trunk's centre of mass.
     harness: usize,
-    /// Position of the trunk along the direction when the point set off \[m\].
+    /// Position of the trunk along the direction when the point started to move \[m\].
     start_m: Option<f64>,
     /// Stretch in the last physics step \[m\].
     stretch_m: Option<f64>,
@@ -86,13 +88,13 @@ pub(super) struct SpringState {
 }
 
 impl SpringState {
-    /// Looks up the trunk's centre of mass.
+    /// Looks up the site at the trunk's centre of mass.
     pub(super) fn new(sim: &Sim) -> mujoco::Result<Self> {
         let harness = sim.data().model().id(Kind::Site, HARNESS)?;
         Ok(SpringState { harness, start_m: None, stretch_m: None, forces: RopeForces::default(), has_acted: false })
     }
 
-    /// The force on the trunk in the physics step that is about to be taken, world frame \[N\].
+    /// Returns the force on the trunk in the coming physics step, world frame \[N\].
     pub(super) fn force(&mut self, spring: &Spring, data: &Data) -> Vector3<f64> {
         let place = &data.site_positions()[3 * self.harness..];
         let along_m = spring.direction[0] * place[0] + spring.direction[1] * place[1];
@@ -100,8 +102,8 @@ impl SpringState {
         Vector3::new(spring.direction[0], spring.direction[1], 0.0) * force_n
     }
 
-    /// The force when the point has been under way for `time_s`, the trunk is at `along_m` in its direction, and the last
-    /// physics step was `step_s` ago \[N\].
+    /// Returns the force when the point has moved for `time_s`, the trunk is at `along_m` in its direction, and the
+    /// last physics step was `step_s` ago \[N\].
     fn force_n(&mut self, spring: &Spring, time_s: f64, along_m: f64, step_s: f64) -> f64 {
         // Times of physics steps are sums of many small ones.
         if time_s < -1e-9 {
@@ -117,7 +119,7 @@ impl SpringState {
     }
 
     /// Returns the stretch and forces of the last policy step, with an event text if the spring acted for the first time;
-    /// `None` before the point has set off.
+    /// `None` before the point has started to move.
     pub(super) fn after_step(&mut self, spring: &Spring) -> Option<(Stretch, Option<&'static str>)> {
         let forces = std::mem::take(&mut self.forces);
         let stretch = Stretch { stretch_m: self.stretch_m?, force_n: forces.mean_n(), peak_force_n: forces.peak_n() };
@@ -132,7 +134,7 @@ mod tests {
 
     const STEP_S: f64 = 1.0 / 240.0;
 
-    /// A leash of 0.2 m that is led to the left at 0.5 m/s from 0 s on.
+    /// Creates a leash of 0.2 m that is led to the left at 0.5 m/s from 0 s on.
     fn leash() -> Spring {
         Spring {
             end: SpringEnd::Hand,

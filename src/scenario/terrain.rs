@@ -1,4 +1,4 @@
-/*! Uneven ground: Perlin noise, steps and slopes as height fields.
+/*! Height fields of uneven ground: Perlin noise, steps and slopes.
 
 Perlin's gradient noise in one octave, scaled so that its highest and lowest point over the field are the wanted magnitude
 apart. Every terrain is then flattened around the origin, where the robot starts, and rises smoothly from there.
@@ -38,7 +38,7 @@ impl Perlin {
         Perlin { permutation, gradients }
     }
 
-    /// Noise at a point, zero on the lattice, within about ±0.7.
+    /// Returns the noise at a point: zero on the lattice, within about ±0.7.
     pub fn at(&self, x: f64, y: f64) -> f64 {
         let (column, row) = (x.floor(), y.floor());
         let (u, v) = (x - column, y - row);
@@ -56,13 +56,13 @@ impl Perlin {
     }
 }
 
-/// Fraction of the terrain's height at a distance from the start, 0 to 1.
+/// Returns the fraction of the terrain's height at a distance from the start, 0 to 1.
 fn onset(x: f64, y: f64) -> f64 {
     let t = ((x.hypot(y) - FLAT_RADIUS_M) / RAMP_M).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
-/// Perlin terrain of `magnitude_m` peak to peak with lattice cells of `1 / frequency` metres.
+/// Creates Perlin terrain of `magnitude_m` peak to peak with lattice cells of `1 / frequency` metres.
 pub fn perlin(half_size: [f64; 2], magnitude_m: f64, frequency: f64, seed: u64) -> HeightField {
     let noise = Perlin::new(seed);
     let spacing_m = 0.04;
@@ -76,7 +76,7 @@ pub fn perlin(half_size: [f64; 2], magnitude_m: f64, frequency: f64, seed: u64) 
     })
 }
 
-/// Wide, smooth hills whose steepest slope (rise over run) is `steepest`.
+/// Creates wide, smooth hills whose steepest slope (rise over run) is `steepest`.
 pub fn hills(half_size: [f64; 2], steepest: f64, frequency: f64, seed: u64) -> HeightField {
     let noise = Perlin::new(seed);
     let start = noise.at(0.37, 0.59);
@@ -92,7 +92,7 @@ pub fn hills(half_size: [f64; 2], steepest: f64, frequency: f64, seed: u64) -> H
     field
 }
 
-/// Steps of `height_m` every `length_m` along x, going up and then down again.
+/// Creates steps of `height_m` every `length_m` along x, going up and then down again.
 pub fn steps(half_size: [f64; 2], height_m: f64, length_m: f64, count: u32) -> HeightField {
     let count = f64::from(count);
     HeightField::sample(half_size, 0.02, |x, _| {
@@ -101,7 +101,7 @@ pub fn steps(half_size: [f64; 2], height_m: f64, length_m: f64, count: u32) -> H
     })
 }
 
-/// A slope (rise over run) that begins one metre ahead.
+/// Creates a slope (rise over run) that begins one metre ahead.
 pub fn slope(half_size: [f64; 2], incline: f64) -> HeightField {
     HeightField::sample(half_size, 0.05, |x, _| incline * (x - 1.0).max(0.0))
 }

@@ -27,37 +27,37 @@ pub enum Disturbance {
     },
     /// A force on the trunk, world frame \[N\]; drawn as a rope.
     Pull {
-        /// Force, world frame \[N\].
+        /// Force on the trunk, world frame \[N\].
         force: [f64; 3],
     },
     /// A force on the trunk from an obstacle; drawn as an arrow that ends at the trunk.
     Press {
-        /// Force, world frame \[N\].
+        /// Force on the trunk, world frame \[N\].
         force: [f64; 3],
     },
 }
 
-/// A rope with a load, at the end of a step.
+/// A rope with a load in a policy step.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Rope {
     /// Points of the rope from end to end over pulleys, world frame \[m\].
     pub points: Vec<[f32; 3]>,
     /// Pulling force, mean over the step's physics steps \[N\].
     pub force_n: f64,
-    /// Largest pulling force in them \[N\].
+    /// Largest pulling force in the step \[N\].
     pub peak_force_n: f64,
-    /// Least pulling force in them, never below zero \[N\].
+    /// Smallest pulling force in the step, never below zero \[N\].
     pub least_force_n: f64,
 }
 
-/// A spring between the trunk and a point, in a step.
+/// A spring between the trunk and a point, in a policy step.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Stretch {
     /// Stretch in the last physics step; negative while slack \[m\].
     pub stretch_m: f64,
     /// Force on the trunk, mean over the step's physics steps \[N\].
     pub force_n: f64,
-    /// Largest force in them \[N\].
+    /// Largest force in the step \[N\].
     pub peak_force_n: f64,
 }
 
@@ -68,7 +68,7 @@ pub struct Sensed {
     pub velocity: [f64; 3],
     /// Base height above the ground under the feet \[m\].
     pub height_m: f64,
-    /// Origin of the trunk, world frame; its horizontal part drifts \[m\].
+    /// Position of the trunk's origin, world frame; its horizontal part drifts \[m\].
     pub position: [f64; 3],
     /// Estimated contact of each foot.
     pub contacts: [bool; 4],
@@ -85,33 +85,33 @@ pub struct Frame {
     pub bodies: Vec<Pose>,
     /// Pose of the body from which the distance to the goal is measured, if the script has a goal.
     pub goal: Option<Pose>,
-    /// The command.
+    /// The command in the step.
     pub command: Command,
     /// Trunk velocity (forward, left, up), base frame [m/s].
     pub velocity: [f64; 3],
     /// Trunk velocity (forward, left, up), heading frame [m/s].
     pub velocity_in_heading: [f64; 3],
-    /// Origin of the trunk, world frame \[m\].
+    /// Position of the trunk's origin, world frame \[m\].
     pub position: [f64; 3],
     /// Yaw rate about the base's up axis [rad/s].
     pub yaw_rate: f64,
-    /// Roll, pitch, yaw \[rad\].
+    /// Roll, pitch and yaw of the trunk relative to the world \[rad\].
     pub roll_pitch_yaw: [f64; 3],
     /// Base height above the ground under it \[m\].
     pub height_m: f64,
-    /// `Σ|τ·q̇|`, mean over the step's physics steps \[W\].
+    /// Mechanical power `Σ|τ·q̇|`, mean over the step's physics steps \[W\].
     pub power_w: f64,
-    /// `‖τ‖₂`, mean over the step's physics steps [N·m].
+    /// Norm of the joint torques `‖τ‖₂`, mean over the step's physics steps [N·m].
     pub torque_n_m: f64,
     /// Reward of Table II, also in the recovery stage.
     pub reward: f64,
-    /// Terms of the reward.
+    /// Terms of the reward, before weights.
     pub terms: Terms,
     /// Joint angles \[rad\].
     pub joint_angles: Joints,
     /// Joint targets given to the controller \[rad\].
     pub joint_targets: Joints,
-    /// Torques of the last physics step [N·m].
+    /// Joint torques of the last physics step [N·m].
     pub torques: Joints,
     /// Foot centres, world frame \[m\].
     pub foot_positions: [[f64; 3]; 4],
@@ -133,7 +133,7 @@ pub struct Frame {
     pub spring: Option<Stretch>,
     /// The estimated state; `None` if the robot acts on the true state.
     pub sensed: Option<Sensed>,
-    /// External disturbance in this step.
+    /// Disturbance to draw in this step.
     pub disturbance: Option<Disturbance>,
     /// The matching stage of a training episode, for scripts with a single push.
     pub stage: Option<Stage>,
@@ -146,7 +146,7 @@ pub struct Event {
     pub time_s: f64,
     /// Kind of the event.
     pub kind: EventKind,
-    /// Text shown to people.
+    /// Text of the event.
     pub text: String,
 }
 
@@ -158,20 +158,35 @@ pub enum EventKind {
     Disturbance,
     /// The robot fell.
     Fall,
-    /// The robot did what the scenario is about (crossed, passed, recovered).
+    /// The robot completed the scenario's task (crossed, passed, recovered).
     Success,
     /// The physics or the sensors failed.
     Fault,
 }
 
 /// The frames and events of one playback.
+///
+/// ```
+/// use supple::policy::shipped;
+/// use supple::scenario::{Playback, catalog::Scenario};
+///
+/// let agent = shipped::find("compliant")?;
+/// let script = Scenario::named("push", "{push_m_s: 0.75, at_s: 0.5, duration_s: 3.0}")?.script(3, &agent.config)?;
+/// let trace = Playback::new(&script, &agent.config, agent.controller())?.trace();
+/// let pushed_s = trace.disturbed("push").ok_or("no push")?;
+/// let after = trace.after(pushed_s);
+/// let speed = |velocity: [f64; 3]| velocity[0].hypot(velocity[1]); // [m/s]
+/// assert!(trace.fall().is_none());
+/// assert!(speed(after.frames[0].velocity) > 2.0 * speed(after.frames[60].velocity)); // decayed within 1 s
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Trace {
-    /// Time between frames \[s\].
+    /// Time between two frames, the policy period \[s\].
     pub period_s: f64,
     /// Weight of the robot \[N\].
     pub weight_n: f64,
-    /// One frame for each policy step.
+    /// Frames, one for each policy step.
     pub frames: Vec<Frame>,
     /// Events in order of time.
     pub events: Vec<Event>,
@@ -193,13 +208,13 @@ impl Trace {
         self.fall().map_or(Cow::Borrowed(self), |fall| Cow::Owned(self.until(fall.time_s)))
     }
 
-    /// Time of the first disturbance whose text starts with `text` \[s\].
+    /// Returns the time of the first disturbance whose text starts with `text` \[s\].
     pub fn disturbed(&self, text: &str) -> Option<f64> {
         let is_it = |event: &&Event| event.kind == EventKind::Disturbance && event.text.starts_with(text);
         Some(self.events.iter().find(is_it)?.time_s)
     }
 
-    /// Returns the part up to a time.
+    /// Returns the part up to a time \[s\].
     pub fn until(&self, time_s: f64) -> Trace {
         let until_s = time_s + 0.5 * self.period_s;
         Trace {
@@ -209,7 +224,7 @@ impl Trace {
         }
     }
 
-    /// Returns the part after a time.
+    /// Returns the part after a time \[s\].
     pub fn after(&self, time_s: f64) -> Trace {
         Trace {
             frames: self.frames.iter().filter(|frame| frame.time_s > time_s).cloned().collect(),
@@ -218,7 +233,7 @@ impl Trace {
         }
     }
 
-    /// True if the robot reached the script's goal on its feet.
+    /// Returns true if the robot reached the script's goal on its feet.
     pub fn reached_goal(&self) -> bool {
         self.events.iter().any(|event| event.kind == EventKind::Success)
     }

@@ -9,17 +9,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::robot::{JOINTS, Joints};
 
-/// Gains of the PD law.
+/// Gains of the PD controller.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// `K_p` [N·m/rad].
+    /// Proportional gain `K_p` [N·m/rad].
     pub proportional: f64,
-    /// `K_d` [N·m·s/rad].
+    /// Derivative gain `K_d` [N·m·s/rad].
     pub derivative: f64,
 }
 
 impl Gains {
-    /// `τ = K_p (target − q) − K_d q̇`, limited to ± `limits` [N·m].
+    /// Computes `τ = K_p (target − q) − K_d q̇`, limited to ± `limits` [N·m].
     pub fn torques(&self, target: &Joints, angles: &Joints, rates: &Joints, limits: &Joints) -> Joints {
         std::array::from_fn(|joint| {
             let torque = self.proportional * (target[joint] - angles[joint]) - self.derivative * rates[joint];
@@ -28,18 +28,18 @@ impl Gains {
     }
 }
 
-/// Delays joint targets by a fixed time.
+/// A fixed delay of joint targets.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Latency {
-    /// Share of the older of the two targets in the average.
+    /// Weight of the older of the two targets in the average.
     fraction: f64,
-    /// Targets of the last steps, a ring; the oldest is at `next`.
+    /// Targets of the last steps in a ring buffer; the oldest is at `next`.
     targets: Vec<Joints>,
     next: usize,
 }
 
 impl Latency {
-    /// A delay of `latency_s` in steps of `timestep_s`, filled with `target`.
+    /// Creates a delay of `latency_s` \[s\] in steps of `timestep_s` \[s\], filled with `target`.
     pub fn new(latency_s: f64, timestep_s: f64, target: Joints) -> Self {
         // 0.03 · 240 must be 7.2 and not 7.199…: snap to a millionth of a step.
         let steps = (latency_s / timestep_s * 1e6).round() / 1e6;
@@ -53,13 +53,13 @@ impl Latency {
         other.targets.len() == length && other.next < length && other.fraction == self.fraction
     }
 
-    /// Forgets every target but this one.
+    /// Replaces all stored targets by this one.
     pub fn reset(&mut self, target: Joints) {
         self.targets.fill(target);
         self.next = 0;
     }
 
-    /// Takes the target issued for this physics step, returns the one that acts in it.
+    /// Takes the target issued for this physics step and returns the target that acts in it.
     pub fn delay(&mut self, target: &Joints) -> Joints {
         let length = self.targets.len();
         self.targets[self.next] = *target;
@@ -70,12 +70,12 @@ impl Latency {
     }
 }
 
-/// `Σ |τ·q̇|` \[W\].
+/// Computes the mechanical power `Σ |τ·q̇|` \[W\].
 pub fn mechanical_power(torques: &Joints, rates: &Joints) -> f64 {
     (0..JOINTS).map(|joint| (torques[joint] * rates[joint]).abs()).sum()
 }
 
-/// `‖τ‖₂²` [N²·m²].
+/// Computes the squared torque `‖τ‖₂²` [N²·m²].
 pub fn squared_torque(torques: &Joints) -> f64 {
     torques.iter().map(|torque| torque * torque).sum()
 }

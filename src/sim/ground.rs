@@ -1,4 +1,4 @@
-//! What the robot walks on: a plane, or elevations on a grid.
+//! The ground: a plane, or elevations on a grid.
 
 /// The ground that the robot walks on.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,29 +14,29 @@ pub enum Ground {
 pub struct HeightField {
     /// Half-lengths along x and y \[m\].
     pub half_size: [f64; 2],
-    /// Grid points along y.
+    /// Number of grid points along y.
     pub rows: usize,
-    /// Grid points along x.
+    /// Number of grid points along x.
     pub columns: usize,
-    /// Heights \[m\], row-major, shape (rows, columns); row 0 at the least y, column 0 at the least x.
+    /// Heights \[m\], row-major, shape (rows, columns); row 0 at the smallest y, column 0 at the smallest x.
     pub heights: Vec<f64>,
-    /// Friction by place; without, it is the same everywhere.
+    /// Sliding friction by place; `None` if it is the same everywhere.
     pub friction: Option<Patches>,
 }
 
-/// Squares of ground that differ in friction.
+/// Square patches of ground that differ in friction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Patches {
-    /// Edge of a square \[m\].
+    /// Edge of a patch \[m\].
     pub edge_m: f64,
-    /// Squares along x.
+    /// Number of patches along x.
     pub columns: usize,
-    /// Sliding friction, row-major, shape (rows, columns), centred at the origin; row 0 at the least y. Not empty.
+    /// Sliding friction, row-major, shape (rows, columns), centred at the origin; row 0 at the smallest y. Not empty.
     pub friction: Vec<f64>,
 }
 
 impl Patches {
-    /// Sliding friction at a place; beyond the edge, that of the nearest square.
+    /// Returns the sliding friction at a place; beyond the edge, that of the nearest patch.
     pub fn at(&self, x: f64, y: f64) -> f64 {
         let index = |value: f64, count: usize| {
             let square = (value / self.edge_m + 0.5 * count as f64).floor();
@@ -59,8 +59,9 @@ impl HeightField {
         HeightField { half_size, rows, columns, heights, friction: None }
     }
 
-    /// Steepest slope, rise over run, of the triangles that MuJoCo makes of the grid: each cell is split from its least
-    /// to its greatest corner, and a triangle's slope follows from its edge along x and its edge along y.
+    /// Returns the steepest slope, rise over run, of the triangles that MuJoCo makes of the grid: each cell is split
+    /// from its lowest to its highest corner, and a triangle's slope follows from its edge along x and its edge along
+    /// y.
     pub fn steepest(&self) -> f64 {
         let [dx, dy] =
             [2.0 * self.half_size[0] / (self.columns - 1) as f64, 2.0 * self.half_size[1] / (self.rows - 1) as f64];
@@ -73,14 +74,14 @@ impl HeightField {
         })
     }
 
-    /// Lowest and highest elevation \[m\].
+    /// Returns the lowest and the highest elevation \[m\].
     pub fn range(&self) -> [f64; 2] {
         let low = self.heights.iter().copied().fold(f64::INFINITY, f64::min);
         let high = self.heights.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         [low, high]
     }
 
-    /// Bilinear elevation \[m\]; beyond the edge, that of the nearest point of the edge.
+    /// Returns the bilinear elevation \[m\]; beyond the edge, that of the nearest point of the edge.
     fn height(&self, x: f64, y: f64) -> f64 {
         let grid = |value: f64, half: f64, count: usize| {
             let position = ((value / half + 1.0) / 2.0).clamp(0.0, 1.0) * (count - 1) as f64;
@@ -99,7 +100,7 @@ impl HeightField {
 }
 
 impl Ground {
-    /// Elevation under a point of the world \[m\].
+    /// Returns the elevation under a point of the world \[m\].
     pub fn height(&self, x: f64, y: f64) -> f64 {
         match self {
             Ground::Flat => 0.0,
@@ -107,7 +108,7 @@ impl Ground {
         }
     }
 
-    /// The place nearest to this one that has ground for `margin_m` around it.
+    /// Returns the nearest place that has ground for `margin_m` \[m\] around it.
     pub fn nearest(&self, place: [f64; 2], margin_m: f64) -> [f64; 2] {
         let Ground::Field(field) = self else { return place };
         std::array::from_fn(|axis| {
@@ -116,7 +117,7 @@ impl Ground {
         })
     }
 
-    /// Squares that differ in friction, if there are any.
+    /// Returns the patches that differ in friction, if there are any.
     pub fn patches(&self) -> Option<&Patches> {
         match self {
             Ground::Flat => None,

@@ -1,39 +1,39 @@
-/*! What an environment did in the last second before a physics fault.
+/*! The last second before a physics fault, for diagnosis.
 
-MuJoCo resets a simulation that has become unstable, so what led there is gone when the fault is noticed. Every
-environment therefore notes down where it is and what it is told to do before each policy step, in a ring that is
-written over and over: no allocation, some hundred bytes copied per step. Only a fault reads it.
+MuJoCo resets a simulation that has become unstable, so its history is lost when the fault is noticed. Every
+environment therefore stores state and joint targets before each policy step in a ring buffer: no allocation, some
+hundred bytes copied per step. Only a fault reads it.
 */
 
 use crate::robot::{JOINTS, Joints, joint_names};
 
-/// A ring of policy steps: positions, velocities and joint targets before each.
+/// A ring buffer of policy steps: positions, velocities and joint targets before each.
 #[derive(Debug, Clone)]
 pub struct LastSecond {
     positions: usize,
     velocities: usize,
-    /// Shape (steps kept, positions + velocities + targets).
+    /// The stored steps, shape (steps kept, positions + velocities + targets).
     rows: Vec<f64>,
-    /// Steps noted since the episode began.
+    /// Number of steps stored since the episode began.
     noted: usize,
 }
 
 impl LastSecond {
-    /// A ring of `steps` for a model with that many positions and velocities.
+    /// Creates a ring buffer of `steps` policy steps for a model with these numbers of positions and velocities.
     pub fn new(steps: usize, positions: usize, velocities: usize) -> Self {
         let width = positions + velocities + JOINTS;
         LastSecond { positions, velocities, rows: vec![0.0; steps.max(1) * width], noted: 0 }
     }
 
-    /// A new episode: what was before does not belong to it.
+    /// Empties the buffer at the start of an episode.
     pub fn clear(&mut self) {
         self.noted = 0;
     }
 
-    /// Notes down the state before a policy step, in MuJoCo's coordinates, and the joint targets \[rad\] of that step.
+    /// Stores the state before a policy step, in MuJoCo's coordinates, and the joint targets \[rad\] of that step.
     ///
     /// # Panics
-    /// If positions or velocities have other lengths than those that the ring was made for.
+    /// Positions or velocities have other lengths than those given to `new`.
     pub fn note(&mut self, positions: &[f64], velocities: &[f64], targets: &Joints) {
         let width = self.width();
         let kept = self.rows.len() / width;
@@ -46,7 +46,7 @@ impl LastSecond {
         self.noted += 1;
     }
 
-    /// As CSV, oldest step first: the first column counts down to 0, the step in which the physics failed.
+    /// Formats the steps as CSV, oldest first: the first column counts down to 0, the step in which the physics failed.
     pub fn csv(&self) -> String {
         let positions = (0..self.positions).map(|k| format!(",position_{k}"));
         let velocities = (0..self.velocities).map(|k| format!(",velocity_{k}"));

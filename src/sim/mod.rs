@@ -1,4 +1,6 @@
-/*! The simulated robot: PD control, latency, pushes and physics at 240 Hz under one policy step at 60 Hz.
+/*! The simulated robot: PD control, latency, pushes and physics at 240 Hz within policy steps at 60 Hz.
+
+Start with [`Scene`] (what is simulated) and [`Sim`] (one policy step at a time), then [`control`] and [`ground`].
 
 A physics step is taken as MuJoCo's second half (forces, integration) followed by its first half (kinematics,
 contacts), so that positions, velocities, feet and contacts all belong to the same instant when a policy looks at them,
@@ -25,7 +27,7 @@ use crate::config::Simulation;
 use crate::mujoco::{Data, Error, Result};
 use crate::robot::{Foothold, JOINTS, Joints, Losses, Robot, RobotState, joint_name};
 
-/// Why the robot counts as fallen (section III-D).
+/// The reason why the robot counts as fallen (section III-D).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Fall {
     /// The base is too low: its height above the ground \[m\].
@@ -34,10 +36,11 @@ pub enum Fall {
     Touch(usize),
 }
 
-/// Priority of feet that carry the friction of their place: above that of grounds and obstacles.
+/// Contact priority of feet on ground of varied friction: above that of grounds and obstacles, so that the feet's
+/// friction holds.
 const FOOT_PRIORITY: i32 = 3;
 
-/// Half the length of the square in which a robot stands, about \[m\].
+/// Approximate half-length of the square that a standing robot covers \[m\].
 const FOOTPRINT_M: f64 = 0.25;
 
 /// The effort and the falls of one policy step.
@@ -56,54 +59,54 @@ pub struct StepSummary {
 /// Physical conditions of an episode.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Conditions {
-    /// Gravity, world frame [m/s²]; a tilted one is a slope.
+    /// Gravity, world frame [m/s²]; tilted gravity simulates a slope.
     pub gravity: [f64; 3],
     /// Sliding friction of the ground.
     pub friction: f64,
-    /// The bias of the encoders \[rad\].
+    /// Bias of the encoders: measured minus true joint angle \[rad\].
     pub encoder_bias: Joints,
 }
 
 /// An instantaneous change of the trunk's velocity.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Push {
-    /// Forward and left, heading frame [m/s].
+    /// Change of velocity, forward and left, heading frame [m/s].
     pub linear: [f64; 2],
-    /// About the base's three axes [rad/s].
+    /// Change of angular velocity about the base's three axes [rad/s].
     pub angular: [f64; 3],
 }
 
-/// A constant force on the trunk during an interval, as of a leash.
+/// A constant force on the trunk during an interval, like that of a leash.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Pull {
-    /// Begins \[s\].
+    /// Time at which the pull begins \[s\].
     pub from_s: f64,
-    /// Ends \[s\].
+    /// Time at which the pull ends \[s\].
     pub until_s: f64,
-    /// Forward and left at the robot's start: world frame \[N\].
+    /// Force along x and y of the world frame, forward and left at the robot's start \[N\].
     pub force: [f64; 2],
 }
 
-/// Looks at every physics step of a policy step, and may pull the trunk in it.
+/// A hook into every physics step of a policy step, which may also pull the trunk.
 pub trait StepObserver {
-    /// Called before each, with the positions that it starts from: the force on the trunk's centre of mass in it, world frame
-    /// \[N\]. None leaves the force as it is.
+    /// Called before each physics step. Returns the force on the trunk's centre of mass in it, world frame \[N\];
+    /// `None` leaves the force unchanged.
     fn trunk_force(&mut self, _data: &Data) -> Option<Vector3<f64>> {
         None
     }
 
-    /// Called between the two halves, when contact forces exist: with the state after integration, and contacts and
-    /// forces that led to it.
+    /// Called between the two halves of a physics step, when contact forces exist. The state is that after the
+    /// integration; contacts and forces are those that led to it.
     fn forces(&mut self, _data: &Data, _parts: &Parts, _torques: &Joints) {}
 
-    /// Called at the end, with the feet where they are now.
+    /// Called at the end of a physics step, with the present height and contact of the feet.
     fn feet(&mut self, _feet: &[Foothold; 4]) {}
 }
 
-/// Sees nothing, does nothing.
+/// The observer that does nothing.
 impl StepObserver for () {}
 
-/// Everything that a resumed simulation needs to give the same bits.
+/// Complete state of a simulation, from which it continues with the same bits.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SimState {
     positions: Vec<f64>,
@@ -114,7 +117,7 @@ pub struct SimState {
     conditions: Conditions,
 }
 
-/// The robot in its scene.
+/// A simulated robot in its scene.
 #[derive(Debug)]
 pub struct Sim {
     data: Data,
@@ -127,17 +130,17 @@ pub struct Sim {
     substeps: usize,
     fall_height_m: f64,
     start: Vec<f64>,
-    /// Positions as the last first half-step found them. It normalises quaternions, which is not idempotent to the last
-    /// bit: resuming from positions after it would not give the same bits.
+    /// Positions as the last [`Data::step1`] found them. It normalises quaternions, which is not idempotent to the last
+    /// bit, so resuming from the positions after it would not give the same bits.
     unnormalised: Vec<f64>,
 }
 
 impl Sim {
-    /// Compiles the scene; the robot starts as it stands. It has fallen below `fall_height_m`, unless its own description says
-    /// otherwise.
+    /// Compiles the scene and places the robot in its starting pose. It counts as fallen below `fall_height_m` \[m\],
+    /// unless its description states another height.
     ///
     /// # Errors
-    /// A fault of MuJoCo, or a name that the model lacks.
+    /// The scene does not compile, the model lacks a part of the robot, or MuJoCo fails.
     pub fn new(scene: &Scene, config: &Simulation, fall_height_m: f64) -> Result<Self> {
         let mut model = scene.compile()?;
         let parts = Parts::new(&model, &scene.robot)?;
@@ -168,10 +171,10 @@ impl Sim {
         })
     }
 
-    /// Puts the robot back to its start, at rest, holding `target`.
+    /// Returns the robot to its start, at rest, holding `target` \[rad\].
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails in the new state.
     pub fn reset(&mut self, conditions: Conditions, target: &Joints) -> Result<()> {
         self.data.reset()?;
         self.data.positions_mut()[..self.start.len()].copy_from_slice(&self.start);
@@ -180,11 +183,11 @@ impl Sim {
         self.refresh()
     }
 
-    /// Sets the robot on its feet where it is, facing as it does, at rest, holding `target`: what is around it stays as it is.
-    /// One that has left the ground is set at its edge.
+    /// Sets the robot on its feet at its present place and heading, at rest, holding `target` \[rad\]; obstacles stay
+    /// as they are. A robot that has left the ground is set at its edge.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails in the new state.
     pub fn set_on_feet(&mut self, target: &Joints) -> Result<()> {
         let state = self.parts.state(&self.data, &self.ground);
         let (_, _, yaw) = state.roll_pitch_yaw();
@@ -204,7 +207,7 @@ impl Sim {
         self.refresh()
     }
 
-    /// Gives each foot the friction of the ground where it was at the last look.
+    /// Gives each foot the friction of the ground under its last known position.
     fn feel_ground(&mut self) {
         let Some(patches) = self.ground.patches() else { return };
         for foot in self.parts.feet() {
@@ -214,11 +217,11 @@ impl Sim {
         }
     }
 
-    /// The first half of a physics step. It makes what was written into [`Sim::data_mut`] count: bodies that were moved,
-    /// tendons that were cut.
+    /// Repeats the first half of a physics step, so that changes through [`Sim::data_mut`] take effect, such as moved
+    /// bodies or cut tendons.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails in the changed state.
     pub fn refresh(&mut self) -> Result<()> {
         self.feel_ground();
         self.unnormalised.clear();
@@ -232,10 +235,10 @@ impl Sim {
         self.conditions = conditions;
     }
 
-    /// One policy step towards joint targets \[rad\].
+    /// Runs one policy step towards joint targets \[rad\].
     ///
     /// # Errors
-    /// A target that is not finite, or a fault of MuJoCo, after which the simulation must be reset before it goes on.
+    /// A target is not finite, or MuJoCo fails; then reset the simulation before the next step.
     pub fn step(&mut self, target: &Joints, observer: &mut impl StepObserver) -> Result<StepSummary> {
         if let Some(joint) = target.iter().position(|angle| !angle.is_finite()) {
             let what = format!("the joint target of {}", joint_name(joint));
@@ -268,13 +271,13 @@ impl Sim {
         Ok(summary)
     }
 
-    /// Joint angles as the encoders read them \[rad\].
+    /// Returns the joint angles as the encoders read them \[rad\].
     pub fn measured_angles(&self) -> Joints {
         let angles = self.parts.joint_angles(&self.data);
         std::array::from_fn(|joint| angles[joint] + self.conditions.encoder_bias[joint])
     }
 
-    /// The state now, with joint angles as the encoders read them.
+    /// Returns the present state, with joint angles as the encoders read them.
     pub fn state(&self) -> RobotState {
         let mut state = self.parts.state(&self.data, &self.ground);
         state.joint_angles = self.measured_angles();
@@ -284,7 +287,7 @@ impl Sim {
     /// Adds a push to the trunk's velocity at this instant.
     ///
     /// # Errors
-    /// A fault of MuJoCo.
+    /// MuJoCo fails with the new velocity.
     pub fn push(&mut self, push: &Push) -> Result<()> {
         let linear = self.state().heading() * Vector3::new(push.linear[0], push.linear[1], 0.0);
         self.parts.add_velocity(&mut self.data, linear, Vector3::from(push.angular));
@@ -306,7 +309,7 @@ impl Sim {
         (height < self.fall_height_m).then_some(Fall::Low(height))
     }
 
-    /// In words, such as "the base sank to 0.19 m" or "RL_calf touched the ground".
+    /// Describes a fall, such as "the base sank to 0.19 m" or "RL_calf touched the ground".
     pub fn describe(&self, fall: Fall) -> String {
         match fall {
             Fall::Low(height) => format!("the base sank to {height:.2} m"),
@@ -320,22 +323,22 @@ impl Sim {
         }
     }
 
-    /// The physics, for recorders and metrics.
+    /// Returns the physics, for recorders and metrics.
     pub fn data(&self) -> &Data {
         &self.data
     }
 
-    /// The physics, for scenarios that move obstacles or inject faults.
+    /// Returns the physics to be changed, for scenarios that move obstacles or inject faults.
     pub fn data_mut(&mut self) -> &mut Data {
         &mut self.data
     }
 
-    /// The robot.
+    /// Returns the robot.
     pub fn robot(&self) -> &Arc<Robot> {
         &self.robot
     }
 
-    /// Where the robot's parts are in the model.
+    /// Returns the ids of the robot's parts in the model.
     pub fn parts(&self) -> &Parts {
         &self.parts
     }
@@ -345,7 +348,7 @@ impl Sim {
         &self.ground
     }
 
-    /// Duration of a policy step \[s\].
+    /// Returns the duration of a policy step \[s\].
     pub fn policy_period_s(&self) -> f64 {
         self.substeps as f64 * self.data.model().timestep_s()
     }
@@ -362,10 +365,10 @@ impl Sim {
         }
     }
 
-    /// Goes back to a saved state.
+    /// Restores a saved state.
     ///
     /// # Errors
-    /// A fault of MuJoCo, or a state of another model.
+    /// The state belongs to another model, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &SimState) -> Result<()> {
         let model = self.data.model();
         if state.positions.len() != model.nq()

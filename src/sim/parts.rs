@@ -1,4 +1,4 @@
-//! The robot in a compiled model: where its parts are, and its state read from there.
+//! The robot in a compiled model: the ids of its parts, and its state.
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
@@ -7,7 +7,7 @@ use super::scene::GROUND;
 use crate::mujoco::{Data, Kind, Model, Result};
 use crate::robot::{FootState, Foothold, JOINTS, Joints, LEGS, Robot, RobotState, joint_name};
 
-/// Where the robot's parts are in a compiled model.
+/// Ids of the robot's parts in a compiled model.
 #[derive(Debug, Clone)]
 pub struct Parts {
     trunk: usize,
@@ -20,17 +20,17 @@ pub struct Parts {
     feet: [usize; 4],
     foot_radius: [f64; 4],
     ground: usize,
-    /// For each geometry: part of the robot other than a foot.
+    /// True for each geometry that is a part of the robot other than a foot.
     is_body_part: Vec<bool>,
-    /// For each geometry: part of the robot that lies on the ground only after a fall.
+    /// True for each geometry of the robot that touches the ground only after a fall.
     is_high: Vec<bool>,
 }
 
 impl Parts {
-    /// Looks up every name of the robot once.
+    /// Looks up all names of the robot.
     ///
     /// # Errors
-    /// [`crate::mujoco::Error::Name`] if the model lacks a part.
+    /// The model lacks a part; the error lists the names that it has.
     pub fn new(model: &Model, robot: &Robot) -> Result<Self> {
         let trunk = model.id(Kind::Body, "trunk")?;
         let root = model.id(Kind::Joint, "root")?;
@@ -60,22 +60,22 @@ impl Parts {
         })
     }
 
-    /// Ids of the joints.
+    /// Returns the ids of the joints.
     pub fn joints(&self) -> [usize; JOINTS] {
         self.joints
     }
 
-    /// Body id of the trunk.
+    /// Returns the body id of the trunk.
     pub fn trunk(&self) -> usize {
         self.trunk
     }
 
-    /// Geometry id of the ground.
+    /// Returns the geometry id of the ground.
     pub fn ground(&self) -> usize {
         self.ground
     }
 
-    /// Geometry ids of the feet.
+    /// Returns the geometry ids of the feet.
     pub fn feet(&self) -> [usize; 4] {
         self.feet
     }
@@ -85,23 +85,23 @@ impl Parts {
         self.is_body_part[geom] || self.feet.contains(&geom)
     }
 
-    /// True joint angles \[rad\].
+    /// Returns the true joint angles \[rad\].
     pub fn joint_angles(&self, data: &Data) -> Joints {
         self.joint_position.map(|index| data.positions()[index])
     }
 
-    /// Joint rates [rad/s].
+    /// Returns the joint rates [rad/s].
     pub fn joint_rates(&self, data: &Data) -> Joints {
         self.joint_velocity.map(|index| data.velocities()[index])
     }
 
-    /// Velocity of the trunk: linear in the world frame [m/s], angular in the base frame [rad/s].
+    /// Returns the velocity of the trunk: linear in the world frame [m/s], angular in the base frame [rad/s].
     pub fn trunk_velocity(&self, data: &Data) -> (Vector3<f64>, Vector3<f64>) {
         let v = &data.velocities()[self.root_velocity..];
         (Vector3::new(v[0], v[1], v[2]), Vector3::new(v[3], v[4], v[5]))
     }
 
-    /// Rotation from the base frame to the world frame.
+    /// Returns the rotation from the base frame to the world frame.
     pub fn world_from_base(&self, data: &Data) -> UnitQuaternion<f64> {
         let q = &data.positions()[self.root_position + 3..];
         UnitQuaternion::new_normalize(Quaternion::new(q[0], q[1], q[2], q[3]))
@@ -125,7 +125,7 @@ impl Parts {
         }
     }
 
-    /// The state as of the last first half-step.
+    /// Returns the state after the last [`Data::step1`].
     pub fn state(&self, data: &Data, ground: &Ground) -> RobotState {
         let q = &data.positions()[self.root_position..];
         let (velocity, angular_velocity_in_base) = self.trunk_velocity(data);
@@ -151,7 +151,7 @@ impl Parts {
         }
     }
 
-    /// Height and contact of every foot as of the last first half-step.
+    /// Returns height and contact of every foot after the last [`Data::step1`].
     pub fn footholds(&self, data: &Data, ground: &Ground) -> [Foothold; 4] {
         let mut contact = [false; 4];
         for touching in data.contacts() {
@@ -166,7 +166,7 @@ impl Parts {
         })
     }
 
-    /// A part that touches the ground and should not, if there is one.
+    /// Returns the id of a part that touches the ground and should not, if there is one.
     pub fn part_on_ground(&self, data: &Data) -> Option<usize> {
         data.contacts().find_map(|contact| match contact.geoms {
             [a, b] if a == self.ground && self.is_high[b] => Some(b),

@@ -1,14 +1,14 @@
-/*! From a robot file, a ground and obstacles to one compiled model.
+/*! Scenes: compiles a robot, a ground and obstacles into one model.
 
 MuJoCo 2.2.2 has no arena: the buffers for contacts, constraint rows and the stack are fixed when the model is compiled,
-and decide both whether a crowded scene loses contacts and whether a small one stays in cache. The scene knows what is
-in it, so the scene sizes them.
+and decide both whether a crowded scene loses contacts and whether a small one stays in cache. The scene knows its
+content, so it sets their sizes.
 
 Contact masks: robot parts carry contype 1 / conaffinity 2 and never meet each other; grounds and obstacles keep
 MuJoCo's 1 / 1 and meet both the robot and one another. They have priority 1, so that their friction holds.
 
-A robot alone on a plane can touch nothing but the plane. There the scene names the pairs that may touch, and MuJoCo does
-not look for them among all bodies: the same contacts, a quarter more steps per second.
+A robot alone on a plane can touch nothing but the plane. There the scene lists the pairs that may touch, and MuJoCo
+does not look for them among all bodies: the same contacts, a quarter more steps per second.
 */
 
 use std::cell::RefCell;
@@ -19,7 +19,7 @@ use super::ground::{Ground, HeightField};
 use crate::mujoco::{Kind, Model, Result};
 use crate::robot::Robot;
 
-/// Name of the geometry that is the ground.
+/// Name of the ground's geometry.
 pub const GROUND: &str = "ground";
 
 /// Name under which the scene includes the robot.
@@ -31,41 +31,41 @@ pub(super) const FRICTION: [f64; 3] = [0.8, 0.005, 0.0001];
 /// Sizes of MuJoCo's fixed buffers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Buffers {
-    /// Contact points, `nconmax`.
+    /// Maximum number of contact points, `nconmax`.
     pub contacts: usize,
-    /// Constraint rows, `njmax`.
+    /// Maximum number of constraint rows, `njmax`.
     pub rows: usize,
-    /// Stack \[f64\], `nstack`.
+    /// Size of the stack \[numbers\], `nstack`.
     pub stack: usize,
 }
 
 /// A robot on a ground among obstacles.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Scene {
-    /// The robot.
+    /// The robot in the scene.
     pub robot: Arc<Robot>,
     /// The ground that the robot walks on.
     pub ground: Ground,
-    /// Physics step \[s\].
+    /// Duration of a physics step \[s\].
     pub timestep_s: f64,
-    /// MJCF elements of the world body beside robot and ground, each named.
+    /// MJCF elements of the world body in addition to robot and ground, each named.
     pub obstacles: String,
-    /// Elements beside the world body (tendons, equalities), empty if there are none.
+    /// MJCF elements outside the world body (tendons, equalities); empty if there are none.
     pub extras: String,
-    /// Attributes of `<option>` that choose another solver, empty for Newton.
+    /// Attributes of `<option>` that choose another solver; empty for Newton.
     pub solver: &'static str,
-    /// Buffer sizes.
+    /// Sizes of MuJoCo's buffers for this scene.
     pub buffers: Buffers,
 }
 
 thread_local! {
-    /// The scene that this thread has compiled last: evaluations play thousands of trials in one, and compiling it anew was 4 %
-    /// of their time. Of one thread, so that none waits for another.
+    /// The scene that this thread compiled last: evaluations play thousands of trials in one, and compiling it each
+    /// time took 4 % of their time. It is local to the thread, so that threads do not wait for each other.
     static LAST: RefCell<Option<(Scene, Model)>> = const { RefCell::new(None) };
 }
 
 impl Scene {
-    /// The robot alone on a plane: the training scene.
+    /// Creates the training scene: the robot alone on a plane.
     pub fn flat(robot: Arc<Robot>, timestep_s: f64) -> Self {
         Scene {
             robot,
@@ -78,11 +78,11 @@ impl Scene {
         }
     }
 
-    /// Compiles the scene to be stepped: without geometries that are only looked at, which nearly halves the cost of a step
-    /// and changes no physics. The same scene once more costs no more than a copy.
+    /// Compiles the scene for simulation, without geometries that are only for display, which nearly halves the cost of
+    /// a step and changes no physics. Compiling the same scene again costs only a copy.
     ///
     /// # Errors
-    /// [`crate::mujoco::Error::Load`] with MuJoCo's message.
+    /// The scene does not compile; the error has MuJoCo's message.
     pub fn compile(&self) -> Result<Model> {
         LAST.with_borrow_mut(|last| {
             if let Some((_, model)) = last.as_ref().filter(|(scene, _)| scene == self) {
@@ -95,10 +95,10 @@ impl Scene {
         })
     }
 
-    /// Compiles the scene to be looked at. Bodies and joints are those of [`Scene::compile`].
+    /// Compiles the scene for display. Bodies and joints are those of [`Scene::compile`].
     ///
     /// # Errors
-    /// [`crate::mujoco::Error::Load`] with MuJoCo's message.
+    /// The scene does not compile; the error has MuJoCo's message.
     pub fn compile_visual(&self) -> Result<Model> {
         self.compile_xml(&self.xml(false))
     }
@@ -114,7 +114,7 @@ impl Scene {
         Ok(model)
     }
 
-    /// The MJCF text that is handed to MuJoCo; it includes the robot.
+    /// Returns the MJCF text that MuJoCo compiles; it includes the robot.
     pub fn xml(&self, discard_visual: bool) -> String {
         let Buffers { contacts, rows, stack } = self.buffers;
         let mut xml = String::new();
@@ -142,7 +142,7 @@ impl Scene {
         xml
     }
 
-    /// What may touch, if that is known: a robot's own parts and a plane.
+    /// Lists the geometry pairs that may touch, for a robot alone on a plane.
     fn pairs(&self) -> String {
         if self.ground != Ground::Flat || !self.obstacles.is_empty() || !self.extras.is_empty() {
             return String::new();
@@ -165,7 +165,7 @@ impl Scene {
         )
     }
 
-    /// The ground has priority over everything that touches it: its friction is the contact's friction.
+    /// Returns the ground's element. Its priority makes its friction the friction of every contact.
     fn ground_geom(&self) -> String {
         let shape = match self.ground {
             Ground::Flat => r#"type="plane" size="0 0 1""#.to_owned(),

@@ -1,6 +1,6 @@
-/*! How an episode unfolds: stages, conditions, pushes and the two curricula (sections III-C and III-D).
+/*! The course of an episode: stages, conditions, pushes and the two curricula (sections III-C and III-D).
 
-An episode's conditions are drawn in one go when it starts, from its own random stream, and are plain data from then on.
+An episode's conditions are drawn together when it starts, from its own random stream, and are plain data from then on.
 */
 
 use rand::{Rng, RngExt};
@@ -18,9 +18,9 @@ use crate::sim::{Conditions, Pull, Push};
 pub enum Stage {
     /// Undisturbed walking with the full reward.
     Walking,
-    /// From the push on: tracking rewards are constants, unless this is the baseline.
+    /// The stage from the push on: tracking rewards are constants, except in the baseline.
     Recovery,
-    /// Full reward again.
+    /// Walking after the recovery, with the full reward again.
     PostRecovery,
 }
 
@@ -36,7 +36,7 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// Converts durations to steps.
+    /// Converts the durations of a configuration to policy steps.
     pub fn new(episode: &Episode, simulation: &Simulation) -> Self {
         let recovery_start = simulation.policy_steps(episode.walking_s);
         let post_recovery_start = recovery_start + simulation.policy_steps(episode.recovery_s);
@@ -61,7 +61,7 @@ impl Stages {
 pub struct EpisodePlan {
     /// The command of the episode.
     pub command: Command,
-    /// Slope, friction, encoder offsets.
+    /// Slope, friction and encoder bias.
     pub conditions: Conditions,
     /// The push at the start of the recovery stage; the episode ends after the walking stage without one.
     pub push: Option<Push>,
@@ -71,7 +71,7 @@ pub struct EpisodePlan {
 }
 
 impl EpisodePlan {
-    /// Draws an episode.
+    /// Draws the random part of an episode from its stream.
     pub fn draw(config: &Config, curriculum: Curriculum, rng: &mut impl Rng) -> Self {
         let mut within = |range: f64| range * rng.random_range(-1.0..=1.0);
         let open = curriculum.command_fraction;
@@ -105,14 +105,15 @@ impl EpisodePlan {
         EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls }
     }
 
-    /// Returns the force that acts at a time of the episode, world frame \[N\].
+    /// Returns the pulling force at a time of the episode \[s\], forward and left at its start, world frame \[N\].
     pub fn force(&self, time_s: f64) -> [f64; 2] {
         let acting = self.pulls.iter().find(|pull| (pull.from_s..pull.until_s).contains(&time_s));
         acting.map_or([0.0; 2], |pull| pull.force)
     }
 }
 
-/// Draws pulls from any side, with pauses, until the end of the episode; `open` is the fraction of the force that is open.
+/// Draws pulls from any side, with pauses, until the end of the episode; `open` is the open fraction of the largest
+/// force.
 fn drawn_pulls(range: &Pulls, open: f64, length_s: f64, rng: &mut impl Rng) -> Vec<Pull> {
     let mut pulls = Vec::new();
     let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
@@ -126,7 +127,7 @@ fn drawn_pulls(range: &Pulls, open: f64, length_s: f64, rng: &mut impl Rng) -> V
     pulls
 }
 
-/// Gravity as felt on a slope (rise over run) that rises towards the direction `uphill` [rad from forward] [m/s²].
+/// Returns gravity in the frame of a slope (rise over run) that rises towards `uphill` [rad from forward] [m/s²].
 pub fn tilted_gravity(slope: f64, uphill: f64) -> [f64; 3] {
     let tilt = slope.atan();
     [-GRAVITY_M_S2 * tilt.sin() * uphill.cos(), -GRAVITY_M_S2 * tilt.sin() * uphill.sin(), -GRAVITY_M_S2 * tilt.cos()]
@@ -144,17 +145,17 @@ pub struct Curriculum {
 }
 
 impl Curriculum {
-    /// Returns the start: a part of the command range, and no pushes.
+    /// Returns the initial curriculum: a part of the command range, and no pushes.
     pub fn new(range: &CommandRange) -> Self {
         Curriculum { command_fraction: range.initial_fraction, pushes: false, force_fraction: 0.0 }
     }
 
-    /// Returns the end: everything that the configuration asks for.
+    /// Returns the final curriculum: all commands, pushes and pulls of the configuration.
     pub fn complete() -> Self {
         Curriculum { command_fraction: 1.0, pushes: true, force_fraction: 1.0 }
     }
 
-    /// Takes the mean `r_lin` of the walking stages of an iteration.
+    /// Advances the curriculum with the mean `r_lin` of the walking stages of an iteration.
     pub fn update(&mut self, mean_linear_reward: f64, config: &Config) {
         if mean_linear_reward > config.command.fraction_gate {
             self.command_fraction = (self.command_fraction + config.command.fraction_step).min(1.0);

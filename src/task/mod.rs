@@ -1,8 +1,9 @@
-/*! The learning task of section III as pure functions: what the policy is paid, how an episode unfolds.
+/*! The learning task (section III) as pure functions.
 
-Everything takes values and returns values; only the swing tracker looks on while physics steps.
+Read in this order: [`reward`] (what the policy is rewarded for), [`episode`] (stages, pushes and the curriculum),
+[`compliance`] (the outer loop that makes compliance a command). Only the [`SwingTracker`] keeps state while physics
+steps.
 */
-
 pub mod compliance;
 pub mod episode;
 pub mod reward;

@@ -2,11 +2,11 @@
 
 `r = max(0, w_lin r_lin + w_ang r_ang + w_h r_h) · exp(0.45 (w_e r_e + w_τ r_τ + w_pose r_pose + w_cl r_cl + w_f r_f))`
 
-The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and some runs learn to
-hop. Its weight is zero unless a configuration asks for it.
+The last term, `r_f`, is not the paper's: the paper's reward does not distinguish a trot from hopping on all fours, and
+some runs learn to hop. Its weight is zero unless a configuration sets it.
 
-Readings where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means over
-the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's height is that of its lowest point;
+Interpretations where the paper leaves room: `r_e` is the sum of the joints' absolute powers; `r_e` and `r_τ` are means
+over the physics steps of a policy step; `ω_z` in `r_ang` is the yaw rate; a foot's height is that of its lowest point;
 pitch, roll and height are relative to the ground plane, which on a simulated slope is the world's.
 */
 
@@ -25,13 +25,13 @@ use crate::sim::{StepObserver, StepSummary};
 pub struct RewardInput<'a> {
     /// State at the end of the step.
     pub state: &'a RobotState,
-    /// The command.
+    /// Command to the policy, base frame.
     pub command: &'a Command,
     /// Power and torque over the step.
     pub summary: &'a StepSummary,
     /// Swings that ended in the step.
     pub landings: &'a Landings,
-    /// Targets and sharpnesses.
+    /// Targets and sharpnesses of the terms.
     pub config: &'a Reward,
 }
 
@@ -64,9 +64,9 @@ pub struct TermDefinition {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Part {
-    /// `r_pos`, equation 1.
+    /// The positive sum `r_pos`, equation 1.
     Positive,
-    /// `r_neg`, equation 2.
+    /// The negative sum `r_neg`, equation 2.
     Negative,
 }
 
@@ -81,7 +81,7 @@ const fn define(
     TermDefinition { term, name, symbol, part, weight, value }
 }
 
-/// Table II, and `r_f`.
+/// The terms of Table II in order, and `r_f`.
 pub const TERMS: &[TermDefinition] = &[
     define(
         Term::LinearVelocity,
@@ -122,7 +122,7 @@ const _: () = {
     }
 };
 
-/// The terms of one step, or sums of them, before their weights.
+/// The terms of one step, or sums of them, without their weights.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Terms([f64; TERMS.len()]);
 
@@ -160,12 +160,12 @@ impl Terms {
         self
     }
 
-    /// Returns `r_lin`.
+    /// Returns the linear velocity term `r_lin`.
     pub fn linear_velocity(&self) -> f64 {
         self.0[Term::LinearVelocity as usize]
     }
 
-    /// The fraction of the time in which no foot touched the ground.
+    /// Returns the fraction of the time in which no foot touched the ground.
     pub fn flight(&self) -> f64 {
         self.0[Term::Flight as usize]
     }
@@ -186,7 +186,7 @@ impl Serialize for Terms {
     }
 }
 
-/// Missing terms are read as zero.
+/// Reads terms by name; missing terms are zero.
 impl<'de> Deserialize<'de> for Terms {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let found = BTreeMap::<String, f64>::deserialize(deserializer)?;
@@ -194,27 +194,27 @@ impl<'de> Deserialize<'de> for Terms {
     }
 }
 
-/// `r_lin = exp(−8 ((v_x − v_x*)² + (v_z − v_z*)²))`.
+/// Computes `r_lin = exp(−8 ((v_x − v_x*)² + (v_z − v_z*)²))`.
 pub fn linear_velocity(state: &RobotState, command: &Command, sharpness: f64) -> f64 {
     let left = state.velocity_in_base.y - command.left;
     let forward = state.velocity_in_base.x - command.forward;
     (-sharpness * (left * left + forward * forward)).exp()
 }
 
-/// `r_ang = exp(−8 (ω − ω*)²)` of the yaw rate.
+/// Computes `r_ang = exp(−8 (ω − ω*)²)` of the yaw rate.
 pub fn angular_velocity(state: &RobotState, command: &Command, sharpness: f64) -> f64 {
     let error = state.angular_velocity_in_base.z - command.yaw;
     (-sharpness * error * error).exp()
 }
 
-/// `r_pose = φ² + ψ² + 10 (y − y_des)²`.
+/// Computes `r_pose = φ² + ψ² + 10 (y − y_des)²`.
 pub fn pose(state: &RobotState, config: &Reward) -> f64 {
     let (roll, pitch, _) = state.roll_pitch_yaw();
     let height = state.height - config.base_height_m;
     pitch * pitch + roll * roll + config.height_sharpness * height * height
 }
 
-/// `r_cl = Σ_i ‖v_i,xz‖² (p_i,y − p_des)²`, horizontal foot speed against missing height.
+/// Computes `r_cl = Σ_i ‖v_i,xz‖² (p_i,y − p_des)²`, horizontal foot speed times missing height.
 pub fn foot_clearance(feet: &[FootState; 4], desired_m: f64) -> f64 {
     let of_foot = |foot: &FootState| {
         let [x, y, _] = foot.velocity;
@@ -223,7 +223,7 @@ pub fn foot_clearance(feet: &[FootState; 4], desired_m: f64) -> f64 {
     feet.iter().map(of_foot).sum()
 }
 
-/// Follows every foot through its swing for `r_h = Σ_i (p_i,peak / p_des − 1)²`, paid once when the foot touches down.
+/// Tracks every foot through its swing for `r_h = Σ_i (p_i,peak / p_des − 1)²`, added once when the foot touches down.
 ///
 /// Contacts are checked at every physics step: a foot that chatters on the ground at 240 Hz lands repeatedly with a peak
 /// of zero and is penalised.
@@ -242,26 +242,26 @@ pub struct SwingTracker {
     steps_in_flight: usize,
 }
 
-/// Landings that a [`SwingTracker`] has counted since the last call of [`SwingTracker::take`].
+/// The landings counted by a [`SwingTracker`] since the last call of [`SwingTracker::take`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Landings {
-    /// `r_h`.
+    /// Sum of the foot height term `r_h` over the landings.
     pub foot_height: f64,
     /// Number of swings that ended.
     pub count: usize,
-    /// Sum of their peak heights \[m\].
+    /// Sum of the swings' peak heights \[m\].
     pub peak_sum_m: f64,
     /// Fraction of the physics steps in which no foot touched the ground.
     pub flight_fraction: f64,
 }
 
 impl SwingTracker {
-    /// Starts with feet as they are; `desired_m` is `p_des`.
+    /// Creates a tracker that starts with the feet in this state; `desired_m` is the desired peak height `p_des` \[m\].
     pub fn new(feet: &[FootState; 4], desired_m: f64) -> Self {
         SwingTracker { desired_m, in_contact: feet.map(|foot| foot.contact), ..SwingTracker::default() }
     }
 
-    /// Returns the landings since the last call.
+    /// Returns the landings since the last call, and resets them.
     pub fn take(&mut self) -> Landings {
         let landings = Landings {
             foot_height: self.paid,
@@ -313,7 +313,7 @@ mod tests {
         }
     }
 
-    /// The terms of Table II in order, and `r_f`; later ones are zero.
+    /// Creates terms from those of Table II in order, and `r_f`; further ones are zero.
     fn terms(values: [f64; 8]) -> Terms {
         let mut terms = Terms::default();
         terms.0[..8].copy_from_slice(&values);

@@ -1,8 +1,8 @@
-/*! Everything that a run needs to go on with the same bits, in one file that is whole or not there.
+/*! Checkpoints: the complete state of a run, from which it continues with the same bits, in one atomic file.
 
 The tensors are the learner's (parameters and Adam's moments); the rest (configuration, seed, counters, curriculum, the
-state of every environment) is JSON, exact to the bit. A checksum guards both. The checkpoint before is kept: if the
-newest cannot be read, the run goes on from there and says so.
+state of every environment) is JSON, exact to the bit. A checksum protects both. The previous checkpoint is kept: if the
+newest cannot be read, the run resumes from that one and reports it.
 */
 
 use std::path::Path;
@@ -21,7 +21,7 @@ use crate::util::tensors::{self, Tensor};
 /// File of the newest checkpoint in a run's folder.
 pub const NEWEST: &str = "checkpoint.safetensors";
 
-/// File of the checkpoint before.
+/// File of the previous checkpoint.
 pub const PREVIOUS: &str = "checkpoint.previous.safetensors";
 
 /// File of a newest checkpoint that could not be read and was set aside.
@@ -30,10 +30,10 @@ pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
 /// Version of the format that is written.
 const FORMAT: u32 = 1;
 
-/// Name of the file's kind in errors.
+/// Name of the file type in error messages.
 const CHECKPOINT: &str = "checkpoint";
 
-/// Larger files are not checkpoints.
+/// Maximum size of a checkpoint \[bytes\].
 const MAX_BYTES: u64 = 4 << 30;
 
 /// The state of a run after a whole number of iterations.
@@ -45,28 +45,28 @@ pub struct Checkpoint {
     pub learner: LearnerState,
 }
 
-/// The part of a checkpoint that is not tensors.
+/// The state of a run without tensors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunState {
     /// Name of the configuration.
     pub config_name: String,
-    /// The configuration.
+    /// Configuration of the run.
     pub config: Config,
-    /// Git revision of the program that wrote this.
+    /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,
-    /// Identity of the robot that it is trained with.
+    /// SHA-256 of the robot's files.
     pub robot_sha256: String,
-    /// The seed.
+    /// Seed of the run.
     pub seed: u64,
-    /// Iterations done.
+    /// Number of finished iterations.
     pub iteration: u64,
-    /// Samples collected.
+    /// Number of samples collected.
     pub samples: u64,
     /// Wall-clock time spent training, over all sessions \[s\].
     pub elapsed_s: f64,
     /// State of the curriculum.
     pub curriculum: Curriculum,
-    /// Every environment, in the middle of its episode.
+    /// State of every environment, in the middle of its episode.
     pub environments: Vec<EnvState>,
 }
 
@@ -85,17 +85,17 @@ impl Checkpoint {
     /// Writes the checkpoint into a run's folder; the newest one there becomes the previous one.
     ///
     /// # Errors
-    /// [`FileError`] if a file cannot be written; older checkpoints stay untouched.
+    /// A file cannot be written, for example because the disk is full; older checkpoints stay untouched.
     pub fn save(&self, folder: &Path) -> Result<(), FileError> {
         let (newest, previous) = (folder.join(NEWEST), folder.join(PREVIOUS));
         let bytes = self.to_bytes().map_err(FileError::of(CHECKPOINT, &newest))?;
         files::write_keeping(&newest, &previous, &bytes).map_err(FileError::of(CHECKPOINT, &newest))
     }
 
-    /// Reads the newest checkpoint of a run's folder, or the previous one with the reason why the newest was no good.
+    /// Reads the newest checkpoint of a run's folder, or else the previous one with the error of the newest.
     ///
     /// # Errors
-    /// The newest one's [`FileError`] if neither can be read.
+    /// Neither checkpoint can be read; the error is that of the newest.
     pub fn load(folder: &Path) -> Result<(Self, Option<FileError>), FileError> {
         match Self::load_file(&folder.join(NEWEST)) {
             Ok(checkpoint) => Ok((checkpoint, None)),
@@ -111,7 +111,7 @@ impl Checkpoint {
         Self::from_bytes(&bytes).map_err(FileError::of(CHECKPOINT, path))
     }
 
-    /// Returns the bytes of the file.
+    /// Serialises the checkpoint to the bytes of a file.
     ///
     /// # Errors
     /// The state holds numbers that are not finite.

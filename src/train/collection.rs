@@ -1,8 +1,8 @@
-/*! Collecting a batch: every worker steps its own environments, the policy sees all of a worker's at once.
+/*! Collection of a batch: every worker steps its own environments, and evaluates the policy for all of them at once.
 
-Samples are stored environment by environment, `row = environment · steps + step`, so that a worker writes one stretch
-of every array. Noise comes from a stream of each environment, and a row's network outputs have the same bits in any
-batch: the result does not depend on the number of workers.
+Samples are stored environment by environment, `row = environment · steps + step`, so that a worker writes one
+contiguous part of every array. Noise comes from a stream of each environment, and a row's network outputs have the same
+bits in any batch: the result does not depend on the number of workers.
 */
 
 use rand::RngExt;
@@ -18,51 +18,51 @@ use crate::util::random::{Purpose, stream};
 /// A batch of `n = environments · steps` samples.
 #[derive(Debug, Clone, Default)]
 pub struct Rollout {
-    /// Steps of each environment.
+    /// Number of steps of each environment.
     pub steps: usize,
     /// Normalised observations, shape (n, observation).
     pub observations: Vec<f32>,
     /// Actions as sampled, shape (n, actions).
     pub actions: Vec<f32>,
-    /// Means of the policy that sampled them, shape (n, actions).
+    /// Mean actions of the policy that sampled, shape (n, actions).
     pub means: Vec<f32>,
     /// Log-probabilities of the actions, shape (n).
     pub log_probs: Vec<f32>,
-    /// Rewards, shape (n).
+    /// Rewards of the steps, shape (n).
     pub rewards: Vec<f32>,
     /// Values of the observations, shape (n).
     pub values: Vec<f32>,
     /// Ends of episodes by step, shape (n).
     pub ends: Vec<Option<EpisodeEnd>>,
-    /// Value of the state after each step that the return goes on with: at time limits and at the end of the batch;
+    /// Value of the state after each step from which the return continues, at time limits and at the end of the batch;
     /// 0 elsewhere. Shape (n).
     pub bootstraps: Vec<f32>,
     /// Finished episodes, by environment and then time.
     pub episodes: Vec<EpisodeReport>,
 }
 
-/// Parameters of a collection, besides the environments.
+/// Settings of a collection.
 #[derive(Debug, Clone, Copy)]
 pub struct Collection<'a> {
-    /// Policy and value function.
+    /// Networks of the policy and the value function.
     pub network: &'a ActorCritic,
     /// Seed of the run.
     pub seed: u64,
-    /// Iteration, for the noise streams.
+    /// Index of the iteration, for the noise streams.
     pub iteration: u64,
-    /// Steps of each environment.
+    /// Number of steps of each environment.
     pub steps: usize,
-    /// Curriculum of the episodes that start now.
+    /// Curriculum of episodes that start during the collection.
     pub curriculum: Curriculum,
-    /// Worker threads.
+    /// Number of worker threads.
     pub threads: usize,
 }
 
 impl Collection<'_> {
-    /// Steps all environments.
+    /// Steps all environments and returns the batch.
     ///
     /// # Errors
-    /// MuJoCo fails while an episode is set up. Faults within an episode end that episode only.
+    /// MuJoCo fails at the start of an episode. A fault within an episode only ends that episode.
     pub fn collect(&self, envs: &mut [LocomotionEnv]) -> mujoco::Result<Rollout> {
         let chunk = envs.len().div_ceil(self.threads.max(1)).max(1);
         let networks = Networks {
@@ -186,7 +186,8 @@ impl Rollout {
         self.rewards.is_empty()
     }
 
-    /// Returns the learner's batch. `log_std` is that of the policy which acted; advantages and returns have shape (n).
+    /// Returns the learner's batch. `log_std` is that of the policy that sampled; advantages and returns have shape
+    /// (n).
     pub fn batch<'a>(&'a self, log_std: &'a [f32], advantages: &'a [f32], returns: &'a [f32]) -> Batch<'a> {
         Batch {
             observations: &self.observations,
@@ -199,10 +200,10 @@ impl Rollout {
         }
     }
 
-    /// Generalised advantage estimation: advantages and returns (`advantage + value`), shape (n) each.
+    /// Computes generalised advantage estimates: advantages and returns (`advantage + value`), shape (n) each.
     ///
-    /// `δ_t = r_t + γ V(s_{t+1}) − V(s_t)`, `A_t = δ_t + γ λ A_{t+1}`, where a fall has `V(s_{t+1}) = 0`, a time limit
-    /// the value of its final observation, and neither lets `A_{t+1}` of the next episode in. The step in which physics
+    /// `δ_t = r_t + γ V(s_{t+1}) − V(s_t)`, `A_t = δ_t + γ λ A_{t+1}`. After a fall `V(s_{t+1}) = 0`, after a time
+    /// limit it is the value of the final observation, and in both cases `A_{t+1} = 0`. The step in which the physics
     /// failed has no next state: `A_t = 0`, and its return is its value.
     pub fn advantages(&self, discount: f64, lambda: f64) -> (Vec<f32>, Vec<f32>) {
         let (mut advantages, mut returns) = (vec![0.0; self.len()], vec![0.0; self.len()]);
@@ -296,7 +297,7 @@ mod tests {
             .unwrap()
     }
 
-    /// Breaks four of the five environments, each in another way.
+    /// Breaks four of the five environments, each in a different way.
     fn break_four(envs: &mut [LocomotionEnv]) {
         // Not a number.
         envs[1].sim_mut().data_mut().velocities_mut()[3] = f64::NAN;

@@ -1,7 +1,8 @@
 /*! The training environment: the simulated robot and the task, one policy step at a time.
 
-An environment draws each episode from its own random stream, keeps the history that the observation needs, and tells
-apart how an episode ended: a fall ends the return, a time limit does not, a physics fault is neither and is counted.
+An environment draws each episode from its own random stream, keeps the history that the observation needs, and
+distinguishes the ends of episodes: a fall ends the return, a time limit does not, a physics fault is neither and is
+counted.
 */
 
 use std::sync::Arc;
@@ -21,19 +22,19 @@ use crate::task::reward;
 use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
 use crate::util::random::{Purpose, stream};
 
-/// How an episode ended.
+/// The way in which an episode ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EpisodeEnd {
-    /// The robot collapsed: the return ends here.
+    /// The robot fell: the return ends here.
     Fall,
-    /// Time was up, or there are no pushes yet: the value of the last state continues the return.
+    /// The time limit was reached, or there are no pushes yet: the value of the last state continues the return.
     TimeLimit,
-    /// The physics failed: the step has no advantage, and is counted.
+    /// The physics failed: the step has no advantage, and the fault is counted.
     Fault,
 }
 
-/// Outcome of one step.
+/// The result of one policy step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EnvStep {
     /// Reward of equation 3, or of the recovery stage.
@@ -49,45 +50,45 @@ pub struct EnvStep {
 /// Summary of a finished episode.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeReport {
-    /// The way it ended.
+    /// The way in which the episode ended.
     pub end: EpisodeEnd,
-    /// Length \[steps\].
+    /// Length of the episode \[steps\].
     pub steps: usize,
     /// True if the robot was pushed.
     pub pushed: bool,
-    /// Sum of rewards.
+    /// Sum of the rewards over the episode.
     pub reward: f64,
     /// Sums of the terms over all steps, as measured (never replaced).
     pub terms: Terms,
-    /// Mean `r_lin` of the walking stage, if the episode went through the whole of it.
+    /// Mean `r_lin` of the walking stage, if the episode completed it.
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
-    /// The cause of a physics fault.
+    /// Report of the physics fault, if one ended the episode.
     pub fault: Option<Box<EpisodeFault>>,
 }
 
-/// A physics fault, to be inspected.
+/// Report of a physics fault.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeFault {
-    /// The error of MuJoCo.
+    /// Error message of MuJoCo.
     pub error: String,
     /// Index of the environment in its run.
     pub environment: u64,
-    /// Episodes of this environment before this one.
+    /// Number of earlier episodes of this environment.
     pub episode: u64,
-    /// Steps of the episode before the one that failed.
+    /// Number of earlier steps in the episode.
     pub step: usize,
-    /// See [`LastSecond::csv`].
+    /// CSV of the last second before the fault, see [`LastSecond::csv`].
     pub last_second: String,
 }
 
-/// Where an episode is. Plain data: saved as it is.
+/// Progress of an episode, saved with the environment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct EpisodeState {
     plan: EpisodePlan,
     step: usize,
-    /// Episodes started before this one.
+    /// Number of earlier episodes.
     episode: u64,
     /// Length of the first episode \[steps\]; staggers the environments.
     cut: usize,
@@ -110,7 +111,23 @@ pub struct EnvState {
     progress: EpisodeState,
 }
 
-/// A robot on a tilted plane with commands and pushes.
+/// The training environment: a robot on a tilted plane that follows velocity commands and is pushed.
+///
+/// ```
+/// use supple::config::Config;
+/// use supple::task::Curriculum;
+/// use supple::train::environment::LocomotionEnv;
+///
+/// let (seed, index) = (0, 0);
+/// let mut env = LocomotionEnv::new(&Config::load("fast")?, seed, index, Curriculum::complete())?;
+/// env.without_stagger();
+/// assert_eq!(env.observation().len(), 83);
+/// for _ in 0..60 {
+///     let (step, report) = env.step(&[0.0; 12]); // joint target = nominal pose + scale · action
+///     assert!(step.reward >= 0.0 && report.is_none()); // it stands: no fall in the first second
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct LocomotionEnv {
     config: Config,
@@ -121,7 +138,7 @@ pub struct LocomotionEnv {
     index: u64,
     sim: Sim,
     progress: EpisodeState,
-    /// Not part of the saved state: nothing depends on it, and it is empty after a resumption.
+    /// The last second, for fault reports. It is not saved: nothing depends on it, and it is empty after a resumption.
     last_second: LastSecond,
 }
 
@@ -129,7 +146,7 @@ impl LocomotionEnv {
     /// Creates environment `index` of a run, at the start of its first episode.
     ///
     /// # Errors
-    /// The robot and the observation do not fit together, or MuJoCo fails.
+    /// The robot and the observation do not fit together, or the scene does not compile.
     pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
         let layout = config.layout().map_err(ValueError::Observation)?;
         let robot = config.robot.load()?;
@@ -139,7 +156,7 @@ impl LocomotionEnv {
     /// Like [`LocomotionEnv::new`], but shares the robot and the observation of `config` with other environments.
     ///
     /// # Errors
-    /// MuJoCo fails.
+    /// The scene does not compile, or MuJoCo fails in the starting state.
     pub fn with_layout(
         config: &Config,
         robot: Arc<Robot>,
@@ -175,7 +192,7 @@ impl LocomotionEnv {
     /// Starts the next episode.
     ///
     /// # Errors
-    /// MuJoCo fails.
+    /// MuJoCo fails in the starting state.
     pub fn reset(&mut self, curriculum: Curriculum) -> mujoco::Result<()> {
         let episode = self.progress.episode + 1;
         let cut = usize::MAX;
@@ -186,7 +203,7 @@ impl LocomotionEnv {
     /// Starts the first episode of another seed: the same bits as a new environment of that seed.
     ///
     /// # Errors
-    /// MuJoCo fails.
+    /// MuJoCo fails in the starting state.
     pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
         self.seed = seed;
         let cut = first_cut(seed, self.index, &self.stages);
@@ -194,7 +211,7 @@ impl LocomotionEnv {
         self.begin()
     }
 
-    /// Runs the first episode to its full length, which is otherwise cut at random so that environments that are stepped
+    /// Gives the first episode its full length. Otherwise it is cut at random, so that environments that are stepped
     /// together are not in the same phase.
     pub fn without_stagger(&mut self) {
         self.progress.cut = usize::MAX;
@@ -232,12 +249,12 @@ impl LocomotionEnv {
         self.sim.data().bytes()
     }
 
-    /// Returns the random draws of this episode.
+    /// Returns the random part of this episode: command, conditions, push and pulls.
     pub fn plan(&self) -> &EpisodePlan {
         &self.progress.plan
     }
 
-    /// The velocity command of the episode.
+    /// Returns the velocity command of the episode.
     pub fn command(&self) -> &Command {
         &self.progress.plan.command
     }
@@ -247,17 +264,18 @@ impl LocomotionEnv {
         &self.layout
     }
 
-    /// Returns the observation now, in physical units.
+    /// Returns the present observation in physical units, shape (length of the layout).
     pub fn observation(&self) -> Vec<f64> {
         self.progress.observer.raw(&self.layout)
     }
 
-    /// Writes the observation now, normalised for the networks, into a slice of the layout's length.
+    /// Writes the present observation, normalised for the networks, into a slice of the layout's length.
     pub fn normalised_observation(&self, out: &mut [f32]) {
         self.progress.observer.normalised(&self.layout, out);
     }
 
-    /// Advances one policy step with an action, one number for each joint.
+    /// Runs one policy step with an action, one number for each joint; also reports the episode if the step ended it. A
+    /// fault of the physics ends the episode with [`EpisodeEnd::Fault`] and a reward of zero.
     ///
     /// # Panics
     /// The action is shorter than the number of joints.
@@ -360,18 +378,18 @@ impl LocomotionEnv {
         }
     }
 
-    /// Returns the simulation, to inspect or to disturb.
+    /// Returns the simulation, to be inspected or disturbed.
     pub fn sim_mut(&mut self) -> &mut Sim {
         &mut self.sim
     }
 
-    /// Switches to another observation of the same quantities.
+    /// Replaces the observation by another one of the same quantities.
     #[cfg(test)]
     pub(super) fn see(&mut self, layout: &Arc<Layout>) {
         self.layout = Arc::clone(layout);
     }
 
-    /// Returns the state from which the environment continues exactly.
+    /// Returns the state from which the environment continues with the same bits.
     pub fn save(&self) -> EnvState {
         EnvState { sim: self.sim.save(), progress: self.progress.clone() }
     }
@@ -379,7 +397,7 @@ impl LocomotionEnv {
     /// Restores a saved state.
     ///
     /// # Errors
-    /// The state belongs to another model, or MuJoCo fails.
+    /// The state belongs to another model or observation, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
         self.sim.restore(&state.sim)?;
         self.last_second.clear();
@@ -432,7 +450,7 @@ mod tests {
     use crate::config::Pulls;
     use crate::sim::Pull;
 
-    /// Actions of a clumsy trot.
+    /// Returns an action of a clumsy trot.
     fn action(step: usize) -> [f32; 12] {
         std::array::from_fn(|joint| {
             let phase = step as f32 * 0.3 + if matches!(joint / 3, 0 | 3) { 0.0 } else { std::f32::consts::PI };

@@ -1,4 +1,4 @@
-//! Reports about an update that failed.
+//! Reports about a failed update.
 
 use super::collection::Rollout;
 use super::environment::{EpisodeEnd, EpisodeReport};
@@ -7,7 +7,7 @@ use crate::ppo::{Batch, UpdateFault};
 use crate::ranks::{Alone, Ranks};
 use crate::robot::JOINTS;
 
-/// This rank's samples of the minibatch in which an update failed.
+/// Formats this rank's samples of the failed minibatch as CSV.
 pub(super) fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batch<'_>, ranks: &dyn Ranks) -> String {
     let UpdateFault::NotFinite { samples, .. } = fault else { return String::new() };
     let length = batch.observations.len() / batch.returns.len().max(1);
@@ -33,7 +33,7 @@ pub(super) fn minibatch_csv(fault: &UpdateFault, rollout: &Rollout, batch: &Batc
     csv
 }
 
-/// The numbers of this rank around a failed update; those that are not finite are `null`.
+/// Describes the update and the rollout of this rank as JSON; numbers that are not finite are `null`.
 pub(super) fn circumstances(
     fault: &UpdateFault,
     rollout: &Rollout,

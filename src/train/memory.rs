@@ -1,7 +1,8 @@
-/*! The memory that a run takes, known before it is taken.
+/*! Estimate of a run's memory before it is allocated.
 
-Sizes in a configuration multiply: a slip of the keyboard asks for a million simulations of a megabyte each, and the system
-ends the process in the middle of something. What an environment takes is looked at, networks and samples are counted.
+Sizes in a configuration multiply: a typing error asks for a million simulations of a megabyte each, and the operating
+system kills the process some time later. The memory of one environment is measured, that of networks and samples is
+calculated.
 */
 
 use std::fmt;
@@ -12,23 +13,24 @@ use crate::config::{Config, LearnerKind};
 use crate::robot::JOINTS;
 use crate::task::Curriculum;
 
-/// Bytes for each parameter of the fused learner, a checkpoint being written included: 54 to 56 were measured.
+/// Bytes per parameter of the fused learner, including a checkpoint being written; 54 to 56 were measured.
 const FUSED_BYTES: u64 = 60;
 
-/// The same with candle, which keeps a graph: 68 were measured with small minibatches.
+/// Bytes per parameter of candle's learner, which keeps a graph; 68 were measured with small minibatches.
 const CANDLE_BYTES: u64 = 100;
 
-/// Bytes of an environment beside its simulation, of 900 KiB: last second, observations, its state in a checkpoint.
+/// Bytes of an environment in addition to its simulation of 900 KiB: last second, observations, its state in a
+/// checkpoint.
 const ENVIRONMENT_BYTES: u64 = 100 << 10;
 
 /// Estimated memory of a run \[bytes\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MemoryEstimate {
-    /// All simulations.
+    /// Memory of all simulations \[bytes\].
     pub environments: u64,
-    /// The samples of an iteration.
+    /// Memory of the samples of an iteration \[bytes\].
     pub samples: u64,
-    /// Networks, moments, gradients.
+    /// Memory of networks, moments and gradients \[bytes\].
     pub networks: u64,
 }
 
@@ -39,7 +41,7 @@ pub struct MemoryEstimate {
     gibibytes(.left)
 )]
 pub struct MemoryError {
-    /// Memory that is needed.
+    /// Estimated memory of the run.
     pub memory: MemoryEstimate,
     /// Memory that is available \[bytes\].
     pub left: u64,
@@ -49,7 +51,7 @@ impl MemoryEstimate {
     /// Estimates the memory of a configuration by creating one of its environments.
     ///
     /// # Errors
-    /// The robot and the observation do not fit together, or MuJoCo fails.
+    /// The robot and the observation do not fit together, or the scene does not compile.
     pub fn new(config: &Config) -> Result<Self, TrainError> {
         let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
         let ppo = &config.ppo;
@@ -71,7 +73,7 @@ impl MemoryEstimate {
         })
     }
 
-    /// Returns the part for one machine with `here` of all `ranks`: their environments and samples, and the networks for
+    /// Returns the part for one machine with `here` of all `ranks`: their environments and samples, and networks for
     /// each of them.
     pub fn for_ranks(self, here: usize, ranks: usize) -> Self {
         let (here, ranks) = (here as u64, ranks as u64);
@@ -83,7 +85,7 @@ impl MemoryEstimate {
         }
     }
 
-    /// Returns the total \[bytes\].
+    /// Returns the total memory \[bytes\].
     pub fn total(&self) -> u64 {
         self.environments.saturating_add(self.samples).saturating_add(self.networks)
     }
@@ -91,7 +93,7 @@ impl MemoryEstimate {
     /// Checks that the machine has enough memory.
     ///
     /// # Errors
-    /// [`MemoryError`] if the run needs more memory than is available.
+    /// The run needs more memory than is available; the error names both and the keys to lower.
     pub fn check(self) -> Result<(), MemoryError> {
         match left() {
             Some(left) if self.total() > left => Err(MemoryError { memory: self, left }),
@@ -112,7 +114,7 @@ fn gibibytes(bytes: &u64) -> String {
     format!("{:.1} GiB", *bytes as f64 / f64::from(1 << 30))
 }
 
-/// Returns the free memory of the machine or container \[bytes\], or `None` if the system does not report it.
+/// Returns the free memory of the machine or container \[bytes\]; `None` if the system does not report it.
 fn left() -> Option<u64> {
     let read = |path: &str| std::fs::read_to_string(path).ok();
     let of_machine = read("/proc/meminfo").and_then(|text| {

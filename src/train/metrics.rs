@@ -1,5 +1,4 @@
-/*! What one iteration of training did, as a flat list of named numbers: one JSON object, one TensorBoard step.
-*/
+//! Metrics of one training iteration: a flat list of named numbers, one JSON object, one TensorBoard step.
 
 use std::time::Duration;
 
@@ -12,14 +11,14 @@ use crate::task::{Curriculum, Terms};
 use crate::train::collection::Rollout;
 use crate::train::environment::{EpisodeEnd, EpisodeReport};
 
-/// One iteration.
+/// Metrics of one iteration.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct IterationMetrics {
-    /// Iterations done, this one included.
+    /// Number of finished iterations, this one included.
     pub iteration: u64,
-    /// Samples collected, this iteration's included.
+    /// Number of collected samples, this iteration's included.
     pub samples: u64,
-    /// Mean reward of a step.
+    /// Mean reward per step.
     pub step_reward: f64,
     /// Statistics of the episodes that finished.
     #[serde(flatten)]
@@ -31,22 +30,22 @@ pub struct IterationMetrics {
     pub force_fraction: Option<f64>,
     /// Mean standard deviation of the actions.
     pub action_std: f64,
-    /// Fraction of the variance of the returns that the values explain.
+    /// Fraction of the returns' variance that the values explain.
     pub explained_variance: f64,
     /// Statistics of the learner's update.
     pub learner: UpdateStatistics,
-    /// Times; the only numbers that differ between two runs of the same seed.
+    /// Wall-clock times; the only numbers that differ between two runs of the same seed.
     pub time: Timing,
 }
 
-/// Wall-clock times.
+/// Wall-clock times of an iteration.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Timing {
     /// Time of the collection \[s\].
     pub rollout_s: f64,
     /// Time of the update \[s\].
     pub update_s: f64,
-    /// Samples over the whole iteration's time [1/s].
+    /// Samples per second, over the whole iteration [1/s].
     pub samples_per_s: f64,
     /// Training time of the run, over all sessions \[s\].
     pub elapsed_s: f64,
@@ -67,26 +66,26 @@ impl Timing {
 /// Means over the episodes that finished in a rollout; `None` if there were none.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpisodeMeans {
-    /// Episodes that finished.
+    /// Number of finished episodes.
     pub episodes: usize,
     /// Number of episodes that ended in a fall.
     pub falls: usize,
     /// Number of episodes that ended in a physics fault.
     pub faults: usize,
-    /// Falls over episodes.
+    /// Fraction of episodes that ended in a fall.
     pub fall_rate: Option<f64>,
     /// Falls over episodes, of those that were pushed.
     pub pushed_fall_rate: Option<f64>,
-    /// Completed walking stages.
+    /// Number of completed walking stages.
     #[serde(skip)]
     pub walks: usize,
-    /// Pushed episodes over completed walking stages.
+    /// Fraction of completed walking stages after which the robot was pushed.
     pub push_fraction: Option<f64>,
     /// Mean sum of rewards of an episode.
     pub episode_reward: Option<f64>,
     /// Mean length of an episode \[steps\].
     pub episode_steps: Option<f64>,
-    /// Mean `r_lin` of completed walking stages, 0 to 1: the fraction of its maximum.
+    /// Mean `r_lin` of completed walking stages, 0 to 1.
     pub walking_linear: Option<f64>,
     /// Mean peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
@@ -125,7 +124,7 @@ impl EpisodeMeans {
 }
 
 impl EpisodeMeans {
-    /// Advances the curriculum if these episodes went well enough.
+    /// Advances the curriculum if these episodes reached its gates.
     pub fn advance(&self, curriculum: &mut Curriculum, config: &Config) {
         // The few that walk among many that fall are no measure.
         if let Some(mean) = self.walking_linear.filter(|_| 2 * self.walks >= self.episodes) {
@@ -134,8 +133,8 @@ impl EpisodeMeans {
     }
 }
 
-/// `1 − Var(returns − values) / Var(returns)` over the samples of all ranks, of which those in `shards` shards are here; 0 if
-/// the returns do not vary.
+/// Computes `1 − Var(returns − values) / Var(returns)` over the samples of all ranks; those of this rank are in
+/// `shards` shards. Returns 0 if the returns do not vary.
 pub fn explained_variance(ranks: &dyn Ranks, shards: usize, rollout: &Rollout, returns: &[f32]) -> f64 {
     let all = (returns.len() * ranks.count()).max(1) as f64;
     let mean = |of: &dyn Fn(usize) -> f64| sum_over_samples(ranks, shards, returns.len(), of) / all;

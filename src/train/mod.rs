@@ -1,7 +1,7 @@
-/*! Training, from environments to a run's folder.
+/*! Training: from environments to a run's folder.
 
-[`environment`] steps one robot through its episodes, [`collection`] many of them under the policy; [`Trainer`] collects,
-learns and widens the curriculum; [`run`] keeps all of it on disk.
+Read in this order: [`environment`] (one robot and its episodes), [`collection`] (a batch from many environments),
+[`Trainer`] (collect, learn, advance the curriculum), [`run`] (the folder on disk).
 */
 
 pub mod checkpoint;

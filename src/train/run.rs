@@ -8,13 +8,13 @@
 | `events.out.tfevents.*` | the same for TensorBoard, one file for each session |
 | `checkpoint.safetensors` | the newest checkpoint; the one before is `checkpoint.previous.safetensors` |
 | `policy.safetensors` | the policy of the newest checkpoint |
-| `policy-SAMPLES.safetensors` | policies along the way, if `run.keep_policy_every` asks for them |
+| `policy-SAMPLES.safetensors` | policies along the way, if `run.keep_policy_every` is set |
 | `checkpoint.damaged.safetensors` | a newest checkpoint that could not be read, set aside |
 | `faults` | CSV files: the last second before each physics fault, of at most 20 |
-| `fault-minibatch.csv`, `fault.json` | the minibatch on which the learner failed, if it did, and what led there |
-| `lock` | held by the process that trains here |
+| `fault-minibatch.csv`, `fault.json` | the minibatch on which the learner failed, if it did, and a report |
+| `lock` | locked by the process that trains in the folder |
 
-A folder that exists is never written over: a new run needs a new folder, and going on needs [`RunFolder::resume`].
+A folder that exists is never overwritten: a new run needs a new folder, and [`RunFolder::resume`] continues a run.
 It appears with its first checkpoint in it, that of iteration 0, so that a run can be resumed as soon as it
 exists, however early it is killed.
 */
@@ -38,7 +38,7 @@ use crate::train::tensorboard::EventWriter;
 use crate::util::files::{self, FileError};
 use crate::util::{provenance, terminal, yaml};
 
-/// Physics faults of which the last second is kept; a scene that is wrong has thousands.
+/// Maximum number of physics faults whose last second is stored; a faulty scene has thousands.
 const MAX_FAULTS: usize = 20;
 
 /// File of the policy of the newest checkpoint.
@@ -47,36 +47,36 @@ const POLICY: &str = "policy.safetensors";
 /// File of the configuration.
 const CONFIG: &str = "config.yaml";
 
-/// File that says what was asked for.
+/// File with the run's provenance and command line.
 const ABOUT: &str = "run.json";
 
-/// File with a line for each iteration.
+/// File of the metrics, with one line for each iteration.
 const METRICS: &str = "metrics.jsonl";
 
-/// Larger files and lines are not ours.
+/// Maximum size of text files and lines \[bytes\].
 const MAX_BYTES: u64 = 1 << 20;
 
-/// File that the process which trains in a folder holds locked.
+/// File that the training process keeps locked.
 const LOCK: &str = "lock";
 
 /// The reason why a run's folder could not be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// There is a run at that path already.
+    /// The path is a run already.
     #[error("{path} exists already: go on with --resume {path}, or choose another folder with --out", path = .0.display())]
     Exists(PathBuf),
-    /// There is something else at that path.
+    /// The path exists and is not a run.
     #[error("{} exists already and is not a training run; choose another folder with --out", .0.display())]
     Taken(PathBuf),
-    /// There is no run to go on with.
+    /// The path is not a run that could be resumed.
     #[error("{} is not a run's folder: it has no checkpoint to go on from", .0.display())]
     NotARun(PathBuf),
     /// The folder mixes files of different runs.
     #[error("{}: two runs are mixed: {problem}", path.display())]
     Mixed {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
-        /// The files that differ, and how.
+        /// The files that differ, and their values.
         problem: String,
     },
     /// The configuration was changed after the run began.
@@ -85,7 +85,7 @@ pub enum RunError {
          --config {path}/config.yaml", path = path.display()
     )]
     Changed {
-        /// The folder.
+        /// Path of the folder.
         path: PathBuf,
         /// The changed keys, with both values.
         keys: String,
@@ -93,7 +93,7 @@ pub enum RunError {
     /// The configuration is invalid, perhaps after an edit.
     #[error("{0}; correct it, or remove the file: it is written again from the checkpoint")]
     Unreadable(String),
-    /// Another process trains there.
+    /// Another process is training in the folder.
     #[error("another process is training in {}: wait for it, or choose another folder", .0.display())]
     Busy(PathBuf),
     /// Reading or writing failed, or the checkpoint is damaged.
@@ -101,13 +101,13 @@ pub enum RunError {
     File(#[from] FileError),
 }
 
-/// The place of a run on disk.
+/// The folder of a run on disk.
 #[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
     metrics: File,
     events: EventWriter,
-    /// Locked as long as it is open; the system unlocks it when the process ends, however it ends.
+    /// The lock file. The operating system unlocks it when the process ends, however it ends.
     _lock: File,
 }
 
@@ -115,7 +115,7 @@ impl RunFolder {
     /// Creates the folder of a new run, with its first checkpoint.
     ///
     /// # Errors
-    /// [`RunError::Exists`] or [`RunError::Taken`] if there is something at that path, or an I/O error.
+    /// The path exists already, or a file cannot be written.
     pub fn create(path: &Path, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<Self, RunError> {
         if is_run(path) {
             return Err(RunError::Exists(path.to_owned()));
@@ -148,13 +148,14 @@ impl RunFolder {
         Self::open(path, lock)
     }
 
-    /// Opens the folder of a run to go on with it: reads its checkpoint, makes sure that the other files are of the same
-    /// run, and drops the metrics of iterations that came after it. How long the run is to be is what its `config.yaml`
-    /// says; everything else is in the checkpoint. The third value is what the user has to know: that the newest checkpoint
-    /// was passed over, or that metrics are lost.
+    /// Opens the folder of a run to resume it: reads its checkpoint, checks that the other files belong to the same
+    /// run, and drops the metrics of later iterations. The length of the run is taken from `config.yaml`,
+    /// everything else from the checkpoint. Also returns notes for the user, for example that the newest checkpoint
+    /// is damaged or that metrics are missing.
     ///
     /// # Errors
-    /// [`RunError::NotARun`], files of different runs, or a damaged checkpoint.
+    /// The path is not a run, its files belong to different runs, no checkpoint can be read, or another process trains
+    /// there.
     pub fn resume(path: &Path) -> Result<(Self, Checkpoint, Vec<String>), RunError> {
         if !is_run(path) {
             return Err(RunError::NotARun(path.to_owned()));
@@ -192,15 +193,15 @@ impl RunFolder {
         })
     }
 
-    /// The folder.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Appends an iteration to the logs.
+    /// Appends an iteration's metrics to the logs.
     ///
     /// # Errors
-    /// I/O error, e.g. disk full.
+    /// A log cannot be written, for example because the disk is full.
     pub fn log(&mut self, metrics: &IterationMetrics) -> Result<(), RunError> {
         let path = self.path.join(METRICS);
         // Plain numbers: serialising them cannot fail.
@@ -213,10 +214,10 @@ impl RunFolder {
         Ok(self.events.scalars(metrics.samples, now_s, &scalars).map_err(at(&path))?)
     }
 
-    /// Keeps the minibatch on which the learner failed, if there is one, and what led there; returns the latter's file.
+    /// Stores the minibatch on which the learner failed, if there is one, and the report; returns the report's path.
     ///
     /// # Errors
-    /// I/O error, e.g. disk full.
+    /// A file cannot be written, for example because the disk is full.
     pub fn keep_learner_fault(&self, minibatch: &str, circumstances: &str) -> Result<PathBuf, RunError> {
         let write = |name: &str, text: &str| -> Result<PathBuf, RunError> {
             let path = self.path.join(name);
@@ -229,10 +230,10 @@ impl RunFolder {
         write("fault.json", circumstances)
     }
 
-    /// Keeps the last second before a physics fault of an iteration; returns the file, or none if there are enough.
+    /// Stores the last second before a physics fault of an iteration; returns the file, or `None` if there are enough.
     ///
     /// # Errors
-    /// I/O error, e.g. disk full.
+    /// The file cannot be written, for example because the disk is full.
     pub fn keep_physics_fault(&self, iteration: u64, fault: &EpisodeFault) -> Result<Option<PathBuf>, RunError> {
         let folder = self.path.join("faults");
         let EpisodeFault { environment, episode, step, .. } = fault;
@@ -250,37 +251,39 @@ impl RunFolder {
         Ok(kept.then_some(path))
     }
 
-    /// Writes a trainer's checkpoint and policy, after making sure that the metrics which the checkpoint stands behind are on disk.
+    /// Writes a trainer's checkpoint and policy, after syncing the metrics up to it.
     ///
     /// # Errors
-    /// I/O error, e.g. disk full; older files stay untouched.
+    /// A file cannot be written, for example because the disk is full; older files stay untouched.
     pub fn save(&self, trainer: &Trainer, checkpoint: &Checkpoint) -> Result<(), RunError> {
         self.metrics.sync_data().map_err(at(&self.path.join(METRICS)))?;
         checkpoint.save(&self.path)?;
         self.save_policy(trainer)
     }
 
-    /// Writes the configuration, of which a resumption may have changed the number of samples.
+    /// Writes the configuration, whose number of samples a resumption may have changed.
     ///
     /// # Errors
-    /// I/O error, e.g. disk full; the older file stays untouched.
+    /// The file cannot be written, for example because the disk is full; the older file stays untouched.
     pub fn save_config(&self, trainer: &Trainer) -> Result<(), RunError> {
         let path = self.path.join(CONFIG);
         Ok(files::write_atomically(&path, trainer.run().config.to_yaml().as_bytes()).map_err(at(&path))?)
     }
 
-    /// Writes the policy alone. A run that was killed between the two files of [`RunFolder::save`] has an old one.
+    /// Writes the policy alone. After a kill between the two files of [`RunFolder::save`], the folder has an old
+    /// policy.
     ///
     /// # Errors
-    /// I/O error, e.g. disk full; the older file stays untouched.
+    /// The file cannot be written, for example because the disk is full; the older file stays untouched.
     pub fn save_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
         Ok(trainer.policy().save(&self.path.join(POLICY))?)
     }
 
-    /// Keeps the policy if the last iteration passed a multiple of `run.keep_policy_every`, under that number.
+    /// Stores a copy of the policy if the last iteration passed a multiple of `run.keep_policy_every`, under that
+    /// number.
     ///
     /// # Errors
-    /// I/O error, e.g. disk full.
+    /// The file cannot be written, for example because the disk is full.
     pub fn keep_policy(&self, trainer: &Trainer) -> Result<(), RunError> {
         let run = trainer.run();
         let Some(every) = run.config.run.keep_policy_every else { return Ok(()) };
@@ -297,8 +300,7 @@ fn at(path: &Path) -> impl Fn(io::Error) -> FileError + Copy {
     FileError::of("file", path)
 }
 
-/// Creates and locks a temporary folder with a random name beside the run's, and removes those that interrupted starts
-/// have left there.
+/// Creates and locks a temporary folder with a random name next to the run's, and removes those of interrupted starts.
 fn stage(path: &Path) -> Result<(PathBuf, File), RunError> {
     let name = path.file_name().ok_or_else(|| at(path)(io::Error::other("it names no folder")))?;
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -330,7 +332,7 @@ fn clear_cut_off_starts(parent: &Path, prefix: &OsStr) -> io::Result<()> {
     Ok(())
 }
 
-/// Claims a run's folder for this process.
+/// Locks a run's folder for this process.
 fn lock(folder: &Path) -> Result<File, RunError> {
     let path = folder.join(LOCK);
     let file = OpenOptions::new().create(true).append(true).open(&path).map_err(at(&path))?;
@@ -341,12 +343,12 @@ fn lock(folder: &Path) -> Result<File, RunError> {
     }
 }
 
-/// Returns true if there is a checkpoint, intact or damaged.
+/// Returns true if there is a checkpoint, valid or damaged.
 fn is_run(path: &Path) -> bool {
     [NEWEST, PREVIOUS].iter().any(|name| path.join(name).exists())
 }
 
-/// Checks that a checkpoint is of the run that the folder was made for.
+/// Checks that a checkpoint belongs to the run of this folder.
 fn check_identity(path: &Path, checkpoint: &Checkpoint, notes: &mut Vec<String>) -> Result<(), RunError> {
     #[derive(Deserialize)]
     struct About {
@@ -375,7 +377,7 @@ fn check_identity(path: &Path, checkpoint: &Checkpoint, notes: &mut Vec<String>)
     Ok(())
 }
 
-/// Checks that the configuration in the folder is that of the checkpoint, and takes over how long the run is to be.
+/// Checks that the configuration in the folder is that of the checkpoint, and takes over its length of the run.
 fn check_config(path: &Path, checkpoint: &mut Checkpoint, notes: &mut Vec<String>) -> Result<(), RunError> {
     let file = path.join(CONFIG);
     let name = file.display().to_string();
@@ -396,8 +398,8 @@ fn check_config(path: &Path, checkpoint: &mut Checkpoint, notes: &mut Vec<String
     Ok(())
 }
 
-/// The lines of the metrics up to a checkpoint's iteration, and which are missing. What came after it is left out, a
-/// half-written line included.
+/// Returns the lines of the metrics up to a checkpoint's iteration, and a note about missing ones. Later lines are
+/// dropped, a half-written line included.
 fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Option<String>), RunError> {
     #[derive(Deserialize)]
     struct Time {
@@ -458,7 +460,7 @@ fn metrics_up_to(path: &Path, checkpoint: &Checkpoint) -> Result<(Vec<u8>, Optio
 mod tests {
     use super::*;
 
-    /// A checkpoint of iteration 3 after 1.5 s, beside metrics.
+    /// Creates a folder with metrics and a checkpoint of iteration 3 after 1.5 s.
     fn folder(metrics: &str) -> (tempfile::TempDir, Checkpoint) {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join(METRICS), metrics).unwrap();

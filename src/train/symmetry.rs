@@ -1,8 +1,8 @@
-/*! Left–right symmetry: every sample of a batch teaches the same thing to the other side.
+/*! Left-right symmetry: mirror images of samples as additional training data.
 
 A quadruped is nearly its own mirror image about the plane between its left and right legs, and so is the task. A learner
-that is shown samples in the mirror about half of the time gets twice the variety from the same physics, and its robot
-drifts to neither side. rsl_rl has the same by the name of symmetry augmentation. It is off in Table III; the fast presets
+that also trains on mirror images, about half of the time, gets twice the variety from the same physics, and its robot
+does not drift to one side. rsl_rl calls this symmetry augmentation. It is off in Table III; the fast presets
 use it.
 */
 
@@ -28,7 +28,7 @@ impl Mirror {
     /// Builds the mirror for a robot, its nominal pose \[rad\] and its policy's observation.
     ///
     /// # Errors
-    /// Names the quantity or joint that has no mirror image.
+    /// A quantity of the observation or a joint has no mirror image; the text names it.
     pub fn new(layout: &Layout, robot: &Robot, pose: &Joints) -> Result<Self, String> {
         for joint in 0..JOINTS {
             let (image, sign) = robot.mirrored(joint);
@@ -61,9 +61,9 @@ impl Mirror {
 
     /// Returns the n samples of a batch and, as samples n to 2 n, their mirror images.
     ///
-    /// Rewards and values have no side, and an image was as likely as its sample, from the mirror image of the policy that
-    /// sampled. The means are those of that policy itself: the learning rate follows how far it moves, not how far it is from
-    /// its image.
+    /// Rewards and values do not change in a mirror, and an image is as likely under the mirrored policy as its sample
+    /// was under the policy. The means are those of the policy itself, because the learning rate adapts to the policy's
+    /// own change, not to its distance from its image.
     pub fn doubled(&self, batch: &Batch<'_>, policy: &Mlp, threads: usize) -> Samples {
         let (seen, done) = (self.observations(batch.observations), self.actions(batch.actions));
         let means = evaluate(&PackedMlp::new(policy), &seen, threads);
@@ -88,7 +88,7 @@ pub fn flip(order: &mut [u32], samples: usize, rng: &mut impl Rng) {
     }
 }
 
-/// Outputs have the same bits for any number of threads.
+/// Evaluates a network on rows of inputs. Outputs have the same bits for any number of threads.
 fn evaluate(network: &PackedMlp, inputs: &[f32], threads: usize) -> Vec<f32> {
     let (width, rows) = (network.outputs(), inputs.len() / network.inputs());
     let chunk = rows.div_ceil(threads.max(1)).max(1);
@@ -129,7 +129,7 @@ mod tests {
         assert!(error.unwrap_err().contains("FR_hip is 0.1 and FL_hip is 0.1"));
     }
 
-    /// A robot that leans, turns, moves and is commanded to its left, or to its right with the legs' roles swapped.
+    /// Returns an observation of a robot that leans, turns, moves and is commanded to its left, or for −1 to its right.
     fn leaning(side: f64) -> Vec<f32> {
         let joint = |values: [f64; 12]| -> [f64; 12] {
             if side > 0.0 {

@@ -1,4 +1,4 @@
-/*! A TensorBoard event file, written record by record.
+/*! TensorBoard event files, written record by record.
 
 An event file is a sequence of TFRecords, each a protobuf `Event` between two masked CRC-32C sums (tensorflow's
 `record_writer.cc`, `event.proto`, `summary.proto`). The few fields that scalars need are declared here by hand, so that
@@ -13,7 +13,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use prost::Message;
 
-/// Writes scalars to one new event file.
+/// A writer of scalars to one new event file.
 #[derive(Debug)]
 pub struct EventWriter {
     file: File,
@@ -55,25 +55,25 @@ impl EventWriter {
         self.write(step, wall_time_s, event::What::Summary(Summary { value }))
     }
 
-    /// One `write` per record and no buffer: a reader never sees half a record for long, and nothing is left to flush.
+    /// Writes one record without buffering: a reader never sees half a record for long, and nothing is left to flush.
     fn write(&mut self, step: i64, wall_time: f64, what: event::What) -> io::Result<()> {
         let what = Some(what);
         self.file.write_all(&record(&Event { wall_time, step, what }.encode_to_vec()))
     }
 }
 
-/// A TFRecord: length, masked sum of the length, data, masked sum of the data; numbers little-endian.
+/// Encodes a TFRecord: length, masked sum of the length, data, masked sum of the data; numbers little-endian.
 fn record(data: &[u8]) -> Vec<u8> {
     let length = (data.len() as u64).to_le_bytes();
     [&length[..], &masked_crc(&length).to_le_bytes(), data, &masked_crc(data).to_le_bytes()].concat()
 }
 
-/// CRC-32C rotated right by 15 bits plus a constant, so that a sum of data that holds sums is not degenerate.
+/// Computes the CRC-32C rotated right by 15 bits plus a constant, which protects data that contain sums themselves.
 fn masked_crc(data: &[u8]) -> u32 {
     crc32c::crc32c(data).rotate_right(15).wrapping_add(0xa282_ead8)
 }
 
-/// `tensorflow.Event`.
+/// The message `tensorflow.Event`.
 #[derive(Clone, PartialEq, Message)]
 struct Event {
     #[prost(double, tag = "1")]
@@ -85,7 +85,7 @@ struct Event {
 }
 
 mod event {
-    /// `tensorflow.Event.what`, the kinds that are written here.
+    /// The oneof `tensorflow.Event.what`, with the kinds that are written here.
     #[derive(Clone, PartialEq, prost::Oneof)]
     pub(super) enum What {
         #[prost(string, tag = "3")]
@@ -97,14 +97,14 @@ mod event {
     }
 }
 
-/// `tensorflow.Summary`.
+/// The message `tensorflow.Summary`.
 #[derive(Clone, PartialEq, Message)]
 struct Summary {
     #[prost(message, repeated, tag = "1")]
     value: Vec<Value>,
 }
 
-/// `tensorflow.Summary.Value`; the number is optional because a zero is written too.
+/// The message `tensorflow.Summary.Value`; the number is optional because a zero is written, too.
 #[derive(Clone, PartialEq, Message)]
 struct Value {
     #[prost(string, tag = "1")]
@@ -113,14 +113,14 @@ struct Value {
     simple_value: Option<f32>,
 }
 
-/// `tensorflow.SessionLog`.
+/// The message `tensorflow.SessionLog`.
 #[derive(Clone, PartialEq, Message)]
 struct SessionLog {
     #[prost(enumeration = "SessionStatus", tag = "1")]
     status: i32,
 }
 
-/// `tensorflow.SessionLog.SessionStatus`.
+/// The enumeration `tensorflow.SessionLog.SessionStatus`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, prost::Enumeration)]
 #[repr(i32)]
 enum SessionStatus {

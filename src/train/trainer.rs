@@ -1,6 +1,6 @@
-/*! Training: collect, estimate advantages, learn, widen the curriculum, again.
+/*! The trainer: collects, estimates advantages, learns and advances the curriculum, again and again.
 
-A [`Trainer`] is a run in memory; [`RunFolder`](crate::train::run::RunFolder) is its place on disk.
+A [`Trainer`] is a run in memory; [`RunFolder`](crate::train::run::RunFolder) stores it on disk.
 */
 
 use std::mem;
@@ -38,7 +38,7 @@ pub enum TrainError {
     /// The robot's file is invalid.
     #[error(transparent)]
     Robot(#[from] FileError),
-    /// This machine lacks the arithmetic.
+    /// The processor does not support the precision.
     #[error(transparent)]
     Precision(#[from] PrecisionError),
     /// An environment could not be set up.
@@ -50,37 +50,51 @@ pub enum TrainError {
     /// The run needs more memory than the machine has.
     #[error(transparent)]
     Memory(#[from] MemoryError),
-    /// The update met numbers that are not finite.
+    /// The update produced numbers that are not finite.
     #[error("the learner stopped in iteration {iteration}: {fault}")]
     Learner {
-        /// Iterations done before.
+        /// Number of finished iterations.
         iteration: u64,
-        /// Error of the update.
+        /// The fault that the update met.
         fault: Box<UpdateFault>,
-        /// The minibatch that failed, as CSV with a row for each sample; empty if no minibatch is to blame.
+        /// The minibatch that failed, as CSV with a row for each sample; empty if no single minibatch failed.
         minibatch: String,
         /// Report on the update and the rollout before it, as JSON.
         circumstances: String,
     },
-    /// The number of ranks does not divide the summation tree.
+    /// The number of ranks is not a power of two.
     #[error("there are {0} ranks, expected a power of two: change mpirun's -n")]
     Count(usize),
-    /// One of several ranks failed.
+    /// A rank failed; the error is reported on all of them.
     #[error(transparent)]
     Rank(#[from] RankError),
-    /// A checkpoint that does not fit its own configuration.
+    /// A checkpoint does not fit its own configuration.
     #[error("the checkpoint does not fit its configuration: {0}")]
     Checkpoint(String),
 }
 
-/// A training run.
+/// A training run in memory.
+///
+/// ```
+/// use supple::config::Config;
+/// use supple::train::Trainer;
+///
+/// let small = ["ppo.batch_size=128", "ppo.minibatch_size=64", "ppo.environments=8", "ppo.hidden_layers=[16]"];
+/// let config = Config::load_with("fast", &small.map(str::to_owned))?;
+/// let (seed, threads) = (0, 1);
+/// let mut trainer = Trainer::new("small", config, seed, threads)?;
+/// let metrics = trainer.iterate()?; // collects a batch and learns from it
+/// assert_eq!(metrics.samples, 128);
+/// assert_eq!(trainer.policy().layout().length(), 83); // `policy().save(path)` writes the policy file
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Trainer {
-    /// State of the run except the environments.
+    /// State of the run without the environments.
     run: RunState,
     robot: Arc<Robot>,
     layout: Arc<Layout>,
-    /// Mirror, if mirrored samples are used.
+    /// The mirror, if mirrored samples are used.
     mirror: Option<Mirror>,
     threads: usize,
     ranks: Arc<dyn Ranks>,
@@ -191,7 +205,7 @@ impl Trainer {
         Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
 
-    /// Runs one iteration: a batch and the update on it.
+    /// Runs one iteration: collects a batch and updates the networks with it.
     ///
     /// # Errors
     /// An environment cannot be reset, or the update meets numbers that are not finite.
@@ -270,7 +284,8 @@ impl Trainer {
         })
     }
 
-    /// An order of the samples of each shard on this rank for every epoch; minibatch by minibatch, and in it shard by shard.
+    /// Draws an order of each shard's samples on this rank for every epoch; minibatch by minibatch, and in it shard by
+    /// shard.
     fn permutations(&self, samples: usize) -> Vec<Vec<u32>> {
         let (run, ppo) = (&self.run, &self.run.config.ppo);
         let shards = self.ranks.share(ppo.shards);
@@ -293,22 +308,22 @@ impl Trainer {
         (0..ppo.epochs).map(of_epoch).collect()
     }
 
-    /// Physics faults of the last iteration, by environment and then time.
+    /// Returns the physics faults of the last iteration, by environment and then time.
     pub fn faults(&self) -> &[EpisodeFault] {
         &self.faults
     }
 
-    /// Returns the state to resume from, on every rank.
+    /// Returns the state to resume from, complete on every rank.
     ///
     /// # Errors
-    /// One of several ranks failed.
+    /// Another rank failed while the environments were collected.
     pub fn checkpoint(&self) -> Result<Checkpoint, TrainError> {
         let own = self.environments.iter().map(LocomotionEnv::save).collect::<Vec<_>>();
         let environments = agree(&*self.ranks, Ok::<_, TrainError>(own))?.concat();
         Ok(Checkpoint { run: RunState { environments, ..self.run.clone() }, learner: self.learner.state() })
     }
 
-    /// Returns the current policy, for deployment.
+    /// Returns the present policy, for deployment.
     pub fn policy(&self) -> Policy {
         let provenance = Provenance {
             config_name: self.run.config_name.clone(),
@@ -326,7 +341,7 @@ impl Trainer {
         &*self.ranks
     }
 
-    /// Returns the configuration and progress, without the environments.
+    /// Returns configuration and progress, without the environments.
     pub fn run(&self) -> &RunState {
         &self.run
     }
@@ -334,7 +349,7 @@ impl Trainer {
 
 type Parts = (Arc<Robot>, Arc<Layout>, Option<Mirror>);
 
-/// The robot, its observation layout, and the mirror if it is used.
+/// Loads the robot and builds its observation layout, and the mirror if it is used.
 fn parts(config: &Config) -> Result<Parts, TrainError> {
     let robot = config.robot.load()?;
     let layout = config.layout().map_err(ValueError::Observation)?;
@@ -344,7 +359,7 @@ fn parts(config: &Config) -> Result<Parts, TrainError> {
     Ok((robot, Arc::new(layout), mirror))
 }
 
-/// Checks that every rank can have as many shards as any other.
+/// Checks that the shards can be divided equally among the ranks.
 fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
     let (shards, count) = (config.ppo.shards, ranks.count());
     if !count.is_power_of_two() {
@@ -377,7 +392,7 @@ mod tests {
     use super::*;
     use crate::config::LearnerKind;
 
-    /// A run of 8 shards with the arithmetic of this machine, which learns in the mirror too.
+    /// Returns a configuration of 8 shards with the arithmetic of this machine, with mirrored samples.
     fn sharded(shards: usize) -> Config {
         let mut config = Config::load("fast").unwrap();
         config.ppo.batch_size = 256;

@@ -1,4 +1,4 @@
-//! Files that are whole or not there: atomic replacement, checksums, bounded reading.
+//! Safe files: atomic replacement, checksums, bounded reading.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, BufRead, BufWriter, Read, Write};
@@ -7,40 +7,39 @@ use std::path::{Path, PathBuf};
 
 use sha2::{Digest, Sha256};
 
-/// A file that could not be read or written, or is not what it should be.
+/// An error about a file: it cannot be read or written, or has the wrong content.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what} {}: {problem}", path.display())]
 pub struct FileError {
     /// The expected kind of file, such as `policy`.
     pub what: &'static str,
-    /// The file.
+    /// Path of the file.
     pub path: PathBuf,
-    /// The system's reason, or what was found and expected.
+    /// Reason given by the operating system, or what was found and what was expected.
     pub problem: String,
 }
 
 impl FileError {
-    /// Makes one of a reason.
+    /// Returns a function that creates the error from a reason.
     pub fn of<E: ToString>(what: &'static str, path: &Path) -> impl Fn(E) -> Self + Copy {
         move |problem| FileError { what, path: path.to_owned(), problem: problem.to_string() }
     }
 }
 
-/// Writes a file so that at every moment either the old or the new content is there, also after a power failure:
-/// a temporary file beside it, synced, renamed over it, and the folder synced. See [`write_with`] for what is no file.
+/// Writes a file so that at any moment, even after a power failure, either the old or the new content is on disk: a
+/// temporary file next to it, synced, renamed over it, and the folder synced. See [`write_with`] for devices and pipes.
 ///
 /// # Errors
-/// The system's; the old content is untouched then.
+/// The operating system cannot write the file; the old content is then unchanged.
 pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     write_with(path, |out| out.write_all(bytes))
 }
 
-/// As [`write_atomically`], bit by bit. A link is kept, and what it leads to is written; what is no regular file, such as
-/// a device or a pipe, is written to and never replaced; `-` and `/dev/stdout` are standard output, where a closed
-/// pipe is no error.
+/// Writes a file like [`write_atomically`], in pieces. A link is kept and its target written; a device or a pipe is
+/// written to and never replaced; `-` and `/dev/stdout` are standard output, where a closed pipe is no error.
 ///
 /// # Errors
-/// The system's, or that of `write`; the old content of a regular file is untouched then.
+/// The operating system or `write` fails; the old content of a regular file is then unchanged.
 pub fn write_with(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
     match Target::of(path)? {
         Target::File(path) => replace(&path, write, || Ok(())),
@@ -62,11 +61,11 @@ fn buffered<W: Write>(out: W, write: impl FnOnce(&mut dyn Write) -> io::Result<(
     Ok(out)
 }
 
-/// Like [`write_atomically`] for a file that is never a link; the previous content is kept as `old`. At every moment one of
-/// the two is whole.
+/// Writes a file like [`write_atomically`] that is never a link, and keeps the previous content as `old`. At any moment
+/// one of the two is complete.
 ///
 /// # Errors
-/// The system's; what was there is untouched then.
+/// The operating system cannot write the files; the old content is then unchanged.
 pub fn write_keeping(path: &Path, old: &Path, bytes: &[u8]) -> io::Result<()> {
     let keep = || match fs::rename(path, old) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
@@ -75,8 +74,8 @@ pub fn write_keeping(path: &Path, old: &Path, bytes: &[u8]) -> io::Result<()> {
     replace(path, |out| out.write_all(bytes), keep)
 }
 
-/// Writes a temporary file beside `path`, calls `before`, and renames the file. Its name cannot be guessed, and it is always
-/// newly created, so that it cannot be a link placed there before.
+/// Writes a temporary file next to `path`, calls `before`, and renames the file. Its name cannot be guessed, and it is
+/// always newly created, so that it cannot be a link placed there before.
 fn replace(
     path: &Path,
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -98,13 +97,13 @@ fn replace(
     sync_folder(path)
 }
 
-/// How the names of temporary files begin and end.
+/// Start and end of the names of temporary files.
 const TEMPORARY: (&str, &str) = (".supple-", ".tmp");
 
-/// Removes the temporary files that killed processes have left in a folder; what is being written stays.
+/// Removes temporary files that killed processes left in a folder, but not those being written.
 ///
 /// # Errors
-/// The system's.
+/// The folder cannot be read, or a file cannot be removed.
 pub fn clear_temporaries(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
@@ -121,22 +120,22 @@ pub fn clear_temporaries(folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Where what is written goes.
+/// The destination of written data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Target {
-    /// A regular file, or one that is not there yet; no link.
+    /// A regular file, existing or new; no link.
     File(PathBuf),
-    /// A device, a pipe, or what another name stands for that is already open.
+    /// A device or a pipe, or another name of an open file.
     Stream(PathBuf),
     /// Standard output.
     Output,
 }
 
 impl Target {
-    /// Resolves a path as a user gives it.
+    /// Resolves a path given by a user.
     ///
     /// # Errors
-    /// The system's, or that it is a folder.
+    /// The path cannot be resolved, or is a folder.
     pub fn of(path: &Path) -> io::Result<Self> {
         if path == Path::new("-") {
             return Ok(Target::Output);
@@ -172,18 +171,18 @@ impl Target {
     }
 }
 
-/// The largest number of links in a chain, like the system's.
+/// Maximum length of a chain of links, as in the operating system.
 const MAX_LINKS: usize = 40;
 
-/// The folder that a path is in.
+/// Returns the folder of a path.
 fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Makes renames in the folder of `path` durable.
+/// Syncs the folder of `path`, so that renames in it survive a power failure.
 ///
 /// # Errors
-/// The system's.
+/// The folder cannot be opened or synced.
 pub fn sync_folder(path: &Path) -> io::Result<()> {
     File::open(folder_of(path))?.sync_all()
 }
@@ -191,7 +190,7 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
 /// Reads a file, or a pipe to its end, of at most `limit` bytes.
 ///
 /// # Errors
-/// The system's; `FileTooLarge`; or that it is a device, which may have no end.
+/// The file cannot be read, is larger than `limit`, or is a device, which may have no end.
 pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     let file = File::open(path)?;
     let found = file.metadata()?;
@@ -211,10 +210,10 @@ pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Like [`read_bounded`], for text in UTF-8, without the byte-order mark that some editors put first.
+/// Reads UTF-8 text like [`read_bounded`], and removes a leading byte-order mark.
 ///
 /// # Errors
-/// As [`read_bounded`], or that it is no such text.
+/// The file cannot be read, is larger than `limit`, is a device, or is not UTF-8.
 pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
     let mut text = utf8(read_bounded(path, limit)?)?;
     if text.starts_with('\u{feff}') {
@@ -223,7 +222,7 @@ pub fn read_text(path: &Path, limit: u64) -> io::Result<String> {
     Ok(text)
 }
 
-/// Lines of at most `limit` bytes, without their ends.
+/// Iterates over lines of at most `limit` bytes, without line ends.
 pub fn lines(mut reader: impl BufRead, limit: u64) -> impl Iterator<Item = io::Result<String>> {
     std::iter::from_fn(move || {
         let mut line = Vec::new();
@@ -245,12 +244,12 @@ fn utf8(bytes: Vec<u8>) -> io::Result<String> {
     String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text in UTF-8"))
 }
 
-/// Returns true if the name of a file is that of a YAML file.
+/// Returns true if a path has the extension of a YAML file.
 pub fn is_yaml(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "yaml" || extension == "yml")
 }
 
-/// SHA-256 in hexadecimal.
+/// Returns the SHA-256 of the parts in hexadecimal.
 pub fn sha256(parts: &[&[u8]]) -> String {
     let mut hasher = Sha256::new();
     for part in parts {

@@ -1,4 +1,6 @@
-//! Small helpers: files, paths as text, numbers, tensors in files, XML, YAML, random streams, what programs print, where the program comes from.
+//! Small helpers, independent of robots. Programs need [`files`] and [`terminal`] first, numerical code [`random`] and
+//! [`numbers`]; [`yaml`], [`xml`], [`tensors`] and [`paths`] read and write formats, [`progress`] and [`provenance`]
+//! serve long runs.
 
 pub mod files;
 pub mod numbers;

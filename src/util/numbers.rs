@@ -1,11 +1,11 @@
-//! Comparisons that NaN does not slip through: `f64::max` takes the other number, and what is not a number seems sound.
+//! Comparisons that propagate NaN, which `f64::max` ignores.
 
-/// The larger one; NaN if one of them is.
+/// Returns the larger number; NaN if one of them is NaN.
 pub fn maximum(a: f64, b: f64) -> f64 {
     if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) }
 }
 
-/// The largest magnitude, 0 of nothing; NaN if one of the numbers is.
+/// Returns the largest magnitude: 0 for no numbers, NaN if one of them is NaN.
 pub fn largest_magnitude(numbers: impl IntoIterator<Item = f64>) -> f64 {
     numbers.into_iter().map(f64::abs).fold(0.0, maximum)
 }

@@ -1,11 +1,11 @@
-//! Paths as text: configurations, policies and reports are text, and a path is any bytes.
+//! Paths as text: any path, even one that is not UTF-8, can be stored in configurations and reports.
 
 use std::ffi::{OsStr, OsString};
 use std::os::unix::ffi::{OsStrExt, OsStringExt};
 use std::path::PathBuf;
 
-/// A path as text, for configurations and other files of text, that [`as_path`] makes the same path of: bytes that are not
-/// UTF-8 become characters for private use.
+/// Converts a path to text, which [`as_path`] converts back: bytes that are not UTF-8 become characters of a
+/// private-use area.
 pub fn as_text(path: impl AsRef<OsStr>) -> String {
     let mut text = String::new();
     let escape = |bytes: &[u8], text: &mut String| {
@@ -26,7 +26,7 @@ pub fn as_text(path: impl AsRef<OsStr>) -> String {
     text
 }
 
-/// The path that a text of [`as_text`] stands for.
+/// Converts a text of [`as_text`] back to its path.
 pub fn as_path(text: &str) -> PathBuf {
     let mut bytes = Vec::with_capacity(text.len());
     for character in text.chars() {
@@ -38,12 +38,12 @@ pub fn as_path(text: &str) -> PathBuf {
     OsString::from_vec(bytes).into()
 }
 
-/// Returns true if a character stands for a byte of a path, see [`as_text`].
+/// Returns true if a character stands for a byte of a path that is not UTF-8, see [`as_text`].
 pub fn is_byte(character: char) -> bool {
     private(character).is_some()
 }
 
-/// First of the 256 characters that stand for bytes.
+/// First of the 256 private-use characters that stand for bytes.
 const PRIVATE: u32 = 0xf700;
 
 fn private(character: char) -> Option<u8> {

@@ -1,4 +1,4 @@
-//! Progress bars that fit any terminal and promise no end before they know one.
+//! Progress bars that fit any terminal and show the remaining time once it can be estimated.
 
 use std::fmt::Write;
 
@@ -9,7 +9,8 @@ use rustix::termios::tcgetwinsize;
 /// Width of the bar itself \[columns\].
 const BAR: usize = 30;
 
-/// A bar over so many steps, drawn on standard error if that is a terminal; its message is cut where the line ends.
+/// Creates a progress bar of `steps` steps on standard error, if that is a terminal; its message is cut at the line's
+/// end.
 pub fn progress(steps: u64) -> ProgressBar {
     let bar = ProgressBar::with_draw_target(Some(steps), ProgressDrawTarget::stderr_with_hz(4));
     let draw = |state: &ProgressState, out: &mut dyn Write| {
@@ -23,12 +24,12 @@ pub fn progress(steps: u64) -> ProgressBar {
     }
 }
 
-/// Columns of the terminal, 80 where there is none.
+/// Returns the number of columns of the terminal; 80 without one.
 fn columns() -> usize {
     tcgetwinsize(std::io::stderr()).map_or(80, |size| usize::from(size.ws_col)).max(1)
 }
 
-/// Draws the part of a line of `columns` before the message; `left_s` is the remaining time, once that is known.
+/// Formats the part of a line of `columns` before the message; `left_s` is the remaining time \[s\], once it is known.
 fn gauge(columns: usize, fraction: f32, left_s: Option<u64>) -> String {
     let mut text = String::new();
     if columns >= BAR + 40 {

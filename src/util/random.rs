@@ -1,8 +1,8 @@
-/*! One seed, named streams.
+/*! Random streams: one seed, and a named stream for each purpose.
 
-Every random number comes from a generator that is derived anew from the run's seed, a purpose and two counters. No
-generator lives longer than what it is for, so that there is no generator state to save, and no result depends on which
-thread asks first.
+Every random number comes from a generator that is derived from the run's seed, a purpose and two counters, and lives
+only as long as its purpose. So there is no generator state to save, and no result depends on the order in which threads
+draw.
 */
 
 use rand::SeedableRng;
@@ -30,13 +30,13 @@ pub enum Purpose {
     Sensor = 8,
     /// Resampling for confidence intervals. Counters: quantity, free.
     Bootstrap = 9,
-    /// Samples that are learnt from in the mirror. Counters: iteration, epoch.
+    /// Choice of the samples that are mirrored. Counters: iteration, epoch.
     Mirror = 10,
-    /// The encoder bias of scenarios.
+    /// Encoder bias of scenarios. Counters: none.
     Offsets = 11,
 }
 
-/// The generator of a stream.
+/// Creates the generator of a stream.
 pub fn stream(seed: u64, purpose: Purpose, first: u64, second: u64) -> ChaCha8Rng {
     let mut key = [0; 32];
     for (chunk, word) in key.chunks_exact_mut(8).zip([seed, purpose as u64, first, second]) {

@@ -1,6 +1,6 @@
-/*! Safetensors files with one JSON text beside the tensors, for policies and checkpoints.
+/*! Safetensors files with one JSON text in addition to the tensors, for policies and checkpoints.
 
-All metadata sit under one key: the format keeps several in a hash map, whose order would change the file's bytes.
+All metadata are under one key: the format keeps several in a hash map, whose order would change the file's bytes.
 */
 
 use std::collections::HashMap;
@@ -13,7 +13,7 @@ use serde::de::DeserializeOwned;
 /// Metadata key of the JSON text.
 const KEY: &str = "supple";
 
-/// Name, shape and values of a tensor of a network.
+/// Name, shape and values of a network's tensor.
 pub type Named = (String, Vec<usize>, Vec<f32>);
 
 /// A named tensor, little-endian.
@@ -32,7 +32,7 @@ impl Tensor {
         Tensor { name: name.into(), dtype: Dtype::F32, shape, bytes }
     }
 
-    /// The weights of a network, as [`crate::network::Mlp::tensors`] names them.
+    /// Creates tensors from the weights of a network, as [`crate::network::Mlp::tensors`] names them.
     pub fn of_network(tensors: Vec<(String, Vec<usize>, &[f32])>) -> Vec<Self> {
         tensors.into_iter().map(|(name, shape, values)| Self::f32(name, shape, values)).collect()
     }
@@ -44,10 +44,10 @@ impl Tensor {
     }
 }
 
-/// The file's bytes.
+/// Serialises tensors and a JSON text to the bytes of a file.
 ///
 /// # Errors
-/// If a shape does not fit its values.
+/// A shape does not fit its values.
 pub fn serialize(tensors: &[Tensor], json: String) -> Result<Vec<u8>, SafeTensorError> {
     let views: Result<Vec<_>, SafeTensorError> = tensors
         .iter()
@@ -56,10 +56,10 @@ pub fn serialize(tensors: &[Tensor], json: String) -> Result<Vec<u8>, SafeTensor
     safetensors::serialize(views?, Some(HashMap::from([(KEY.to_owned(), json)])))
 }
 
-/// The tensors and the JSON text of a file.
+/// Reads the tensors and the JSON text of a file.
 ///
 /// # Errors
-/// In words, if the bytes are not such a file.
+/// The bytes are not a safetensors file with this metadata; the text says why.
 pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
     let broken = |error| format!("not a whole safetensors file ({error}); was it cut off while copying?");
     let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
@@ -69,10 +69,10 @@ pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
     Ok((tensors, json.clone()))
 }
 
-/// Parses the JSON text as its type; its key `format` is checked before all else.
+/// Parses the JSON text if its key `format` is a supported version, which is checked first.
 ///
 /// # Errors
-/// It has another format, or is not of this type.
+/// The version is not supported, or the JSON does not fit the type.
 pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, String> {
     #[derive(Deserialize)]
     struct Format {
@@ -89,19 +89,19 @@ pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, Strin
     serde_json::from_str(json).map_err(broken)
 }
 
-/// A single-precision tensor of a known shape, all finite.
+/// Reads a single-precision tensor of a known shape.
 ///
 /// # Errors
-/// In words: missing, another type or shape, not finite.
+/// The tensor is missing, has another type or shape, or a value that is not finite.
 pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
     let bytes = tensor_bytes(tensors, name, Dtype::F32, shape)?;
     finite(name, bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect(), f32::is_finite)
 }
 
-/// All single-precision tensors whose names begin with `prefix`: the rest of the name, shape and values, finite.
+/// Reads all single-precision tensors whose names begin with `prefix`: the rest of the name, shape and values.
 ///
 /// # Errors
-/// As [`read_f32`].
+/// A tensor has another type, or a value that is not finite.
 pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>, String> {
     let mut named = Vec::new();
     for (name, view) in tensors.iter() {
@@ -112,10 +112,10 @@ pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>,
     Ok(named)
 }
 
-/// A double-precision tensor of a known shape, all finite.
+/// Reads a double-precision tensor of a known shape.
 ///
 /// # Errors
-/// In words: missing, another type or shape, not finite.
+/// The tensor is missing, has another type or shape, or a value that is not finite.
 pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f64>, String> {
     let bytes = tensor_bytes(tensors, name, Dtype::F64, shape)?;
     finite(name, bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(), f64::is_finite)

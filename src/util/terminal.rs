@@ -1,4 +1,4 @@
-//! What programs say: to a standard output and a standard error that may be closed at any moment, as by `| head -1`.
+//! Output of programs to a standard output and a standard error that may be closed at any moment, as by `| head -1`.
 
 use std::borrow::Cow;
 use std::error::Error;
@@ -12,10 +12,10 @@ use clap::builder::{OsStringValueParser, TypedValueParser};
 
 use super::paths;
 
-/// Writes to standard output, [`plain`]. A closed pipe is no error.
+/// Writes text to standard output, made [`plain`]. A closed pipe is no error.
 ///
 /// # Errors
-/// The system's, such as a full disk.
+/// Standard output cannot be written, for example because the disk is full.
 pub fn print(text: impl Display) -> io::Result<()> {
     let mut out = io::stdout().lock();
     match out.write_all(plain(&text.to_string()).as_bytes()).and_then(|()| out.flush()) {
@@ -25,7 +25,7 @@ pub fn print(text: impl Display) -> io::Result<()> {
     }
 }
 
-/// The end of a program: says what went wrong, if something did, and gives the exit code, 0 or 2.
+/// Ends a program: prints the error, if there is one, and returns the exit code, 0 or 2.
 pub fn conclude(outcome: Result<(), impl AsRef<dyn Error + Send + Sync>>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
@@ -36,7 +36,7 @@ pub fn conclude(outcome: Result<(), impl AsRef<dyn Error + Send + Sync>>) -> Exi
     }
 }
 
-/// An error and its causes on one line, without repeating a cause that a message already has.
+/// Formats an error and its causes on one line, without repeating a cause that a message already contains.
 pub fn complaint(error: &dyn Error) -> String {
     let mut text = error.to_string();
     let mut cause = error.source();
@@ -50,7 +50,7 @@ pub fn complaint(error: &dyn Error) -> String {
     text
 }
 
-/// A word for a shell to read: quoted if it has to be, whatever its bytes are.
+/// Quotes a word for a shell if necessary, whatever its bytes are.
 pub fn shell_word(word: impl AsRef<OsStr>) -> String {
     let bytes = word.as_ref().as_bytes();
     if let Some(quoted) = word.as_ref().to_str().and_then(|text| shlex::try_quote(text).ok()) {
@@ -64,12 +64,12 @@ pub fn shell_word(word: impl AsRef<OsStr>) -> String {
     format!("$'{}'", bytes.iter().map(escape).collect::<String>())
 }
 
-/// Reads a word of the command line as text that stands for any path, see [`paths::as_path`].
+/// Parses a word of the command line as text that can represent any path, see [`paths::as_path`].
 pub fn path_as_text() -> impl TypedValueParser<Value = String> {
     OsStringValueParser::new().map(paths::as_text)
 }
 
-/// Returns the text without terminal commands: control characters (except line ends and tabs) and the characters that stand
+/// Removes terminal commands from a text: control characters (except line ends and tabs) and the characters that stand
 /// for the bytes of a path that is not UTF-8 are escaped as in JSON.
 pub fn plain(text: &str) -> Cow<'_, str> {
     let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || paths::is_byte(c);
@@ -80,7 +80,7 @@ pub fn plain(text: &str) -> Cow<'_, str> {
     text.chars().map(spelt).collect::<String>().into()
 }
 
-/// Writes a [`plain`] line to standard error, if it is still open.
+/// Writes a line, made [`plain`], to standard error, if it is still open.
 pub fn note(text: impl Display) {
     let _ = writeln!(io::stderr(), "{}", plain(&text.to_string()));
 }

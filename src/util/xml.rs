@@ -1,31 +1,31 @@
-//! XML as a tree of elements that can be looked at, changed and written again, from texts of which nothing is known.
+//! XML as a tree of elements that can be read, changed and written; safe for untrusted texts.
 
 use std::fmt::Write as _;
 
 use roxmltree::{Document, Node, ParsingOptions};
 
-/// Elements, texts and comments of one file.
+/// Maximum number of elements, texts and comments in a file.
 const MAX_NODES: u32 = 200_000;
 
-/// Attributes of one element; the parser's time grows with their square.
+/// Maximum number of attributes of an element; the parser's time grows with their square.
 const MAX_ATTRIBUTES: usize = 500;
 
-/// Nesting of elements.
+/// Maximum depth of nested elements.
 const MAX_DEPTH: usize = 64;
 
-/// An element without comments and text, which mean nothing in MJCF.
+/// An element without its comments and text, which have no meaning in MJCF.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Element {
-    /// The tag.
+    /// Name of the tag.
     pub name: String,
-    /// Names and values, in order.
+    /// Names and values of the attributes, in order.
     pub attributes: Vec<(String, String)>,
-    /// The elements in it, in order.
+    /// Child elements, in order.
     pub children: Vec<Element>,
 }
 
 impl Element {
-    /// Value of an attribute.
+    /// Returns the value of an attribute.
     pub fn get(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
     }
@@ -36,12 +36,12 @@ impl Element {
         self.attributes.push((name.to_owned(), value.to_string()));
     }
 
-    /// Takes an attribute away.
+    /// Removes an attribute.
     pub fn remove(&mut self, name: &str) {
         self.attributes.retain(|(known, _)| known != name);
     }
 
-    /// Children of a name.
+    /// Iterates over the children with a name.
     pub fn all<'a>(&'a self, name: &'a str) -> impl Iterator<Item = &'a Element> {
         self.children.iter().filter(move |child| child.name == name)
     }
@@ -63,10 +63,10 @@ impl Element {
     }
 }
 
-/// The root element of a text.
+/// Parses a text and returns its root element.
 ///
 /// # Errors
-/// In words: it is no XML, or too large.
+/// The text is not XML, or too large.
 pub fn parse(text: &str) -> Result<Element, String> {
     if let Some(line) = crowded(text) {
         return Err(format!("line {line}: an element has more than {MAX_ATTRIBUTES} attributes"));
@@ -85,7 +85,8 @@ fn convert(node: Node<'_, '_>, depth: usize) -> Result<Element, String> {
     Ok(Element { name: node.tag_name().name().to_owned(), attributes, children: children.collect::<Result<_, _>>()? })
 }
 
-/// The line in which an element has too many attributes: more than that are assigned between one `<` and the next.
+/// Returns the line of an element with too many attributes: with more of them between one `<` and the next than
+/// allowed.
 fn crowded(text: &str) -> Option<usize> {
     let mut line = 1;
     for part in text.split('<') {

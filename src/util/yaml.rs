@@ -1,4 +1,4 @@
-//! YAML texts as checked types. Nothing else knows YAML.
+//! YAML texts as checked types; the only module that parses YAML.
 
 use std::io;
 use std::path::Path;
@@ -8,15 +8,15 @@ pub use serde_yaml::Value;
 
 use super::files;
 
-/// A text that is not what it should be.
+/// An error in a YAML text.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{}: {message}", at(name, *line))]
 pub struct YamlError {
-    /// The file, or the name of an embedded text.
+    /// Path of the file, or name of an embedded text.
     pub name: String,
-    /// The line that is to blame, if one is.
+    /// The line of the error, if it is known.
     pub line: Option<usize>,
-    /// The reason.
+    /// Description of the error.
     pub message: String,
 }
 
@@ -26,20 +26,20 @@ impl YamlError {
         YamlError { name: name.to_owned(), line: None, message: message.to_string() }
     }
 
-    /// Line and reason, for who names the file.
+    /// Formats line and reason, for callers that name the file themselves.
     pub fn without_name(&self) -> String {
         self.line.map_or_else(|| self.message.clone(), |line| format!("line {line}: {}", self.message))
     }
 }
 
-/// A text and what it is called.
+/// A YAML text and its name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Text {
-    /// The file, or the name of an embedded text.
+    /// Path of the file, or name of an embedded text.
     pub name: String,
-    /// The content.
+    /// Content of the text.
     pub content: String,
-    /// True if the reader of an error can find the line.
+    /// True if errors should name the line; false for the text of a flag, which has only one.
     has_lines: bool,
 }
 
@@ -49,23 +49,24 @@ impl Text {
         Text { name: name.to_owned(), content: content.to_owned(), has_lines: true }
     }
 
-    /// Creates the text of a flag: the user wrote `name` on the command line, which `content` spells out as YAML.
+    /// Creates the text of a flag that the user gave as `name` on the command line, and that `content` expresses in
+    /// YAML.
     pub fn of_flag(name: &str, content: &str) -> Self {
         Text { has_lines: false, ..Text::new(name, content) }
     }
 
-    /// Reads a file, of at most a megabyte.
+    /// Reads a file of at most one megabyte.
     ///
     /// # Errors
-    /// The system's, or that it is no text.
+    /// The file cannot be read, is too large, or is not UTF-8.
     pub fn read(path: &Path) -> io::Result<Self> {
         Ok(Text::new(&path.display().to_string(), &files::read_text(path, MAX_BYTES)?))
     }
 
-    /// Returns the keys and values.
+    /// Parses the text to keys and values.
     ///
     /// # Errors
-    /// If it is not YAML, or anything but keys with values.
+    /// The text is not YAML, or not a mapping.
     pub fn parse(&self) -> Result<Value, YamlError> {
         let fail = |line, message: String| Err(YamlError { name: self.name.clone(), line, message });
         if self.content.matches(['[', '{']).count() > MAX_BRACKETS {
@@ -93,7 +94,7 @@ impl Text {
         }
     }
 
-    /// The line in which a key stands, if it does.
+    /// Returns the line of a key, if the text has it.
     fn line(&self, key: &[&str]) -> Option<usize> {
         let value = self.parse().ok()?;
         key.iter().try_fold(&value, |value, part| value.get(part))?;
@@ -112,16 +113,16 @@ impl Text {
     }
 }
 
-/// Larger files are not made of settings.
+/// Maximum size of a YAML file \[bytes\].
 const MAX_BYTES: u64 = 1 << 20;
 
-/// Brackets of a text: where they are within one another, the parser's time grows with their square.
+/// Maximum number of brackets in a text: if they are nested, the parser's time grows with the square of their number.
 const MAX_BRACKETS: usize = 10_000;
 
-/// A value as a checked type; `texts` are those that it was made of, the one that counts most first.
+/// Converts a value to a checked type; `texts` are its sources, the overriding one first.
 ///
 /// # Errors
-/// An unknown key, a missing key or a wrong type, with the text and the line.
+/// A key is unknown or missing, or a value has the wrong type; the error names the text and the line.
 pub fn typed<T: DeserializeOwned>(value: Value, texts: &[Text]) -> Result<T, YamlError> {
     serde_path_to_error::deserialize(value).map_err(|error| {
         let key = error.path().to_string();
@@ -140,7 +141,7 @@ pub fn typed<T: DeserializeOwned>(value: Value, texts: &[Text]) -> Result<T, Yam
     })
 }
 
-/// Where a dotted key stands, in words: the name of the first of the texts that has it, and the line.
+/// Describes the position of a dotted key: name of the first text that has it, and the line.
 pub fn place(texts: &[Text], key: &str) -> String {
     let (name, line) = find(texts, key);
     at(&name, line)
@@ -158,10 +159,10 @@ fn at(name: &str, line: Option<usize>) -> String {
     line.map_or_else(|| name.to_owned(), |line| format!("{name}, line {line}"))
 }
 
-/// Texts laid over one another, later ones over earlier ones, as a checked type.
+/// Merges texts, later ones over earlier ones, into a checked type.
 ///
 /// # Errors
-/// As [`Text::parse`] and [`typed`].
+/// A text is not YAML, a key is unknown or missing, or a value has the wrong type.
 pub fn layered<T: DeserializeOwned>(texts: &[Text]) -> Result<T, YamlError> {
     let mut whole = Value::Mapping(serde_yaml::Mapping::new());
     for text in texts {
@@ -171,7 +172,7 @@ pub fn layered<T: DeserializeOwned>(texts: &[Text]) -> Result<T, YamlError> {
     typed(whole, &newest_first)
 }
 
-/// A type of numbers, texts and lists as YAML.
+/// Formats a value of numbers, texts and lists as YAML.
 pub fn to_text(value: &impl serde::Serialize) -> String {
     // Plain structs of numbers and strings: serialising them cannot fail.
     serde_yaml::to_string(value).unwrap_or_default()
@@ -197,7 +198,7 @@ pub fn flat_parameters(text: &Text) -> Result<Vec<(String, Option<String>)>, Yam
     mapping.iter().map(entry).collect()
 }
 
-/// Replaces in `base` what `change` states; mappings are merged key by key.
+/// Overwrites in `base` what `change` states; mappings are merged key by key.
 pub fn overlay(base: &mut Value, change: Value) {
     match (base, change) {
         (Value::Mapping(base), Value::Mapping(change)) => {
@@ -212,7 +213,7 @@ pub fn overlay(base: &mut Value, change: Value) {
     }
 }
 
-/// Dotted keys in which two types differ, each with both values as YAML.
+/// Lists the dotted keys in which two values differ, with both values as YAML.
 pub fn differences(first: &impl serde::Serialize, second: &impl serde::Serialize) -> Vec<(String, [String; 2])> {
     let value = |of: Result<Value, _>| of.unwrap_or_default();
     let mut found = Vec::new();

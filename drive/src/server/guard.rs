@@ -29,12 +29,12 @@ fn policy(port: u16) -> String {
 pub struct Token(String);
 
 impl Token {
-    /// Draws 128 random bits.
+    /// Draws a token of 128 random bits.
     pub fn random() -> Self {
         Token(format!("{:032x}", rand::random::<u128>()))
     }
 
-    /// Compares in constant time.
+    /// Compares the token in constant time.
     fn is(&self, other: &str) -> bool {
         let differences = self.0.bytes().zip(other.bytes()).fold(0, |found, (a, b)| found | (a ^ b));
         self.0.len() == other.len() && differences == 0

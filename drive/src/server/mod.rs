@@ -52,11 +52,11 @@ struct Shared {
     viewer_permits: Arc<Semaphore>,
 }
 
-/// A listening server.
+/// A server that listens on its port.
 #[derive(Debug)]
 pub struct Server {
     listener: TcpListener,
-    /// Address it listens on.
+    /// Address that the server listens on.
     pub address: SocketAddr,
     token: Token,
 }

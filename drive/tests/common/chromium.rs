@@ -1,4 +1,4 @@
-//! Headless Chromium, driven over its own protocol: keys, mouse, scripts, pictures.
+//! Headless Chromium for tests, controlled over its own protocol: keys, mouse, scripts, pictures.
 #![allow(dead_code)] // No test uses all of it.
 
 use std::net::TcpStream;
@@ -19,14 +19,14 @@ pub struct Chromium {
     socket: WebSocket<TcpStream>,
     session: String,
     count: u64,
-    /// Requested addresses.
+    /// Addresses that the page has requested.
     pub requests: Vec<String>,
     /// Errors reported by the page.
     pub complaints: Vec<String>,
 }
 
 impl Chromium {
-    /// Opens a page of this size; none if there is no Chromium.
+    /// Opens a page of this size [pixels]; returns `None` if there is no Chromium.
     pub fn open(url: &str, width: u32, height: u32, dark: bool) -> Option<Chromium> {
         let program = Path::new("/usr/bin/chromium");
         if !program.exists() {
@@ -117,7 +117,7 @@ impl Chromium {
         }
     }
 
-    /// The value of an expression in the page.
+    /// Evaluates an expression in the page.
     pub fn value(&mut self, expression: &str) -> Value {
         let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
         let result = self.call("Runtime.evaluate", parameters);
@@ -125,7 +125,7 @@ impl Chromium {
         result["result"]["value"].clone()
     }
 
-    /// The value of an expression in the viewer, which is a separate page.
+    /// Evaluates an expression in the viewer, which is a separate page.
     pub fn value_in_viewer(&mut self, expression: &str) -> Value {
         let targets = self.call("Target.getTargets", json!({}))["targetInfos"].clone();
         let is_viewer = |target: &&Value| target["url"].as_str().is_some_and(|url| url.contains("/viewer.html"));
@@ -166,7 +166,7 @@ impl Chromium {
         }
     }
 
-    /// The middle and the width of an element on the screen.
+    /// Returns the middle and the width of an element on the screen [pixels].
     pub fn place(&mut self, selector: &str) -> ([f64; 2], f64) {
         let find = format!(
             "(() => {{ const e = document.querySelector('{selector}'); e.scrollIntoView({{ block: 'center' }}); \
@@ -177,7 +177,7 @@ impl Chromium {
         ([number(0), number(1)], number(2))
     }
 
-    /// A picture of the page as PNG, in base64.
+    /// Returns a picture of the page as PNG, in base64.
     pub fn picture(&mut self) -> String {
         self.call("Page.captureScreenshot", json!({ "format": "png" }))["data"].as_str().unwrap().to_owned()
     }

@@ -1,4 +1,4 @@
-//! A running `drive`, and pages that talk to it.
+//! A running `drive` for tests, and pages that talk to it.
 #![allow(dead_code)] // No test uses all of it.
 
 use std::io::{BufRead, BufReader, Read, Write};
@@ -11,19 +11,19 @@ use serde_json::Value;
 use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
-/// How long anything may take on a machine that does other things too.
+/// Longest time that a test waits for anything; busy machines are slow.
 pub const PATIENCE: Duration = Duration::from_secs(30);
 
-/// The program, until it goes out of scope.
+/// A running program, killed when it goes out of scope.
 pub struct Drive {
     child: Child,
-    /// Host and port.
+    /// Host and port of the program.
     pub host: String,
     pub token: String,
 }
 
 impl Drive {
-    /// Starts it in a folder.
+    /// Starts the program in a folder.
     pub fn start(folder: &Path, arguments: &[&str]) -> Drive {
         let mut child = Command::new(env!("CARGO_BIN_EXE_drive"))
             .args(["--no-open", "--port", "0"])
@@ -78,7 +78,7 @@ impl Drive {
         String::from_utf8_lossy(&answer).into_owned()
     }
 
-    /// Resident memory of the program [MB].
+    /// Returns the resident memory of the program [MB].
     pub fn memory_mb(&self) -> f64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id())).unwrap();
         let line = status.lines().find(|line| line.starts_with("VmRSS")).unwrap();
@@ -93,10 +93,10 @@ impl Drop for Drive {
     }
 }
 
-/// A page without a browser.
+/// A page's connection, without a browser.
 pub struct Page {
     pub socket: WebSocket<TcpStream>,
-    /// The newest state.
+    /// The newest state that the program sent.
     pub state: Value,
     pub me: u64,
 }
@@ -106,7 +106,7 @@ impl Page {
         self.socket.send(Message::text(request.to_string())).unwrap();
     }
 
-    /// Reads until something is found.
+    /// Reads states and answers until `find` returns something.
     pub fn wait<T>(&mut self, what: &str, mut find: impl FnMut(&Value, &Value) -> Option<T>) -> T {
         let start = Instant::now();
         loop {
@@ -132,7 +132,7 @@ impl Page {
         }
     }
 
-    /// A number of the newest state.
+    /// Returns a number of the newest state, by its JSON pointer.
     pub fn number(&self, pointer: &str) -> f64 {
         self.state.pointer(pointer).and_then(Value::as_f64).unwrap_or_else(|| panic!("{pointer} of {}", self.state))
     }
@@ -146,7 +146,7 @@ impl Page {
     }
 }
 
-/// Replays a session.
+/// Replays a session with the program, and returns its output.
 pub fn replay(folder: &Path, session: &str, arguments: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_drive"))
         .args(["--replay", session, "--headless"])

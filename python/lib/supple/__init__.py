@@ -1,7 +1,7 @@
 """Compliant legged locomotion for Python.
 
-`make_vec` has the training environments, `Policy` the policies, `run_scenario` what disturbs them and `evaluate` the
-experiments of the paper. docs/python.md tells more.
+`make_vec` creates training environments, `Policy.load` loads a policy, `run_scenario` plays a disturbance of it, and
+`evaluate` measures it in the experiments of the paper. docs/python.md is the manual.
 """
 
 from ._supple import CONFIGURATIONS, POLICIES, RECORDS, REVISION

@@ -26,6 +26,8 @@ REVISION: str
 
 @final
 class Environments:
+    """Training environments that are stepped together; n environments, observations of `length` numbers."""
+
     def __new__(
         cls,
         config: str,
@@ -37,7 +39,8 @@ class Environments:
     ) -> Environments: ...
     def reset(
         self, seed: int | None, mask: list[bool] | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]: ...
+    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+        """Returns observations (n, length), normalised, and commands (n, 3): forward, left [m/s], yaw rate [rad/s]."""
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[
@@ -58,7 +61,11 @@ class Environments:
             list[tuple[int, str]],
         ]
         | None,
-    ]: ...
+    ]:
+        """Steps with actions (n, 12). Returns observations (n, length), rewards (n), terminations (n), truncations (n), reward
+        terms (n, terms), stages (n), commands (n, 3), and for the k episodes that ended, if any: environments (k), last
+        observations (k, length), last commands (k, 3), returns (k), lengths [steps] (k), pushed (k), and the message of each
+        physics fault with its environment. A physics fault is a truncation."""
     def close(self) -> None: ...
     def curriculum(self) -> tuple[float, bool, float]: ...
     def set_curriculum(self, curriculum: tuple[float, bool, float]) -> None: ...
@@ -74,13 +81,16 @@ class Environments:
 
 @final
 class Policy:
+    """A policy, deterministic."""
+
     @staticmethod
     def load(name: str) -> Policy: ...
     @staticmethod
     def of_function(
         config: str, function: Callable[[NDArray[np.float32]], NDArray[np.float32]]
     ) -> Policy: ...
-    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]: ...
+    def act(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns actions (n, 12) for normalised observations (n, length)."""
     @property
     def name(self) -> str: ...
     @property
@@ -103,7 +113,9 @@ def run_scenario(
     dict[str, NDArray[Any]],
     list[tuple[float, str, str]],
     str | None,
-]: ...
+]:
+    """Returns metrics (name, value, unit), trace arrays (frames, …), events (time [s], kind, text), and a warning or None."""
+
 def evaluate(
     policy: Policy,
     experiments: list[str] | None,
@@ -119,7 +131,9 @@ def evaluate(
         NDArray[np.float64],
         NDArray[np.int8],
     ]
-]: ...
+]:
+    """Returns name, conditions, quantities, values (conditions, trials, quantities) and ends (conditions, trials)."""
+
 def describe(config: str, onnx: str) -> str: ...
 def scenarios() -> list[tuple[str, str]]: ...
 def experiments() -> list[tuple[str, str]]: ...

@@ -1,7 +1,7 @@
-"""The training environments behind Gymnasium's interfaces.
+"""The training environments as Gymnasium environments.
 
-An observation is what the networks see: float32, each number (value - offset) * scale. An action is a number for each joint:
-joint target = offset + scale * action.
+An observation is the networks' input: float32, each number (value - offset) * scale. An action has one number for each joint:
+joint target [rad] = offset + scale * action.
 """
 
 import os
@@ -21,7 +21,7 @@ from .given import cores, numbers, whole
 from .named import Named
 
 STAGES = ("walking", "recovery", "post-recovery")
-"""What the numbers in `info["stage"]` stand for."""
+"""Names of the stages, by the index in `info["stage"]`."""
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -29,12 +29,12 @@ Info = dict[str, Any]
 
 
 class Curriculum(NamedTuple):
-    """What is asked of an episode."""
+    """The difficulty of new episodes: range of commands, pushes, pulls."""
 
     command_fraction: float
     """Fraction of the command range that commands are drawn from, 0 to 1."""
     pushes: bool
-    """Whether there is a push, and the stages that follow it."""
+    """True if the robot is pushed, and goes through the stages that follow the push."""
     force_fraction: float = 0.0
     """Fraction of the largest force of sustained pulls, 0 to 1; for configurations with `pulls`."""
 
@@ -49,12 +49,16 @@ def make_vec(
     stagger: bool = True,
     autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
 ) -> "LocomotionVectorEnv":
-    """Environments of a configuration, by name or file.
+    """Creates `num_envs` environments of a configuration that are stepped together.
 
-    A seed is drawn if none is given. `threads` step them: all cores if it is left out. A `curriculum` stays as it is given;
-    without one it is that of training, which gets harder as walking gets better. `stagger` cuts each first episode at
-    random, so that not all environments are in the same phase. `autoreset_mode` says when the next episode begins: in the
-    step that ends one, in the step after it, or when `reset` is called.
+    `config` is a name, such as "fast", or the path of a YAML file. Without a `seed`, one is drawn. `threads` defaults to all
+    cores; results do not depend on it. A given `curriculum` stays fixed; without one, it grows as in training. `stagger`
+    cuts each first episode at random, so that the environments are not all in the same phase. `autoreset_mode` selects when
+    the next episode begins: in the step that ends one (`SAME_STEP`), in the step after it (`NEXT_STEP`), or when `reset` is
+    called (`DISABLED`).
+
+    Observations are float32, shape (num_envs, length), normalised, with 83 numbers in "fast"; actions are
+    float32, shape (num_envs, 12). `observation_names` has names and units, `action_names` the joints.
     """
     return LocomotionVectorEnv(
         config, num_envs, seed, threads, curriculum=curriculum, stagger=stagger, autoreset_mode=autoreset_mode
@@ -64,12 +68,15 @@ def make_vec(
 def make(
     config: str | os.PathLike[str] = "fast", seed: int | None = None, *, curriculum: Curriculum | None = None
 ) -> "LocomotionEnv":
-    """A single environment: the first one of `make_vec`, without stagger and without resets of its own."""
+    """Creates a single environment: the first one of `make_vec`, without stagger and without automatic resets.
+
+    Observations are float32, shape (length,), normalised; actions are float32, shape (12,), one for each joint.
+    """
     return LocomotionEnv(config, seed, curriculum=curriculum)
 
 
 class _Described(Named):
-    """What an environment's numbers are."""
+    """Descriptions of observations and actions, and the curriculum."""
 
     _native: _supple.Environments
 
@@ -97,18 +104,17 @@ class _Described(Named):
 
     @property
     def observation_offset(self) -> NDArray[np.float64]:
-        """Subtracted from each of them, shape (length,)."""
+        """Offset subtracted from each value of an observation, in its unit, shape (length,)."""
         return self._native.observation_scaling()[0]
 
     @property
     def observation_scale(self) -> NDArray[np.float64]:
-        """What each is multiplied with after that, shape (length,)."""
+        """Factor applied to each value after the offset is subtracted, shape (length,)."""
         return self._native.observation_scaling()[1]
 
     @property
     def curriculum(self) -> Curriculum:
-        """Of episodes that start now. Setting it holds for those that start from then on, for good, as with
-        `make_vec(curriculum=…)`."""
+        """Curriculum of episodes that start now. Once set, it stays fixed, as with `make_vec(curriculum=…)`."""
         return Curriculum(*self._native.curriculum())
 
     @curriculum.setter
@@ -127,7 +133,7 @@ class _Described(Named):
 
 
 class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32], NDArray[Any]]):
-    """Environments that are stepped together. docs/python.md lists what is in their infos."""
+    """Environments that are stepped together; `make_vec` creates them. docs/python.md lists the keys of their infos."""
 
     def __init__(
         self,
@@ -151,8 +157,12 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
         self._all.flags.writeable = False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Info]:
-        """Starts new episodes: the first ones of `seed`, or the next ones. Where nothing resets by itself,
-        `options["reset_mask"]`, shape (num_envs,), can say which environments start one."""
+        """Starts new episodes: with a `seed` the first ones of that seed, else the next ones.
+
+        Returns observations, float32 (num_envs, length), normalised, and `info` with `command`, float64 (num_envs, 3):
+        forward, left [m/s], yaw rate [rad/s]. A seed also resets the curriculum. With autoreset mode `DISABLED`,
+        `options["reset_mask"]`, bool (num_envs,), selects the environments that start a new episode.
+        """
         seed = None if seed is None else whole("seed", seed)
         mask = self._mask(seed, options)
         VectorEnv.reset(self, seed=seed)
@@ -160,7 +170,19 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
         return observations, {"command": commands, "_command": self._all}
 
     def step(self, actions: ArrayLike) -> tuple[Observations, NDArray[np.float64], Flags, Flags, Info]:
-        """One policy step."""
+        """Steps every environment once (1/60 s with the shipped configurations).
+
+        `actions` has shape (num_envs, 12): joint target = `action_offset` + `action_scale` * action [rad]. Returns
+        observations, float32 (num_envs, length), normalised; rewards, float64 (num_envs,); terminations (a fall) and
+        truncations (a time limit, or a fault of the physics), bool (num_envs,); and `info`.
+
+        **A fault of the physics is reported as a truncation** with a reward of 0. `info["fault"]` then holds MuJoCo's
+        message for each environment that failed, else None; with `SAME_STEP`, the default autoreset mode, it is in
+        `info["final_info"]["fault"]`. The key is missing in a step without faults. Do not bootstrap from such a step.
+
+        `info` also has `reward_terms` (before weights), `stage` (index into `STAGES`), `command` (forward, left [m/s],
+        yaw rate [rad/s]; base frame) and `fall`; docs/python.md lists all keys with their shapes.
+        """
         actions = numbers("actions", actions, (self.num_envs, len(self._native.action_names())))
         seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
         info = self._info(terms, stages, commands, terminations, self._all)
@@ -226,7 +248,7 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
         }
 
     def _spread(self, which: NDArray[np.int64], values: NDArray[Any] | Sequence[Any]) -> NDArray[Any]:
-        """Values of some environments among all of them: zeros elsewhere, or None between objects."""
+        """Returns an array for all environments: the values at the indices `which`, zeros (None for objects) elsewhere."""
         if isinstance(values, np.ndarray):
             whole = np.zeros((self.num_envs, *values.shape[1:]), dtype=values.dtype)
             whole[which] = values
@@ -238,7 +260,7 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
 
 
 class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]):
-    """A single environment, for checkers, and for code that resets by itself."""
+    """A single environment, for environment checkers and for code that calls `reset` itself."""
 
     def __init__(
         self, config: str | os.PathLike[str] = "fast", seed: int | None = None, *, curriculum: Curriculum | None = None
@@ -248,7 +270,11 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
         self.metadata = {"render_modes": [], "render_fps": self._native.rate_hz()}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Info]:
-        """Starts a new episode: the first one of `seed`, or the next one."""
+        """Starts a new episode: with a `seed` the first one of that seed, else the next one.
+
+        Returns the observation, float32 (length,), normalised, and `info` with `command`: forward, left [m/s], yaw rate
+        [rad/s].
+        """
         seed = None if seed is None else whole("seed", seed)
         if options:
             raise ValueError(f"options to reset with: expected none, found {list(options)}")
@@ -257,7 +283,15 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
         return observations[0], {"command": commands[0]}
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Info]:
-        """One policy step."""
+        """Steps the environment once (1/60 s with the shipped configurations).
+
+        `action` has shape (12,): joint target = `action_offset` + `action_scale` * action [rad]. Returns the observation,
+        float32 (length,), normalised; the reward; terminated (a fall); truncated (a time limit, or a fault of the physics);
+        and `info`.
+
+        **A fault of the physics is reported as a truncation** with a reward of 0; `info["fault"]` then holds MuJoCo's
+        message. The key is missing otherwise: check `"fault" in info` before you bootstrap from a truncated step.
+        """
         actions = numbers("action", action, (len(self._native.action_names()),))[None]
         seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
         info: Info = {

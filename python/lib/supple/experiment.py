@@ -16,19 +16,19 @@ ENDS = ("upright", "fell", "fault", "out_of_reach")
 
 
 class Experiment(NamedTuple):
-    """What an experiment measured."""
+    """The measurements of an experiment."""
 
     conditions: list[str]
-    """What was varied."""
+    """Labels of the conditions, such as the size of a push."""
     quantities: list[str]
-    """What was measured, each with its unit at the end of its name; fractions are 0 to 1."""
+    """Names of the measured quantities; the end of each is its unit, and fractions are 0 to 1."""
     values: NDArray[np.float64]
-    """Shape (conditions, trials, quantities); NaN where a trial does not define one."""
+    """Measured values, shape (conditions, trials, quantities); NaN where a trial does not define one."""
     ends: NDArray[np.str_]
-    """How each trial ended, shape (conditions, trials): upright, fell, fault, or out_of_reach (the commanded compliance is out of the policy's range)."""
+    """The end of each trial, shape (conditions, trials): upright, fell, fault, or out_of_reach (the commanded compliance is out of the policy's range)."""
 
     def mean(self, quantity: str) -> NDArray[np.float64]:
-        """Mean over the trials that define the quantity, for each condition; NaN if there are none."""
+        """Returns the mean of a quantity over the trials that define it, shape (conditions,); NaN if there are none."""
         if quantity not in self.quantities:
             raise ValueError(f"no quantity {quantity!r}; there are: {', '.join(self.quantities)}")
         values = self.values[:, :, self.quantities.index(quantity)]
@@ -48,12 +48,12 @@ def evaluate(
     sensing: str = "true",
     threads: int | None = None,
 ) -> dict[str, Experiment]:
-    """Measures experiments with a policy, all of them if none is named; results by name.
+    """Measures a policy in experiments, by default in all of them, and returns the results by name.
 
-    `protocol` is "quick", "full", or a YAML file with what differs from the full one. Trials are those that the program
-    `evaluate` plays with a policy of this training seed: measure two policies with the same `seed`, and their trials are
-    pairs. It is that of the policy, or 0. `threads` play them: all cores if it is left out. A function is called on the
-    thread that calls this, and sees what the environment of `config` observes, `fast` if it is left out.
+    `protocol` is "quick", "full", or the path of a YAML file with the differences from the full one. The trials are those
+    of the program `evaluate`; two policies measured with the same `seed` are paired, trial by trial. `seed` defaults to the
+    training seed of the policy, or 0; `threads` to all cores. A function is called on the thread that calls `evaluate`, with
+    the observations of the environment of `config`, by default "fast".
     """
     native = resolve(policy, config)
     if isinstance(experiments, str):
@@ -73,5 +73,5 @@ def evaluate(
 
 
 def experiments() -> dict[str, str]:
-    """What each experiment is about, by name."""
+    """Returns the title of each experiment by name."""
     return dict(_supple.experiments())

@@ -1,4 +1,4 @@
-"""What is given, checked: errors say what it is called, what was expected and what was found."""
+"""Checks of arguments. Errors name the argument, what was expected and what was found."""
 
 import operator
 import os
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def whole(name: str, value: Any, least: int = 0, most: int = 2**64 - 1) -> int:
-    """A whole number, of Python's or NumPy's."""
+    """Returns a whole number of Python or NumPy, if it is within the range."""
     try:
         number = operator.index(value)
     except TypeError:
@@ -20,14 +20,14 @@ def whole(name: str, value: Any, least: int = 0, most: int = 2**64 - 1) -> int:
 
 
 def cores(threads: int | None) -> int:
-    """As many threads as are asked for, or as the process may use cores."""
+    """Returns the requested number of threads, by default the number of cores that the process may use."""
     if threads is None:
         return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return whole("threads", threads, 1, 10_000)
 
 
 def numbers(name: str, values: ArrayLike, *shapes: tuple[int | None, ...]) -> NDArray[np.float32]:
-    """Finite numbers in one of the shapes, in which None is any length."""
+    """Returns float32 values, if they are finite and have one of the shapes; None in a shape stands for any length."""
     expected = " or ".join("[" + ", ".join("n" if n is None else str(n) for n in shape) + "]" for shape in shapes)
     try:
         found = np.asarray(values, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""What the numbers of observations and actions are."""
+"""Names, units and scales of observations and actions."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +7,7 @@ from . import _supple
 
 
 class Named:
-    """Whatever sees observations, or gives them, and moves joints."""
+    """An environment or a policy, whose observations and actions are described here."""
 
     _native: _supple.Environments | _supple.Policy
 
@@ -23,10 +23,10 @@ class Named:
 
     @property
     def action_offset(self) -> NDArray[np.float64]:
-        """Joint targets of an action of zeros [rad], shape (joints,)."""
+        """Joint targets at action zero [rad], shape (12,)."""
         return self._native.action_scaling()[0]
 
     @property
     def action_scale(self) -> NDArray[np.float64]:
-        """What a unit of action adds to them [rad], shape (joints,)."""
+        """Change of the joint target per unit of action [rad], shape (12,)."""
         return self._native.action_scaling()[1]

@@ -13,13 +13,13 @@ from .given import numbers
 from .named import Named
 
 Function = Callable[[NDArray[np.float32]], Any]
-"""From an observation, shape (length,), to an action, shape (joints,)."""
+"""A function from an observation, float32 (length,), normalised, to an action, shape (12,)."""
 
 
 class Policy(Named):
-    """A policy that acts on observations as the environment of its configuration gives them.
+    """A policy: a deterministic function from normalised observations to actions.
 
-    `Policy.load` finds it: a shipped one by name, a policy file, a run's folder, the YAML file of an external policy.
+    Create one with `Policy.load`. Its observations are those of the environment of its configuration.
     """
 
     _native: _supple.Policy
@@ -30,14 +30,14 @@ class Policy(Named):
 
     @classmethod
     def load(cls, name_or_path: str | os.PathLike[str]) -> "Policy":
-        """By name or path."""
+        """Loads a shipped policy by name ("compliant"), a policy file, a run's folder, or the YAML file of an external policy."""
         return cls(_supple.Policy.load(os.fspath(name_or_path)))
 
     def __call__(self, observations: ArrayLike) -> NDArray[np.float32]:
-        """Actions, shape (n, joints), for observations of shape (n, length); or one for one of shape (length,).
+        """Returns actions, float32 (n, 12), for normalised observations (n, length), or one action (12,) for one (length,).
 
-        They are actions of an environment whose names, offsets and scales are those of this policy: not so for external
-        policies that were trained elsewhere.
+        Joint target = `action_offset` + `action_scale` * action [rad], in the order of `action_names`. An external policy
+        may observe and act otherwise than the environments do: compare names, offsets and scales first.
         """
         seen = numbers(f"observations for {self.name}", observations, (self._length,), (None, self._length))
         actions = self._native.act(np.atleast_2d(seen))
@@ -45,17 +45,17 @@ class Policy(Named):
 
     @property
     def name(self) -> str:
-        """As it was asked for."""
+        """The name or path that was given to `load`."""
         return self._native.name
 
     @property
     def sha256(self) -> str:
-        """Identity: the SHA-256 of its files."""
+        """SHA-256 of the policy's files, which identifies it."""
         return self._native.sha256
 
     @property
     def seed(self) -> int | None:
-        """Seed of its training, if it is one of ours."""
+        """Seed of the training run; None for external policies and functions."""
         return self._native.seed
 
     def __repr__(self) -> str:
@@ -63,15 +63,15 @@ class Policy(Named):
 
 
 def describe(config: str | os.PathLike[str], onnx: str | os.PathLike[str]) -> str:
-    """The YAML file that goes beside an ONNX file of a network that was trained in the environment of `config`: with it
-    the network is a policy for every program. `onnx` is the file's name."""
+    """Returns the text of a YAML file that makes an ONNX network, trained in the environment of `config`, a policy for every
+    program. `onnx` is the name of the ONNX file, beside which the YAML file is to be saved."""
     return _supple.describe(os.fspath(config), os.fspath(onnx))
 
 
 def resolve(
     policy: "Policy | Function | str | os.PathLike[str]", config: str | os.PathLike[str] | None
 ) -> _supple.Policy:
-    """Whatever can be asked to act, as a policy. `config` is for functions."""
+    """Turns a policy, the name of one or a function into a native policy. `config` is for functions."""
     if isinstance(policy, (Policy, str, os.PathLike)):
         if config is not None:
             raise ValueError(f"config is {config!r}, but {policy!r} has a configuration of its own: leave config out")
@@ -88,7 +88,7 @@ def resolve(
 
 
 def _of_network(policy: Function) -> Function:
-    """A PyTorch module takes tensors with a batch dimension; everything else is taken at its word."""
+    """Wraps a PyTorch module, which takes tensors with a batch dimension; returns any other function unchanged."""
     torch: Any = sys.modules.get("torch")
     if torch is None or not isinstance(policy, torch.nn.Module):
         return policy

@@ -19,8 +19,11 @@ Indices = None | int | Iterable[int]
 
 
 class SB3VecEnv(VecEnv):  # type: ignore[misc]
-    """A `LocomotionVectorEnv` as Stable-Baselines3 takes it. `env` is the environment itself, `info` that of its last step,
-    as Gymnasium has it: an info for each environment tells of the end of an episode alone."""
+    """A `LocomotionVectorEnv` with the interface of Stable-Baselines3's `VecEnv`.
+
+    `env` is the wrapped environment and `info` the Gymnasium info of its last step; the infos that `step` returns, one for
+    each environment, only have the keys of a finished episode. A fault of the physics is in `info["final_info"]["fault"]`.
+    """
 
     def __init__(self, env: LocomotionVectorEnv) -> None:
         if not isinstance(env, LocomotionVectorEnv) or env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
@@ -31,7 +34,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         self.info: dict[str, Any] = {}
 
     def reset(self) -> NDArray[np.float32]:
-        """Starts new episodes; those of the seed given to `seed`, if it was called."""
+        """Starts new episodes: the first ones of the seed given to `seed`, if it was called, else the next ones."""
         seed, options = self._seeds[0], self._options[0]
         self._reset_seeds()
         self._reset_options()
@@ -40,16 +43,16 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         return observations
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """One seed for all environments: each has random streams of its own."""
+        """Sets one seed for all environments, each of which has its own random streams."""
         self._seeds = [seed] * self.num_envs
         return self._seeds
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Notes the actions down."""
+        """Stores the actions, float32 (num_envs, 12), for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Steps."""
+        """Steps with the stored actions: observations, rewards, dones (num_envs,), and an info for each environment."""
         if self._actions is None:
             raise RuntimeError("there are no actions to step with: call step_async() first")
         actions, self._actions = self._actions, None
@@ -71,17 +74,17 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """The same for all: they are one object."""
+        """Returns the attribute of the one object that holds all environments, once for each index."""
         return [getattr(self.env, attr_name)] * len(self._chosen(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """For all of them: they are one object."""
+        """Sets the attribute for all environments at once, which are one object."""
         if indices is not None:
             raise ValueError(f"{attr_name} can only be set for all environments at once: leave out the indices")
         setattr(self.env, attr_name, value)
 
     def env_method(self, method_name: str, *args: Any, indices: Indices = None, **kwargs: Any) -> list[Any]:
-        """Refuses: there are no objects for single environments."""
+        """Raises: there are no objects for single environments."""
         raise NotImplementedError(f"there are no single environments to call {method_name} of; `env` has them all")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:

@@ -1,4 +1,4 @@
-"""Scenarios: what disturbs a robot, and what comes of it."""
+"""Scenarios: disturbances of a robot, and how its policy reacts."""
 
 import json
 import os
@@ -14,34 +14,34 @@ from .policy import Function, Policy, resolve
 
 
 class Event(NamedTuple):
-    """Something worth a line."""
+    """An event of a playback, at a simulation time [s]."""
 
     time_s: float
     kind: str
-    """disturbance, fall, success or fault."""
+    """Kind of the event: disturbance, fall, success or fault."""
     text: str
 
 
 class Run(NamedTuple):
-    """What came of a scenario."""
+    """The result of a playback."""
 
     metrics: dict[str, float | None]
-    """Numbers by name, with their unit at the end; None where the run does not define one."""
+    """Metrics by name, whose end is the unit; None where the playback does not define one."""
     units: dict[str, str]
-    """Of the metrics."""
+    """Units of the metrics, by name."""
     trace: dict[str, NDArray[Any]]
-    """By name, one row for each policy step; numbers, and truth values for contacts."""
+    """Arrays by name, one row for each policy step (1/60 s), SI units; docs/python.md lists names and frames."""
     events: list[Event]
-    """In order of time."""
+    """Events in order of time."""
 
     @property
     def fell(self) -> bool:
-        """Whether the robot fell."""
+        """True if the robot fell."""
         return any(event.kind == "fall" for event in self.events)
 
     @property
     def fault(self) -> str | None:
-        """What failed, if the physics or the sensors did and ended the run."""
+        """Message of the fault of physics or sensors that ended the playback; None if there was none."""
         return next((event.text for event in self.events if event.kind == "fault"), None)
 
 
@@ -55,11 +55,13 @@ def run_scenario(
     record: str | os.PathLike[str] | None = None,
     **parameters: float | str | bool,
 ) -> Run:
-    """Plays a scenario with a policy: a Policy, the name of one, a PyTorch module, or any function from an observation,
-    shape (length,), to an action, shape (joints,).
+    """Plays a scenario with a policy and returns metrics, trace and events.
 
-    A function sees what the environment of `config` observes, `fast` if it is left out. `sensing` is "true", or "estimated": noisy sensors.
-    `parameters` are those of the scenario, see `scenarios()`. `record` names an .rrd file for the rerun viewer.
+    `policy` is a Policy, the name of one, a PyTorch module, or any function from a normalised observation, float32 (length,),
+    to an action, shape (12,). A function gets the observations of the environment of `config`, by default "fast". With
+    `sensing="estimated"` the policy acts on a state estimated from noisy sensors, with "true" on the true state.
+    `parameters` override those of the scenario, in the units of their names: `push_m_s=0.75`; `scenarios()` lists them.
+    `record` is the path of an .rrd file to write for the rerun viewer.
     """
     if record is not None and not _supple.RECORDS:
         raise RuntimeError(
@@ -84,12 +86,12 @@ def run_scenario(
 
 
 def scenarios() -> dict[str, str]:
-    """The default parameters of every scenario, as YAML with comments, by name."""
+    """Returns the default parameters of every scenario by name, as YAML text with comments and units."""
     return dict(_supple.scenarios())
 
 
 def estimated(sensing: str) -> bool:
-    """Whether the policy acts on sensors."""
+    """Returns True if the policy acts on a state estimated from sensors."""
     if sensing not in ("true", "estimated"):
         raise ValueError(f"sensing is {sensing!r}, expected 'true' or 'estimated'")
     return sensing == "estimated"

@@ -1,4 +1,4 @@
-//! A policy's card: where it came from, how it learned, how it walks. Markdown.
+//! Policy cards in Markdown: the origin of a policy, its learning curve, and how it walks.
 
 use std::fs::File;
 use std::io::BufReader;
@@ -11,13 +11,14 @@ use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::train::metrics::IterationMetrics;
 use supple::util::{files, paths};
 
-/// Rows of the learning curve.
+/// Number of rows of the learning curve.
 const ROWS: usize = 10;
 
-/// Longer lines are not an iteration.
+/// Maximum length of a line of metrics \[bytes\].
 const MAX_LINE_BYTES: u64 = 1 << 16;
 
-/// Forward \[m/s\], left \[m/s\], yaw rate \[rad/s\]: the evaluation's command and the ends of the range.
+/// Test commands: forward \[m/s\], left \[m/s\], yaw rate \[rad/s\]. They are the evaluation's command and the range's
+/// ends.
 const COMMANDS: [[f64; 3]; 8] = [
     [0.0, 0.0, 0.0],
     [0.5, 0.0, 0.0],
@@ -29,7 +30,8 @@ const COMMANDS: [[f64; 3]; 8] = [
     [-1.0, -0.5, -0.5],
 ];
 
-/// The card of a policy, under `name` or what it was asked for by; with its learning curve if it is in a run's folder.
+/// Writes the card of a policy, titled `name` or as the policy was given; with its learning curve if it is in a run's
+/// folder.
 pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
     let path = paths::as_path(policy);
     let named = if path.is_file() { path.file_stem() } else { path.file_name().filter(|_| path.is_dir()) };
@@ -68,7 +70,7 @@ pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
     ))
 }
 
-/// Iterations up to the policy's.
+/// Reads the metrics of the iterations up to the policy's samples.
 fn read_metrics(path: &Path, samples: u64) -> anyhow::Result<Vec<IterationMetrics>> {
     let file = File::open(path).with_context(|| format!("cannot read {}", path.display()))?;
     let lines = files::lines(BufReader::new(file), MAX_LINE_BYTES).enumerate().map(|(index, line)| {
@@ -81,7 +83,7 @@ fn read_metrics(path: &Path, samples: u64) -> anyhow::Result<Vec<IterationMetric
     Ok(all)
 }
 
-/// Means over stretches of the run.
+/// Formats the learning curve as a table of means over parts of the run.
 fn curve_table(curve: &[IterationMetrics]) -> String {
     let mut text = String::from(
         "| samples | wall-clock | r_lin | falls | falls after a push | pushed | commands open | swing | std | reward |\n\
@@ -111,7 +113,7 @@ fn curve_table(curve: &[IterationMetrics]) -> String {
     text
 }
 
-/// A number times a factor, or a dash.
+/// Formats a number times a factor, or a dash if there is none.
 fn cell(value: Option<f64>, factor: f64, decimals: usize, unit: &str) -> String {
     value.map_or("–".to_owned(), |value| format!("{:.decimals$}{unit}", factor * value))
 }

@@ -1,4 +1,4 @@
-//! `policy`: look at a policy file, check it, and hand it to other runtimes.
+//! The program `policy`: shows, checks and exports policy files.
 
 mod card;
 
@@ -16,7 +16,7 @@ use supple::scenario::calibration::calibrate;
 use supple::util::files::{self, Target};
 use supple::util::terminal;
 
-/// Look at a policy, check it, export it.
+/// Show a policy, check it, export it.
 #[derive(Parser)]
 #[command(version)]
 struct Args {
@@ -28,7 +28,7 @@ struct Args {
 enum Command {
     /// List the policies that ship with this program
     List,
-    /// Print what the policy sees, what its outputs mean and where it came from
+    /// Print what the policy observes, what its outputs mean and how it was trained
     Show {
         /// Policy file, run folder, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
@@ -42,13 +42,13 @@ enum Command {
         /// Policy file, run folder, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
         policy: String,
-        /// Configuration that it has to come from
+        /// Configuration with which the policy must have been trained
         #[arg(long, value_name = "FILE", value_parser = terminal::path_as_text())]
         config: Option<String>,
         /// Another value for a key of that configuration, as in ppo.epochs=4; may be repeated
         #[arg(long, value_name = "KEY=VALUE", requires = "config")]
         set: Vec<String>,
-        /// Samples that it has to have learnt from at least
+        /// Smallest number of samples with which the policy must have been trained
         #[arg(long, value_name = "N", default_value_t = 0)]
         samples: u64,
     },
@@ -57,20 +57,20 @@ enum Command {
         /// Policy file, run folder, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
         policy: String,
-        /// Compliance to command (m/s/N), of observations that are consecutive policy steps [default: the policy's own]
+        /// Commanded compliance (m/s/N); observations must then be consecutive policy steps; 0: the policy's own
         #[arg(long, value_name = "C")]
         compliance: Option<f64>,
     },
-    /// Print a policy's card: where it came from, how it learned if that is in its run's folder, how it walks (Markdown)
+    /// Print a policy's card: origin, learning curve if the run's folder has it, test walks (Markdown)
     Card {
         /// Run folder, policy file, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
         policy: String,
-        /// Name that the policy ships under [default: the folder's, the file's or its own]
+        /// Name under which the policy ships [default: the folder's, the file's or its own]
         #[arg(long)]
         name: Option<String>,
     },
-    /// Measure how far the policy yields when it is pulled, and write what `--compliance` needs beside it
+    /// Measure the policy's compliance, and write the calibration that `--compliance` needs next to it
     Calibrate {
         /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
@@ -78,16 +78,16 @@ enum Command {
         /// Threads [default: all cores]
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
         threads: Option<u16>,
-        /// File to write [default: NAME.calibration.json beside the policy, where programs look for it]
+        /// File to write [default: NAME.calibration.json next to the policy, where programs look for it]
         #[arg(long)]
         out: Option<PathBuf>,
     },
     /// Print what is read from a robot's file, and how a configuration is fitted to it
     Robot {
-        /// Robot that ships, MJCF file, or YAML file about one
+        /// Shipped robot, MJCF file, or YAML description of one
         #[arg(value_parser = terminal::path_as_text())]
         robot: String,
-        /// Configuration to fit to it
+        /// Configuration to adapt to it
         #[arg(long, value_name = "FILE", default_value = "fast", value_parser = terminal::path_as_text())]
         config: String,
     },
@@ -105,15 +105,15 @@ enum Command {
     },
 }
 
-/// Longer lines are not observations.
+/// Maximum length of a line of observations \[bytes\].
 const MAX_LINE_BYTES: u64 = 1 << 20;
 
-/// Larger files are not what `policy export` writes.
+/// Maximum size of a description to overwrite \[bytes\].
 const MAX_DESCRIPTION_BYTES: u64 = 1 << 20;
 
 #[derive(ValueEnum, Clone, Copy)]
 enum Format {
-    /// One graph from raw observation to joint targets, and a YAML file beside it that says what both are
+    /// One graph from raw observation to joint targets, and a YAML file that describes both
     Onnx,
 }
 
@@ -188,7 +188,7 @@ fn run(command: Command) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A line for each policy that ships.
+/// Prints a line for each shipped policy.
 fn list() -> anyhow::Result<()> {
     let mut text = format!("{:26} {:18} {:>12}  sha256\n", "name", "configuration", "samples");
     for (name, _) in shipped::EMBEDDED {
@@ -200,7 +200,7 @@ fn list() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Prints the measured compliance for each setting as a table.
+/// Formats the measured compliance for each setting as a table.
 fn calibration_table(calibration: &PolicyCalibration) -> String {
     let [low, high] = calibration.range();
     let own = calibration.own_m_s_per_n;
@@ -223,7 +223,7 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// One line of joint targets for each line of observations.
+/// Prints a line of joint targets for each line of observations.
 fn answer(policy: &Policy, mut outer_loop: Option<ObservationOuterLoop>) -> anyhow::Result<()> {
     let (mut buffers, length) = (Buffers::default(), policy.layout().length());
     for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {

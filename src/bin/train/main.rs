@@ -1,4 +1,4 @@
-//! `train`: the method of section III, from an empty policy or a checkpoint.
+//! The program `train`: trains a policy from scratch or from a checkpoint, by the method of section III.
 
 mod start;
 
@@ -19,7 +19,7 @@ use supple::train::{TrainError, Trainer};
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal::{self, shell_word};
 
-/// Signals that follow one another faster are one.
+/// Shortest time between two signals that count as two.
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
@@ -48,7 +48,7 @@ struct Args {
     /// Folder of the new run, must not exist [default: runs/CONFIG-seedN]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     out: Option<PathBuf>,
-    /// Go on with the run in this folder, exactly where its checkpoint stands
+    /// Resume the run in this folder, exactly from its checkpoint
     #[arg(long, value_name = "DIR")]
     resume: Option<PathBuf>,
     /// Worker threads; the result does not depend on them [default: all cores]
@@ -119,7 +119,7 @@ fn run(args: Args, ranks: &Arc<dyn Ranks>) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The command that goes on with a run, to be pasted.
+/// Returns the shell command that resumes a run.
 fn resuming(folder: &Path) -> String {
     let program = std::env::args_os().next().unwrap_or_else(|| "train".into());
     format!("{} --resume {}", shell_word(program), shell_word(folder))
@@ -164,15 +164,16 @@ fn train(
     Ok(())
 }
 
-/// Writes checkpoint and policy, where the run's folder is.
+/// Writes checkpoint and policy on the rank that has the run's folder.
 fn save(trainer: &Trainer, folder: Option<&RunFolder>) -> anyhow::Result<()> {
     let checkpoint = trainer.checkpoint()?;
     let saved = folder.map_or(Ok(()), |folder| folder.save(trainer, &checkpoint));
     together(trainer.ranks(), saved.map_err(anyhow::Error::from))
 }
 
-/// The first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one does not wait: checkpoints are whole at every
-/// moment. Nor does the first one before training has begun. Programs that pass signals on, such as timeout, send the same one twice: that counts once.
+/// Handles signals: the first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one, or one before training has
+/// begun, ends the program at once, which is safe because checkpoints are complete at every moment. Programs that
+/// forward signals, such as timeout, send the same one twice: that counts once.
 fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>, speaks: bool) -> anyhow::Result<()> {
     let mut first: Option<Instant> = None;
     let handler = move || match first {
@@ -196,7 +197,7 @@ fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>, speaks: boo
     ctrlc::set_handler(handler).context("cannot catch Ctrl-C")
 }
 
-/// Keeps and shows the physics faults of an iteration. They never end the run.
+/// Stores and reports the physics faults of an iteration. They never end the run.
 fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar) {
     for fault in trainer.faults() {
         let EpisodeFault { error, environment, step, .. } = fault;
@@ -214,7 +215,7 @@ fn keep_physics_faults(trainer: &Trainer, folder: &RunFolder, bar: &ProgressBar)
     }
 }
 
-/// Keeps what led to a failure of the learner beside the last good checkpoint.
+/// Stores the report of a failed update next to the last good checkpoint, and adds its path to the error.
 fn explain(error: TrainError, folder: Option<&RunFolder>) -> anyhow::Error {
     let (TrainError::Learner { minibatch, circumstances, .. }, Some(folder)) = (&error, folder) else {
         return error.into();

@@ -1,4 +1,4 @@
-//! How a run begins or goes on, alone or as one of several ranks.
+//! Start and resumption of a run, alone or as one of several ranks.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -15,21 +15,21 @@ use supple::util::{files, paths, terminal};
 
 use super::Args;
 
-/// Variables of a process that was started as a rank: by Open MPI, MPICH and Intel MPI, and Slurm with PMIx.
+/// Environment variables of a process started as a rank: by Open MPI, MPICH and Intel MPI, and Slurm with PMIx.
 #[cfg(feature = "mpi")]
 const STARTED_BY_MPI: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"];
 
-/// Variables that say how many processes were started together.
+/// Environment variables with the number of processes that were started together.
 #[cfg(not(feature = "mpi"))]
 const PROCESSES: [&str; 3] = ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "SLURM_STEP_NUM_TASKS"];
 
-/// Shards of a run on up to so many ranks.
+/// Default number of shards, enough for as many ranks.
 const SHARDS: usize = 8;
 
-/// A run that needs less memory than this says nothing about it.
+/// Estimated memory above which it is printed \[bytes\].
 const WORTH_TELLING_BYTES: u64 = 1 << 30;
 
-/// The ranks of the run: those that mpirun has started, or this program alone.
+/// Returns the ranks of the run: those started by mpirun, or this process alone.
 #[cfg(feature = "mpi")]
 pub fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     if !STARTED_BY_MPI.iter().any(|name| std::env::var_os(name).is_some()) {
@@ -40,7 +40,7 @@ pub fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     Ok(Arc::new(ranks))
 }
 
-/// This program alone: it was not built to be one of several ranks.
+/// Returns this process alone: the program was built without MPI.
 #[cfg(not(feature = "mpi"))]
 pub fn join(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     let is_several = |name: &str| std::env::var(name).ok().and_then(|count| count.parse::<u32>().ok()) > Some(1);
@@ -53,7 +53,7 @@ pub fn join(_: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     Ok(Alone::shared())
 }
 
-/// Returns true for an error that all ranks met alike, so that one of them reports it.
+/// Returns true for an error that all ranks have in common, so that one of them reports it.
 pub fn is_common(error: &anyhow::Error) -> bool {
     error.is::<RankError>() || matches!(error.downcast_ref(), Some(TrainError::Rank(_) | TrainError::Learner { .. }))
 }
@@ -67,8 +67,8 @@ pub fn together<T>(ranks: &dyn Ranks, own: anyhow::Result<T>) -> anyhow::Result<
     own
 }
 
-/// A new run, and its folder, which the first rank has. `training` becomes true as soon as there is something to stop and to go
-/// on with.
+/// Starts a new run, and creates its folder on the first rank. `training` becomes true as soon as the run can be
+/// stopped and resumed.
 pub fn start(
     args: &Args,
     threads: usize,
@@ -84,7 +84,7 @@ pub fn start(
     Ok((trainer, folder))
 }
 
-/// Checks that all ranks are about to do the same.
+/// Checks that all ranks have the same program, configuration and seed.
 fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     if trainer.ranks().count() == 1 {
         return Ok(());
@@ -99,7 +99,7 @@ fn check_alike(trainer: &Trainer) -> anyhow::Result<()> {
     Ok(supple::ranks::check_alike(trainer.ranks(), facts)?)
 }
 
-/// That of a new run, and the folder that the run shall have.
+/// Creates the trainer of a new run, and returns the path for its folder.
 fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::Result<(Trainer, PathBuf)> {
     let name = args.config.as_deref().unwrap_or("fast");
     // Of a robot's own, --set speaks once everything is fitted to it.
@@ -129,7 +129,7 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     Ok((Trainer::with_ranks(Arc::clone(ranks), &name, config, seed, threads)?, out))
 }
 
-/// The run in a folder, and the folder, which the first rank has.
+/// Resumes the run in a folder, which the first rank opens.
 pub fn resume(
     path: &Path,
     args: &Args,
@@ -158,7 +158,7 @@ pub fn resume(
     Ok((trainer, folder))
 }
 
-/// Opens the folder of a run, which one rank does.
+/// Opens the folder of a run and reads its checkpoint, on one rank.
 fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
     let (folder, mut checkpoint, notes) = RunFolder::resume(path)?;
     notes.iter().for_each(|note| terminal::note(format_args!("warning: {note}")));

@@ -1,4 +1,4 @@
-//! Data for the contact network: what encoders read and which feet touch while a policy walks and is pushed.
+//! Training data for the contact network: encoder readings and foot contacts while a policy walks and is pushed.
 
 use rand::RngExt;
 use supple::estimate::contact::History;
@@ -14,17 +14,17 @@ use supple::util::random::{Purpose, stream};
 /// Length of an episode without a fall \[s\].
 const EPISODE_S: f64 = 6.0;
 
-/// The push comes at a time from this range \[s\].
+/// Range of the push's time \[s\].
 const PUSH_S: std::ops::Range<f64> = 2.0..3.5;
 
-/// One of so many episodes asks the robot to stand, which random commands never do.
+/// One in this number of episodes commands the robot to stand, which random commands never do.
 const STANDING: u64 = 6;
 
 /// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, encoder bias and push as in training with
-/// dynamics randomisation. It ends with a fall, as what a fallen robot's feet do is no matter of walking.
+/// dynamics randomisation. The episode ends at a fall, because the contacts of a fallen robot are not those of walking.
 ///
 /// # Errors
-/// What does not fit in the robot, or a fault of MuJoCo.
+/// The observation does not fit the robot, or MuJoCo fails.
 pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) -> anyhow::Result<Samples> {
     let mut config = agent.config.clone();
     config.randomisation.enabled = true;
@@ -62,7 +62,7 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
     Ok(tap.samples)
 }
 
-/// Reads encoders and contacts in every tick.
+/// An observer that reads encoders and contacts in every physics step.
 struct Tap<R> {
     sensors: Sensors,
     rng: R,

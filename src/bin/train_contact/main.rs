@@ -1,4 +1,5 @@
-//! `train_contact`: gathers data from trained policies, trains the contact network, says how good it is.
+//! The program `train_contact`: gathers data from trained policies, trains the contact network, and reports its
+//! accuracy.
 
 mod gather;
 
@@ -19,7 +20,7 @@ use supple::util::progress::progress;
 use supple::util::provenance::{MUJOCO_VERSION, git_revision};
 use supple::util::terminal;
 
-/// One of so many episodes is held out.
+/// One in this number of episodes is held out.
 const HELD_OUT: u32 = 5;
 
 /// Train the network that says which feet touch the ground.
@@ -114,7 +115,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Episodes of all policies: to learn from, and held out.
+/// Gathers the episodes of all policies: those to train on, and those held out.
 fn gather(
     args: &Args,
     names: &[String],
@@ -151,7 +152,7 @@ fn sources(names: &[String], policies: &[Agent]) -> Vec<PolicySource> {
     names.iter().zip(policies).map(source).collect()
 }
 
-/// Scores of each foot, with the network as it is used.
+/// Computes the scores of each foot in held-out episodes, with the network used as in deployment.
 fn scores(network: &ContactNetwork, episodes: &[Samples]) -> anyhow::Result<Vec<HeldOut>> {
     let mut confusions = [Confusion::default(); 4];
     let (all, mut scratch) = (join(episodes), Scratch::default());

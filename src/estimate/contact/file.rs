@@ -1,6 +1,7 @@
-/*! The contact network's file: tensors of weights and normaliser, and JSON that says what they mean and how good they are.
+/*! The file of the contact network: tensors (weights, normaliser) and JSON (meaning of the numbers, provenance,
+scores).
 
-Every tensor is under a checksum: a network that is damaged by one bit would be wrong without anybody noticing.
+All tensors are under a checksum, because one wrong bit would change the estimates silently.
 */
 
 use std::path::Path;
@@ -17,22 +18,22 @@ use crate::util::tensors::{self, Tensor};
 /// Version of the file format.
 const FORMAT: u32 = 1;
 
-/// The name of the file's kind in errors.
+/// Name of the file type in error messages.
 const CONTACT: &str = "contact network";
 
-/// Larger files are not contact networks.
+/// Maximum size of a contact network's file \[bytes\].
 const MAX_BYTES: u64 = 16 << 20;
 
-/// A policy that data were gathered from.
+/// A policy whose walking produced the training data.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PolicySource {
-    /// The name given on the command line.
+    /// Name of the policy as given on the command line.
     pub name: String,
-    /// SHA-256 of the policy.
+    /// SHA-256 of the policy file.
     pub sha256: String,
 }
 
-/// How right the network is about a foot in episodes that it was not trained on.
+/// Accuracy of the network for one foot, in episodes that it was not trained on.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[allow(missing_docs)]
 pub struct HeldOut {
@@ -41,30 +42,30 @@ pub struct HeldOut {
     pub f1: f64,
 }
 
-/// Where a contact network came from.
+/// Origin of a contact network.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ContactProvenance {
-    /// The policies that walked to make the data.
+    /// The policies whose walking produced the data.
     pub policies: Vec<PolicySource>,
-    /// Seed of episodes, noise and learning.
+    /// Seed of episodes, noise and training.
     pub seed: u64,
-    /// Episodes trained on, of all policies.
+    /// Number of training episodes, all policies together.
     pub training_episodes: usize,
-    /// Ticks trained on.
+    /// Number of training samples (ticks of 240 Hz).
     pub training_samples: usize,
-    /// Episodes held out.
+    /// Number of episodes held out for the scores.
     pub held_out_episodes: usize,
-    /// Scores in these, in the order of [`LEGS`].
+    /// Scores in the held-out episodes, one for each foot in the order of [`LEGS`].
     pub held_out: Vec<HeldOut>,
-    /// Errors of the encoders in the data.
+    /// Sensor noise in the data.
     pub noise: SensorNoise,
     /// Git revision of the program that trained it.
     pub git_revision: String,
-    /// MuJoCo version that the data are from.
+    /// MuJoCo version that simulated the data.
     pub mujoco_version: String,
 }
 
-/// A third of what a tick holds, in words for other programs.
+/// Description of one third of a tick's inputs (angles, rates or targets), for other programs.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct InputInfo {
     quantity: String,
@@ -77,11 +78,11 @@ struct InputInfo {
 struct Metadata {
     format: u32,
     rate_hz: f64,
-    /// Ticks in the input, the oldest first, each with all of `inputs`.
+    /// Number of ticks in the input, oldest first; each has all of `inputs`.
     ticks: usize,
     inputs: Vec<InputInfo>,
     joints: Vec<String>,
-    /// A foot touches if its logit is above zero.
+    /// Meaning of each output: a foot is in contact if its logit is above zero.
     outputs: Vec<String>,
     /// SHA-256 of all tensors.
     checksum: String,
@@ -89,10 +90,10 @@ struct Metadata {
 }
 
 impl ContactNetwork {
-    /// Bytes of the file.
+    /// Serialises the file.
     ///
     /// # Errors
-    /// If a layer's shape does not fit its weights.
+    /// A layer's shape does not fit its weights.
     pub fn to_bytes(&self) -> Result<Vec<u8>, safetensors::SafeTensorError> {
         let mut all = Tensor::of_network(self.mlp.tensors("contact."));
         all.push(Tensor::f32("normaliser.offset", vec![INPUTS], &self.offset));
@@ -114,31 +115,31 @@ impl ContactNetwork {
     /// Writes the file atomically.
     ///
     /// # Errors
-    /// [`FileError`]
+    /// The weights do not fit their shapes, or the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), FileError> {
         let bytes = self.to_bytes().map_err(FileError::of(CONTACT, path))?;
         files::write_atomically(path, &bytes).map_err(FileError::of(CONTACT, path))
     }
 
-    /// Reads a file and checks everything in it.
+    /// Reads a file and checks all of it.
     ///
     /// # Errors
-    /// [`FileError`] that says what was found and what was expected.
+    /// The file cannot be read, is damaged, or has another format; the error says what was found and what was expected.
     pub fn load(path: &Path) -> Result<Self, FileError> {
         let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(CONTACT, path))?;
         Self::from_bytes(&bytes, path)
     }
 
-    /// As [`ContactNetwork::load`] from memory; `path` is for messages.
+    /// Reads the network from memory like [`ContactNetwork::load`]; `path` is for error messages.
     ///
     /// # Errors
-    /// See [`ContactNetwork::load`].
+    /// The bytes are damaged or have another format.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
         let advice = |problem| format!("{problem}; train one with `cargo run --release --bin train_contact`");
         parse(bytes).map_err(advice).map_err(FileError::of(CONTACT, path))
     }
 
-    /// Identity: the SHA-256 of weights and normaliser.
+    /// Returns the SHA-256 of weights and normaliser, which identifies the network.
     pub fn checksum(&self) -> String {
         let of = |values: &[f32]| -> Vec<u8> { values.iter().flat_map(|value| value.to_le_bytes()).collect() };
         let layers = self.mlp.layers.iter().flat_map(|layer| [of(&layer.weight), of(&layer.bias)]);

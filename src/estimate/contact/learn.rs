@@ -1,4 +1,4 @@
-//! Supervised learning of the contact network, with candle's gradients: cross-entropy, Adam, a rate that falls to zero.
+//! Supervised training of the contact network with candle: cross-entropy loss, Adam, learning rate falling to zero.
 
 use candle_core::{Device, Result, Tensor, Var};
 use candle_nn::{AdamW, Linear, Module, Optimizer, ParamsAdamW};
@@ -10,24 +10,24 @@ use crate::util::random::{Purpose, stream};
 /// Training samples: inputs with their labels.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Samples {
-    /// Shape (n, inputs), row-major, physical units.
+    /// Inputs in physical units, shape (n, inputs), row-major.
     pub inputs: Vec<f32>,
-    /// Shape (n, outputs), row-major: 1 for contact, 0 for none.
+    /// Labels, shape (n, outputs), row-major: 1 for contact, 0 for none.
     pub labels: Vec<f32>,
 }
 
-/// How to learn.
+/// Hyperparameters of the training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learning {
     /// Widths of the hidden layers.
     pub hidden: Vec<usize>,
-    /// Times that every sample is seen.
+    /// Number of epochs.
     pub epochs: usize,
-    /// Samples of a step.
+    /// Number of samples in a minibatch.
     pub batch: usize,
-    /// Adam's rate at the start; it falls to zero along half a cosine.
+    /// Initial learning rate of Adam; it falls to zero along half a cosine.
     pub rate: f64,
-    /// Seed of weights and order.
+    /// Seed of initial weights and of the order of samples.
     pub seed: u64,
 }
 
@@ -37,22 +37,22 @@ impl Default for Learning {
     }
 }
 
-/// A network, and how its inputs are normalised: `(x − offset) · scale`.
+/// A trained network and the normaliser of its inputs: `(x − offset) · scale`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Learnt {
     /// The network from normalised inputs to a logit for each output.
     pub mlp: Mlp,
     /// Mean of each input.
     pub offset: Vec<f32>,
-    /// One over its standard deviation; 1 for an input that never changes.
+    /// Inverse standard deviation of each input; 1 for an input that never changes.
     pub scale: Vec<f32>,
 }
 
-/// Learns from samples with rows of `inputs` numbers and `outputs` labels; `progress` gets each epoch and its mean
+/// Trains on samples with rows of `inputs` numbers and `outputs` labels; `progress` receives each epoch and its mean
 /// loss. On one machine, the same samples and seed give the same bits.
 ///
 /// # Errors
-/// Only candle's, as when the samples do not have these shapes.
+/// Candle fails, for example because the samples do not have these shapes.
 pub fn learn(
     samples: &Samples,
     [inputs, outputs]: [usize; 2],
@@ -92,7 +92,7 @@ pub fn learn(
     Ok(Learnt { mlp: Mlp { layers: layers.iter().map(read).collect::<Result<_>>()? }, offset, scale })
 }
 
-/// Orthogonal weights as everywhere; the last layer's are small, so that learning starts undecided.
+/// Creates orthogonal weights; those of the last layer are small, so that training starts undecided.
 fn network(inputs: usize, outputs: usize, learning: &Learning) -> Result<(Vec<Linear>, Vec<Var>)> {
     let mut rng = stream(learning.seed, Purpose::Weights, 0, 0);
     let mlp = Mlp::orthogonal(&[&[inputs], &learning.hidden[..], &[outputs]].concat(), 0.01, &mut rng);
@@ -106,7 +106,7 @@ fn network(inputs: usize, outputs: usize, learning: &Learning) -> Result<(Vec<Li
     Ok((layers, variables))
 }
 
-/// As [`crate::network::PackedMlp`] computes it.
+/// Evaluates the layers as [`crate::network::PackedMlp`] does.
 fn forward(layers: &[Linear], inputs: &Tensor) -> Result<Tensor> {
     let mut x = inputs.clone();
     for (index, layer) in layers.iter().enumerate() {
@@ -118,13 +118,14 @@ fn forward(layers: &[Linear], inputs: &Tensor) -> Result<Tensor> {
     Ok(x)
 }
 
-/// `mean(max(x, 0) − x y + ln(1 + exp(−|x|)))`: candle's own takes the logarithm of a zero where the network is sure.
+/// Computes `mean(max(x, 0) − x y + ln(1 + exp(−|x|)))`; candle's own cross-entropy takes `ln 0` where the network is
+/// certain.
 fn cross_entropy(logits: &Tensor, labels: &Tensor) -> Result<Tensor> {
     let softened = (logits.abs()?.neg()?.exp()? + 1.0)?.log()?;
     ((logits.relu()? - (logits * labels)?)? + softened)?.mean_all()
 }
 
-/// Mean of each column, and one over its standard deviation.
+/// Returns the mean of each column and its inverse standard deviation.
 fn moments(values: &[f32], columns: usize) -> (Vec<f32>, Vec<f32>) {
     let count = (values.len() / columns).max(1) as f64;
     let (mut sums, mut squares) = (vec![0.0; columns], vec![0.0; columns]);
@@ -149,7 +150,8 @@ mod tests {
     use super::*;
     use crate::network::{PackedMlp, Scratch};
 
-    /// Two numbers of very different size and a third that never changes; labels: the first above 3, an exclusive or.
+    /// Draws two numbers of very different size and a third that never changes; labels: the first above 3, an exclusive
+    /// or.
     fn separable(count: usize) -> Samples {
         let mut rng = stream(7, Purpose::Episode, 0, 0);
         let mut samples = Samples::default();

@@ -1,7 +1,8 @@
-/*! Which feet touch the ground, from joint states and actions alone (section IV-D).
+/*! The contact network: which feet touch the ground, from joint states and joint targets alone (section IV-D). Start with
+[`ContactEstimator`] (one robot), then [`ContactNetwork`]; [`learn`] trains it and [`score`] measures it.
 
-A small network looks at what encoders and targets were in the last four ticks of 240 Hz, 144 numbers, and says for each
-foot whether it touches. It is trained once, by supervised learning on data of a trained policy ([`learn`],
+A small network reads encoders and joint targets of the last four ticks of 240 Hz, 144 numbers, and returns a logit of
+contact for each foot. It is trained once, by supervised learning on data of a trained policy ([`learn`],
 `train_contact`), and kept in one file ([`ContactNetwork::load`]). The paper gives neither size nor loss: two hidden
 layers, and cross-entropy on the logit of each foot.
 */
@@ -17,13 +18,13 @@ use crate::util::files::{self, FileError};
 use super::EncoderReading;
 pub use file::{ContactProvenance, HeldOut, PolicySource};
 
-/// Ticks that the network looks back on, the present one included.
+/// Number of ticks in the input, the present one included.
 pub const TICKS: usize = 4;
 
-/// Numbers of a tick: joint angles \[rad\], joint rates [rad/s], joint targets \[rad\].
+/// Numbers in a tick: joint angles \[rad\], joint rates [rad/s], joint targets \[rad\].
 const PER_TICK: usize = 3 * JOINTS;
 
-/// Numbers that the network sees: the oldest tick first.
+/// Numbers in the input, the oldest tick first.
 pub const INPUTS: usize = TICKS * PER_TICK;
 
 /// Rate of the ticks \[Hz\].
@@ -31,15 +32,15 @@ pub const RATE_HZ: f64 = 240.0;
 
 const _: () = assert!(INPUTS == 144);
 
-/// The network that ships.
+/// The file of the shipped network.
 const SHIPPED: &[u8] = include_bytes!("../../../models/contact.safetensors");
 
-/// Identity of the file that ships.
+/// Returns the SHA-256 of the shipped file.
 pub fn shipped_sha256() -> String {
     files::sha256(&[SHIPPED])
 }
 
-/// The inputs of the network, in physical units.
+/// The last [`TICKS`] ticks, the input of the network in physical units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct History {
     inputs: [f32; INPUTS],
@@ -53,8 +54,8 @@ impl Default for History {
 }
 
 impl History {
-    /// Takes a tick's encoder reading and the joint targets \[rad\] that were given last. The first tick stands for those
-    /// before it too. A reading that is not finite is left out.
+    /// Adds the encoder reading of a tick and the joint targets \[rad\] that were given last. The first tick also fills
+    /// the past. A reading that is not finite is ignored.
     pub fn push(&mut self, encoders: &EncoderReading, targets: &Joints) {
         let all = || encoders.angles.iter().chain(&encoders.rates).chain(targets);
         if !all().all(|value| value.is_finite()) {
@@ -69,22 +70,22 @@ impl History {
         self.begun = true;
     }
 
-    /// The ticks, the oldest first; in each, angles, rates and targets.
+    /// Returns the input: the oldest tick first, in each angles, rates and targets.
     pub fn inputs(&self) -> &[f32; INPUTS] {
         &self.inputs
     }
 }
 
-/// A trained network with what it was trained on.
+/// A trained network, its normaliser and its origin.
 #[derive(Debug)]
 pub struct ContactNetwork {
     /// The network from normalised inputs to a logit for each foot.
     pub mlp: Mlp,
     /// Mean of each input in training, physical units.
     pub offset: Vec<f32>,
-    /// The factor on the distance of each input from its mean.
+    /// Inverse standard deviation of each input in training.
     pub scale: Vec<f32>,
-    /// Where it came from.
+    /// Origin of the network: data, seed and scores.
     pub provenance: ContactProvenance,
     packed: PackedMlp,
 }
@@ -93,22 +94,22 @@ impl ContactNetwork {
     /// Assembles the network and its normaliser.
     ///
     /// # Panics
-    /// If the network does not lead from 144 numbers to 4, or the normaliser has another length.
+    /// The network does not map 144 numbers to 4, or the normaliser has another length.
     pub fn new(mlp: Mlp, offset: Vec<f32>, scale: Vec<f32>, provenance: ContactProvenance) -> Self {
         assert_eq!((mlp.inputs(), mlp.outputs()), (INPUTS, 4), "a contact network leads from 144 numbers to 4");
         assert_eq!((offset.len(), scale.len()), (INPUTS, INPUTS), "every input has an offset and a scale");
         ContactNetwork { packed: PackedMlp::new(&mlp), mlp, offset, scale, provenance }
     }
 
-    /// The network inside the program.
+    /// Loads the network inside the program.
     ///
     /// # Errors
-    /// [`FileError`] if the program was built with a broken file.
+    /// The program was built with a damaged file.
     pub fn shipped() -> Result<Self, FileError> {
         Self::from_bytes(SHIPPED, std::path::Path::new("models/contact.safetensors"))
     }
 
-    /// What to know before policies act on this network, of each its name and SHA-256: whose gait it was not trained on.
+    /// Returns a warning that names the policies (name and SHA-256) whose gait the network was not trained on, if any.
     pub fn unfamiliar<'a>(&self, policies: impl IntoIterator<Item = (String, &'a str)>) -> Option<String> {
         let known = |sha256: &str| self.provenance.policies.iter().any(|policy| policy.sha256 == sha256);
         let strangers: Vec<String> =
@@ -121,7 +122,8 @@ impl ContactNetwork {
         })
     }
 
-    /// Logit of contact for each foot, in the order of [`crate::robot::LEGS`], from what a [`History`] holds.
+    /// Returns the logit of contact for each foot, in the order of [`crate::robot::LEGS`], for the inputs of a
+    /// [`History`].
     pub fn logits(&self, inputs: &[f32; INPUTS], scratch: &mut Scratch) -> [f32; 4] {
         let seen: [f32; INPUTS] = std::array::from_fn(|k| (inputs[k] - self.offset[k]) * self.scale[k]);
         let mut logits = [0.0; 4];
@@ -130,7 +132,7 @@ impl ContactNetwork {
     }
 }
 
-/// A network at work on one robot.
+/// The contact network with the history of one robot.
 #[derive(Debug)]
 pub struct ContactEstimator {
     network: ContactNetwork,
@@ -139,12 +141,13 @@ pub struct ContactEstimator {
 }
 
 impl ContactEstimator {
-    /// Without a past.
+    /// Creates an estimator without history.
     pub fn new(network: ContactNetwork) -> Self {
         ContactEstimator { network, history: History::default(), scratch: Scratch::default() }
     }
 
-    /// Which feet touch, after a tick with this reading and the joint targets \[rad\] that were given last.
+    /// Returns the contact of each foot after a tick with this reading and the joint targets \[rad\] that were given
+    /// last.
     pub fn update(&mut self, encoders: &EncoderReading, targets: &Joints) -> [bool; 4] {
         self.history.push(encoders, targets);
         self.network.logits(self.history.inputs(), &mut self.scratch).map(|logit| logit > 0.0)

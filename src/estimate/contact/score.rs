@@ -1,20 +1,20 @@
-//! How often the contact network is right.
+//! Accuracy of the contact network: confusion counts, precision, recall, F1.
 
-/// Counts of what was said about a foot and what was so.
+/// Confusion counts of one foot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Confusion {
-    /// Said and so.
+    /// Contacts that the network reported.
     pub hits: u64,
-    /// Said and not so.
+    /// Reported contacts that were none.
     pub false_alarms: u64,
     /// Contacts that the network missed.
     pub misses: u64,
-    /// Neither.
+    /// Times without contact that the network reported as such.
     pub rejections: u64,
 }
 
 impl Confusion {
-    /// Adds one statement.
+    /// Counts one sample: reported contact `said`, true contact `is`.
     pub fn add(&mut self, said: bool, is: bool) {
         *match (said, is) {
             (true, true) => &mut self.hits,
@@ -24,17 +24,18 @@ impl Confusion {
         } += 1;
     }
 
-    /// Share of the contacts said that are contacts; none if none was said.
+    /// Returns the fraction of reported contacts that are true; `None` if none was reported.
     pub fn precision(&self) -> Option<f64> {
         ratio(self.hits, self.hits + self.false_alarms)
     }
 
-    /// Share of the contacts that were said; none if there was none.
+    /// Returns the fraction of true contacts that were reported; `None` if there was none.
     pub fn recall(&self) -> Option<f64> {
         ratio(self.hits, self.hits + self.misses)
     }
 
-    /// Harmonic mean of precision and recall, `2 h / (2 h + f + m)`; none if there was no contact, neither said nor so.
+    /// Returns the harmonic mean of precision and recall, `2 h / (2 h + f + m)`; `None` without any contact, true or
+    /// reported.
     pub fn f1(&self) -> Option<f64> {
         ratio(2 * self.hits, 2 * self.hits + self.false_alarms + self.misses)
     }

@@ -1,4 +1,4 @@
-//! A policy described as an external one: what goes beside its ONNX file.
+//! Descriptions of ONNX files: writes the YAML file that makes an exported network an external policy.
 
 use std::fmt::Write as _;
 
@@ -7,15 +7,15 @@ use crate::observation::{Numbers, Observed, Quantity, Word};
 use crate::policy::{Policy, Provenance};
 use crate::robot::{Joints, joint_names};
 
-/// The first line of a file that [`describe`] writes.
+/// The first line of a description that [`describe`] writes.
 const OURS: &str = "is a policy of Supple:";
 
-/// Returns true if [`describe`] wrote the YAML file.
+/// Returns true if [`describe`] wrote this YAML text.
 pub fn is_described_by_us(text: &str) -> bool {
     text.lines().next().is_some_and(|line| line.starts_with("# ") && line.contains(OURS))
 }
 
-/// The YAML file for the ONNX file `onnx` that the policy was exported to.
+/// Returns the YAML description of the ONNX file `onnx` that a policy was exported to.
 pub fn describe(policy: &Policy, onnx: &str) -> String {
     let Provenance { config, config_name, seed, samples, .. } = &policy.provenance;
     let title =
@@ -33,8 +33,8 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
     text(&title, onnx, config, policy.nominal_pose(), observation, ("joint_angle", 1.0))
 }
 
-/// The YAML file for the ONNX file `onnx` of a network that acts in the training environment of a configuration: it sees
-/// what that observes, scaled, and its outputs are the environment's actions.
+/// Returns the YAML description of the ONNX file `onnx` of a network trained in the environment of `config`: its inputs
+/// are the normalised observations, its outputs the environment's actions.
 pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> String {
     let title = format!("{onnx} acts in Supple's training environment, config {config_name}. It sees scaled numbers.");
     let pose = config.action.nominal_pose_rad.joints();

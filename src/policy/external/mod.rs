@@ -1,6 +1,6 @@
-/*! External policies: an ONNX network, and a YAML file that says what it sees and what its outputs mean.
+/*! External policies: an ONNX network, and a YAML file that describes its observation and its outputs.
 
-The YAML file is the policy: it names its ONNX file, and everything that takes a policy takes it. Two examples with every
+Start with [`load`]; every program that takes a policy takes the YAML file. Two examples with every
 key explained are `examples/policies/rsl_rl.yaml` and `examples/policies/playground.yaml`. An observation is a list of
 [`Observed`](crate::observation::Observed) quantities as in a configuration; an action becomes joint targets for the PD law
 with the gains, rates and latency that the policy was trained with.
@@ -17,16 +17,16 @@ use super::inference::{Inference, Network};
 use super::{Agent, AgentError, onnx};
 use crate::util::files::{self, FileError};
 
-/// The name of the file's kind in errors.
+/// Name of the file type in error messages.
 const POLICY: &str = "policy";
 
-/// Larger files are not descriptions of a policy.
+/// Maximum size of a description \[bytes\].
 const MAX_BYTES: u64 = 256 << 10;
 
 /// Reads the YAML file of an external policy and the ONNX file that it names.
 ///
 /// # Errors
-/// [`AgentError`] that says what was found and what was expected.
+/// A file cannot be read, the description is invalid, or the network does not fit it; the error says what was expected.
 pub fn load(path: &Path) -> Result<Agent, AgentError> {
     let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(POLICY, path))?;
     let spec = spec::Spec::parse(path, &String::from_utf8_lossy(&bytes))?;

@@ -1,4 +1,4 @@
-//! The YAML file of an external policy, checked.
+//! The checked YAML file of an external policy.
 
 use std::path::{Path, PathBuf};
 
@@ -36,18 +36,19 @@ struct RawSpec {
     action: RawAction,
 }
 
-/// A checked file: everything but the network.
+/// A checked description, without the network.
 #[derive(Debug)]
 pub(super) struct Spec {
     pub(super) onnx: PathBuf,
     pub(super) layout: Layout,
     pub(super) action: Action,
-    /// Robot, rates, gains and latency to run it with; all else is that of the paper's configuration.
+    /// Configuration with the robot, rates, gains and latency to run it with; the rest is that of the paper's
+    /// configuration.
     pub(super) config: Config,
 }
 
 impl Spec {
-    /// Checks the text of the file at `path`.
+    /// Parses and checks the text of the file at `path`.
     pub(super) fn parse(path: &Path, text: &str) -> Result<Self, AgentError> {
         let name = path.display().to_string();
         let raw: RawSpec = yaml::layered(&[Text::new(&name, text)])
@@ -88,7 +89,7 @@ impl Spec {
         })
     }
 
-    /// Checks that the network takes and gives as many numbers as the file says.
+    /// Checks that the network has as many inputs and outputs as the description states.
     pub(super) fn check(&self, network: &Network) -> Result<(), String> {
         let (length, onnx) = (self.layout.length(), self.onnx.display());
         if length != network.inputs() {
@@ -110,7 +111,8 @@ impl Spec {
     }
 }
 
-/// Where each of the policy's joints is in our order. Names are ours, with or without `_joint`.
+/// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without
+/// `_joint`.
 fn joint_order(names: &[String]) -> Result<[usize; JOINTS], String> {
     let known = joint_names();
     let place = |name: &String| {

@@ -1,18 +1,18 @@
-//! What the operators compute with: element by element with broadcasting, matrix products, slices along an axis.
+//! Arithmetic of the operators: element-wise functions with broadcasting, matrix products, slices along an axis.
 
 use super::tensor::{Tensor, elements, strides};
 
-/// Multiplications of one matrix product: twice the largest layer.
+/// Maximum number of multiplications in one matrix product: twice the largest layer.
 const MAX_PRODUCT: usize = 1 << 23;
 
-/// The result of most operators.
+/// The result of an operator; the error says what cannot be computed.
 pub(super) type Result<T> = std::result::Result<T, String>;
 
 pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
-/// Abramowitz and Stegun 7.1.26 in double precision is good to 1.5e-7, single precision's own error.
+/// Computes erf by Abramowitz and Stegun 7.1.26, whose error of 1.5e-7 is that of single precision.
 pub(super) fn erf(x: f32) -> f32 {
     let size = f64::from(x.abs());
     let t = 1.0 / (1.0 + 0.327_591_1 * size);
@@ -21,7 +21,7 @@ pub(super) fn erf(x: f32) -> f32 {
     ((1.0 - series * (-size * size).exp()).copysign(f64::from(x))) as f32
 }
 
-/// An axis or index counted from the end if it is negative.
+/// Resolves an axis or index, which counts from the end if it is negative.
 pub(super) fn axis(index: i64, size: usize) -> Result<usize> {
     let from_start = if index < 0 { index.saturating_add(size as i64) } else { index };
     usize::try_from(from_start)
@@ -30,7 +30,7 @@ pub(super) fn axis(index: i64, size: usize) -> Result<usize> {
         .ok_or_else(|| format!("its axis {index} is beyond {size} dimensions"))
 }
 
-/// Slices of a tensor along one axis.
+/// Takes the slices `chosen` of a tensor along one axis.
 pub(super) fn along(x: &Tensor, at: usize, chosen: &[usize]) -> Result<Tensor> {
     let mut shape = x.shape().to_vec();
     let size = std::mem::replace(&mut shape[at], chosen.len());
@@ -47,14 +47,14 @@ pub(super) fn along(x: &Tensor, at: usize, chosen: &[usize]) -> Result<Tensor> {
     x.pick(shape, &indices)
 }
 
-/// All positions of a shape in row-major order.
+/// Iterates over all positions of a shape in row-major order.
 pub(super) fn positions(shape: &[usize]) -> impl Iterator<Item = Vec<usize>> + use<> {
     let (own, shape) = (strides(shape), shape.to_vec());
     let count = shape.iter().product();
     (0..count).map(move |k| own.iter().zip(&shape).map(|(stride, size)| k / stride % size).collect())
 }
 
-/// The common shape of two inputs and, for each of its elements, the index in both.
+/// Returns the broadcast shape of two inputs and, for each of its elements, the index in both.
 pub(super) fn broadcast_indices(
     a: &[usize],
     b: &[usize],
@@ -79,7 +79,7 @@ pub(super) fn broadcast_indices(
     Ok((shape, indices))
 }
 
-/// Element by element; dimensions of size one are repeated.
+/// Applies a function to the elements of two tensors; dimensions of size one are repeated.
 pub(super) fn broadcast(a: &Tensor, b: &Tensor, function: impl Fn(f32, f32) -> f32) -> Result<Tensor> {
     let (left, right) = (a.floats()?, b.floats()?);
     // The usual cases at the speed of a loop: the same shape, a bias, a scalar.
@@ -92,7 +92,7 @@ pub(super) fn broadcast(a: &Tensor, b: &Tensor, function: impl Fn(f32, f32) -> f
     Tensor::float(shape, indices.map(|(i, j)| function(left[i], right[j])).collect())
 }
 
-/// A result that must have kept the shape of what it was made from.
+/// Checks that a result has the shape of the tensor that it was computed from.
 pub(super) fn fits(result: &Tensor, expected: &Tensor) -> Result<Tensor> {
     if result.shape() == expected.shape() {
         Ok(result.clone())
@@ -101,7 +101,7 @@ pub(super) fn fits(result: &Tensor, expected: &Tensor) -> Result<Tensor> {
     }
 }
 
-/// A matrix, transposed if asked for.
+/// Returns a matrix, transposed on request.
 pub(super) fn matrix(tensor: &Tensor, transposed: bool) -> Result<Tensor> {
     let [rows, columns] = *tensor.shape() else {
         return Err(format!("its input has the shape {:?}, expected two dimensions", tensor.shape()));
@@ -114,7 +114,7 @@ pub(super) fn matrix(tensor: &Tensor, transposed: bool) -> Result<Tensor> {
     Tensor::float(vec![columns, rows], (0..rows * columns).map(at).collect())
 }
 
-/// `A · Bᵀ`, both with rows of the same length.
+/// Computes `A · Bᵀ`, where both have rows of the same length.
 pub(super) fn multiply(a: &Tensor, b_transposed: &Tensor) -> Result<Tensor> {
     let ([rows, inner], [columns, width]) = (*two(a)?, *two(b_transposed)?);
     if inner != width {
@@ -134,7 +134,7 @@ fn two(tensor: &Tensor) -> Result<&[usize; 2]> {
     tensor.shape().try_into().map_err(|_| format!("its input has the shape {:?}", tensor.shape()))
 }
 
-/// Eight sums side by side, which the compiler turns into vectors.
+/// Computes a dot product in eight parallel sums, which the compiler vectorises.
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<8>(), b.as_chunks::<8>());
     let mut sums = [0.0; 8];

@@ -1,8 +1,8 @@
-/*! A policy of ours as ONNX, for every other runtime.
+/*! Export of a policy to ONNX, for every other runtime.
 
-One graph goes from the raw observation (`observation`, shape (batch, observation), in its units) to the joint targets
-(`joint_target`, shape (batch, 12), rad): the normaliser and the action's scale and nominal pose are inside, so that
-nobody has to know them. The policy file's metadata travel in `metadata_props`.
+One graph maps the raw observation (`observation`, shape (batch, observation), in its units) to the joint targets
+(`joint_target`, shape (batch, 12), rad): it contains the normaliser and the action's scale and nominal pose, so that
+users need not know them. The policy file's metadata are in `metadata_props`.
 */
 
 use prost::Message;
@@ -14,13 +14,13 @@ use super::proto::{
 use crate::network::Layer;
 use crate::policy::Policy;
 
-/// IR version of the file; understood by every runtime since 2022.
+/// ONNX IR version of the file; every runtime since 2022 supports it.
 const IR_VERSION: i64 = 8;
 
 /// Operator set; `Gemm`, `Elu`, `Sub`, `Mul`, `Add`, `Min` and `Max` have not changed since.
 const OPSET: i64 = 17;
 
-/// The policy as the bytes of an ONNX file.
+/// Exports the policy to the bytes of an ONNX file.
 pub fn export(policy: &Policy) -> Vec<u8> {
     let mut builder = Builder::default();
     let single = |values: &[f64]| values.iter().map(|value| *value as f32).collect::<Vec<f32>>();
@@ -92,7 +92,7 @@ impl Builder {
         self.nodes.push(Node { name: output.into(), attribute, ..node(op_type, inputs, output) });
     }
 
-    /// `y = x · Wᵀ + b`; returns the name of `y`.
+    /// Adds a layer `y = x · Wᵀ + b` and returns the name of `y`.
     fn dense(&mut self, index: usize, layer: &Layer, input: &str) -> String {
         let (weight, bias) = (format!("policy.{index}.weight"), format!("policy.{index}.bias"));
         self.constant(&weight, &[layer.outputs(), layer.inputs()], &layer.weight);
@@ -104,7 +104,7 @@ impl Builder {
     }
 }
 
-/// Without a name and attributes.
+/// Creates a node without a name and attributes.
 pub(super) fn node(op_type: &str, inputs: &[&str], output: &str) -> Node {
     let input = inputs.iter().map(ToString::to_string).collect();
     Node { op_type: op_type.into(), input, output: vec![output.into()], ..Node::default() }

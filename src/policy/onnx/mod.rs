@@ -1,7 +1,8 @@
-/*! ONNX in and out: [`export`] writes a policy of ours for every other runtime, [`Network`] runs an external one.
+/*! ONNX: [`export`] writes a policy of Supple for every other runtime, [`Network`] runs an external one.
 
-The reader is an interpreter of the operators that policy networks of dense layers use. A general runtime would be a
-hundred crates, or a shared library to install, for networks that take a few microseconds; what it refuses, it names.
+Read `network`, then `operators`. The reader is an interpreter of the operators that policy networks of dense layers
+use. A general runtime would be a hundred crates, or a shared library to install, for networks that take a few
+microseconds. An operator that is not supported is named in the error.
 */
 
 mod arithmetic;

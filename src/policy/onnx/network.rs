@@ -1,4 +1,4 @@
-//! A network from an ONNX file, ready to be evaluated with one observation at a time.
+//! A network read from an ONNX file, evaluated with one observation at a time.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -11,22 +11,22 @@ use super::tensor::{Tensor, elements};
 use super::wire;
 use crate::util::files::FileError;
 
-/// Larger files are not policies.
+/// Maximum size of an ONNX file \[bytes\].
 pub const MAX_BYTES: u64 = 32 << 20;
 
-/// Versions of the operator set whose meaning is that of `operators`.
+/// Supported versions of the operator set: those with the meaning that `operators` implements.
 const OPERATOR_SETS: std::ops::RangeInclusive<i64> = 7..=22;
 
-/// Operators of one network.
+/// Maximum number of operators in a network.
 const MAX_NODES: usize = 2000;
 
-/// Elements of all values together: 64 MiB.
+/// Maximum number of elements of all values together (64 MiB).
 const MAX_TOTAL: usize = 1 << 24;
 
-/// Place of the input among the values.
+/// Index of the network's input among the values.
 const INPUT: usize = 0;
 
-/// An operator with the places of its inputs and outputs among all values.
+/// An operator with the indices of its inputs and outputs among the values.
 #[derive(Debug)]
 struct Step {
     node: Node,
@@ -42,19 +42,19 @@ pub struct Network {
     output_slot: usize,
     outputs: usize,
     steps: Vec<Step>,
-    /// By place; none where a value depends on the observation.
+    /// Constants by index; `None` where a value depends on the observation.
     constants: Vec<Option<Tensor>>,
 }
 
-/// Values of an evaluation of [`Network::forward`]; one for each robot.
+/// Values of an evaluation by [`Network::forward`]; each robot needs its own.
 #[derive(Debug, Default)]
 pub struct Scratch(Vec<Option<Tensor>>);
 
 impl Network {
-    /// Reads a file's bytes and evaluates the network once; `path` is for messages.
+    /// Parses a file's bytes and evaluates the network once; `path` is for error messages.
     ///
     /// # Errors
-    /// [`FileError`] that names the operator or shape that cannot be run.
+    /// The bytes are not an ONNX model, or an operator or shape is not supported; the error names it.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
         Self::read(bytes).map_err(FileError::of("ONNX file", path))
     }
@@ -118,25 +118,25 @@ impl Network {
         Ok(network)
     }
 
-    /// Name of the input.
+    /// Returns the name of the input.
     pub fn input_name(&self) -> &str {
         &self.input
     }
 
-    /// Numbers that it takes.
+    /// Returns the number of inputs.
     pub fn inputs(&self) -> usize {
         self.input_shape.iter().product()
     }
 
-    /// Numbers that it gives.
+    /// Returns the number of outputs.
     pub fn outputs(&self) -> usize {
         self.outputs
     }
 
-    /// Evaluates the network. `scratch` may come from [`Scratch::default`], and serves this network from then on.
+    /// Evaluates the network. Start with [`Scratch::default`], and use a scratch for one network only.
     ///
     /// # Panics
-    /// When there are not [`Network::inputs`] observations.
+    /// `observation` has another length than [`Network::inputs`].
     pub fn forward<'a>(&self, observation: &[f32], scratch: &'a mut Scratch) -> &'a [f32] {
         assert_eq!(observation.len(), self.inputs(), "the observation must have the input's length");
         scratch.0.resize(self.constants.len(), None);
@@ -155,7 +155,7 @@ impl Network {
 }
 
 impl Step {
-    /// Gives every input and output of a node its place.
+    /// Assigns an index to every input and output of a node.
     fn new(
         node: Node,
         slots: &mut HashMap<String, usize>,
@@ -175,8 +175,8 @@ impl Step {
         Ok(Step { node, inputs, outputs })
     }
 
-    /// Runs the operator on constants and on values that depend on the observation. Outputs beyond those that it names
-    /// are left out.
+    /// Runs the operator on constants and on values that depend on the observation. Outputs that the node does not name
+    /// are dropped.
     fn evaluate(&self, constants: &[Option<Tensor>], values: &mut [Option<Tensor>]) -> Result<(), String> {
         let value = |slot: usize| values[slot].as_ref().or(constants[slot].as_ref());
         let inputs: Vec<Option<&Tensor>> = self.inputs.iter().map(|slot| slot.and_then(value)).collect();
@@ -191,7 +191,7 @@ impl Step {
     }
 }
 
-/// The one input that is not a constant; older files list those too.
+/// Finds the one input that is not a constant; older files list constants as inputs, too.
 fn only_input(graph: &Graph) -> Result<&ValueInfo, String> {
     let constant = |input: &&ValueInfo| graph.initializer.iter().any(|constant| constant.name == input.name);
     let inputs: Vec<&ValueInfo> = graph.input.iter().filter(|input| !constant(input)).collect();
@@ -207,7 +207,7 @@ fn only_input(graph: &Graph) -> Result<&ValueInfo, String> {
     }
 }
 
-/// The input's shape with one observation: what is open is 1.
+/// Returns the input's shape for one observation; open dimensions become 1.
 fn shape_of(input: &ValueInfo) -> Result<Vec<usize>, String> {
     let name = &input.name;
     let shape = input.kind.as_ref().and_then(|kind| kind.tensor_type.as_ref()).and_then(|kind| kind.shape.as_ref());
@@ -225,7 +225,7 @@ fn shape_of(input: &ValueInfo) -> Result<Vec<usize>, String> {
     Ok(shape)
 }
 
-/// Which operator of the file this is.
+/// Describes an operator for error messages by its index, type and name.
 fn title(index: usize, node: &Node) -> String {
     match node.name.as_str() {
         "" => format!("operator {index}, {}", node.op_type),

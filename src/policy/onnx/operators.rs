@@ -9,13 +9,13 @@ use super::arithmetic::{
 use super::proto::{Attribute, DOUBLE, FLOAT, INT32, INT64, Node};
 use super::tensor::{Tensor, Values, elements, strides};
 
-/// Every operator that is understood, for messages.
+/// Names of all supported operators, for error messages.
 pub const KNOWN: &str = "Abs Add BatchNormalization Cast Clip Concat Constant Div Dropout Elu Erf Exp Flatten Gather \
                          Gemm HardSigmoid Identity LayerNormalization LeakyRelu Log MatMul Max Min Mul Neg Pow \
                          Reciprocal Relu Reshape Selu Shape Sigmoid Slice Softplus Softsign Split Sqrt Squeeze Sub \
                          Tanh Transpose Unsqueeze";
 
-/// A node with the values of its inputs; an input that was left out is none.
+/// A node with the values of its inputs; `None` for an omitted input.
 pub struct Call<'a> {
     /// The operator and its attributes.
     pub node: &'a Node,
@@ -24,7 +24,7 @@ pub struct Call<'a> {
 }
 
 impl Call<'_> {
-    /// The outputs.
+    /// Runs the operator and returns its outputs.
     pub fn evaluate(&self) -> Result<Vec<Tensor>> {
         let domain = self.node.domain.as_str();
         if !matches!(domain, "" | "ai.onnx") {
@@ -112,7 +112,7 @@ impl Call<'_> {
         self.attribute(name).map_or(default, |attribute| attribute.i)
     }
 
-    /// Integers given as input `index` (newer operator sets) or as an attribute (older ones).
+    /// Reads integers from input `index` (newer operator sets) or from an attribute (older ones).
     fn ints(&self, index: usize, name: &str) -> Result<Option<Vec<i64>>> {
         match (self.optional(index), self.attribute(name)) {
             (Some(tensor), _) => Ok(Some(tensor.ints()?.to_vec())),
@@ -175,7 +175,7 @@ impl Call<'_> {
         self.input(0)?.map(|x| if x.is_nan() { x } else { x.max(low).min(high) })
     }
 
-    /// `alpha · A' · B' + beta · C`.
+    /// Computes `alpha · A' · B' + beta · C`.
     fn gemm(&self) -> Result<Tensor> {
         let product = multiply(
             &matrix(self.input(0)?, self.int("transA", 0) != 0)?,
@@ -421,7 +421,7 @@ impl Call<'_> {
     }
 }
 
-/// One of two numbers, NaN if one of them is: Rust's own take the other one then.
+/// Chooses one of two numbers, or NaN if one of them is NaN, which Rust's own functions ignore.
 fn propagating(a: f32, b: f32, choose: fn(f32, f32) -> f32) -> f32 {
     if a.is_nan() || b.is_nan() { f32::NAN } else { choose(a, b) }
 }

@@ -21,7 +21,7 @@ pub const ATTRIBUTE_FLOAT: i32 = 1;
 /// Kind INT of an attribute.
 pub const ATTRIBUTE_INT: i32 = 2;
 
-/// A whole file.
+/// An ONNX model: the content of a file.
 #[derive(Clone, PartialEq, Message)]
 pub struct Model {
     #[prost(int64, tag = "1")]
@@ -40,7 +40,7 @@ pub struct Model {
     pub metadata_props: Vec<Property>,
 }
 
-/// Version of the operators.
+/// Version of an operator set.
 #[derive(Clone, PartialEq, Message)]
 pub struct OperatorSet {
     #[prost(string, tag = "1")]
@@ -49,7 +49,7 @@ pub struct OperatorSet {
     pub version: i64,
 }
 
-/// A metadata entry.
+/// A metadata entry: key and value.
 #[derive(Clone, PartialEq, Message)]
 pub struct Property {
     #[prost(string, tag = "1")]
@@ -58,7 +58,7 @@ pub struct Property {
     pub value: String,
 }
 
-/// Nodes in order of evaluation, constants, inputs and outputs.
+/// A graph: nodes in order of evaluation, constants, inputs and outputs.
 #[derive(Clone, PartialEq, Message)]
 pub struct Graph {
     #[prost(message, repeated, tag = "1")]
@@ -73,7 +73,7 @@ pub struct Graph {
     pub output: Vec<ValueInfo>,
 }
 
-/// An operator.
+/// A node of the graph: one operator.
 #[derive(Clone, PartialEq, Message)]
 pub struct Node {
     #[prost(string, repeated, tag = "1")]
@@ -90,7 +90,7 @@ pub struct Node {
     pub domain: String,
 }
 
-/// A setting of an operator.
+/// An attribute of an operator.
 #[derive(Clone, PartialEq, Message)]
 pub struct Attribute {
     #[prost(string, tag = "1")]
@@ -130,7 +130,7 @@ pub struct Tensor {
     pub raw_data: Vec<u8>,
     #[prost(double, repeated, tag = "10")]
     pub double_data: Vec<f64>,
-    /// 1 if the values are in another file.
+    /// Location of the values: 1 if they are in another file.
     #[prost(int32, tag = "14")]
     pub data_location: i32,
 }
@@ -146,14 +146,14 @@ pub struct ValueInfo {
     pub doc_string: String,
 }
 
-/// A tensor type.
+/// Type of a value; only tensors are supported.
 #[derive(Clone, PartialEq, Message)]
 pub struct Type {
     #[prost(message, optional, tag = "1")]
     pub tensor_type: Option<TensorType>,
 }
 
-/// Element type and shape.
+/// Element type and shape of a tensor.
 #[derive(Clone, PartialEq, Message)]
 pub struct TensorType {
     #[prost(int32, tag = "1")]
@@ -162,21 +162,21 @@ pub struct TensorType {
     pub shape: Option<Shape>,
 }
 
-/// A shape.
+/// Shape of a tensor.
 #[derive(Clone, PartialEq, Message)]
 pub struct Shape {
     #[prost(message, repeated, tag = "1")]
     pub dim: Vec<Dimension>,
 }
 
-/// A size, or a name for one that is open.
+/// A dimension: its size, or the name of an open size.
 #[derive(Clone, PartialEq, Message)]
 pub struct Dimension {
     #[prost(oneof = "Size", tags = "1, 2")]
     pub size: Option<Size>,
 }
 
-/// See [`Dimension`].
+/// The kinds of a [`Dimension`].
 #[derive(Clone, PartialEq, prost::Oneof)]
 pub enum Size {
     #[prost(int64, tag = "1")]

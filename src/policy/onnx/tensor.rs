@@ -1,23 +1,23 @@
-//! Dense tensors of the interpreter: single-precision values, or integers that say shapes and indices.
+//! Dense tensors of the interpreter: single-precision values, or integers for shapes and indices.
 
 use super::proto::{self, DOUBLE, FLOAT, INT32, INT64};
 
-/// Elements of any one tensor: a layer of 2048 by 2048.
+/// Maximum number of elements of a tensor: a layer of 2048 by 2048.
 pub const MAX_ELEMENTS: usize = 1 << 22;
 
-/// Dimensions of any one tensor.
+/// Maximum number of dimensions of a tensor.
 const MAX_RANK: usize = 6;
 
-/// Row-major values.
+/// Row-major values of a tensor.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Values {
-    /// The numbers that networks compute with.
+    /// Single-precision values, which networks compute with.
     Float(Vec<f32>),
-    /// Shapes, axes, indices.
+    /// Integers: shapes, axes, indices.
     Int(Vec<i64>),
 }
 
-/// Values with a shape; their number is the product of the shape.
+/// A tensor: values and their shape, whose product is their number.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Tensor {
     shape: Vec<usize>,
@@ -25,17 +25,17 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// Single-precision values.
+    /// Creates a tensor of single-precision values.
     pub fn float(shape: Vec<usize>, values: Vec<f32>) -> Result<Self, String> {
         Self::new(shape, Values::Float(values))
     }
 
-    /// Integers.
+    /// Creates a tensor of integers.
     pub fn int(shape: Vec<usize>, values: Vec<i64>) -> Result<Self, String> {
         Self::new(shape, Values::Int(values))
     }
 
-    /// Values of either kind.
+    /// Creates a tensor of either kind.
     pub fn new(shape: Vec<usize>, values: Values) -> Result<Self, String> {
         let count = elements(&shape)?;
         let found = match &values {
@@ -49,7 +49,7 @@ impl Tensor {
         }
     }
 
-    /// A constant of the file.
+    /// Reads a constant of the file.
     pub fn read(tensor: &proto::Tensor) -> Result<Self, String> {
         if tensor.data_location != 0 {
             return Err("its values are in another file; save the model as one file".into());
@@ -75,7 +75,7 @@ impl Tensor {
         Self::new(shape, values)
     }
 
-    /// Sizes of its dimensions.
+    /// Returns the size of each dimension.
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
@@ -85,7 +85,7 @@ impl Tensor {
         &self.values
     }
 
-    /// Single-precision values.
+    /// Returns the values if they are single precision.
     pub fn floats(&self) -> Result<&[f32], String> {
         match &self.values {
             Values::Float(values) => Ok(values),
@@ -93,7 +93,7 @@ impl Tensor {
         }
     }
 
-    /// Integers.
+    /// Returns the values if they are integers.
     pub fn ints(&self) -> Result<&[i64], String> {
         match &self.values {
             Values::Int(values) => Ok(values),
@@ -101,7 +101,7 @@ impl Tensor {
         }
     }
 
-    /// The same values in another shape.
+    /// Returns the same values in another shape.
     pub fn reshaped(&self, shape: Vec<usize>) -> Result<Self, String> {
         Self::new(shape, self.values.clone())
     }
@@ -111,7 +111,7 @@ impl Tensor {
         Self::float(self.shape.clone(), self.floats()?.iter().map(|value| function(*value)).collect())
     }
 
-    /// Elements picked by their index in this tensor, in a new shape.
+    /// Picks elements by their index in this tensor, into a new shape.
     pub fn pick(&self, shape: Vec<usize>, indices: &[usize]) -> Result<Self, String> {
         fn of<T: Copy>(values: &[T], indices: &[usize]) -> Option<Vec<T>> {
             indices.iter().map(|index| values.get(*index).copied()).collect()
@@ -124,7 +124,7 @@ impl Tensor {
     }
 }
 
-/// Number of elements of a shape.
+/// Returns the number of elements of a shape.
 pub fn elements(shape: &[usize]) -> Result<usize, String> {
     let count = shape.iter().try_fold(1_usize, |product, size| product.checked_mul(*size));
     match count {
@@ -133,7 +133,7 @@ pub fn elements(shape: &[usize]) -> Result<usize, String> {
     }
 }
 
-/// Distance in elements between neighbours along each dimension.
+/// Returns the distance in elements between neighbours along each dimension.
 pub fn strides(shape: &[usize]) -> Vec<usize> {
     let mut strides = vec![1; shape.len()];
     for k in (1..shape.len()).rev() {

@@ -1,12 +1,12 @@
-//! How much a protobuf message would grow in memory, found out before it is decoded.
+//! Size check of a protobuf message before it is decoded.
 //!
 //! Two bytes on disk can become a message of 200 in memory. A file of a few megabytes could thus ask for gigabytes; a
 //! policy has a few thousand fields at most.
 
-/// Fields of all messages together, far more than a policy has.
+/// Maximum number of fields of all messages together, far more than a policy has.
 const MAX_FIELDS: usize = 100_000;
 
-/// Messages of the schema that hold other messages.
+/// Message types of the schema that contain other messages.
 #[derive(Clone, Copy)]
 enum Message {
     Model,
@@ -17,12 +17,12 @@ enum Message {
     Type,
     TensorType,
     Shape,
-    /// Values only: few fields, or packed ones whose size is that of the file.
+    /// A message without other messages: few fields, or packed ones whose size is that of the file.
     Leaf,
 }
 
 impl Message {
-    /// The message in a length-delimited field, if it is one.
+    /// Returns the type of the message in a length-delimited field, if it is a message.
     fn child(self, field: u64) -> Option<Message> {
         match (self, field) {
             (Message::Model, 7) => Some(Message::Graph),
@@ -39,13 +39,13 @@ impl Message {
     }
 }
 
-/// Refuses bytes with more fields than a policy has, or that are cut off.
+/// Checks that bytes have no more fields than a policy can have, and are not truncated.
 pub fn check(bytes: &[u8]) -> Result<(), String> {
     let mut fields = 0;
     count(bytes, Message::Model, &mut fields)
 }
 
-/// The schema is a tree of a few levels, and so is this recursion.
+/// Counts fields. The schema is a tree of a few levels, and so is this recursion.
 fn count(mut bytes: &[u8], message: Message, fields: &mut usize) -> Result<(), String> {
     let cut = || "it is cut off or not ONNX".to_owned();
     while !bytes.is_empty() {
@@ -73,7 +73,7 @@ fn count(mut bytes: &[u8], message: Message, fields: &mut usize) -> Result<(), S
     Ok(())
 }
 
-/// A base-128 number of at most 64 bits.
+/// Reads a base-128 number of at most 64 bits.
 fn varint(bytes: &mut &[u8]) -> Option<u64> {
     let mut value = 0;
     for shift in (0..64).step_by(7) {

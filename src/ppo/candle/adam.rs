@@ -1,6 +1,4 @@
-/*!
-Adam with moments that a checkpoint can keep; those of candle's own are private.
-*/
+//! Adam, with moments that a checkpoint can store; candle's own Adam keeps them private.
 
 use candle_core::backprop::GradStore;
 use candle_core::{Result, Tensor, Var};
@@ -9,16 +7,16 @@ use candle_nn::Optimizer;
 use crate::config::Ppo;
 use crate::ppo::update::ADAM_BETAS;
 
-/// Kingma & Ba, "Adam: A method for stochastic optimization", 2015, algorithm 1.
+/// The optimiser Adam: Kingma & Ba, "Adam: A method for stochastic optimization", 2015, algorithm 1.
 pub struct Adam {
     variables: Vec<Var>,
     learning_rate: f64,
     epsilon: f64,
-    /// `m`, one for each variable.
+    /// First moments `m`, one tensor for each variable.
     pub first_moment: Vec<Tensor>,
-    /// `v`, one for each variable.
+    /// Second moments `v`, one tensor for each variable.
     pub second_moment: Vec<Tensor>,
-    /// `t`
+    /// Number of steps `t`.
     pub steps: u64,
 }
 

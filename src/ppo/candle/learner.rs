@@ -1,6 +1,4 @@
-/*!
-The candle learner: one PPO update, line by line.
-*/
+//! The candle learner: one PPO update, line by line.
 
 use candle_core::backprop::GradStore;
 use candle_core::{DType, Tensor, Var};
@@ -15,14 +13,14 @@ use crate::ppo::update::{UpdateProgress, check};
 use crate::ppo::{Batch, Learner, LearnerState, UpdateFault, UpdateStatistics};
 use crate::ranks::Alone;
 
-/// A smaller divergence is zero: candle's means differ from those of the rollout in their last bits, which must not
-/// look like a policy that moves too little (see [`Ppo::adapted_learning_rate`]). One gradient step of the
-/// lowest learning rate makes a hundred times more.
+/// Divergences below this count as zero: candle's means differ from those of the rollout in their last bits, which must
+/// not look like a policy that changes too little (see [`Ppo::adapted_learning_rate`]). One gradient step with the
+/// lowest learning rate changes it by a hundred times more.
 const KL_ROUNDING: f64 = 1e-8;
 
-/// Trains an [`ActorCritic`] by PPO with candle's networks and gradients.
+/// The readable learner: trains an [`ActorCritic`] by PPO with candle's networks and gradients.
 ///
-/// What it keeps is plain numbers; candle's variables live for one update.
+/// Its state is plain numbers; candle's variables live for one update.
 #[derive(Debug)]
 pub struct CandleLearner {
     settings: Ppo,
@@ -30,17 +28,17 @@ pub struct CandleLearner {
 }
 
 impl CandleLearner {
-    /// Continues from `state`.
+    /// Creates a learner that continues from `state`.
     ///
     /// # Panics
-    /// When the minibatch size is zero, or there is more than one shard.
+    /// The minibatch size is zero, or there is more than one shard.
     pub fn new(state: LearnerState, settings: Ppo) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         assert_eq!(settings.shards, 1, "candle sums over a minibatch as it likes");
         Self { settings, state }
     }
 
-    /// The update: loss, gradient, clipped and with the adapted learning rate a step of Adam, minibatch by minibatch.
+    /// Runs the update: for each minibatch loss, gradient, clipping, learning rate, and a step of Adam.
     fn epochs(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
         let Self { settings, state } = self;
         let networks = Networks::new(&state.parameters, DType::F32)?;
@@ -94,7 +92,7 @@ impl Learner for CandleLearner {
     }
 }
 
-/// Norm of the joint gradient.
+/// Returns the norm of the joint gradient.
 fn norm(gradients: &GradStore, variables: &[Var]) -> candle_core::Result<f64> {
     let squares = variables
         .iter()

@@ -1,8 +1,7 @@
-/*!
-PPO's loss as the textbook has it, in candle.
+/*! PPO's loss as in textbooks, computed with candle.
 
-Schulman et al., "Proximal Policy Optimization Algorithms", eq. 7 and 9, as implemented by Stable-Baselines3. All of it is
-in f64, whatever the networks are in: the KL rule compares numbers near zero.
+Schulman et al., "Proximal Policy Optimization Algorithms", eq. 7 and 9, as implemented by Stable-Baselines3. All of it
+is in f64, whatever the networks use: the KL rule compares numbers near zero.
 */
 
 use candle_core::{D, Device, Result, Tensor};
@@ -10,27 +9,27 @@ use candle_core::{D, Device, Result, Tensor};
 use super::Networks;
 use crate::ppo::loss::Minibatch;
 
-/// Terms of the loss over a minibatch, and what is watched beside them; scalars unless said otherwise.
+/// The terms of the loss over a minibatch, and statistics; scalars unless another shape is given.
 pub struct Loss {
-    /// `policy + value_coefficient · value − entropy_coefficient · entropy`
+    /// Total loss `policy + value_coefficient · value − entropy_coefficient · entropy`.
     pub total: Tensor,
-    /// `−mean(min(A·r, A·clip(r, 1 − c, 1 + c)))`
+    /// Policy loss `−mean(min(A·r, A·clip(r, 1 − c, 1 + c)))`.
     pub policy: Tensor,
-    /// `mean((V − R)²)`
+    /// Value loss `mean((V − R)²)`.
     pub value: Tensor,
     /// Entropy of the policy.
     pub entropy: Tensor,
-    /// `KL(old ‖ new)`, mean over states.
+    /// Divergence `KL(old ‖ new)`, mean over states.
     pub kl: Tensor,
-    /// `r`, the probability ratio of each sample; shape (rows).
+    /// Probability ratio `r` of each sample, shape (rows).
     pub ratio: Tensor,
 }
 
 impl Loss {
-    /// Over the samples of `minibatch`.
+    /// Computes the loss over the samples of a minibatch.
     ///
     /// # Errors
-    /// When slices of the batch do not fit.
+    /// Candle fails, for example because slices of the batch have the wrong length.
     pub fn new(networks: &Networks, minibatch: &Minibatch<'_>) -> Result<Self> {
         let Minibatch { batch, settings, rows, .. } = *minibatch;
         let of_batch = |values: &[f32]| rows_of(values, batch.returns.len(), rows);
@@ -56,24 +55,24 @@ impl Loss {
     }
 }
 
-/// `ln 2π`
+/// The constant `ln 2π`.
 const LOG_TWO_PI: f64 = 1.837_877_066_409_345_3;
 
-/// `rows` of values of shape (samples, any).
+/// Gathers `rows` of values of shape (samples, any).
 fn rows_of(values: &[f32], samples: usize, rows: &[u32]) -> Result<Tensor> {
     let width = values.len() / samples;
     let picked = rows.iter().flat_map(|&row| &values[row as usize * width..][..width]);
     Tensor::from_iter(picked.map(|&x| f64::from(x)), &Device::Cpu)?.reshape((rows.len(), width))
 }
 
-/// Log-density of a diagonal Gaussian, summed over actions; shape (rows).
+/// Computes the log-density of a diagonal Gaussian, summed over actions, shape (rows).
 fn log_prob(means: &Tensor, log_std: &Tensor, actions: &Tensor) -> Result<Tensor> {
     let z = (actions - means)?.broadcast_div(&log_std.exp()?)?;
     let log_density = ((z.sqr()? * -0.5)?.broadcast_sub(log_std)? - 0.5 * LOG_TWO_PI)?;
     log_density.sum(D::Minus1)
 }
 
-/// `KL(old ‖ new)` summed over actions, mean over rows.
+/// Computes `KL(old ‖ new)`, summed over actions, mean over rows.
 fn kl(old_means: &Tensor, old_log_std: &Tensor, means: &Tensor, log_std: &Tensor) -> Result<Tensor> {
     let variance = (log_std * 2.0)?.exp()?;
     let old_variance = (old_log_std * 2.0)?.exp()?;

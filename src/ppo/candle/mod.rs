@@ -1,11 +1,11 @@
-/*!
-The learner to read, and to try a new loss in: candle's networks, gradients by automatic differentiation, a textbook loop.
+/*! The readable learner, for reading and for trying new losses: candle's networks, automatic differentiation, a
+textbook loop.
 
 [`Loss::new`] is the loss, [`CandleLearner`] the loop around it, [`Adam`] its optimiser; any other `candle_nn::Optimizer` fits
 too. `ppo.learner: candle` trains with it; the fused learner is tested against it.
 
-Its bits do not depend on threads: candle's products share out elements of their results, never the sum behind one. They may
-depend on the processor.
+Its bits do not depend on threads: candle's products distribute elements of their results, never the sum of an element.
+They may depend on the processor.
 */
 
 mod adam;

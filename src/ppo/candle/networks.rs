@@ -1,6 +1,4 @@
-/*!
-Policy and value function as candle's variables, and back as plain numbers.
-*/
+//! Policy and value function as candle's variables, and conversion back to plain numbers.
 
 use candle_core::{DType, Device, Error, Result, Tensor, Var};
 use candle_nn::{Linear, Module};
@@ -8,20 +6,20 @@ use candle_nn::{Linear, Module};
 use crate::config::LOG_STD_RANGE;
 use crate::network::{ActorCritic, Mlp};
 
-/// Differentiable copy of an [`ActorCritic`].
+/// A differentiable copy of an [`ActorCritic`].
 pub struct Networks {
     policy: Vec<Linear>,
     value: Vec<Linear>,
     log_std: Var,
-    /// All that is trained, in the order of [`ActorCritic::tensors`].
+    /// All trained variables, in the order of [`ActorCritic::tensors`].
     pub variables: Vec<Var>,
 }
 
 impl Networks {
-    /// Copies the weights, as `dtype`.
+    /// Copies the weights as variables of type `dtype`.
     ///
     /// # Errors
-    /// Only candle's.
+    /// Candle fails.
     pub fn new(network: &ActorCritic, dtype: DType) -> Result<Self> {
         let variable = |tensor: Tensor| Var::from_tensor(&tensor.to_dtype(dtype)?);
         let variables: Vec<Var> = tensors(network)?.into_iter().map(variable).collect::<Result<_>>()?;
@@ -35,10 +33,11 @@ impl Networks {
         Ok(Self { policy, value, log_std, variables })
     }
 
-    /// Means of the actions, shape (rows, actions), their `ln σ`, shape (actions), and values, shape (rows), all in f64.
+    /// Returns the mean actions, shape (rows, actions), their `ln σ`, shape (actions), and the values, shape (rows),
+    /// all in f64.
     ///
     /// # Errors
-    /// When the observations do not have the shape (rows, observations).
+    /// The observations do not have the shape (rows, observations).
     pub fn forward(&self, observations: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
         let observations = observations.to_dtype(self.log_std.dtype())?;
         let means = forward(&self.policy, &observations)?.to_dtype(DType::F64)?;
@@ -46,10 +45,10 @@ impl Networks {
         Ok((means, self.log_std.to_dtype(DType::F64)?, values))
     }
 
-    /// Keeps `ln σ` within [`LOG_STD_RANGE`].
+    /// Clamps `ln σ` to [`LOG_STD_RANGE`].
     ///
     /// # Errors
-    /// Only candle's.
+    /// Candle fails.
     pub fn clamp_log_std(&self) -> Result<()> {
         let [low, high] = LOG_STD_RANGE;
         self.log_std.set(&self.log_std.detach().clamp(low, high)?)
@@ -67,12 +66,12 @@ fn forward(layers: &[Linear], observations: &Tensor) -> Result<Tensor> {
     Ok(x)
 }
 
-/// Numbers as tensors, in the order of [`ActorCritic::tensors`].
+/// Converts plain numbers to tensors, in the order of [`ActorCritic::tensors`].
 pub fn tensors(numbers: &ActorCritic) -> Result<Vec<Tensor>> {
     numbers.tensors().into_iter().map(|(_, shape, values)| Tensor::from_slice(values, shape, &Device::Cpu)).collect()
 }
 
-/// The inverse of [`tensors`], for networks of the shapes of `like`.
+/// Converts tensors back to plain numbers, with the shapes of `like`; the inverse of [`tensors`].
 pub fn numbers<'a>(like: &ActorCritic, tensors: impl IntoIterator<Item = &'a Tensor>) -> Result<ActorCritic> {
     let named = like.tensors().into_iter().zip(tensors);
     let named = named.map(|((name, shape, _), tensor)| Ok((name, shape, tensor.flatten_all()?.to_vec1()?)));

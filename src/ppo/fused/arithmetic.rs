@@ -1,6 +1,4 @@
-/*!
-What the three phases of an update compute with.
-*/
+//! The interface of the arithmetics: what the three phases of an update compute with.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -12,27 +10,28 @@ use crate::network::ActorCritic;
 use crate::network::kernels::Buffer;
 use crate::ppo::loss::Minibatch;
 
-/// Blocks of a minibatch that go through phases 1 and 2 together: few enough to stay in the caches in between.
+/// Consecutive blocks of a minibatch that go through phases 1 and 2 together: few enough to stay in the caches in
+/// between.
 #[derive(Debug, Clone, Copy)]
 pub struct Chunk {
-    /// First block.
+    /// Index of the first block.
     pub start: usize,
-    /// Number of blocks.
+    /// Number of blocks in the chunk.
     pub blocks: usize,
-    /// Whether the gradient is whole with it: the minibatch ends, and no other rank adds to it.
+    /// True if the chunk completes the gradient: the minibatch ends, and no other rank adds to it.
     pub completes: bool,
-    /// Blocks of each shard.
+    /// Number of blocks in each shard.
     pub shard_blocks: usize,
-    /// Shards of the minibatch on this rank.
+    /// Number of the minibatch's shards on this rank.
     pub shards: usize,
 }
 
-/// Blocks of a chunk that belong to one shard.
+/// The blocks of a chunk that belong to one shard.
 #[derive(Debug, Clone)]
 pub struct Piece {
-    /// Counted from the start of the chunk.
+    /// Range of blocks, counted from the start of the chunk.
     pub blocks: Range<usize>,
-    /// Counted from zero.
+    /// Index of the shard, counted from zero.
     pub shard: usize,
     /// True if this is the first block of its shard.
     pub is_first: bool,
@@ -41,7 +40,7 @@ pub struct Piece {
 }
 
 impl Chunk {
-    /// The blocks, shard by shard.
+    /// Splits the blocks of the chunk by shard.
     pub fn pieces(self) -> impl Iterator<Item = Piece> {
         let (first, end) = (self.start, self.start + self.blocks);
         (first / self.shard_blocks..end.div_ceil(self.shard_blocks)).map(move |shard| {
@@ -57,24 +56,24 @@ impl Chunk {
     }
 }
 
-/// Both networks, their gradients and Adam's moments in one arithmetic. Every phase is called by all threads of a team.
+/// Both networks, their gradients and Adam's moments in one arithmetic. All threads of a team call every phase.
 pub trait Arithmetic: Debug + Send + Sync + Sized {
-    /// Rows that go through a network together.
+    /// Number of rows that go through a network together.
     const BLOCK: usize;
 
-    /// Rows of a chunk for each two threads: as many as stay in the caches beside the weights.
+    /// Number of rows of a chunk for each two threads: as many as fit into the caches together with the weights.
     const CHUNK: usize;
 
-    /// Divergences below this are rounding errors.
+    /// Divergences below this count as zero, as rounding errors.
     const KL_ROUNDING: f64;
 
     /// Scratch memory of one thread during an update.
     type Workspace;
 
-    /// Builds the networks from parameters and their first and second moments, with room for so many blocks of rows.
+    /// Builds the networks from parameters and their first and second moments, with room for `blocks` blocks of rows.
     fn new(parts: [&ActorCritic; 3], blocks: usize) -> Self;
 
-    /// One for each thread, made on that thread.
+    /// Creates the scratch memory of a thread, on that thread.
     fn workspace(&self) -> Self::Workspace;
 
     /// Phase 1: forward pass, loss and backward pass of both networks, block by block.
@@ -87,20 +86,20 @@ pub trait Arithmetic: Debug + Send + Sync + Sized {
         loss: impl Fn(Pass<'_>),
     );
 
-    /// Phase 2: the gradient of all weights, added to that of the chunks before, in order within shards and over the tree of
-    /// them; after the last chunk its sum of squares goes to `conclude`, on one thread.
+    /// Phase 2: the gradient of all weights, added to that of the chunks before, in order within shards and over the
+    /// tree of shards; after the last chunk `conclude` gets its sum of squares, on one thread.
     fn gradients(&self, team: Member<'_>, workspace: &mut Self::Workspace, chunk: Chunk, conclude: impl FnOnce(f64));
 
-    /// Panels of weights, each with its gradient.
+    /// Returns the number of weight panels, each of which has its own gradient.
     fn panels(&self) -> usize;
 
     /// Reads or replaces the gradient of a panel, and returns its sum of squares.
     fn gradient(&self, panel: usize, with: impl FnOnce(&mut Buffer)) -> f64;
 
-    /// Phase 3: a step of all weights.
+    /// Phase 3: a step of Adam for all weights.
     fn steps(&self, team: Member<'_>, workspace: &mut Self::Workspace, step: &AdamStep);
 
-    /// Writes a part of all weights and biases into `networks`, as plain numbers.
+    /// Copies one part (values, gradients or moments) of all weights and biases into `networks`, as plain numbers.
     fn unpack(&self, part: fn(&Parameters) -> &Buffer, networks: &mut ActorCritic);
 }
 

@@ -1,5 +1,4 @@
-/*!
-The fused learner: one PPO update on all cores.
+/*! The fused learner: one PPO update on all cores.
 
 Each minibatch goes through three phases, each a list of independent tasks:
 
@@ -7,11 +6,11 @@ Each minibatch goes through three phases, each a list of independent tasks:
 2. gradient of one panel of weights, summed over the rows of each shard in order, and over the tree of [shards](crate::ranks);
 3. Adam for one panel.
 
-Phases 1 and 2 are repeated for each [`Chunk`] of the minibatch, so that what the one leaves for the other is still in the
-caches.
+Phases 1 and 2 are repeated for each [`Chunk`] of the minibatch, so that the results of phase 1 are still in the
+caches in phase 2.
 
-Each list has the policy's tasks first and then the value function's, so that threads keep to one network and find what
-they need in their own caches (see [`Team`]). Parameters have the same bits for any number of threads.
+Each list has the policy's tasks first and then the value function's, so that threads keep to one network and find their
+data in their own caches (see [`Team`]). Parameters have the same bits for any number of threads.
 */
 
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -30,21 +29,21 @@ use crate::ppo::update::{UpdateProgress, check};
 use crate::ppo::{Batch, DiagonalGaussian, KlDivergence, Learner, LearnerState, UpdateFault, UpdateStatistics};
 use crate::ranks::{Ranks, tree_sum};
 
-/// Sums of [`FusedLearner::totals`] before those of `ln σ`.
+/// Number of sums in [`FusedLearner::totals`] before those of `ln σ`.
 const LOSSES: usize = 4;
 
-/// Sums over all ranks.
+/// Sums over all ranks, exchanged for each minibatch.
 #[derive(Debug, Default)]
 struct Exchanged {
     /// Gradients of all panels, one after the other.
     gradient: Vec<f32>,
-    /// See [`FusedLearner::totals`].
+    /// Sums of the losses and the gradient of `ln σ`, see [`FusedLearner::totals`].
     totals: Vec<f64>,
     /// Sum of squares of each panel's gradient.
     squares: Vec<f64>,
 }
 
-/// Trains an [`ActorCritic`] by PPO with fused kernels.
+/// The fast learner: trains an [`ActorCritic`] by PPO with fused kernels on all cores.
 #[derive(Debug)]
 pub struct FusedLearner<A> {
     settings: Ppo,
@@ -52,22 +51,22 @@ pub struct FusedLearner<A> {
     ranks: Arc<dyn Ranks>,
     pub(in crate::ppo) arithmetic: A,
     log_std: RwLock<Parameters>,
-    /// Blocks of a chunk.
+    /// Number of blocks in a chunk.
     chunk_blocks: usize,
-    /// Losses of each block of the policy and of the value function.
+    /// Losses of each block, of the policy and of the value function.
     sums: [Vec<Mutex<Sums>>; 2],
     exchanged: Mutex<Exchanged>,
     steps: u64,
     learning_rate: f64,
-    /// Zeros, for their shapes.
+    /// Networks of zeros, which provide the shapes.
     shapes: ActorCritic,
 }
 
 impl<A: Arithmetic> FusedLearner<A> {
-    /// Continues from `state` on `threads` threads. The number of threads changes the speed only.
+    /// Creates a learner that continues from `state` on `threads` threads, whose number changes only the speed.
     ///
     /// # Panics
-    /// When the minibatch size is zero, or the moments do not have the shapes of the parameters.
+    /// The minibatch size is zero, or the moments do not have the shapes of the parameters.
     pub fn new(state: &LearnerState, settings: Ppo, threads: usize, ranks: Arc<dyn Ranks>) -> Self {
         assert!(settings.minibatch_size > 0, "a minibatch needs samples");
         let parts = [&state.parameters, &state.first_moment, &state.second_moment];
@@ -160,8 +159,8 @@ impl<A: Arithmetic> FusedLearner<A> {
         team.phase(0, |_| (), sum);
     }
 
-    /// Of this rank's shards, over their tree: policy loss, divergence, clipped samples, value loss and the gradient of the
-    /// policy loss by `ln σ`.
+    /// Sums over this rank's shards, in the order of their tree: policy loss, divergence, clipped samples, value loss
+    /// and the gradient of the policy loss by `ln σ`.
     fn totals(&self, minibatch: &Minibatch<'_>) -> Vec<f64> {
         let shard_blocks = minibatch.shard_blocks(A::BLOCK);
         let sum = |network: usize, part: &dyn Fn(&Sums) -> f64| {
@@ -178,7 +177,7 @@ impl<A: Arithmetic> FusedLearner<A> {
         losses.into_iter().chain(log_std).collect()
     }
 
-    /// The gradient of `ln σ`, the losses and the gradient norm, `totals` and `squares` being those of all ranks and weights.
+    /// Computes the gradient of `ln σ`, the losses and the gradient norm from the sums over all ranks and weights.
     fn summary(&self, minibatch: &Minibatch<'_>, totals: &[f64], squares: f64) -> UpdateStatistics {
         let mean = |index: usize| totals[index] / minibatch.samples as f64;
         let mut log_std = write(&self.log_std);

@@ -1,39 +1,37 @@
-/*!
-The losses of a block of rows, with their gradients by the networks' outputs.
-*/
+//! The losses of a block of rows, and their gradients by the networks' outputs.
 
 use crate::ppo::loss::{Minibatch, Surrogate};
 use crate::ppo::{DiagonalGaussian, KlDivergence};
 
 /// A block of rows between its forward and its backward pass.
 pub struct Pass<'a> {
-    /// 0: policy, 1: value function.
+    /// Index of the network: 0 for the policy, 1 for the value function.
     pub network: usize,
-    /// Counted from zero within the minibatch.
+    /// Index of the block within the minibatch, counted from zero.
     pub block: usize,
-    /// Distance between rows of `outputs` and `deltas`.
+    /// Distance between rows of `outputs` and `deltas` \[numbers\].
     pub stride: usize,
-    /// Shape (rows, outputs), of which a last block has fewer.
+    /// Outputs of the network, shape (rows, outputs); the last block may have fewer rows.
     pub outputs: &'a [f32],
-    /// Gradient of the loss by the outputs, to be set; shaped like them.
+    /// Gradient of the loss by the outputs, to be written; same shape.
     pub deltas: &'a mut [f32],
 }
 
-/// Sums over rows.
+/// Sums of the losses over rows.
 #[derive(Debug, Clone, Default)]
 pub struct Sums {
     pub policy_loss: f64,
     pub value_loss: f64,
     pub kl: f64,
     pub clipped: f64,
-    /// Largest probability ratio, not a sum.
+    /// Largest probability ratio (not a sum).
     pub max_ratio: f64,
-    /// Gradient of the policy loss by `ln σ`; shape (actions).
+    /// Gradient of the policy loss by `ln σ`, shape (actions).
     pub log_std_gradient: Vec<f64>,
 }
 
 impl Pass<'_> {
-    /// The policy loss of `rows` and its gradient by the means and `ln σ`.
+    /// Computes the policy loss of `rows` and its gradient by the means and `ln σ`.
     pub fn policy_loss(
         self,
         minibatch: &Minibatch<'_>,
@@ -67,7 +65,7 @@ impl Pass<'_> {
         sums
     }
 
-    /// The value loss of `rows` and its gradient by the values.
+    /// Computes the value loss of `rows` and its gradient by the values.
     pub fn value_loss(self, minibatch: &Minibatch<'_>, rows: &[u32]) -> Sums {
         let scale = 2.0 * minibatch.settings.value_coefficient / minibatch.samples as f64;
         let mut value_loss = 0.0;

@@ -1,8 +1,7 @@
-/*!
-The learner that trains by default: the same numbers as [`candle`](super::candle), many times faster.
+/*! The default learner: the same numbers as [`candle`](super::candle), many times faster.
 
-Start with [`FusedLearner`]'s three phases. What they compute with is an [`Arithmetic`], of which there are two: [`Panels`]
-of f32 for every machine, and bf16 `Tiles` for those that have a unit for them. A change of the loss is a change of
+Start with [`FusedLearner`]'s three phases. They compute with an [`Arithmetic`], of which there are two: [`Panels`]
+of f32 for every machine, and bf16 `Tiles` for processors with tile units (AMX). To change the loss, change
 `losses.rs`, gradient included.
 */
 

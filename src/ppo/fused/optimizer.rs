@@ -1,6 +1,4 @@
-/*!
-Adam, one stretch of parameters at a time.
-*/
+//! The optimiser Adam, applied to one block of parameters at a time.
 
 use pulp::{Simd, WithSimd};
 
@@ -18,14 +16,14 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// Values and first and second moments.
+    /// Combines values, first and second moments; the gradient starts at zero.
     pub fn new([values, first_moment, second_moment]: [Buffer; 3]) -> Self {
         let gradient = Buffer::zeros(values.len());
         Self { values, gradient, first_moment, second_moment }
     }
 }
 
-/// One step of Adam (Kingma & Ba, 2015, algorithm 1, arranged as in PyTorch).
+/// A step of Adam for one block (Kingma & Ba, 2015, algorithm 1, arranged as in PyTorch).
 pub struct Adam<'a> {
     pub parameters: &'a mut Parameters,
     pub step: &'a AdamStep,
@@ -48,25 +46,25 @@ impl WithSimd for Adam<'_> {
     }
 }
 
-/// The scalars of one step, common to all parameters.
+/// The scalars of a step, common to all parameters.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AdamStep {
-    /// Clips the joint gradient norm.
+    /// Factor that clips the joint gradient norm.
     pub gradient_scale: f32,
-    /// 1 − β₁
+    /// The gain `1 − β₁` of the first moment.
     pub gain1: f32,
     pub beta2: f32,
-    /// 1 − β₂, which differs from 1 − `beta2` by rounding.
+    /// The gain `1 − β₂` of the second moment, which differs from 1 − `beta2` by rounding.
     pub gain2: f32,
-    /// Learning rate over the bias correction of the first moment.
+    /// Learning rate divided by the bias correction of the first moment.
     pub step_size: f32,
-    /// Bias correction of the second moment's root.
+    /// Bias correction of the second moment's square root.
     pub second_moment_scale: f32,
     pub epsilon: f32,
 }
 
 impl AdamStep {
-    /// Scalars of a step that all parameters share.
+    /// Rounds the scalars of a step to single precision.
     pub fn new(settings: &Ppo, step: &OptimizerStep) -> Self {
         let count = step.count as f64;
         let [beta1, beta2] = ADAM_BETAS;

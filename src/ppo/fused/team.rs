@@ -1,19 +1,18 @@
-/*!
-A few threads that go through short phases of work together.
+/*! A team of threads that goes through short phases of work together.
 
-A phase lasts tens of microseconds, less than it takes to wake a sleeping thread, so whoever is done spins until the
-others are.
+A phase lasts tens of microseconds, less than it takes to wake a sleeping thread, so a thread that is done spins until
+the others are.
 
-Each thread has a share of a phase's tasks, the same stretch of the list in every phase, and helps the others when it is
-through with its own. Tasks of different phases that belong together should therefore stand at like places of their
-lists: what a thread writes in one phase it then mostly finds in its own cache in the next, and with as many threads as
-networks each thread keeps to one network. Which thread does which task is in the end left to chance and must not matter.
+Each thread has a part of a phase's tasks, at the same position in the list in every phase, and helps the others when it
+has finished its own. Tasks of different phases that use the same data should therefore be at similar positions of their
+lists: a thread then mostly finds in its own cache what it wrote in the phase before, and with as many threads as
+networks each thread keeps to one network. Which thread does which task is left to chance and must not matter.
 
 Why no two phases overlap, and why a phase sees everything that the one before has written:
 
 - `arrived` counts the threads that have taken their last task of a phase. Its `fetch_add`s are a chain of
   acquire-release operations on one atomic, so the thread that arrives last has seen all that the others did before they
-  arrived. It alone runs `conclude`, and resets `taken` and `arrived` while everybody else waits; nobody else touches
+  arrived. It alone runs `conclude`, and resets `taken` and `arrived` while all others wait; no other thread uses
   them in that time, so those stores can be relaxed.
 - It then stores the next `phase` with release. The others leave their wait by an acquire load of that value, and with
   it see the resets, the conclusion, and through it the work of every thread.
@@ -21,7 +20,7 @@ Why no two phases overlap, and why a phase sees everything that the one before h
   carries no data, so it is relaxed.
 - A thread reads `phase` when it enters. It cannot be late: the number changes only when all threads have arrived, this
   one included, so it stays as read until this thread has arrived itself. Wrapping round is harmless, as waiting is for
-  a change and nobody can fall a whole round behind.
+  a change and no thread can fall a whole round behind.
 - `broken` carries no data either: it only makes waiting threads panic too, and one that sees it late spins a little
   longer.
 
@@ -32,8 +31,8 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 use std::thread;
 
-/// Spins before a waiting thread starts to offer its core to others, which may well be those it waits for: on a busy
-/// machine long spins cost more than half of the speed, on an idle one short spins cost nothing.
+/// Number of spins before a waiting thread offers its core to others, perhaps to those it waits for: on a busy machine
+/// long spins cost more than half of the speed, on an idle one short spins cost nothing.
 const SPINS: u32 = 100;
 
 /// The state that the threads of a team share to stay in step.
@@ -43,11 +42,11 @@ pub struct Team {
     taken: Vec<CacheLine>,
     arrived: AtomicUsize,
     phase: AtomicUsize,
-    /// A thread of the team has panicked and will never arrive.
+    /// True if a thread of the team has panicked and will never arrive.
     broken: AtomicBool,
 }
 
-/// Keeps the counters of different threads from moving together between caches.
+/// A counter on a cache line of its own, so that threads do not slow each other down.
 #[derive(Debug, Default)]
 #[repr(align(64))]
 struct CacheLine(AtomicUsize);
@@ -63,7 +62,7 @@ impl Team {
     /// Runs `work` on `threads` threads, this one included, and returns when all are done.
     ///
     /// # Panics
-    /// When `work` does.
+    /// `work` panics on any thread.
     pub fn run(threads: usize, work: impl Fn(Member<'_>) + Sync) {
         let team = Self {
             taken: (0..threads).map(|_| CacheLine::default()).collect(),
@@ -85,8 +84,8 @@ impl Team {
 }
 
 impl Member<'_> {
-    /// One phase, called by every thread: does all of `tasks` between them, then `conclude` on one thread alone while
-    /// the others wait.
+    /// Runs one phase, called by every thread: does all `tasks` between them, then `conclude` on one thread while the
+    /// others wait.
     pub fn phase(&self, tasks: usize, mut task: impl FnMut(usize), conclude: impl FnOnce()) {
         let team = self.team;
         let phase = team.phase.load(Ordering::Acquire);
@@ -141,12 +140,12 @@ impl Drop for Alarm<'_> {
 
 // A lock is never used after its writer has panicked: the panic ends the whole team.
 
-/// Locks for reading what the phase does not write.
+/// Locks for reading a value that no task of the phase writes.
 pub fn read<T>(lock: &RwLock<T>) -> RwLockReadGuard<'_, T> {
     lock.read().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Locks for writing what the task alone writes.
+/// Locks for writing a value that only this task writes.
 pub fn write<T>(lock: &RwLock<T>) -> RwLockWriteGuard<'_, T> {
     lock.write().unwrap_or_else(PoisonError::into_inner)
 }

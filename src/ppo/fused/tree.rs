@@ -1,6 +1,4 @@
-/*!
-The gradient of a panel, summed over the tree of shards while they come one after the other.
-*/
+//! Sums the gradients of shards in the order of a binary tree, as they arrive one after the other.
 
 use std::mem::swap;
 
@@ -8,15 +6,15 @@ use pulp::{Arch, Simd, WithSimd};
 
 use crate::network::kernels::Buffer;
 
-/// Sums that wait for their other half: at level `k` that of 2ᵏ shards.
+/// Partial sums that wait for their other half: at level `k` the sum of 2ᵏ shards.
 #[derive(Debug, Default)]
 pub struct Tree {
     waiting: Vec<Buffer>,
 }
 
 impl Tree {
-    /// Takes in the gradient of `shard` of `shards`, a power of two; with the last of them it becomes the sum of all, before
-    /// that it holds nothing of use.
+    /// Adds the gradient of `shard` of `shards`, a power of two. With the last shard, `gradient` becomes the sum of
+    /// all; before, its content has no meaning.
     pub fn add(&mut self, shard: usize, shards: usize, gradient: &mut Buffer) {
         // As in a binary counter that goes from `shard` to the next number: ones become zeros until a zero becomes one.
         let merged = (shard + 1).trailing_zeros() as usize;
@@ -32,7 +30,7 @@ impl Tree {
     }
 }
 
-/// `to += values`
+/// The operation `to += values`.
 struct Add<'a> {
     to: &'a mut [f32],
     values: &'a [f32],

@@ -1,4 +1,4 @@
-//! What another robot's joints and feet are called, and the YAML file that says so where it cannot be guessed.
+//! Names of another robot's joints and feet, and the YAML description that states them if they cannot be guessed.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use crate::robot::{JOINTS, Joints, LEGS, PARTS, joint_name, same_in_every_leg};
 use crate::util::files;
 use crate::util::yaml::{Text, layered};
 
-/// One entry for each leg.
+/// One value for each leg.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[allow(non_snake_case)]
@@ -40,17 +40,17 @@ struct RawDescription {
 /// The robot's YAML description; empty for an MJCF file alone.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Description {
-    /// The MJCF file.
+    /// Path of the MJCF file.
     pub(super) mjcf: PathBuf,
-    /// Names of the joints, in our order.
+    /// Names of the joints, in the order of [`joint_names`](crate::robot::joint_names).
     pub(super) joints: Option<Vec<String>>,
-    /// Names of the feet's geometries, in our order.
+    /// Names of the feet's geometries, in the order of [`LEGS`](crate::robot::LEGS).
     pub(super) feet: Option<[String; 4]>,
-    /// Joint angles at the start, in our order \[rad\].
+    /// Joint angles of the starting pose, in the same order \[rad\].
     pub(super) pose: Option<Joints>,
-    /// Base height below which it has fallen \[m\].
+    /// Base height below which the robot counts as fallen \[m\].
     pub(super) fall_height_m: Option<f64>,
-    /// Largest torques, in our order [N·m].
+    /// Largest torques, in the same order [N·m].
     pub(super) torque_limits: Option<Joints>,
 }
 
@@ -84,7 +84,7 @@ impl Description {
         })
     }
 
-    /// The model's joints in our order, by the names given or by the usual ones.
+    /// Returns the ids of the model's joints in Supple's order, by the given names or by the usual ones.
     pub(super) fn joints(&self, model: &Model) -> Result<[usize; JOINTS], String> {
         let names: Vec<&str> = (0..model.count(Kind::Joint)).map(|joint| model.name(Kind::Joint, joint)).collect();
         let find = |index: usize| {
@@ -110,7 +110,7 @@ impl Description {
     }
 }
 
-/// Twelve numbers in our order, or three for every leg.
+/// Expands three numbers to every leg, or accepts twelve in Supple's order.
 fn of_joints(key: &str, numbers: Vec<f64>) -> Result<Joints, String> {
     match numbers[..] {
         [hip, thigh, calf] => Ok(same_in_every_leg([hip, thigh, calf])),
@@ -134,7 +134,7 @@ fn usual(name: &str, index: usize) -> bool {
     })
 }
 
-/// The foot of a leg: the geometry of that name, or the lowest sphere that collides below the calf.
+/// Finds the foot of a leg: the geometry of the given name, or the lowest sphere that collides below the calf.
 pub(super) fn foot(model: &Model, given: Option<&String>, leg: usize, calf: usize) -> Result<usize, String> {
     if let Some(name) = given {
         let foot = model.id(Kind::Geom, name).map_err(|error| error.to_string())?;

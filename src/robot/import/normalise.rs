@@ -1,4 +1,4 @@
-//! From any quadruped's MJCF to ours.
+//! Conversion of any quadruped's MJCF to the names and conventions of Supple.
 
 use std::path::{Path, PathBuf};
 
@@ -9,10 +9,10 @@ use crate::mujoco::{Data, GeomContact, Kind, Model};
 use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name};
 use crate::util::xml::Element;
 
-/// Class of what the file's top-level defaults were; those of a scene must not be changed by a robot.
+/// Class that takes over the file's top-level defaults, because a robot must not change those of a scene.
 const MAIN_CLASS: &str = "robot_defaults";
 
-/// The facts that MuJoCo reads from the file.
+/// The properties that MuJoCo reads from the file.
 struct Survey {
     model: Model,
     trunk: usize,
@@ -23,7 +23,7 @@ struct Survey {
     geoms: Vec<Vec<(usize, GeomContact)>>,
 }
 
-/// Makes a robot of its files.
+/// Converts the files of a robot.
 pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
     let (description, mut tree) = (&source.description, source.taken());
     let file = std::path::absolute(&description.mjcf).map_err(|error| error.to_string())?;
@@ -73,7 +73,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, String> {
     Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, sha256 })
 }
 
-/// Makes the files of assets absolute, since what is compiled in the end lies in no folder; returns them.
+/// Makes the paths of assets absolute, because the compiled text lies in no folder, and returns them.
 fn find_assets(tree: &mut Element, folder: &Path) -> Result<Vec<PathBuf>, String> {
     let setting = |name: &str| tree.all("compiler").filter_map(|compiler| compiler.get(name)).last().map(str::to_owned);
     let (meshes, textures) = (setting("meshdir").unwrap_or_default(), setting("texturedir").unwrap_or_default());
@@ -169,7 +169,8 @@ impl Survey {
         Ok(Survey { model, trunk, joints, feet, torque_limits, geoms })
     }
 
-    /// Changes a body and those below it; `id` is its number in the model, and then that of the next one.
+    /// Converts a body and its descendants; `id` is the body's number in the model, and afterwards that of the next
+    /// body.
     fn change(&self, body: &mut Element, id: &mut usize) {
         let contacts = self.geoms.get(*id).map_or(&[][..], Vec::as_slice);
         let mut contacts = contacts.iter();
@@ -199,7 +200,7 @@ impl Survey {
         ["damping", "frictionloss", "stiffness"].iter().for_each(|name| joint.set(name, "0"));
     }
 
-    /// Our contact masks, and nothing that would win over the ground.
+    /// Sets Supple's contact masks and removes settings that would override the ground's.
     fn change_geom(&self, element: &mut Element, geom: usize, contact: &GeomContact) {
         element.remove("name");
         if let Some(leg) = self.feet.iter().position(|foot| *foot == geom) {
@@ -214,7 +215,7 @@ impl Survey {
         ["priority", "margin", "gap"].iter().for_each(|name| element.set(name, 0));
     }
 
-    /// Torque limit of each joint [N·m]: the description's, or that of the joint's actuator.
+    /// Returns the torque limit of each joint [N·m]: the description's, or that of the joint's actuator.
     fn torque_limits(model: &Model, joints: &[usize; JOINTS], description: &Description) -> Result<Joints, String> {
         let mut limits = [0.0; JOINTS];
         for (index, limit) in limits.iter_mut().enumerate() {
@@ -245,8 +246,9 @@ impl Survey {
         Element { name: "actuator".into(), attributes: Vec::new(), children: (0..JOINTS).map(motor).collect() }
     }
 
-    /// Returns the positions at the start (those of `stand_qpos`, of the keyframe `home` or the first one, or the
-    /// description's pose, set down on the ground by the lowest foot), and whether the file or its description gives them.
+    /// Returns the starting positions and true if the file or its description gives them. They are those of
+    /// `stand_qpos`, of the keyframe `home` or the first one, or the description's pose, placed on the ground by the
+    /// lowest foot.
     fn start(&self, description: &Description, report: &mut Vec<String>) -> Result<(Vec<f64>, bool), String> {
         let model = &self.model;
         let fail = |error: crate::mujoco::Error| error.to_string();
@@ -287,7 +289,7 @@ impl Survey {
         Ok((trunk.chain(in_file.into_iter().map(|(_, angle)| angle)).collect(), has_pose))
     }
 
-    /// Lists the changes.
+    /// Lists the changes, one on a line.
     fn report(&self) -> Vec<String> {
         let model = &self.model;
         let mut lines = Vec::new();
@@ -336,7 +338,7 @@ impl Survey {
     }
 }
 
-/// Sections and world elements that a scenario brings itself, or that nothing here reads.
+/// Lists the sections and world elements that are left out: a scenario brings its own, or nothing reads them.
 fn left_out(tree: &Element, survey: &Survey) -> Vec<String> {
     let mut lines = Vec::new();
     for option in tree.all("option") {
@@ -368,7 +370,7 @@ fn contains_free_joint(body: &Element) -> bool {
     body.children.iter().any(|child| child.name == "freejoint" || child.get("type") == Some("free"))
 }
 
-/// Puts top-level defaults into a class of their own, if there are any; whether there are.
+/// Moves top-level defaults into a class of their own; returns true if there are any.
 fn wrap_defaults(tree: &mut Element) -> bool {
     let is_class = |element: &Element| element.name == "default";
     if !tree.all("default").any(|section| section.children.iter().any(|child| !is_class(child))) {
@@ -395,7 +397,7 @@ fn wrap_defaults(tree: &mut Element) -> bool {
     true
 }
 
-/// The class `main` has another name now.
+/// Renames the class `main` to [`MAIN_CLASS`].
 fn rename_main(element: &mut Element) {
     for (name, value) in &mut element.attributes {
         if matches!(name.as_str(), "class" | "childclass") && value == "main" {
@@ -405,7 +407,7 @@ fn rename_main(element: &mut Element) {
     element.children.iter_mut().for_each(rename_main);
 }
 
-/// The element of the body with this number.
+/// Takes the element of the body with this number out of the tree.
 fn take_trunk(tree: Element, trunk: usize) -> Option<Element> {
     fn count(body: &Element) -> usize {
         1 + body.all("body").map(count).sum::<usize>()
@@ -421,7 +423,7 @@ fn take_trunk(tree: Element, trunk: usize) -> Option<Element> {
     None
 }
 
-/// `1`, or `0.5 to 2`.
+/// Formats the range of values: `0.5 to 2`, or `1` if all are equal.
 fn range(values: &[f64]) -> String {
     let low = values.iter().copied().fold(f64::INFINITY, f64::min);
     let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -432,7 +434,7 @@ fn list(values: &[f64]) -> String {
     values.iter().map(|value| short(*value)).collect::<Vec<_>>().join(" ")
 }
 
-/// A number without the dust of floating-point arithmetic.
+/// Formats a number without floating-point noise.
 fn short(value: f64) -> String {
     ((value * 1e6).round() / 1e6).to_string()
 }

@@ -1,4 +1,4 @@
-//! The file of a robot with all that it includes, read and checked before MuJoCo sees any of it.
+//! The files of a robot with all includes, read and checked before MuJoCo sees them.
 
 use std::path::{Path, PathBuf};
 
@@ -7,32 +7,32 @@ use crate::mujoco::check_sizes;
 use crate::util::files;
 use crate::util::xml::{self, Element};
 
-/// Larger files are not robots.
+/// Maximum size of a robot's MJCF \[bytes\].
 const MAX_BYTES: u64 = 8 << 20;
 
-/// Larger meshes and textures are not a robot's.
+/// Maximum size of a mesh or texture \[bytes\].
 const MAX_ASSET_BYTES: u64 = 256 << 20;
 
-/// Elements of all files. A robot has some hundred; MuJoCo's time grows with their square.
+/// Maximum number of elements in all files. A robot has some hundred; MuJoCo's time grows with their square.
 const MAX_ELEMENTS: usize = 5_000;
 
-/// Files in all.
+/// Maximum number of files.
 const MAX_FILES: usize = 64;
 
-/// Sections that are not taken over: a scene has its own, or nothing here reads them.
+/// Sections that are left out, because a scene has its own or nothing reads them.
 const NOT_TAKEN: [&str; 6] = ["option", "size", "sensor", "contact", "statistic", "visual"];
 
-/// A robot as its files have it.
+/// A robot's description and MJCF as read from its files.
 #[derive(Debug)]
 pub(in crate::robot) struct Source {
     /// The robot's YAML description, if there is one.
     pub(super) description: Description,
-    /// The MJCF file with what it includes.
+    /// The MJCF tree with its includes resolved.
     pub(super) tree: Element,
 }
 
 impl Source {
-    /// Reads an MJCF file, or a YAML file that names one and says what its parts are called.
+    /// Reads an MJCF file, or a YAML description that names one.
     pub(in crate::robot) fn read(path: &Path) -> Result<Self, String> {
         let description = Description::read(path)?;
         let folder = description.mjcf.parent().unwrap_or(Path::new(""));
@@ -59,14 +59,14 @@ impl Source {
         taken
     }
 
-    /// All that it says, and where its files lie.
+    /// Returns the whole text and the folder of its files, which together identify the source.
     pub(in crate::robot) fn text(&self) -> String {
         let mut text = format!("{:?}", self.description);
         self.tree.write(&mut text);
         text
     }
 
-    /// Hash of all that it says and of the files of its assets, wherever they lie.
+    /// Returns the SHA-256 of the whole text and the content of its assets, independent of their paths.
     pub(super) fn sha256(&self, assets: &[PathBuf]) -> Result<String, String> {
         let mjcf = self.description.mjcf.file_name().unwrap_or_default().into();
         let mut text = format!("{:?}", Description { mjcf, ..self.description.clone() });
@@ -81,7 +81,7 @@ impl Source {
     }
 }
 
-/// Refuses numbers that are not finite: MuJoCo takes them, and whatever comes of them later is charged to it.
+/// Refuses numbers that are not finite, because MuJoCo accepts them and fails later for no visible reason.
 fn check_finite(element: &Element) -> Result<(), String> {
     for (name, value) in element.attributes.iter().filter(|(name, _)| name != "name") {
         let numbers: Result<Vec<f64>, _> = value.split_whitespace().map(str::parse).collect();
@@ -93,9 +93,9 @@ fn check_finite(element: &Element) -> Result<(), String> {
 }
 
 struct Reader<'a> {
-    /// The file that errors name.
+    /// The path that errors name.
     given: &'a Path,
-    /// Where included files lie, as MuJoCo has it: that of the first file.
+    /// Folder in which included files are looked up; as in MuJoCo, that of the main file.
     folder: &'a Path,
     files: usize,
     elements: usize,
@@ -115,7 +115,7 @@ impl Reader<'_> {
         Ok(root)
     }
 
-    /// Puts the content of files in the place of what includes them.
+    /// Replaces each `include` element by the content of its file.
     fn include(&mut self, element: &mut Element) -> Result<(), String> {
         self.elements += 1;
         if self.elements > MAX_ELEMENTS {

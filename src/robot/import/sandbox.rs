@@ -1,12 +1,12 @@
-/*! Robots from elsewhere in a process of their own.
+/*! The child process in which robot files that do not ship are read.
 
-What a file makes MuJoCo do is known when MuJoCo has done it: allocate all memory, loop, crash, throw an exception of C++. So
-a child process does it first, with a bound on memory and time: it reads the file, makes a robot of it, compiles that and
-steps it. What it answers, the robot's MJCF, is what this process compiles again.
+A robot file can make MuJoCo allocate all memory, loop, crash or throw a C++ exception. So a child process tries it
+first, with bounds on memory and time: it reads the file, converts it, compiles the result and steps it. Its answer, the
+robot's MJCF, is compiled again by this process.
 
-The child is this program, started again with a first argument that nobody gives by hand, which [`isolate_imports`] looks for.
-A program that does not call it reads robots in its own process: behind the same limits on what a file may ask for, but
-without this last line of defence.
+The child is this program, started again with a first argument that only [`isolate_imports`] passes and recognises. A
+program that does not call it reads robots in its own process: with the same limits on sizes, but without this last line
+of defence.
 */
 
 use std::ffi::OsStr;
@@ -23,28 +23,28 @@ use rustix::process::{Resource, Rlimit, setrlimit};
 use super::{Imported, normalise, resolve};
 use crate::mujoco::{Data, Model};
 
-/// First argument of a child.
+/// First argument of a child process.
 const CHILD: &str = "--import-robot-in-this-process";
 
-/// Address space of a child \[bytes\].
+/// Limit on the address space of a child \[bytes\].
 const MEMORY_BYTES: u64 = 3 << 30;
 
-/// Processor time of a child \[s\].
+/// Limit on the processor time of a child \[s\].
 const TIME_S: u64 = 30;
 
-/// Time until a child is given up, as on a busy machine, or when it waits for something that never comes.
+/// Longest wait for a child, for busy machines and for children that hang.
 const PATIENCE: Duration = Duration::from_secs(180);
 
-/// Longest answer of a child \[bytes\].
+/// Maximum size of a child's answer \[bytes\].
 const MAX_ANSWER: u64 = 64 << 20;
 
-/// Steps that a child takes with the robot.
+/// Number of physics steps that a child takes with the robot.
 const STEPS: usize = 10;
 
 static ISOLATED: AtomicBool = AtomicBool::new(false);
 
-/// Has robots that do not ship read in a process of their own, with bounds on memory and time, from now on. To be called first
-/// in `main`: that process is this program again, and in it this call does not return.
+/// Makes this program read robot files that do not ship in a child process, with bounds on memory and time. Call it
+/// first in `main`: the child is this program, started again, and there this call does not return.
 pub fn isolate_imports() {
     let mut arguments = std::env::args_os().skip(1);
     if arguments.next().as_deref() != Some(OsStr::new(CHILD)) {
@@ -59,7 +59,7 @@ pub fn isolate_imports() {
     std::process::exit(if told { 0 } else { 1 });
 }
 
-/// Makes a robot of a file in a child process, or nothing if this program has none.
+/// Imports a robot file in a child process; returns `None` if the program did not call [`isolate_imports`].
 pub(super) fn import(path: &Path) -> Option<Result<Imported, String>> {
     ISOLATED.load(Ordering::Relaxed).then(|| {
         let cannot = |error: std::io::Error| format!("cannot start a process to read it in: {error}");
@@ -77,7 +77,7 @@ pub(super) fn import(path: &Path) -> Option<Result<Imported, String>> {
     })
 }
 
-/// All that a child writes, if it comes to an end in time.
+/// Reads the child's whole output, if it ends in time.
 fn answer(child: &mut Child) -> Option<Vec<u8>> {
     let out = child.stdout.take()?;
     let (sender, receiver) = mpsc::channel();
@@ -119,7 +119,7 @@ fn bound_this_process() -> Result<(), String> {
     Ok(())
 }
 
-/// Does with a robot what this program will do.
+/// Imports, compiles and steps a robot, as this program will.
 fn try_out(path: &Path) -> Result<Imported, String> {
     let imported = normalise::adapt(&resolve::Source::read(path)?)?;
     let words = |error: crate::mujoco::Error| error.to_string();

@@ -1,4 +1,4 @@
-//! A field of loose balls (E7).
+//! The scenario `ball-pit`: a field of loose balls (E7).
 
 use std::fmt::Write as _;
 
@@ -40,7 +40,7 @@ impl BallPit {
         f64::from(self.balls).sqrt().ceil() as u32
     }
 
-    /// Where the last row ends \[m\].
+    /// Returns the x coordinate of the last row's end, world frame \[m\].
     pub fn far_edge_m(&self) -> f64 {
         let pitch = 2.0 * self.radius_m + self.gap_m;
         self.distance_m + f64::from(self.side()) * pitch
@@ -93,7 +93,7 @@ impl Parameters for BallPit {
         found.push(truth("crossed", "got across", Some(trace.reached_goal())));
     }
 
-    /// Moves the obstacle away by the distance walked in that time.
+    /// Moves the balls away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

@@ -1,4 +1,4 @@
-//! A free box in the way (E6).
+//! The scenario `box`: a free box in the way (E6).
 
 use clap::Args;
 use rand::RngExt;
@@ -94,7 +94,7 @@ impl Parameters for FreeBox {
         ]);
     }
 
-    /// Moves the obstacle away by the distance walked in that time.
+    /// Moves the box away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }

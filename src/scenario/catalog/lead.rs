@@ -1,4 +1,4 @@
-//! A walker leads the robot by the leash (E14).
+//! The scenario `lead`: a walker leads the robot by the leash (E14).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -19,22 +19,22 @@ pub struct Lead {
     #[command(flatten)]
     #[serde(flatten)]
     pub task: Task,
-    /// Speed of the hand relative to the commanded walk (m/s)
+    /// Speed of the walker relative to the commanded walk (m/s)
     #[arg(long)]
     pub speed_m_s: f64,
-    /// Direction of the hand in the world: 0 ahead, 90 left (deg)
+    /// Direction of the walker in the world: 0 ahead, 90 left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// Stiffness of the leash, with the hand and the arm at its end (N/m)
+    /// Stiffness of the leash, including the walker's hand and arm (N/m)
     #[arg(long)]
     pub stiffness_n_per_m: f64,
-    /// Damping of the same (N s/m)
+    /// Damping of the leash (N s/m)
     #[arg(long)]
     pub damping_n_s_per_m: f64,
-    /// Distance the hand walks until the leash is taut (m)
+    /// Distance the walker walks until the leash is taut (m)
     #[arg(long)]
     pub slack_m: f64,
-    /// Time at which the hand sets off (s)
+    /// Time at which the walker sets off (s)
     #[arg(long)]
     pub at_s: f64,
 }

@@ -1,4 +1,4 @@
-//! A constant pull on the trunk (E5).
+//! The scenario `leash`: a constant pull on the trunk (E5).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -22,10 +22,10 @@ pub struct Leash {
     /// Direction of the pull in the world: 0 ahead, 90 left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// When the pull begins (s)
+    /// Time at which the pull begins (s)
     #[arg(long)]
     pub at_s: f64,
-    /// How long it lasts (s)
+    /// Duration of the pull (s)
     #[arg(long)]
     pub for_s: f64,
 }

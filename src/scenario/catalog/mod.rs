@@ -1,8 +1,8 @@
-/*! The catalog of scenarios: each turns parameters into a script and adds its own metrics.
+/*! The catalog of scenarios: each one turns parameters into a script and adds its own metrics.
 
-Parameters are flags of the `scenario` program and keys of the YAML files under `configs/scenarios/`, by the same names;
-the files hold the defaults, which are the protocols of the paper's experiments. Each scenario is a file of its own here:
-its parameters, what they add to the script, and its metrics.
+Start with [`Scenario`] and its method `script`. Parameters are flags of the program `scenario` and keys of the YAML
+files in `configs/scenarios/`, by the same names; the files contain the defaults, which are the protocols of the paper's
+experiments. Each scenario has its own file here: its parameters, their effect on the script, and its metrics.
 */
 
 mod ball_pit;
@@ -68,6 +68,17 @@ pub const DEFAULTS: &[(&str, &str)] = &[
 ];
 
 /// A scenario with its parameters.
+///
+/// ```
+/// use supple::config::Config;
+/// use supple::scenario::catalog::Scenario;
+///
+/// let scenario = Scenario::named("push", "{push_m_s: 0.5, at_s: 1.0}")?; // the other parameters have defaults
+/// let script = scenario.script(3, &Config::load("compliant")?)?;
+/// assert_eq!(script.pushes[0].push.linear[0].hypot(script.pushes[0].push.linear[1]), 0.5); // [m/s]
+/// assert!((1.0..1.65).contains(&script.pushes[0].time_s)); // the seed draws the phase of the gait
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Subcommand, Debug, Clone, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Scenario {
@@ -77,9 +88,9 @@ pub enum Scenario {
     Push(PushAway),
     /// Pull the trunk with a constant force (E5)
     Leash(Leash),
-    /// Walk away with the leash (E14)
+    /// Lead the robot by a leash (E14)
     Lead(Lead),
-    /// Walk into a wall that gives (E14)
+    /// Walk into a soft wall (E14)
     Wall(Wall),
     /// Walk into a free box (E6)
     Box(FreeBox),
@@ -101,8 +112,7 @@ impl Scenario {
     /// Returns the scenario `name` with its default parameters, except those given in `parameters` as YAML.
     ///
     /// # Errors
-    /// [`YamlError`] if there is no such scenario, or if a parameter is unknown or has the wrong type; it lists the names that
-    /// exist.
+    /// There is no such scenario (the error lists those that exist), or a parameter is unknown or has the wrong type.
     pub fn named(name: &str, parameters: &str) -> Result<Self, YamlError> {
         Ok(match name {
             "walk" => Scenario::Walk(with_parameters(name, parameters)?),
@@ -124,17 +134,17 @@ impl Scenario {
         })
     }
 
-    /// Name on the command line.
+    /// Returns the scenario's name on the command line.
     pub fn name(&self) -> &'static str {
         self.parts().0
     }
 
-    /// The parameters that every scenario has.
+    /// Returns the parameters that every scenario has.
     pub fn task(&self) -> &Task {
         self.parts().1
     }
 
-    /// Name, common parameters and all parameters.
+    /// Returns name, common parameters and all parameters.
     fn parts(&self) -> (&'static str, &Task, &dyn Parameters) {
         match self {
             Scenario::Walk(it) => ("walk", &it.task, it),
@@ -178,7 +188,7 @@ pub fn defaults<T: DeserializeOwned>(name: &str) -> Result<T, ConfigError> {
     Ok(with_parameters(name, "{}")?)
 }
 
-/// Returns the default parameters of a scenario, overridden by those given.
+/// Returns the default parameters of a scenario, overridden by the given ones.
 fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Result<T, YamlError> {
     let defaults = DEFAULTS.iter().find(|(known, _)| *known == scenario).map_or("", |(_, text)| text);
     let texts = [Text::new(scenario, defaults), Text::new(scenario, parameters)];
@@ -206,13 +216,13 @@ fn with_parameters<T: DeserializeOwned>(scenario: &str, parameters: &str) -> Res
 /// Time still played after a fall \[s\].
 const AFTER_FALL_S: f64 = 1.0;
 
-/// A parameter outside its range.
+/// The error of a parameter outside its range.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("--{name} is {found}, expected {expected}")]
 pub struct ParameterError {
-    /// The flag's name.
+    /// Name of the flag, such as `push-m-s`.
     pub name: &'static str,
-    /// The value found.
+    /// The value that was found.
     pub found: String,
     /// The valid range.
     pub expected: &'static str,
@@ -266,14 +276,14 @@ trait Parameters {
     /// Delays the disturbance \[s\]; does nothing if there is none.
     fn delay(&mut self, _phase_s: f64) {}
 
-    /// Cost of the simulation relative to the robot alone.
+    /// Returns the cost of the simulation relative to the robot alone.
     fn cost(&self) -> f64 {
         1.0
     }
 }
 
 impl Scenario {
-    /// Cost of a trial in seconds of simulation of the robot alone, for progress bars.
+    /// Returns the cost of a trial, in seconds of simulation of the robot alone, for progress bars.
     pub fn cost(&self) -> f64 {
         self.parts().2.cost() * self.task().duration_s
     }
@@ -373,7 +383,7 @@ fn metric(name: &'static str, label: &'static str, value: Option<f64>, unit: &'s
     Metric::new(name, label, value, unit)
 }
 
-/// Metric of a disturbance's duration, if it is over by the end.
+/// Creates the metric of a disturbance's duration; it has a value if the disturbance is over by the end.
 fn lasting(name: &'static str, label: &'static str, decay: Option<Decay>) -> Metric {
     let found = metric(name, label, decay.and_then(Decay::ended_s), "s");
     if decay.is_some() { found.because("it goes on to the end") } else { found }
@@ -383,21 +393,21 @@ fn truth(name: &'static str, label: &'static str, value: Option<bool>) -> Metric
     metric(name, label, value.map(|truth| f64::from(u8::from(truth))), metrics::TRUTH)
 }
 
-/// A direction from forward, counter-clockwise, as a unit vector: forward, left.
+/// Converts an angle from forward, counter-clockwise, to a unit vector (forward, left).
 fn towards(direction_deg: f64) -> [f64; 2] {
     let angle = direction_deg.to_radians();
     [angle.cos(), angle.sin()]
 }
 
-/// Refuses a commanded yaw rate: loads on ropes are aimed along a straight walk.
+/// Refuses a commanded yaw rate, because loads on ropes are aimed along a straight walk.
 fn no_turn(task: &Task) -> Result<(), ParameterError> {
     in_range("yaw-rad-s", task.yaw_rad_s, 0.0, 0.0, "0: the load is aimed at where a straight walk leads")
 }
 
-/// Refuses a number outside its range.
+/// Checks that a parameter is within its range.
 ///
 /// # Errors
-/// [`ParameterError`] with the parameter, what was found and what was expected.
+/// The number is out of range or not finite; the error names the parameter, the number and the range.
 pub fn in_range(
     name: &'static str,
     found: f64,

@@ -1,4 +1,4 @@
-/*! Hills of varied friction (E11).
+/*! The scenario `outdoor`: hills of varied friction (E11).
 
 The hills are one octave of Perlin noise, wide and smooth, scaled so that the steepest triangle of the height field has
 exactly the wanted slope. The ground is divided into squares, each with a friction of its own; each foot carries the
@@ -16,10 +16,10 @@ use crate::scenario::{Script, terrain};
 use crate::sim::{Buffers, Ground, Patches};
 use crate::util::random::{Purpose, stream};
 
-/// Least and largest half-length of the ground \[m\].
+/// Smallest and largest half-length of the ground \[m\].
 const HALF_SIZE_M: [f64; 2] = [6.0, 60.0];
 
-/// Ground beyond where the command leads to \[m\].
+/// Width of the ground beyond the end of the commanded way \[m\].
 const MARGIN_M: f64 = 3.0;
 
 /// Outdoor: hills of varied friction.
@@ -35,7 +35,7 @@ pub struct Outdoor {
     /// Lattice cells of the hills per metre; a hill and a dale take about two cells (1/m)
     #[arg(long)]
     pub frequency_per_m: f64,
-    /// Least sliding friction of a square of ground
+    /// Smallest sliding friction of a square of ground
     #[arg(long)]
     pub least_friction: f64,
     /// Largest sliding friction of a square of ground
@@ -47,12 +47,12 @@ pub struct Outdoor {
 }
 
 impl Outdoor {
-    /// How far the command leads \[m\].
+    /// Returns the length of the commanded way \[m\].
     fn way_m(&self) -> f64 {
         self.task.forward_m_s.hypot(self.task.left_m_s) * self.task.duration_s
     }
 
-    /// Half-length of the ground: the commanded distance and a margin, within limits \[m\].
+    /// Returns the half-length of the ground: the commanded way and a margin, within limits \[m\].
     fn half_size_m(&self) -> f64 {
         (self.way_m() + MARGIN_M).clamp(HALF_SIZE_M[0], HALF_SIZE_M[1])
     }
@@ -100,7 +100,7 @@ impl Parameters for Outdoor {
     }
 }
 
-/// Slope of the ground under a place, rise over run, over the length of the robot.
+/// Returns the slope of the ground at a place, rise over run, over the length of the robot.
 fn slope(ground: &Ground, [x, y, _]: [f64; 3]) -> f64 {
     let half_m = 0.2;
     let along_x = ground.height(x + half_m, y) - ground.height(x - half_m, y);
@@ -116,7 +116,8 @@ mod tests {
     use crate::scenario::catalog::{Scenario, defaults};
     use crate::sim::{Push, Sim};
 
-    /// How far the feet of a standing robot slide in half a second after a push of 0.5 m/s to the left, on average.
+    /// Returns the mean distance that the feet of a standing robot slide in half a second after a push of 0.5 m/s to
+    /// the left \[m\].
     fn slide_m(friction: f64) -> f64 {
         let config = Config::load("compliant").unwrap();
         let outdoor: Outdoor = defaults("outdoor").unwrap();

@@ -1,8 +1,8 @@
-/*! A ball on a string swings into the trunk (E10).
+/*! The scenario `pendulum`: a ball on a string swings into the trunk (E10).
 
-The ball is let go at rest with the string taut. Where its swing is lowest, it is level with the trunk's middle and
-touches its side: the stand is aimed at where the robot, walking on as commanded, will be a quarter of a period later. How
-long a contact lasts and how hard it is are those of MuJoCo's default contact, whose time constant is 20 ms: a padded ball
+The ball is released at rest with the string taut. At its lowest point it is level with the trunk's middle and
+touches its side: the stand is aimed at the predicted position of the walking robot a quarter of a period later.
+Duration and hardness of the contact are those of MuJoCo's default contact, whose time constant is 20 ms: a padded ball
 rather than bare steel.
 */
 
@@ -18,10 +18,10 @@ use crate::scenario::metrics::{self, Metric, STRIDE_S};
 use crate::scenario::rig::{Holder, Load, Rig, Shape};
 use crate::scenario::trace::{Frame, Trace};
 
-/// The trunk has its largest velocity from a blow within this time \[s\].
+/// Time after the first contact within which the trunk reaches its largest velocity \[s\].
 const LONGEST_BLOW_S: f64 = 0.2;
 
-/// Length of the sum of impulses from the first contact on \[s\].
+/// Duration of the sum of impulses, from the first contact on \[s\].
 const IMPULSE_S: f64 = 1.0;
 
 /// Pendulum: a ball on a string swings into the trunk.
@@ -46,7 +46,7 @@ pub struct Pendulum {
     /// Direction in which the ball hits, from the robot's heading: 0 forward, 90 to the left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// When the ball is let go (s)
+    /// Time at which the ball is released (s)
     #[arg(long)]
     pub at_s: f64,
 }
@@ -54,7 +54,7 @@ pub struct Pendulum {
 /// The ball's first contact with the robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Impact {
-    /// When it began \[s\].
+    /// Time at which the contact began \[s\].
     pub time_s: f64,
     /// Largest change of the trunk's velocity along the blow from the frame before it, within 0.2 s, as a push in the
     /// heading frame (forward, left) [m/s].
@@ -62,19 +62,19 @@ pub struct Impact {
 }
 
 impl Pendulum {
-    /// Where the ball moves at its lowest point, forward and left of the robot; a unit vector.
+    /// Returns the direction of the ball at its lowest point, forward and left of the robot; a unit vector.
     pub fn direction(&self) -> [f64; 2] {
         towards(self.direction_deg)
     }
 
-    /// From the release to the lowest point \[s\]: `(π / 2) √(L / g) / agm(1, cos(θ / 2))`, exact for a point on a
-    /// string that is let go at the angle θ.
+    /// Returns the time from the release to the lowest point \[s\]: `(π / 2) √(L / g) / agm(1, cos(θ / 2))`, exact for
+    /// a point on a string that is released at the angle θ.
     pub fn fall_s(&self) -> f64 {
         let half_angle = 0.5 * (1.0 - self.release_height_m / self.string_m).acos();
         FRAC_PI_2 * (self.string_m / GRAVITY_M_S2).sqrt() / arithmetic_geometric_mean(1.0, half_angle.cos())
     }
 
-    /// The first contact of the ball with the robot, if there was one.
+    /// Returns the first contact of the ball with the robot, if there was one.
     pub fn impact(&self, trace: &Trace) -> Option<Impact> {
         let [ahead, left] = self.direction();
         let first = trace.frames.iter().position(|frame| frame.peak_obstacle_force_n > 0.0)?;

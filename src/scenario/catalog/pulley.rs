@@ -1,9 +1,9 @@
-/*! A weight on a rope over a pulley pulls the trunk (E9).
+/*! The scenario `pulley`: a weight on a rope over a pulley pulls the trunk (E9).
 
 The rope goes from the trunk's centre of mass to a pulley about as high as the trunk, from there straight up to a second one
-and down to the weight. When the robot goes towards the pulley the weight sinks, when it goes away the weight rises, and
-the rope's force is the weight's `m (g + a)`. Pulleys are points without friction and inertia; the rope passes through
-legs, as one that is tied to a harness on the back would not touch them.
+and down to the weight. When the robot moves towards the pulley the weight sinks, when it moves away the weight rises,
+and the rope's force is the weight's `m (g + a)`. Pulleys are points without friction and inertia. The rope passes
+through legs, because a real one, tied to a harness on the back, would not touch them.
 */
 
 use clap::Args;
@@ -22,7 +22,7 @@ const STEEL_KG_M3: f64 = 7850.0;
 /// Horizontal distance from the lower to the upper pulley \[m\].
 const UPPER_PULLEY_M: f64 = 0.25;
 
-/// Start of the averages of velocity and force, after the weight is let go: the rope has stopped jerking \[s\].
+/// Time after the release at which the averages of velocity and force start: the rope no longer jerks \[s\].
 const SETTLED_S: f64 = 1.0;
 
 /// Pulley: a hanging weight pulls the trunk.
@@ -44,27 +44,27 @@ pub struct Pulley {
     /// Height of the pulley that the rope comes from (m)
     #[arg(long)]
     pub height_m: f64,
-    /// How far the weight can sink or rise, beyond what the commanded walk takes, before it meets ground or pulley (m)
+    /// Distance that the weight can sink or rise, in addition to that of the commanded walk, before it meets ground or pulley (m)
     #[arg(long)]
     pub drop_m: f64,
-    /// Slack of the rope when the weight is let go; the weight falls freely until the rope is taut (m)
+    /// Slack of the rope at the release; the weight falls freely until the rope is taut (m)
     #[arg(long)]
     pub slack_m: f64,
-    /// When the weight is let go (s)
+    /// Time at which the weight is released (s)
     #[arg(long)]
     pub at_s: f64,
-    /// How long the rope stays on the robot (s)
+    /// Duration for which the rope stays on the robot (s)
     #[arg(long)]
     pub for_s: f64,
 }
 
 impl Pulley {
-    /// Where the pull goes, forward and left at the robot's heading when it begins; a unit vector.
+    /// Returns the direction of the pull, forward and left at the robot's heading when it begins; a unit vector.
     pub fn direction(&self) -> [f64; 2] {
         towards(self.direction_deg)
     }
 
-    /// The pulleys, the weight, and how they hang.
+    /// Builds the rig of pulleys, weight and rope.
     fn rig(&self) -> Rig {
         let [ahead, left] = self.direction();
         let upper_m = self.distance_m + UPPER_PULLEY_M;
@@ -94,13 +94,13 @@ impl Pulley {
         0.5 * (self.mass_kg / STEEL_KG_M3).cbrt()
     }
 
-    /// How far the commanded walk leads towards the pulley during the pull \[m\].
+    /// Returns the distance by which the commanded walk approaches the pulley during the pull \[m\].
     fn approach_m(&self) -> f64 {
         let [ahead, left] = self.direction();
         (self.task.forward_m_s * ahead + self.task.left_m_s * left) * self.for_s
     }
 
-    /// Height of the weight when it is let go \[m\].
+    /// Returns the height of the weight at its release \[m\].
     fn start_height_m(&self) -> f64 {
         self.half_edge_m() + self.drop_m + self.approach_m().max(0.0)
     }

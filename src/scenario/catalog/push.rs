@@ -1,4 +1,4 @@
-//! Sudden changes of the trunk's velocity (E1 to E4).
+//! The scenario `push`: sudden changes of the trunk's velocity (E1 to E4).
 
 use clap::Args;
 use rand::RngExt;
@@ -24,7 +24,7 @@ pub struct PushAway {
     /// Direction of the push: 0 forward, 90 left (deg)
     #[arg(long)]
     pub direction_deg: f64,
-    /// Time of the push; up to 0.65 s later, as the seed has it (s)
+    /// Earliest time of the push; the seed delays it by up to 0.65 s (s)
     #[arg(long)]
     pub at_s: f64,
     /// Push again at this interval; 0 pushes once (s)

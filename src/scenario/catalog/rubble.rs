@@ -1,11 +1,11 @@
-/*! Wooden blocks and soft mats on the way (E11).
+/*! The scenario `rubble`: wooden blocks and soft mats on the way (E11).
 
 Blocks are free bodies: a foot can stand on one, tip it or push it away. So are mats, which give under a foot by a soft
 contact. (Fixed to the floor they would hold a foot that runs into their edge and sinks into it.)
 
-The floor alone is the ground. Height counts from the floor, so that a robot on a block is higher and one that lies on a
-mat or on blocks is below 0.2 m and has fallen; a leg that brushes a block or the edge of a mat has not, as with the box
-and the balls.
+The floor alone is the ground. Height is measured from the floor, so that a robot on a block is higher, and one that
+lies on a mat or on blocks is below 0.2 m and has fallen. A leg that brushes a block or the edge of a mat is no fall, as
+with the box and the balls.
 */
 
 use clap::Args;
@@ -32,13 +32,13 @@ const MAT_EDGE_M: f64 = 0.7;
 /// softness depends on the masses that meet.
 const FOAM: &str = r#"density="100" priority="2" friction="0.8 0.005 0.0001" solref="0.03 1" solimp="0.8 0.95 0.02" rgba="0.16 0.42 0.60 1""#;
 
-/// Space between neighbours, so that nothing is stuck at the start \[m\].
+/// Gap between neighbours, so that none are in contact at the start \[m\].
 const GAP_M: f64 = 0.01;
 
-/// Number of draws for a piece before the layout is given up.
+/// Maximum number of draws for a piece before the layout is discarded.
 const MOST_DRAWS: u32 = 200;
 
-/// Number of layouts before an error.
+/// Maximum number of layouts before an error is returned.
 const MOST_LAYOUTS: u32 = 100;
 
 /// Rubble: wooden blocks and soft mats on the way.
@@ -51,10 +51,10 @@ pub struct Rubble {
     /// Number of wooden blocks
     #[arg(long)]
     pub blocks: u32,
-    /// Least and largest edge of a block seen from above are a half and all of this (m)
+    /// Largest edge of a block seen from above; the smallest is half of it (m)
     #[arg(long)]
     pub block_edge_m: f64,
-    /// Least and largest height of a block are a half and all of this (m)
+    /// Largest height of a block; the smallest is half of it (m)
     #[arg(long)]
     pub block_height_m: f64,
     /// Number of soft mats, squares of 0.7 m
@@ -66,10 +66,10 @@ pub struct Rubble {
     /// Distance from the robot's centre to where the rubble begins (m)
     #[arg(long)]
     pub distance_m: f64,
-    /// How far it reaches along the way (m)
+    /// Length of the rubble along the way (m)
     #[arg(long)]
     pub length_m: f64,
-    /// How far it reaches across the way (m)
+    /// Width of the rubble across the way (m)
     #[arg(long)]
     pub width_m: f64,
 }
@@ -77,21 +77,21 @@ pub struct Rubble {
 /// A block or a mat.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Piece {
-    /// Centre seen from above \[m\].
+    /// Centre, seen from above, world frame \[m\].
     centre: [f64; 2],
-    /// Half-lengths \[m\].
+    /// Half-lengths along the piece's axes \[m\].
     half: [f64; 3],
     /// Rotation about the vertical \[rad\].
     yaw: f64,
 }
 
 impl Piece {
-    /// Radius of the circle around it, seen from above \[m\].
+    /// Returns the radius of the circle around the piece, seen from above \[m\].
     fn radius(&self) -> f64 {
         self.half[0].hypot(self.half[1])
     }
 
-    /// MJCF of a free body of it.
+    /// Returns the MJCF of the piece as a free body.
     fn body(&self, name: &str, material: &str) -> String {
         let Piece { centre: [x, y], half: [a, b, c], yaw } = self;
         let turned = about_up(*yaw);
@@ -108,12 +108,12 @@ impl Piece {
 }
 
 impl Rubble {
-    /// Where the rubble ends \[m\].
+    /// Returns the x coordinate of the rubble's end, world frame \[m\].
     pub fn far_edge_m(&self) -> f64 {
         self.distance_m + self.length_m
     }
 
-    /// Mats, then blocks, none of which touches another.
+    /// Draws mats and blocks that do not touch each other.
     fn pieces(&self, seed: u64) -> Result<(Vec<Piece>, Vec<Piece>), ParameterError> {
         let mut rng = stream(seed, Purpose::Terrain, 1, 0);
         // The first pieces may leave no place for the others: then all are laid out anew.
@@ -127,7 +127,7 @@ impl Rubble {
         Ok((mats, blocks))
     }
 
-    /// One layout, if all find a place.
+    /// Draws one layout; `None` if a piece finds no place.
     fn lay_out(&self, rng: &mut impl RngExt) -> Option<Vec<Piece>> {
         let mut all: Vec<Piece> = Vec::new();
         for index in 0..self.mats + self.blocks {
@@ -138,7 +138,7 @@ impl Rubble {
         Some(all)
     }
 
-    /// A mat or a block somewhere.
+    /// Draws the size and the place of a mat or a block.
     fn draw(&self, is_mat: bool, rng: &mut impl RngExt) -> Piece {
         let mut between = |low: f64, high: f64| if low < high { rng.random_range(low..high) } else { low };
         let half = if is_mat {
@@ -196,7 +196,7 @@ impl Parameters for Rubble {
         found.push(metric("peak_contact_force_n", "peak force on blocks and mats", peak, "N"));
     }
 
-    /// Moves the obstacle away by the distance walked in that time.
+    /// Moves the rubble away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
     }
@@ -206,7 +206,8 @@ impl Parameters for Rubble {
     }
 }
 
-/// A turn about the up axis, as MJCF's `quat`: its angles are in the units that the robot's file has chosen.
+/// Formats a rotation about the up axis as MJCF's `quat`, because the unit of MJCF's angles depends on the robot's
+/// file.
 fn about_up(yaw: f64) -> String {
     let (sin, cos) = (0.5 * yaw).sin_cos();
     format!("{cos:.6} 0 0 {sin:.6}")

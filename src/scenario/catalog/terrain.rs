@@ -1,4 +1,4 @@
-//! Uneven ground (E8).
+//! The scenario `terrain`: Perlin noise, steps or a slope (E8).
 
 use clap::{Args, ValueEnum};
 use serde::{Deserialize, Serialize};
@@ -7,20 +7,20 @@ use super::{ParameterError, Parameters, Task, in_range};
 use crate::scenario::{Script, terrain};
 use crate::sim::{Buffers, Ground};
 
-/// Half-length of height fields along x and y at least \[m\].
+/// Smallest half-length of height fields along x and y \[m\].
 const LEAST_HALF_SIZE_M: [f64; 2] = [8.0, 4.0];
-/// The longest way that there is ground for \[m\], in either direction.
+/// Longest way that the ground is made for, in either direction \[m\].
 const LONGEST_WAY_M: f64 = 30.0;
-/// Ground beyond the end of the way \[m\].
+/// Length of the ground beyond the end of the way \[m\].
 const MARGIN_M: f64 = 3.0;
 
-/// Kind of terrain.
+/// Kind of the terrain.
 #[derive(ValueEnum, Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TerrainKind {
-    /// Gradient noise.
+    /// Smooth hills of Perlin's gradient noise.
     Perlin,
-    /// Up and down again.
+    /// Steps up and down again.
     Steps,
     /// An incline that begins 1 m ahead.
     Slope,
@@ -42,13 +42,13 @@ pub struct Terrain {
     /// Perlin: lattice cells per metre (1/m)
     #[arg(long)]
     pub frequency_per_m: f64,
-    /// Steps: length of each (m)
+    /// Steps: length of each step (m)
     #[arg(long)]
     pub step_length_m: f64,
-    /// Steps: number up, and as many down
+    /// Steps: number of steps up, followed by as many down
     #[arg(long)]
     pub steps: u32,
-    /// Slope: rise over run
+    /// Slope: incline, rise over run
     #[arg(long)]
     pub incline: f64,
 }

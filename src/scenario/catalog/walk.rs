@@ -1,4 +1,4 @@
-//! Walking without disturbance (E0).
+//! The scenario `walk`: walking without disturbance (E0).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};

@@ -1,4 +1,4 @@
-//! A soft wall across the course (E14).
+//! The scenario `wall`: a soft wall across the course (E14).
 
 use clap::Args;
 use serde::{Deserialize, Serialize};
@@ -9,10 +9,10 @@ use crate::scenario::metrics::{self, Metric};
 use crate::scenario::spring::{Spring, SpringEnd};
 use crate::scenario::trace::{Frame, Stretch, Trace};
 
-/// Length of the first impact \[s\].
+/// Duration of the first impact \[s\].
 const BLOW_S: f64 = 1.0;
 
-/// Wall: walk into a wall that gives.
+/// Wall: walk into a soft wall.
 #[derive(Args, Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Wall {
     /// The parameters that every scenario has.
@@ -71,7 +71,7 @@ impl Parameters for Wall {
         ]);
     }
 
-    /// Moves the wall away by the distance walked in that time.
+    /// Moves the wall away by the distance walked during the delay.
     fn delay(&mut self, phase_s: f64) {
         self.distance_m += phase_s * self.task.forward_m_s;
         self.task.duration_s += phase_s;

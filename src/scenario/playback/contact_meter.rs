@@ -26,11 +26,11 @@ pub(super) struct ContactMeter<'a> {
     pub(super) peak_foot_force_n: f64,
     pub(super) peak_obstacle_force_n: f64,
     pub(super) obstacle_force_sum_n: f64,
-    /// Physics steps with a force between the robot and obstacles.
+    /// Number of physics steps with a force between the robot and obstacles.
     pub(super) obstacle_substeps: u32,
-    /// The first part of the robot that touched an obstacle.
+    /// Id of the first geometry of the robot that touched an obstacle.
     pub(super) touched: Option<usize>,
-    /// The rope's tendon.
+    /// Id of the rope's tendon.
     pub(super) rope: Option<usize>,
     pub(super) rope_forces: RopeForces,
 }

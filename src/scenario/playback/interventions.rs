@@ -7,17 +7,17 @@ use crate::sim::Push;
 use crate::task::{Command, SwingTracker};
 
 impl<'a> Playback<'a> {
-    /// The current command.
+    /// Returns the present command.
     pub fn command(&self) -> &Command {
         &self.command
     }
 
-    /// Changes the command.
+    /// Changes the command from the next step on.
     pub fn ask(&mut self, command: Command) {
         self.command = command;
     }
 
-    /// Pushes the trunk.
+    /// Pushes the trunk at the next step.
     pub fn push(&mut self, push: Push) {
         self.pushes_due.push(push);
     }
@@ -36,7 +36,7 @@ impl<'a> Playback<'a> {
     /// Sets the robot on its feet at its present place and heading: see [`Sim::set_on_feet`](crate::sim::Sim::set_on_feet).
     ///
     /// # Errors
-    /// MuJoCo fails.
+    /// MuJoCo fails in the new state.
     pub fn set_on_feet(&mut self) -> mujoco::Result<()> {
         self.sim.set_on_feet(&self.controller.rest())?;
         self.begin_again();
@@ -46,7 +46,7 @@ impl<'a> Playback<'a> {
     /// Resets robot and scene to their start. Time goes on; the script's own disturbances are not repeated.
     ///
     /// # Errors
-    /// MuJoCo fails.
+    /// MuJoCo fails in the starting state.
     pub fn restart(&mut self) -> mujoco::Result<()> {
         self.sim.reset(self.script.conditions, &self.controller.rest())?;
         // The reset clears the force of an interactive pull; the next step applies it again.
@@ -56,7 +56,7 @@ impl<'a> Playback<'a> {
         Ok(())
     }
 
-    /// True if physics or sensors have failed; only [`Playback::restart`] helps.
+    /// Returns true if physics or sensors have failed; then only [`Playback::restart`] helps.
     pub fn has_failed(&self) -> bool {
         self.failed
     }

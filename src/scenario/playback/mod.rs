@@ -1,4 +1,5 @@
-//! The playback: a script played with a controller, one policy step at a time.
+//! Playback: plays a script with a controller, one policy step at a time. Start with `Playback::try_step`; `contact_meter`
+//! measures forces within a step, `interventions` serves robots driven live.
 
 mod contact_meter;
 mod interventions;
@@ -33,18 +34,31 @@ const AFTER_GOAL_S: f64 = 1.0;
 pub struct PlaybackStep {
     /// The state after the step; `None` if the physics or the sensors failed.
     pub frame: Option<Frame>,
-    /// Events of the step.
+    /// Events that occurred in the step.
     pub events: Vec<Event>,
 }
 
-/// A script being played.
+/// A script being played with a controller: an iterator over policy steps.
+///
+/// ```
+/// use supple::policy::shipped;
+/// use supple::scenario::{Playback, catalog::Scenario};
+///
+/// let agent = shipped::find("compliant")?;
+/// let script = Scenario::named("walk", "{forward_m_s: 0.5, duration_s: 1.0}")?.script(0, &agent.config)?;
+/// let steps: Vec<_> = Playback::new(&script, &agent.config, agent.controller())?.collect();
+/// assert_eq!(steps.len(), 60); // 1 s at 60 Hz
+/// let frame = steps[59].frame.as_ref().ok_or("the physics failed")?;
+/// assert!(frame.position[0] > 0.1); // it has walked forward [m]
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub struct Playback<'a> {
     script: Cow<'a, Script>,
     config: Cow<'a, Config>,
     controller: Box<dyn Controller + 'a>,
     sim: Sim,
     state: RobotState,
-    /// The current command; starts as the script's.
+    /// The present command; starts as the script's.
     command: Command,
     /// Interactive pushes to apply before the next step, heading frame.
     pushes_due: Vec<Push>,
@@ -75,10 +89,10 @@ pub struct Playback<'a> {
 }
 
 impl<'a> Playback<'a> {
-    /// Builds the scene. `config` provides the rates, gains and latency of the robot, and the reward of the frames.
+    /// Compiles the scene. `config` provides the rates, gains and latency of the robot, and the reward of the frames.
     ///
     /// # Errors
-    /// MuJoCo fails, for example because the scene does not compile.
+    /// The scene does not compile, or MuJoCo fails in the starting state.
     pub fn new(script: &'a Script, config: &'a Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
         Self::of(Cow::Borrowed(script), Cow::Borrowed(config), controller)
     }
@@ -86,7 +100,7 @@ impl<'a> Playback<'a> {
     /// Like [`Playback::new`], but takes ownership of script and configuration.
     ///
     /// # Errors
-    /// Same as [`Playback::new`].
+    /// The scene does not compile, or MuJoCo fails in the starting state.
     pub fn owned(script: Script, config: Config, controller: Box<dyn Controller + 'a>) -> mujoco::Result<Self> {
         Self::of(Cow::Owned(script), Cow::Owned(config), controller)
     }
@@ -177,12 +191,12 @@ impl<'a> Playback<'a> {
         Ok(self.record(target, &summary, &meter, outcome))
     }
 
-    /// Time at which the next step begins \[s\].
+    /// Returns the time at which the next step begins \[s\].
     fn time_s(&self) -> f64 {
         self.step as f64 * self.sim.policy_period_s()
     }
 
-    /// Asks the controller for joint targets \[rad\].
+    /// Returns the controller's joint targets \[rad\].
     fn act(&mut self) -> Joints {
         let known = self.senses.as_ref().map(Senses::state);
         let known = known.as_ref().unwrap_or(&self.state);
@@ -210,7 +224,7 @@ impl<'a> Playback<'a> {
         Ok((summary, ContactMeter { senses: None, spring: None, ..meter }))
     }
 
-    /// Finds out what happened in the step: sensor faults, spring, reward, fall, rope and goal.
+    /// Detects the events of the step: sensor faults, spring, reward, fall, rope and goal.
     fn observe(
         &mut self,
         summary: &StepSummary,
@@ -297,7 +311,7 @@ impl<'a> Playback<'a> {
         }
     }
 
-    /// The matching stage of a training episode, for scripts with a single push.
+    /// Returns the matching stage of a training episode, for scripts with a single push.
     fn stage(&self, time_s: f64) -> Option<Stage> {
         let [push] = &self.script.pushes[..] else { return None };
         let stages = Stages::new(&self.config.episode, &self.config.simulation);
@@ -388,14 +402,14 @@ impl<'a> Playback<'a> {
         }
     }
 
-    /// The present force on the trunk without that of the spring, world frame \[N\].
+    /// Returns the present force on the trunk without that of the spring, world frame \[N\].
     fn steady_force(&self) -> Vector3<f64> {
         let pull = self.script.pull.filter(|_| self.script_pull_is_on);
         let pull = pull.map(|pull| Vector3::new(pull.force[0], pull.force[1], 0.0));
         pull.or(self.pull_force).unwrap_or_default()
     }
 
-    /// The disturbance to draw in the frame.
+    /// Returns the disturbance to draw in the frame.
     fn disturbance(&self, time_s: f64, stretch: Option<Stretch>) -> Option<Disturbance> {
         if self.script_pull_is_on || self.pull_force.is_some() {
             return Some(Disturbance::Pull { force: self.steady_force().into() });
@@ -408,7 +422,7 @@ impl<'a> Playback<'a> {
         (time_s <= until_s).then(|| Disturbance::Push { velocity: velocity.into() })
     }
 
-    /// The simulation.
+    /// Returns the simulation.
     pub fn sim(&self) -> &Sim {
         &self.sim
     }
@@ -441,14 +455,14 @@ impl Iterator for Playback<'_> {
     }
 }
 
-/// Parts of a frame besides the state, the summary and the meter.
+/// Parts of a frame besides the state, the summary and the contact meter.
 struct StepOutcome {
     terms: Terms,
     spring: Option<Stretch>,
     rope: Option<Rope>,
 }
 
-/// Reason why a step has no frame.
+/// The reason why a step has no frame.
 #[derive(Debug, thiserror::Error)]
 enum PlaybackFault {
     #[error(transparent)]
@@ -457,21 +471,21 @@ enum PlaybackFault {
     Sensors(#[from] SensorFault),
 }
 
-/// Finds the body from which the distance to the script's goal is measured.
+/// Returns the body from which the distance to the script's goal is measured.
 fn goal_body(script: &Script, sim: &Sim) -> mujoco::Result<Option<usize>> {
     let body = |goal: &Goal| goal.from.map_or(Ok(0), |name| sim.data().model().id(Kind::Body, name));
     script.goal.as_ref().map(body).transpose()
 }
 
 impl TimedPush {
-    /// True if the push comes no later than the step that starts at `time_s`.
+    /// Returns true if the push comes no later than the step that starts at `time_s`.
     fn is_due(&self, time_s: f64, period_s: f64) -> bool {
         self.time_s < time_s + 0.5 * period_s
     }
 }
 
 impl Pull {
-    /// True if the pull acts in the step that starts at `time_s`.
+    /// Returns true if the pull acts in the step that starts at `time_s`.
     fn acts(&self, time_s: f64) -> bool {
         (self.from_s..self.until_s).contains(&(time_s + 1e-9))
     }

@@ -10,7 +10,7 @@ use crate::policy::{Agent, AgentError, Policy, shipped};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
 
-/// Largest size of a policy file \[bytes\].
+/// Maximum size of a policy file \[bytes\].
 const MAX_BYTES: u64 = 64 << 20;
 
 /// Error while loading a policy.
@@ -25,11 +25,11 @@ pub enum AgentCacheError {
     /// The policy or robot differs from the saved one.
     #[error("{what} has changed: its SHA-256 is {found}, expected {expected}; restore the original")]
     Changed {
-        /// The policy or robot.
+        /// Name of the policy or robot.
         what: String,
-        /// Start of the saved SHA-256.
+        /// First digits of the saved SHA-256.
         expected: String,
-        /// Start of the SHA-256 found.
+        /// First digits of the SHA-256 that was found.
         found: String,
     },
 }
@@ -39,7 +39,7 @@ pub enum AgentCacheError {
 pub struct AgentCache {
     agents: HashMap<String, Arc<Agent>>,
     files: HashMap<String, Vec<u8>>,
-    /// Calibrations from a saved session; they take precedence over those stored beside the policies.
+    /// Calibrations from a saved session; they take precedence over those stored next to the policies.
     calibrations: HashMap<String, PolicyCalibration>,
 }
 
@@ -118,12 +118,12 @@ impl AgentCache {
         Ok(agent)
     }
 
-    /// The file of a policy that does not ship.
+    /// Returns the file of a policy that does not ship.
     pub fn file(&self, sha256: &str) -> Option<&[u8]> {
         self.files.get(sha256).map(Vec::as_slice)
     }
 
-    /// The calibration of a policy, if it has been measured.
+    /// Returns the calibration of a policy, if it has been measured.
     pub fn calibration(&self, sha256: &str) -> Option<&PolicyCalibration> {
         self.agents.get(sha256)?.calibration.as_ref()
     }

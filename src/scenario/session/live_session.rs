@@ -1,8 +1,8 @@
-//! The live session: robots on one clock.
+//! The live session: robots driven on one clock.
 //!
-//! The clock ticks at [`RATE_HZ`]. A robot's policy step begins at the first tick at or after the time that its own rate
-//! gives it, so that robots of different rates share a session; inputs take effect with the first step that begins at their
-//! tick or later.
+//! The clock ticks at [`RATE_HZ`]. A robot's policy step begins at the first tick at or after the time given by its own
+//! policy rate, so that robots of different rates share a session; inputs take effect with the first step that begins
+//! at their tick or later.
 
 use std::sync::Arc;
 use std::thread;
@@ -19,10 +19,10 @@ use crate::sim::{Push, Scene};
 use crate::task::Command;
 use crate::util::files;
 
-/// Ticks per second: the physics rate of the paper.
+/// Rate of the ticks, the paper's physics rate \[Hz\].
 pub const RATE_HZ: u64 = 240;
 
-/// Largest number of robots in a session.
+/// Maximum number of robots in a session.
 const MOST_ROBOTS: usize = 2;
 
 /// Error of a live session.
@@ -37,7 +37,7 @@ pub enum LiveSessionError {
     /// The policy does not support the commanded compliance.
     #[error(transparent)]
     Compliance(#[from] ComplianceError),
-    /// MuJoCo fails.
+    /// MuJoCo fails even after a reset.
     #[error(transparent)]
     Physics(#[from] mujoco::Error),
     /// The newer policy needs other rates, gains or latency.
@@ -46,9 +46,9 @@ pub enum LiveSessionError {
     /// The setup has too few or too many robots, or an input names one that does not exist.
     #[error("{found} of robots, expected {expected}")]
     Robots {
-        /// The number found.
+        /// Description of the number that was found.
         found: String,
-        /// The numbers allowed.
+        /// Description of the allowed numbers.
         expected: String,
     },
 }
@@ -62,7 +62,7 @@ pub struct RobotStep {
     pub is_beginning: bool,
     /// The state after the step; `None` if the physics failed.
     pub frame: Option<Arc<Frame>>,
-    /// Events of the step.
+    /// Events that occurred in the step.
     pub events: Vec<Event>,
 }
 
@@ -71,7 +71,7 @@ pub struct RobotStep {
 pub struct LiveSession {
     setup: Setup,
     players: Vec<Player>,
-    /// Start of this setup \[ticks\].
+    /// Tick at which this setup started.
     since: u64,
 }
 
@@ -112,17 +112,17 @@ impl LiveSession {
         Ok(LiveSession { setup, players, since })
     }
 
-    /// The present setup.
+    /// Returns the present setup.
     pub fn setup(&self) -> &Setup {
         &self.setup
     }
 
-    /// The scene of each robot.
+    /// Iterates over the scene of each robot.
     pub fn scenes(&self) -> impl Iterator<Item = &Scene> {
         self.players.iter().map(|player| &player.script.scene)
     }
 
-    /// Weight \[N\] and policy period \[s\] of each robot, for [`LiveReadout`](super::LiveReadout).
+    /// Iterates over weight \[N\] and policy period \[s\] of each robot, for [`LiveReadout`](super::LiveReadout).
     pub fn weights_and_periods(&self) -> impl Iterator<Item = (f64, f64)> + '_ {
         self.players.iter().map(|player| {
             let trace = player.rollout.empty_trace();
@@ -130,28 +130,29 @@ impl LiveSession {
         })
     }
 
-    /// Range of commanded compliance and own compliance of each robot [m/s/N]; `None` if its policy is not calibrated.
+    /// Iterates over the range of commanded compliance and the own compliance of each robot [m/s/N]; `None` without
+    /// calibration.
     pub fn reaches(&self) -> impl Iterator<Item = Option<([f64; 2], f64)>> + '_ {
         let calibrations = self.players.iter().map(|player| player.agent.calibration.as_ref());
         calibrations.map(|calibration| calibration.map(|found| (found.range(), found.own_m_s_per_n)))
     }
 
-    /// Rates, gains and latency of a robot.
+    /// Returns rates, gains and latency of a robot.
     pub fn simulation(&self, robot: usize) -> Option<&Simulation> {
         Some(&self.players.get(robot)?.agent.config.simulation)
     }
 
-    /// Mass of each robot \[kg\].
+    /// Iterates over the mass of each robot \[kg\].
     pub fn masses_kg(&self) -> impl Iterator<Item = f64> + '_ {
         self.players.iter().map(|player| player.script.scene.robot.mass_kg)
     }
 
-    /// Number of falls of each robot.
+    /// Iterates over the number of falls of each robot.
     pub fn falls(&self) -> impl Iterator<Item = u32> + '_ {
         self.players.iter().map(|player| player.falls)
     }
 
-    /// The largest commands that all policies were trained for.
+    /// Returns the largest commands that all policies were trained for.
     pub fn range(&self) -> Command {
         let ranges = self.players.iter().map(|player| &player.agent.config.command);
         let least = [f64::INFINITY; 3];
@@ -161,7 +162,7 @@ impl LiveSession {
         Command::velocity(forward, left, yaw)
     }
 
-    /// The tick at which the next step begins.
+    /// Returns the tick at which the next step begins.
     pub fn tick(&self) -> u64 {
         self.since + self.players.iter().map(Player::due).min().unwrap_or(0)
     }
@@ -214,7 +215,7 @@ impl LiveSession {
         self.players.iter_mut().map(|player| &mut player.rollout)
     }
 
-    /// Plays the step of every robot whose step begins at [`LiveSession::tick`], side by side.
+    /// Plays the step of every robot whose step begins at [`LiveSession::tick`], in parallel.
     ///
     /// # Errors
     /// MuJoCo fails even after a reset of the robot.
@@ -235,7 +236,7 @@ impl LiveSession {
         Ok(played.into_iter().collect::<mujoco::Result<_>>()?)
     }
 
-    /// SHA-256 of all positions and velocities, to compare states bit by bit.
+    /// Returns the SHA-256 of all positions and velocities, to compare states bit by bit.
     pub fn fingerprint(&self) -> String {
         let numbers = self.players.iter().flat_map(|player| {
             let data = player.rollout.sim().data();
@@ -255,7 +256,7 @@ impl Player {
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })
     }
 
-    /// Start of the next step, counted from the start of the setup \[ticks\].
+    /// Returns the start of the next step, counted from the start of the setup \[ticks\].
     fn due(&self) -> u64 {
         (self.steps * RATE_HZ).div_ceil(u64::from(self.agent.config.simulation.policy_rate_hz))
     }

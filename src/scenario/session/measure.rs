@@ -1,4 +1,4 @@
-//! Metrics of a saved session.
+//! Metrics of a saved session: replays it and measures its pushes and pulls.
 
 use super::{
     Input, LiveReadout, LiveSession, Outcome, PullReading, PushReading, SceneKind, Seat, SessionError, SessionReplay,
@@ -9,7 +9,7 @@ use crate::scenario::trace::{EventKind, Frame, Trace};
 /// A part of a session in which scene, policy and compliance of one robot do not change.
 #[derive(Debug)]
 pub struct Take {
-    /// The scene.
+    /// Kind of the scene.
     pub scene: SceneKind,
     /// Seed of the scene.
     pub seed: u64,
@@ -99,7 +99,7 @@ impl Watched {
         setup.robots.iter().zip(world.weights_and_periods()).map(watched).collect()
     }
 
-    /// Stores the result of a concluded push.
+    /// Stores the result of a push whose measurement has ended.
     fn look(&mut self) {
         self.take.pushes.extend(self.meter.concluded());
     }
@@ -113,7 +113,7 @@ impl Watched {
         self.look();
     }
 
-    /// Ends the take and begins another of the same robot, under the same pull.
+    /// Ends the take and begins another one of the same robot, under the same pull.
     fn go_on_as(&mut self, seat: Seat) -> Take {
         let pull = self.meter.pulled();
         self.pull(None);
@@ -135,7 +135,7 @@ impl Watched {
 }
 
 impl Take {
-    /// Metrics of the take: means over the undisturbed pushes, and over the pulls.
+    /// Returns the metrics of the take: means over the undisturbed pushes, and over the pulls.
     pub fn metrics(&self) -> Vec<Metric> {
         let count = |kind: EventKind| self.trace.events.iter().filter(|event| event.kind == kind).count() as f64;
         let over: Vec<&PushReading> = self.pushes.iter().filter(|push| push.outcome == Outcome::Over).collect();

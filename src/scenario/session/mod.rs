@@ -1,8 +1,9 @@
 /*! Interactive sessions: playbacks whose inputs arrive while they run and can be saved.
 
-A [`LiveSession`] plays one or two robots in the same scene on one clock. Commands, pushes, pulls and changes of policy are
-[`Input`]s at a tick. A [`SavedSession`] is a file of these inputs, from which the session is replayed bit for bit by the
-same code. [`LiveReadout`] computes the numbers shown while a robot is driven.
+Start with [`Setup`] and [`LiveSession`], which plays one or two robots in the same scene on one clock. Commands,
+pushes, pulls and changes of policy are [`Input`]s at a tick. A [`SavedSession`] is a file of these inputs, from which
+the session is replayed bit for bit by the same code. [`LiveReadout`] computes the numbers shown while a robot is
+driven.
 */
 
 mod agent_cache;
@@ -29,9 +30,9 @@ use crate::task::Command;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Setup {
-    /// The scene.
+    /// Kind of the scene.
     pub scene: SceneKind,
-    /// Seed of everything random in the scene.
+    /// Seed of the scene's random parts.
     pub seed: u64,
     /// One or two robots, which receive the same inputs.
     pub robots: Vec<Seat>,
@@ -43,11 +44,11 @@ pub struct Setup {
 pub struct Seat {
     /// The requested policy: name of a shipped policy, file, or folder of a training run.
     pub policy: String,
-    /// SHA-256 of the policy.
+    /// SHA-256 of the policy's files.
     pub sha256: String,
     /// The robot: name of a shipped robot, or its file.
     pub robot: String,
-    /// SHA-256 of the robot.
+    /// SHA-256 of the robot's files.
     pub robot_sha256: String,
     /// Commanded compliance [m/s/N]; `None` leaves the policy its own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -55,7 +56,7 @@ pub struct Seat {
 }
 
 impl Seat {
-    /// Short name of the policy: that of its file or folder without the path.
+    /// Returns the short name of the policy: that of its file or folder without the path.
     pub fn label(&self) -> String {
         let name = std::path::Path::new(&self.policy).file_stem();
         name.map_or_else(|| self.policy.clone(), |name| name.to_string_lossy().into_owned())
@@ -65,10 +66,10 @@ impl Seat {
 /// Unit of a push.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum PushUnit {
-    /// Change of the trunk's velocity.
+    /// Change of the trunk's velocity [m/s].
     #[serde(rename = "m/s")]
     Velocity,
-    /// Momentum: divided by the robot's mass, it is the change of velocity.
+    /// Momentum [kg·m/s]; divided by the robot's mass, it is the change of velocity.
     #[serde(rename = "N·s")]
     Momentum,
 }
@@ -91,7 +92,7 @@ pub enum Input {
     Command(Command),
     /// Pushes the trunks, forward and left in the heading frame.
     Push {
-        /// Size forward and left.
+        /// Size of the push, forward and left, in its unit.
         size: [f64; 2],
         /// Unit of the size.
         unit: PushUnit,

@@ -1,4 +1,4 @@
-/*! The live readout: numbers of a robot while it is driven.
+/*! The live readout: the numbers shown while a robot is driven.
 
 The definitions are those of [`metrics`], applied to the frames so far. A push is measured for [`WATCHED_S`], or until a
 fall, another command or another push.
@@ -61,7 +61,7 @@ pub struct PullReading {
     pub gives_m_s: f64,
 }
 
-/// The current numbers of a robot.
+/// The present numbers of a robot.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Reading {
     /// Velocity: forward [m/s], left [m/s], yaw rate [rad/s]; mean over a stride.
@@ -70,16 +70,16 @@ pub struct Reading {
     pub command: [f64; 3],
     /// Mechanical power, mean over a second \[W\].
     pub power_w: f64,
-    /// The last push.
+    /// The last push and its effect.
     pub push: Option<PushReading>,
-    /// The current pull.
+    /// The present pull and its effect.
     pub pull: Option<PullReading>,
 }
 
 /// Computes the numbers of one robot, step by step.
 #[derive(Debug)]
 pub struct LiveReadout {
-    /// The last second, and all frames since the push being measured.
+    /// Frames of the last second, and all frames since the push being measured.
     trace: Trace,
     pushed: Option<Pushed>,
     pulled: Option<[f64; 2]>,
@@ -89,7 +89,7 @@ pub struct LiveReadout {
 struct Pushed {
     reading: PushReading,
     command: Command,
-    /// True if [`LiveReadout::concluded`] has returned it.
+    /// True if [`LiveReadout::concluded`] has returned the last push.
     is_reported: bool,
 }
 
@@ -100,7 +100,8 @@ impl LiveReadout {
         LiveReadout { trace, pushed: None, pulled: None }
     }
 
-    /// Notes a push before it is applied, forward and left in the heading frame [m/s]. Returns the push that it disturbs.
+    /// Records a push before it is applied, forward and left in the heading frame [m/s]. Returns the push that it
+    /// disturbs.
     pub fn push(&mut self, size_m_s: [f64; 2]) -> Option<PushReading> {
         self.conclude(Outcome::Disturbed);
         let disturbed = self.concluded();
@@ -112,13 +113,13 @@ impl LiveReadout {
         disturbed
     }
 
-    /// Notes a pull from now on, forward and left in the heading frame \[N\]; `None` ends it.
+    /// Records a pull from now on, forward and left in the heading frame \[N\]; `None` ends it.
     pub fn pull(&mut self, force_n: Option<[f64; 2]>) {
         self.conclude(Outcome::Disturbed);
         self.pulled = force_n;
     }
 
-    /// The current pull, as given to [`LiveReadout::pull`].
+    /// Returns the present pull, as given to [`LiveReadout::pull`].
     pub fn pulled(&self) -> Option<[f64; 2]> {
         self.pulled
     }
@@ -160,7 +161,7 @@ impl LiveReadout {
         (!std::mem::replace(&mut pushed.is_reported, true)).then_some(pushed.reading)
     }
 
-    /// The robot's clock \[s\].
+    /// Returns the time of the robot's clock \[s\].
     pub fn time_s(&self) -> f64 {
         self.trace.frames.last().map_or(0.0, |frame| frame.time_s)
     }
@@ -193,7 +194,7 @@ impl LiveReadout {
         self.trace.frames.drain(..first);
     }
 
-    /// The current numbers; `None` before the first step.
+    /// Returns the present numbers; `None` before the first step.
     pub fn read(&self) -> Option<Reading> {
         let trace = &self.trace;
         let last = trace.frames.last()?;

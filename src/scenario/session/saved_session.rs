@@ -1,10 +1,10 @@
-/*! A session as a file: JSON Lines.
+/*! Saved sessions: JSON Lines files from which a session is replayed.
 
-The first line says what it is. Then come the inputs in their order, each with its tick, the first of them a set-up; before
-the first that needs it, what is needed of its policy: the file if it does not ship, and its calibration. The last line has the tick at which the session was kept, and
-the identity of the state of the world then, which whoever plays it again can compare.
+The first line states the format. Then come the inputs in order, each with its tick, the first of them a setup; before
+the first one that needs it, the data of its policy: the file if it does not ship, and its calibration. The last line
+has the tick at which the session was saved and the fingerprint of the state then, to which a replay is compared.
 
-The file is written as things happen, so that a session of hours takes no memory, and kept by copying it.
+The file is written during the session, so that hours take no memory; saving copies it.
 */
 
 use std::collections::{HashMap, VecDeque};
@@ -21,10 +21,10 @@ use crate::util::files::{self, FileError};
 /// Version of the format; additions do not change it.
 const FORMAT: u32 = 1;
 
-/// Name of the file type in errors.
+/// Name of the file type in error messages.
 const SESSION: &str = "session";
 
-/// Longest line \[bytes\]: a policy of 64 MiB in hexadecimal.
+/// Maximum length of a line \[bytes\]: a policy of 64 MiB in hexadecimal.
 const LONGEST_LINE: u64 = 130 << 20;
 
 /// Error while loading or replaying a session.
@@ -47,13 +47,13 @@ enum Line {
     Session {
         format: u32,
         program: String,
-        /// First tick that a replay shows.
+        /// Index of the first tick that a replay shows.
         from_tick: u64,
     },
     Policy {
         name: String,
         sha256: String,
-        /// Hexadecimal bytes; absent for shipped and external policies.
+        /// Bytes of the policy file in hexadecimal; absent for shipped and external policies.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         file: Option<String>,
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -69,14 +69,14 @@ enum Line {
     },
 }
 
-/// Writes a session as it happens.
+/// A writer of a session in progress.
 #[derive(Debug)]
 pub struct Writer {
     file: BufWriter<File>,
     length: u64,
-    /// Tick and file offset of each setup.
+    /// Tick and file offset of each setup's line.
     setups: VecDeque<(u64, u64)>,
-    /// File offsets of begin and end of each policy's line; a policy calibrated later has a second line.
+    /// File offsets of start and end of each policy's line; a policy calibrated later has a second line.
     policies: HashMap<(String, bool), (u64, u64)>,
 }
 
@@ -89,7 +89,7 @@ impl Writer {
     /// Writes an input that takes effect at a tick.
     ///
     /// # Errors
-    /// I/O error, for example a full disk.
+    /// The file cannot be written, for example because the disk is full.
     pub fn input(&mut self, tick: u64, input: &Input, shelf: &AgentCache) -> io::Result<()> {
         let needed: Vec<(&str, &str)> = match input {
             Input::Setup(setup) => {
@@ -119,11 +119,11 @@ impl Writer {
         self.file.write_all(text.as_bytes())
     }
 
-    /// Copies the session up to the tick `end`, at which the state of the world is `state`: all of it, or what is needed
-    /// to show it from `from` on.
+    /// Copies the session up to the tick `end`, at which the fingerprint of the state is `state`: all of it, or the
+    /// part needed to replay it from tick `from` on.
     ///
     /// # Errors
-    /// I/O error, for example a full disk.
+    /// The copy cannot be written, for example because the disk is full.
     pub fn keep(&mut self, to: &Path, from: Option<u64>, end: u64, state: String) -> io::Result<()> {
         self.file.flush()?;
         let from_tick = from.unwrap_or(0);
@@ -151,7 +151,7 @@ impl Writer {
         kept
     }
 
-    /// Forgets the offsets of setups that are not needed to show the session from a tick on.
+    /// Drops the offsets of setups that are not needed to replay the session from a tick on.
     pub fn tidy(&mut self, from: u64) {
         while self.setups.get(1).is_some_and(|(tick, _)| *tick <= from) {
             self.setups.pop_front();
@@ -162,7 +162,7 @@ impl Writer {
 /// A session loaded from a file.
 #[derive(Debug)]
 pub struct SavedSession {
-    /// First tick that a replay shows.
+    /// Index of the first tick that a replay shows.
     pub from_tick: u64,
     /// Tick and fingerprint of the state at the end; `None` if the file was cut off.
     pub end: Option<(u64, String)>,
@@ -235,7 +235,7 @@ impl SavedSession {
         Ok(())
     }
 
-    /// The first setup.
+    /// Returns the first setup.
     pub fn setup(&self) -> Option<&Setup> {
         match self.inputs.first() {
             Some((_, Input::Setup(setup))) => Some(setup),
@@ -243,7 +243,7 @@ impl SavedSession {
         }
     }
 
-    /// Inputs with their ticks.
+    /// Returns the inputs with their ticks.
     pub fn inputs(&self) -> &[(u64, Input)] {
         &self.inputs
     }
@@ -281,19 +281,19 @@ pub struct SessionReplay {
     next: usize,
 }
 
-/// One step of a [`SessionReplay`].
+/// A step of a [`SessionReplay`].
 #[derive(Debug)]
 pub struct ReplayStep {
     /// The tick at which the step began.
     pub tick: u64,
     /// Inputs that took effect with the step.
     pub inputs: Vec<Input>,
-    /// Steps of the robots.
+    /// Policy steps of the robots.
     pub played: Vec<RobotStep>,
 }
 
 impl SessionReplay {
-    /// True if the step that begins at this tick is shown.
+    /// Returns true if the step that begins at this tick is shown.
     pub fn is_shown(&self, tick: u64) -> bool {
         tick >= self.session.from_tick
     }
@@ -316,7 +316,8 @@ impl SessionReplay {
         Ok(Some(ReplayStep { tick, inputs, played: self.world.step()? }))
     }
 
-    /// At the end: true if the state equals the saved one to the last bit; `None` if the file has no saved state.
+    /// Returns true at the end if the state equals the saved one to the last bit; `None` if the file has no saved
+    /// state.
     pub fn is_as_it_was(&self) -> Option<bool> {
         self.session.end.as_ref().map(|(_, state)| *state == self.world.fingerprint())
     }

@@ -13,7 +13,7 @@ use crate::task::Command;
 /// Time for which a fallen robot lies before it is set on its feet \[s\].
 const LIES_S: f64 = 2.0;
 
-/// Command and duration that determine the size of the ground.
+/// Command and duration from which the size of the ground is computed.
 const WAY: ([f64; 3], f64) = ([0.5, 0.0, 0.5], 18.0);
 
 /// The scene of a session.
@@ -35,7 +35,7 @@ pub enum SceneKind {
 }
 
 impl SceneKind {
-    /// Name of the scene in files.
+    /// Returns the scene's name in files.
     pub fn name(self) -> &'static str {
         match self {
             SceneKind::Flat => "flat",
@@ -68,10 +68,10 @@ impl SceneKind {
         })
     }
 
-    /// Returns the script of a robot that stands in this scene; it has no end.
+    /// Returns the endless script of a robot that stands in this scene.
     ///
     /// # Errors
-    /// The scene cannot be built for this robot.
+    /// The scene's parameters are invalid, or the robot cannot be loaded.
     pub fn script(self, seed: u64, config: &Config) -> Result<Script, SceneError> {
         let script = self.scenario()?.script(seed, config)?;
         let goal = script.goal.map(|goal| Goal { is_end: false, ..goal });

@@ -1,4 +1,4 @@
-//! Worlds, sessions and the numbers read while they are played.
+//! Tests of live sessions, saved sessions and readouts.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::scenario::metrics::{self, STRIDE_S};
 use crate::scenario::trace::{EventKind, Frame, Trace};
 use crate::util::random::{Purpose, stream};
 
-/// A policy that holds a pose, as a file.
+/// Returns the file of a policy that holds a pose.
 fn standing(pose: [f64; 3]) -> Vec<u8> {
     let mut config = Config::load("compliant").unwrap();
     config.action.nominal_pose_rad = crate::config::LegPose::Alike(pose);
@@ -33,7 +33,7 @@ fn standing(pose: [f64; 3]) -> Vec<u8> {
 const UPRIGHT: [f64; 3] = [0.0, 0.72, -1.44];
 const LYING: [f64; 3] = [0.0, 1.5, -2.7];
 
-/// Robots that hold a pose, in a scene.
+/// Returns the setup of robots that hold a pose, in a scene.
 fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut AgentCache) -> Setup {
     let seat = |pose: &[f64; 3]| {
         let file = standing(*pose);
@@ -45,7 +45,7 @@ fn setup(poses: &[[f64; 3]], scene: SceneKind, shelf: &mut AgentCache) -> Setup 
     Setup { scene, seed: 0, robots: poses.iter().map(seat).collect() }
 }
 
-/// Plays shipped policies with inputs at ticks, writing the session down; returns the world, the session and its writer.
+/// Plays shipped policies with inputs at ticks and writes the session; returns the live session and its writer.
 fn drive(inputs: &[(u64, Input)], until: u64) -> (LiveSession, Writer) {
     let mut shelf = AgentCache::default();
     let robots = ["compliant", "baseline"].map(|name| shelf.find(name, None).unwrap()).to_vec();

@@ -1,4 +1,4 @@
-//! The command line.
+//! Command-line arguments of `drive`.
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::PathBuf;
@@ -29,7 +29,7 @@ pub struct Args {
     /// Robot: an MJCF file, or a YAML file that names one and its joints [default: the policy's]
     #[arg(long, help_heading = ROBOTS, value_name = "FILE", value_parser = terminal::path_as_text())]
     pub model: Option<String>,
-    /// Scene
+    /// Scene in which the robots stand
     #[arg(long, help_heading = ROBOTS, value_name = "SCENE", default_value = "flat")]
     pub scene: SceneKind,
     /// Seed of the scene's random numbers

@@ -1,4 +1,4 @@
-//! `drive`: robots driven live in a browser.
+//! The program `drive`: robots driven live in a browser.
 
 mod args;
 

@@ -1,4 +1,4 @@
-//! The command line: scenarios as subcommands, whose defaults come from `configs/scenarios/`.
+//! Command-line arguments of `scenario`: scenarios are subcommands, whose defaults come from `configs/scenarios/`.
 
 use std::ffi::OsString;
 use std::ops::RangeInclusive;
@@ -14,7 +14,7 @@ use supple::util::yaml::{Text, flat_parameters};
 
 use crate::seeds;
 
-/// Headings in the help, apart from the scenario's own parameters.
+/// Headings of the help for arguments that are not the scenario's own.
 const INPUT: &str = "Policies, robot and seed";
 const OUTPUT: &str = "Output";
 
@@ -44,7 +44,7 @@ pub struct Args {
     #[arg(long, global = true, help_heading = INPUT, value_name = "FIRST..LAST", value_parser = seeds::range,
           conflicts_with_all = ["seed", "record", "connect", "serve", "on_fall", "csv"])]
     pub seeds: Option<RangeInclusive<u64>>,
-    /// What the policy acts on: the true state, or estimates from noisy sensors
+    /// State that the policy acts on: the true one, or an estimate from noisy sensors
     #[arg(long, global = true, help_heading = INPUT, value_enum, default_value_t)]
     pub sensing: Sensing,
     /// YAML file with parameters of the scenario, by the names of its flags; flags win
@@ -83,16 +83,16 @@ pub struct Args {
 pub enum What {
     /// List the scenarios
     List,
-    /// Measure a session that `drive` has kept: it is played again, and its pushes and pulls are read
+    /// Replay a session saved by `drive`, and measure its pushes and pulls
     Session {
-        /// The session
+        /// File of the session
         file: PathBuf,
     },
     #[command(flatten)]
     Play(Scenario),
 }
 
-/// Parses the command line. Errors of the command line itself are clap's, with exit code 2.
+/// Parses the command line. On an error in the arguments, clap prints it and exits with code 2.
 pub fn parse() -> anyhow::Result<Args> {
     let line: Vec<OsString> = std::env::args_os().collect();
     let args = from_line(command(None)?, &line);
@@ -109,7 +109,7 @@ fn from_line(command: clap::Command, line: &[OsString]) -> Args {
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command.clone()).exit())
 }
 
-/// The command with every default filled in, and those of a file over them.
+/// Builds the clap command with all defaults, overridden by the parameters of a file.
 fn command(file: Option<(&str, Vec<(String, Option<String>)>)>) -> anyhow::Result<clap::Command> {
     let mut command = Args::command();
     for (name, text) in DEFAULTS {

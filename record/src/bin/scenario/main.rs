@@ -1,4 +1,4 @@
-//! `scenario`: play a disturbance with one policy or two, and record it.
+//! The program `scenario`: plays a disturbance with one policy or two, and records it.
 
 mod args;
 mod output;
@@ -106,7 +106,7 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The script of each robot.
+/// Builds the script of each robot.
 fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u64) -> anyhow::Result<Vec<Script>> {
     let script = |(name, agent): &(String, Agent)| -> anyhow::Result<Script> {
         let mut script = scenario.script(seed, &agent.config)?;
@@ -120,7 +120,7 @@ fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u
     })
 }
 
-/// Plays the scenario with every seed, and tells means and spread.
+/// Plays the scenario with every seed, and prints means and spread.
 fn play_seeds(
     args: &Args,
     scenario: &Scenario,
@@ -165,7 +165,7 @@ fn play_seeds(
     failed.map_or(Ok(()), |failed| Err(anyhow::anyhow!(failed)))
 }
 
-/// The scenario's numbers, and those of the estimates if there are any.
+/// Computes the scenario's metrics, and those of the state estimate if there is one.
 fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace) -> Vec<Metric> {
     let mut found = scenario.metrics(script, trace);
     if sensing == Sensing::Estimated {
@@ -174,7 +174,7 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
     found
 }
 
-/// The policies to play, by name.
+/// Loads the policies to play, by name, with the commanded compliance [m/s/N] unless their names contain one.
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
         let (file, _) = split_compliance(asked);
@@ -198,7 +198,7 @@ fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     Ok(robots)
 }
 
-/// Plays all robots step by step beside one another, recording as they go.
+/// Plays all robots step by step in parallel, and records them.
 fn play(
     args: &Args,
     seed: u64,
@@ -228,7 +228,7 @@ fn play(
     Ok(traces)
 }
 
-/// Steps of the longest rollout, at most.
+/// Returns the number of policy steps of the longest playback, at most.
 fn steps(robots: &[(String, Agent)], scripts: &[Script]) -> u64 {
     let steps =
         |((_, agent), script): (&(String, Agent), &Script)| agent.config.simulation.policy_steps(script.duration_s);

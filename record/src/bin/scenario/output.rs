@@ -1,4 +1,4 @@
-//! What a scenario leaves behind: a summary for people, JSON, CSV.
+//! Output of a scenario: a summary for people, JSON, CSV.
 
 use std::io::{self, Write};
 
@@ -14,7 +14,7 @@ use supple::util::terminal;
 
 use crate::args::Args;
 
-/// A finished rollout.
+/// A finished playback.
 pub struct Outcome<'a> {
     /// Name of the policy.
     pub policy: &'a str,
@@ -24,11 +24,11 @@ pub struct Outcome<'a> {
     pub robot: &'a str,
     /// The trace of the playback.
     pub trace: &'a Trace,
-    /// The scenario's numbers.
+    /// Metrics of the scenario.
     pub metrics: Vec<Metric>,
 }
 
-/// A table with a column for each policy, and the events.
+/// Formats a table with a column for each policy, and the events.
 pub fn summary(title: &str, outcomes: &[Outcome<'_>]) -> String {
     let mut text = format!("{title}\n");
     let header: String = outcomes.iter().map(|outcome| format!(" {:>15}", outcome.policy)).collect();
@@ -56,7 +56,7 @@ pub fn summary(title: &str, outcomes: &[Outcome<'_>]) -> String {
     text
 }
 
-/// Refuses two things at once for standard output.
+/// Checks that no more than one output goes to standard output.
 pub fn check(args: &Args) -> anyhow::Result<()> {
     let both = args.json && table_to_output(args);
     anyhow::ensure!(!both, "--json and --csv would both go to standard output: name a file for one");
@@ -67,7 +67,7 @@ fn table_to_output(args: &Args) -> bool {
     args.csv.as_ref().is_some_and(|path| Target::of(path).is_ok_and(|target| target == Target::Output))
 }
 
-/// Writes the table and says what happened.
+/// Prints the summary or the JSON object, and writes the CSV file.
 pub fn tell(args: &Args, title: &str, outcomes: &[Outcome<'_>], object: impl FnOnce() -> Value) -> anyhow::Result<()> {
     if let Some(path) = &args.csv {
         files::write_with(path, |file| write_csv(file, outcomes))
@@ -84,7 +84,7 @@ pub fn tell(args: &Args, title: &str, outcomes: &[Outcome<'_>], object: impl FnO
     Ok(())
 }
 
-/// What is undefined of a policy, and why: a line for each reason. That most do not fall goes without saying.
+/// Lists undefined metrics of a policy with their reasons, one line for each reason. A missing fall needs no line.
 pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>) -> String {
     let mut labels: Vec<(&str, Vec<&str>)> = Vec::new();
     for Metric { label, reason, .. } in metrics {
@@ -100,7 +100,7 @@ pub fn undefined<'a>(policy: &str, metrics: impl IntoIterator<Item = &'a Metric>
     labels.into_iter().map(line).collect()
 }
 
-/// Everything as one JSON object.
+/// Returns the result as one JSON object.
 pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Outcome<'_>]) -> Value {
     json!({
         "scenario": scenario.name(),
@@ -113,7 +113,7 @@ pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Out
     })
 }
 
-/// A rollout as JSON.
+/// Returns a playback as JSON.
 pub fn run(outcome: &Outcome<'_>) -> Value {
     let metrics: serde_json::Map<String, Value> =
         outcome.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
@@ -129,13 +129,13 @@ pub fn run(outcome: &Outcome<'_>) -> Value {
     })
 }
 
-/// Units of the metrics by name.
+/// Returns the units of the metrics by name.
 pub fn units(outcomes: &[Outcome<'_>]) -> Value {
     let metrics = outcomes.first().map_or(&[][..], |outcome| &outcome.metrics);
     metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect()
 }
 
-/// A column of the CSV: its name, and what stands in it.
+/// A column of the CSV file: its name, and its value in a frame.
 type Column = (&'static str, fn(&Frame) -> f64);
 
 /// Columns that every frame has.
@@ -168,7 +168,7 @@ const COLUMNS: [Column; 26] = [
     ("base_z_m_s", |frame| frame.velocity[2]),
 ];
 
-/// Returns the force of a rope with a load, a leash that is led, or a wall that gives \[N\].
+/// Returns the force of a rope with a load, a leash that is led, or a soft wall \[N\].
 fn rope_force_n(frame: &Frame) -> f64 {
     let of_spring = frame.spring.map_or(0.0, |spring| spring.force_n);
     frame.rope.as_ref().map_or(of_spring, |rope| rope.force_n)

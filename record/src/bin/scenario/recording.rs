@@ -16,14 +16,14 @@ use crate::args::Args;
 /// Length of a clip before the fall \[s\].
 const CLIP_S: f64 = 2.0;
 
-/// A recording under way, or none.
+/// A recording in progress, or none.
 pub struct Recording {
     recorder: Option<Recorder>,
     sink: Option<Sink>,
 }
 
 impl Recording {
-    /// Opens what the command line asks for.
+    /// Opens the recording that the command line selects.
     pub fn start(
         args: &Args,
         scenario: &Scenario,
@@ -44,7 +44,7 @@ impl Recording {
         Ok(Recording { recorder: Some(recorder), sink: Some(sink) })
     }
 
-    /// None.
+    /// Creates a recording that records nothing.
     pub fn none() -> Self {
         Recording { recorder: None, sink: None }
     }
@@ -64,7 +64,8 @@ impl Recording {
         self.unless_the_viewer_is_gone(logged)
     }
 
-    /// A viewer that goes away is no reason to lose the numbers; a file that cannot be written is.
+    /// Handles an error: if a viewer disconnects, the playback continues; if a file cannot be written, the error is
+    /// returned.
     fn unless_the_viewer_is_gone(&mut self, logged: Result<(), RecordError>) -> anyhow::Result<()> {
         match logged {
             Err(error) if matches!(self.sink, Some(Sink::Connect(_))) => {
@@ -76,7 +77,7 @@ impl Recording {
         }
     }
 
-    /// Writes the clips of falls and closes the recording; one that is served, when Ctrl-C says so.
+    /// Writes the clips of falls and closes the recording; a served recording is closed at Ctrl-C.
     pub fn finish(
         mut self,
         args: &Args,

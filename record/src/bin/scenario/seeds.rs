@@ -1,4 +1,4 @@
-//! The same scenario with several seeds: means and spread of its numbers.
+//! Results of a scenario with several seeds: mean and spread of its metrics.
 
 use std::ops::RangeInclusive;
 
@@ -17,11 +17,11 @@ pub struct OfSeeds {
     pub sha256: String,
     /// Name or file of the robot.
     pub robot: String,
-    /// The scenario's numbers, of each seed.
+    /// Metrics of the scenario, for each seed.
     pub metrics: Vec<Vec<Metric>>,
 }
 
-/// `0..9`: from the first to the last, both included.
+/// Parses a range of seeds such as `0..9`, both ends included.
 pub fn range(text: &str) -> Result<RangeInclusive<u64>, String> {
     let number = |text: &str| text.parse::<u64>().ok();
     let ends = text.split_once("..").and_then(|(first, last)| number(first).zip(number(last)));
@@ -31,10 +31,10 @@ pub fn range(text: &str) -> Result<RangeInclusive<u64>, String> {
     }
 }
 
-/// Mean, standard deviation of the seeds, and how many of them have the number.
+/// Mean, standard deviation over the seeds, and number of seeds that define the metric.
 struct Spread {
     mean: f64,
-    /// None of one alone.
+    /// Standard deviation; `None` for a single seed.
     deviation: Option<f64>,
     count: usize,
     least: f64,
@@ -61,7 +61,7 @@ impl OfSeeds {
     }
 }
 
-/// A table with a column for each policy.
+/// Formats a table with a column for each policy.
 pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds]) -> String {
     let count = runs.first().map_or(0, |run| run.metrics.len());
     let mut text = format!(
@@ -93,7 +93,7 @@ pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds
     text
 }
 
-/// Everything as one JSON object.
+/// Returns the results as one JSON object.
 pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value, runs: &[OfSeeds]) -> Value {
     let metrics = |run: &OfSeeds| -> Map<String, Value> {
         let of = |(index, metric): (usize, &Metric)| {
@@ -126,7 +126,7 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
     })
 }
 
-/// The numbers that there are, in order.
+/// Returns the metrics of the first playback, which state the order.
 fn first(runs: &[OfSeeds]) -> &[Metric] {
     runs.first().and_then(|run| run.metrics.first()).map_or(&[], Vec::as_slice)
 }

@@ -1,4 +1,4 @@
-//! A session of `drive`, measured.
+//! Measurement of a session saved by `drive`.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use supple::util::provenance::git_revision;
 use crate::args::Args;
 use crate::output::{self, Outcome};
 
-/// Plays a session again and tells its numbers.
+/// Replays a session and prints its metrics.
 pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
     output::check(args)?;
     let asked = [args.policy.is_some(), args.compare.is_some(), args.model.is_some(), args.params.is_some()];

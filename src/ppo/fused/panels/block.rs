@@ -1,6 +1,4 @@
-/*!
-Forward and backward pass of one network over one block of rows of a minibatch.
-*/
+//! Forward and backward pass of one network over one block of rows of a minibatch.
 
 use std::sync::RwLockReadGuard;
 
@@ -18,15 +16,15 @@ pub type LayerPanels<'a, 'b> = &'a [RwLockReadGuard<'b, Panel>];
 /// Activations and loss gradients of up to [`BLOCK`] rows in one network.
 #[derive(Debug)]
 pub struct Block {
-    /// Shape of the network.
+    /// Number of outputs of the network.
     outputs: usize,
-    /// Rows in use.
+    /// Number of rows in use.
     pub rows: usize,
-    /// Input of each layer, then the output of the last; shape (rows, inputs of the layer).
+    /// Input of each layer and the output of the last, shape (rows, inputs of the layer).
     pub activations: Vec<Matrix>,
-    /// Gradient of the loss by each layer's output, ahead of ELU; shape (rows, outputs of the layer).
+    /// Gradient of the loss by each layer's output before ELU, shape (rows, outputs of the layer).
     pub deltas: Vec<Matrix>,
-    /// Output of the last layer, row by row, for the loss; shape (rows, outputs).
+    /// Output of the last layer, row by row, for the loss, shape (rows, outputs).
     output: Buffer,
     output_deltas: Buffer,
 }
@@ -64,7 +62,7 @@ impl Block {
         Pass { network, block, stride: self.outputs, outputs: &self.output, deltas: &mut self.output_deltas }
     }
 
-    /// Carries the loss gradient from the last layer's output back to the first layer's.
+    /// Propagates the loss gradient from the last layer's output back to the first layer's.
     pub fn backward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_>]) {
         let (last, rows) = (layers.len() - 1, self.output_deltas.chunks(self.outputs).take(self.rows).enumerate());
         rows.for_each(|(row, values)| self.deltas[last].set_row(row, values));

@@ -1,7 +1,6 @@
-/*!
-f32 arithmetic, for every machine: weights in panels of 32 outputs, in portable SIMD.
+/*! The f32 arithmetic, for every machine: weights in panels of 32 outputs, in portable SIMD.
 
-Blocks and panels sit in read-write locks: a phase writes the one kind and reads the other. No gradient is ever summed
+Blocks and panels are in read-write locks: a phase writes one kind and reads the other. No gradient is ever summed
 across threads, and sums of partial results run in a fixed order, so the parameters have the same bits for any number of
 threads, and for any instruction set.
 */
@@ -24,22 +23,22 @@ use crate::network::panel::{panel_outputs, panel_starts, unpack};
 use crate::network::{ActorCritic, BLOCK};
 use crate::ppo::loss::Minibatch;
 
-/// Both networks in f32.
+/// Both networks in single precision.
 #[derive(Debug)]
 pub struct Panels {
     pub(in crate::ppo) arch: Arch,
     /// Panels of both networks, layer by layer.
     panels: Vec<RwLock<Panel>>,
-    /// Shapes of the policy and of the value function.
+    /// Blocks of the policy and of the value function.
     blocks: [Vec<RwLock<Block>>; 2],
-    /// Layers of the policy.
+    /// Number of layers of the policy.
     depth: usize,
 }
 
 impl Arithmetic for Panels {
     const BLOCK: usize = BLOCK;
     const CHUNK: usize = 128;
-    /// The policy of the rollout has the same bits.
+    /// Zero: the policy of the rollout has the same bits.
     const KL_ROUNDING: f64 = 0.0;
     type Workspace = ();
 

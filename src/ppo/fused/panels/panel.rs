@@ -1,6 +1,4 @@
-/*!
-A panel of 32 outputs in training: differentiated and stepped as a unit.
-*/
+//! A panel of 32 outputs in training, differentiated and stepped as a unit.
 
 use crate::network::Layer;
 use crate::network::kernels::{Buffer, PANEL, Row};
@@ -8,32 +6,32 @@ use crate::network::panel::{pack, panel_outputs};
 use crate::ppo::fused::optimizer::Parameters;
 use crate::ppo::fused::tree::Tree;
 
-/// A panel in training.
+/// A panel of 32 outputs in training.
 #[derive(Debug)]
 pub struct Panel {
-    /// 0: policy, 1: value function.
+    /// Index of the network: 0 for the policy, 1 for the value function.
     pub network: usize,
     /// Index of the layer.
     pub depth: usize,
-    /// Inputs of the layer.
+    /// Number of inputs of the layer.
     pub inputs: usize,
-    /// Outputs of the layer.
+    /// Number of outputs of the layer.
     pub layer_outputs: usize,
-    /// First output.
+    /// Index of the panel's first output in the layer.
     pub first: usize,
-    /// A row for each input, the bias last.
+    /// Weights and biases: a row for each input, the bias last.
     pub parameters: Parameters,
-    /// The weights the other way round, for the backward product: panels of 32 inputs, a row for each output. Empty in the
-    /// first layer, whose input needs no gradient.
+    /// Transposed weights for the backward product: panels of 32 inputs, a row for each output. Empty in the first
+    /// layer, whose input needs no gradient.
     transposed: Buffer,
-    /// Gradients of shards on their way to the sum.
+    /// Partial sums of the shards' gradients.
     pub tree: Tree,
     /// Sum of squares of the gradient.
     pub squares: f64,
 }
 
 impl Panel {
-    /// The panel that starts at output `first` of a layer and of its moments.
+    /// Creates the panel that starts at output `first` of a layer, with its moments.
     pub fn new(network: usize, depth: usize, first: usize, [values, first_moment, second_moment]: [&Layer; 3]) -> Self {
         let (inputs, layer_outputs) = (values.inputs(), values.outputs());
         let transposed =
@@ -53,18 +51,18 @@ impl Panel {
         panel
     }
 
-    /// Outputs, without padding.
+    /// Returns the number of outputs, without padding.
     pub fn outputs(&self) -> usize {
         panel_outputs(self.layer_outputs, self.first)
     }
 
-    /// Weights by the 32 inputs that start at 32 `column`.
+    /// Returns the transposed weights of the 32 inputs that start at 32 · `column`.
     pub fn transposed(&self, column: usize) -> &[Row] {
         let outputs = self.outputs();
         &self.transposed.rows()[column * outputs..][..outputs]
     }
 
-    /// Refreshes the transposed weights.
+    /// Updates the transposed weights after a step.
     pub fn transpose(&mut self) {
         let outputs = self.outputs();
         let weights = self.parameters.values.rows()[..self.inputs].chunks(PANEL);

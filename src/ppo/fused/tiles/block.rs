@@ -1,9 +1,8 @@
-/*!
-Forward and backward pass of one network over 64 rows of a minibatch, as two halves of 32: what a product needs of the
-weights is then loaded once for two.
+/*! Forward and backward pass of one network over 64 rows of a minibatch, as two halves of 32, so that the weights of a
+product are loaded once for both.
 
-Between two layers 32 columns at a time come out of the tile unit as sums; while it is busy with the next, the vector units
-make operands of them ([`Meanwhile`]).
+Between two layers 32 columns at a time come out of the tile unit as sums; while it computes the next ones, the vector
+units turn them into operands ([`Meanwhile`]).
 */
 
 use std::arch::x86_64::_CMP_NGT_UQ;
@@ -21,25 +20,25 @@ use crate::network::Mlp;
 use crate::network::kernels::Buffer;
 use crate::ppo::fused::losses::Pass;
 
-/// Rows of a block.
+/// Number of rows in a block.
 pub const ROWS: usize = 32 * HALVES;
 
-/// Products of 32 rows in a block.
+/// Number of products of 32 rows in a block.
 pub const HALVES: usize = 2;
 
 /// A layer's panels, locked for reading.
 pub type LayerPanels<'a, 'b, const F: usize, const B: usize> = &'a [RwLockReadGuard<'b, Panel<F, B>>];
 
-/// Inputs and deltas of up to 64 rows, for the gradients of the weights. Columns are counted in 32s.
+/// Inputs and deltas of up to 64 rows, for the gradients of the weights. Columns are counted in units of 32.
 #[derive(Debug)]
 pub struct Block<const B: usize> {
-    /// Input of each layer, as right operands, one for each 32 columns.
+    /// Input of each layer as right operands, one for each 32 columns.
     pub inputs: Vec<Vec<[Operand<B>; HALVES]>>,
-    /// Gradient of the loss by each layer's output, ahead of ELU, as left operands, one for each 32 columns.
+    /// Gradient of the loss by each layer's output before ELU, as left operands, one for each 32 columns.
     pub deltas: Vec<Vec<[Operand<B>; HALVES]>>,
     /// Sums of each layer's deltas over the rows.
     pub bias: Vec<Buffer>,
-    /// Output of the last layer; shape (64, columns of the last layer).
+    /// Output of the last layer, shape (64, columns of the last layer).
     outputs: Buffer,
     output_deltas: Buffer,
 }
@@ -49,16 +48,16 @@ pub struct Workspace<const F: usize, const B: usize> {
     pub unit: TileUnit,
     /// Left operands of the forward product: a layer's input and output.
     forward: [Vec<[Operand<F>; HALVES]>; 2],
-    /// Left operands of the backward product, alike.
+    /// Left operands of the backward product: the gradients by a layer's output and input.
     backward: [Vec<[Operand<B>; HALVES]>; 2],
-    /// Sums as they come out of the tile unit, and those before.
+    /// Sums from the tile unit: the present ones and those before.
     sums: [Buffer; 2],
     /// Deltas before they are transposed.
     rows: Operand<B>,
 }
 
 impl<const F: usize, const B: usize> Workspace<F, B> {
-    /// Allocates scratch memory for layers of up to so many columns, in 32s.
+    /// Allocates scratch memory for layers of up to `widest` columns, in units of 32.
     pub fn new(unit: TileUnit, widest: usize) -> Self {
         Self {
             unit,
@@ -103,7 +102,7 @@ impl<const B: usize> Block<B> {
         Pass { network, block, stride, outputs: &self.outputs, deltas: &mut self.output_deltas }
     }
 
-    /// Carries the loss gradient from the last layer's output back to the first layer's.
+    /// Propagates the loss gradient from the last layer's output back to the first layer's.
     pub fn backward<const F: usize>(&mut self, workspace: &mut Workspace<F, B>, layers: &[LayerPanels<'_, '_, F, B>]) {
         workspace.unit.simd.vectorize(Backward { block: self, workspace, layers });
     }
@@ -179,7 +178,7 @@ fn store(to: &mut [f32], value: f32x16) {
     }
 }
 
-/// Makes operands of the observations of `rows`, zero where there are none.
+/// Converts the observations of `rows` to operands; missing rows become zero.
 #[inline(always)]
 fn gather<const F: usize, const B: usize>(
     simd: V4,
@@ -199,7 +198,7 @@ fn gather<const F: usize, const B: usize>(
     }
 }
 
-/// 32 columns of an observation.
+/// Reads 32 columns of an observation.
 #[inline(always)]
 fn lanes(simd: V4, (observations, size): (&[f32], usize), row: Option<&u32>, column: usize) -> [f32x16; 2] {
     let observation = row.map_or(&[][..], |&row| &observations[row as usize * size..][..size]);
@@ -215,7 +214,7 @@ fn line(simd: V4, observation: &[f32], start: usize) -> f32x16 {
     }
 }
 
-/// Rows `row` and `row + 16` of 32 columns, as part of a left operand and of a right one.
+/// Writes rows `row` and `row + 16` of 32 columns to a left operand and to a right one.
 #[inline(always)]
 fn put_both<const L: usize, const R: usize>(
     simd: V4,
@@ -234,14 +233,14 @@ fn put_both<const L: usize, const R: usize>(
     put(simd, right, (1, row), b, d);
 }
 
-/// Rows `row` and `row + 16` of 32 × 32 sums.
+/// Returns rows `row` and `row + 16` of 32 × 32 sums.
 #[inline(always)]
 fn rows_of(sums: &Square, row: usize) -> [[f32x16; 2]; 2] {
     let (rows, _) = sums.as_chunks::<16>();
     [[cast(rows[row]), cast(rows[16 + row])], [cast(rows[32 + row]), cast(rows[48 + row])]]
 }
 
-/// A hidden layer's output for the next.
+/// The conversion of sums to a hidden layer's output, as operands of the next layer.
 struct Activate<'a, const F: usize, const B: usize> {
     sums: &'a Square,
     bias: &'a [f32],
@@ -250,7 +249,7 @@ struct Activate<'a, const F: usize, const B: usize> {
 }
 
 impl<'a, const F: usize, const B: usize> Activate<'a, F, B> {
-    /// Index of the column within the layer's products.
+    /// Creates the conversion of the products' column `column` (in units of 32).
     #[inline(always)]
     fn new(
         product: usize,
@@ -278,10 +277,10 @@ impl<const F: usize, const B: usize> Meanwhile for Activate<'_, F, B> {
     }
 }
 
-/// ELU of a sum: itself where positive, `eˣ − 1` elsewhere, off by 2e-7. Products of bf16 are off by more.
+/// Computes ELU of a sum and its bias, with an error of 2e-7, less than that of bf16 products.
 ///
-/// With `n = round(x / ln 2)` and `r = x / ln 2 − n` it is `2ⁿ 2ʳ − 1`. The polynomial is the minimax fit of `2ʳ` on
-/// `|r| ≤ ½` that is exact at zero.
+/// With `n = round(x / ln 2)` and `r = x / ln 2 − n`, `eˣ − 1` is `2ⁿ 2ʳ − 1`. The polynomial is the minimax fit of
+/// `2ʳ` on `|r| ≤ ½` that is exact at zero.
 #[inline(always)]
 fn activate(simd: V4, sum: f32x16, bias: f32x16) -> f32x16 {
     const C: [f32; 5] = [std::f32::consts::LN_2, 0.240_222_42, 0.055_507_336, 0.009_671_513, 0.001_326_472_7];
@@ -355,10 +354,10 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
     }
 }
 
-/// The loss gradient one layer further back.
+/// The conversion of sums to the loss gradient of the layer before, as operands.
 struct Differentiate<'a, const B: usize> {
     sums: &'a Square,
-    /// ELU's output.
+    /// Output of ELU in the layer before.
     y: &'a Operand<B>,
     bias: &'a mut [f32],
     left: &'a mut Operand<B>,
@@ -366,7 +365,7 @@ struct Differentiate<'a, const B: usize> {
 }
 
 impl<'a, const B: usize> Differentiate<'a, B> {
-    /// Index of the column within the layer's products.
+    /// Creates the conversion of the products' column `column` (in units of 32).
     #[inline(always)]
     fn new(
         product: usize,
@@ -396,13 +395,13 @@ impl<const B: usize> Meanwhile for Differentiate<'_, B> {
     }
 }
 
-/// Times ELU′ by ELU's output: 1 where positive, `y + 1` elsewhere.
+/// Multiplies by ELU′, given ELU's output: 1 where positive, `y + 1` elsewhere.
 #[inline(always)]
 fn times_slope(simd: V4, delta: f32x16, y: f32x16) -> f32x16 {
     simd.mul_add_f32s(delta, simd.min_f32s(y, simd.splat_f32s(0.0)), delta)
 }
 
-/// Adds two rows of 32.
+/// Adds two rows of 32 numbers to sums.
 #[inline(always)]
 fn add_rows(simd: V4, sums: &mut [f32], [upper, lower]: [[f32x16; 2]; 2]) {
     for half in 0..2 {

@@ -1,11 +1,10 @@
-/*!
-bf16 arithmetic on the tile units of x86-64 (AMX), where there are any: the operands of all products are sums of one or two
-bf16, everything else (sums, activations, losses, Adam) stays f32.
+/*! The bf16 arithmetic on the tile units of x86-64 (AMX): the operands of all products are sums of one or two bf16
+numbers, everything else (sums, activations, losses, Adam) stays f32.
 
 [`Tiles<2, 2>`](Tiles) is as exact as f32, [`Tiles<2, 1>`](Tiles) has outputs as exact as f32 and gradients that are off by
 some thousandths, [`Tiles<1, 1>`](Tiles) is bf16 throughout.
 
-As with [`panels`](super::panels), blocks and panels sit in read-write locks, no gradient is summed across threads and all
+As in [`panels`](super::panels), blocks and panels are in read-write locks, no gradient is summed across threads and all
 sums run in a fixed order: bits do not depend on the number of threads.
 */
 
@@ -32,17 +31,17 @@ use crate::network::kernels::{Buffer, SumOfSquares};
 use crate::network::{ActorCritic, Mlp};
 use crate::ppo::loss::Minibatch;
 
-/// Both networks, with operands of so many bf16 for each number in the forward pass and in the backward pass.
+/// Both networks, with `FORWARD` and `BACKWARD` bf16 numbers for each operand of the forward and the backward pass.
 #[derive(Debug)]
 pub struct Tiles<const FORWARD: usize, const BACKWARD: usize> {
     simd: V4,
     /// Panels of both networks, layer by layer.
     panels: Vec<RwLock<Panel<FORWARD, BACKWARD>>>,
-    /// Shapes of the policy and of the value function.
+    /// Blocks of the policy and of the value function.
     blocks: [Vec<RwLock<Block<BACKWARD>>>; 2],
-    /// Layers of the policy.
+    /// Number of layers of the policy.
     depth: usize,
-    /// Columns of the widest layer, in 32s.
+    /// Number of columns of the widest layer, in units of 32.
     widest: usize,
 }
 
@@ -157,7 +156,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
     }
 }
 
-/// The gradient of 32 outputs by their weights: deltas times inputs, over all blocks of rows.
+/// The gradient by the weights of 32 outputs: deltas times inputs, over all blocks of rows.
 struct Gradient<'a, const B: usize> {
     unit: &'a TileUnit,
     /// Left operand and, for each 32 inputs, right operand of each block.

@@ -1,6 +1,4 @@
-/*!
-From rows of f32 to operands of the tile unit.
-*/
+//! Conversion of f32 rows to operands of the tile unit.
 
 use std::arch::x86_64::{__m128i, __m512i};
 
@@ -9,14 +7,14 @@ use pulp::{Simd, cast, f32x16, u32x4, u32x16};
 
 use super::unit::{Operand, Tile};
 
-/// Sixteen numbers, each as a sum of two bf16 in the upper half of its lane.
+/// Sixteen numbers, each split into a sum of two bf16 numbers, in the upper half of their lanes.
 #[derive(Clone, Copy)]
 pub struct Split {
     large: u32x16,
     small: u32x16,
 }
 
-/// The upper half of each lane.
+/// Returns the upper half of each lane.
 #[inline(always)]
 fn upper(simd: V4, x: u32x16) -> u32x16 {
     simd.and_u32s(x, simd.splat_u32s(0xffff_0000))
@@ -27,7 +25,7 @@ fn round(simd: V4, x: f32x16) -> u32x16 {
     simd.wrapping_add_u32x16(cast(x), simd.splat_u32s(0x8000))
 }
 
-/// Rounds halves away from zero. With one part `small` is not used.
+/// Splits numbers, rounding halves away from zero. With `PARTS` = 1, `small` is not used.
 #[inline(always)]
 pub fn split<const PARTS: usize>(simd: V4, x: f32x16) -> Split {
     let large = round(simd, x);
@@ -35,14 +33,14 @@ pub fn split<const PARTS: usize>(simd: V4, x: f32x16) -> Split {
     Split { large, small }
 }
 
-/// Pairs of bf16: `first` in the lower halves.
+/// Combines pairs of bf16 numbers, with `first` in the lower halves.
 #[inline(always)]
 fn pairs(simd: V4, first: u32x16, second: u32x16) -> u32x16 {
     let low: u32x16 = cast(simd.avx512f._mm512_srli_epi32::<16>(cast(first)));
     simd.or_u32s(low, upper(simd, second))
 }
 
-/// Sets row `row` of one half of an operand to pairs of `first` and `second`.
+/// Writes pairs of `first` and `second` to row `row` of one half of an operand.
 #[inline(always)]
 pub fn put<const PARTS: usize>(
     simd: V4,
@@ -57,7 +55,7 @@ pub fn put<const PARTS: usize>(
     }
 }
 
-/// The inverse of [`put`].
+/// Reads the numbers written by [`put`].
 #[inline(always)]
 pub fn get<const PARTS: usize>(simd: V4, operand: &Operand<PARTS>, (half, row): (usize, usize)) -> [f32x16; 2] {
     let [first, second] = unpaired(simd, operand.0[0][half].0[row]);
@@ -74,7 +72,7 @@ fn unpaired(simd: V4, pairs: u32x16) -> [f32x16; 2] {
     [cast(first), cast(upper(simd, pairs))]
 }
 
-/// Exchanges rows and columns of every tile: what is paired stays paired.
+/// Exchanges rows and columns of every tile; pairs stay pairs.
 #[inline(always)]
 pub fn transpose<const PARTS: usize>(simd: V4, from: &Operand<PARTS>, to: &mut Operand<PARTS>) {
     for (from, to) in from.0.as_flattened().iter().zip(to.0.as_flattened_mut()) {
@@ -82,7 +80,7 @@ pub fn transpose<const PARTS: usize>(simd: V4, from: &Operand<PARTS>, to: &mut O
     }
 }
 
-/// Quarters of rows first, then 4 × 4 within them.
+/// Transposes a tile: quarters of rows first, then 4 × 4 blocks within them.
 #[inline(always)]
 fn transpose_tile(simd: V4, from: &Tile, to: &mut Tile) {
     let avx = simd.avx512f;
@@ -98,7 +96,7 @@ fn transpose_tile(simd: V4, from: &Tile, to: &mut Tile) {
     }
 }
 
-/// One quarter of row `row` of each four rows.
+/// Gathers one quarter of row `row` of each four rows.
 #[inline(always)]
 fn side_by_side(simd: V4, from: &Tile, row: usize, quarter: usize) -> __m512i {
     let avx = simd.avx512f;

@@ -1,8 +1,7 @@
-/*!
-32 outputs of a layer, in tiles.
+/*! A panel of 32 outputs of a layer, stored in tiles.
 
-Parameters stand as the gradient comes out: blocks of 32 outputs by 32 inputs, each as four tiles of 16 × 16, row by row;
-the biases last. Padding is zero, and stays so: its gradient is.
+Parameters are stored as the tile unit returns the gradient: blocks of 32 outputs by 32 inputs, each as four tiles of 16
+× 16, row by row; the biases last. Padding is zero, and stays zero, because its gradient is zero.
 */
 
 use pulp::x86::V4;
@@ -15,28 +14,28 @@ use crate::network::kernels::Buffer;
 use crate::ppo::fused::optimizer::Parameters;
 use crate::ppo::fused::tree::Tree;
 
-/// A panel in training.
+/// A panel of 32 outputs in training.
 #[derive(Debug)]
 pub struct Panel<const FORWARD: usize, const BACKWARD: usize> {
-    /// 0: policy, 1: value function.
+    /// Index of the network: 0 for the policy, 1 for the value function.
     pub network: usize,
     /// Index of the layer.
     pub depth: usize,
-    /// First output, in panels.
+    /// Index of the panel in its layer.
     pub index: usize,
     pub parameters: Parameters,
     /// Right operands of the forward product, one for each 32 inputs.
     pub forward: Vec<Operand<FORWARD>>,
-    /// Right operands of the backward product; none in the first layer, whose input needs no gradient.
+    /// Right operands of the backward product; empty in the first layer, whose input needs no gradient.
     pub backward: Vec<Operand<BACKWARD>>,
-    /// Gradients of shards on their way to the sum.
+    /// Partial sums of the shards' gradients.
     pub tree: Tree,
     /// Sum of squares of the gradient.
     pub squares: f64,
 }
 
 impl<const FORWARD: usize, const BACKWARD: usize> Panel<FORWARD, BACKWARD> {
-    /// The panel `index` of a layer and of its moments.
+    /// Creates panel `index` of a layer, with its moments.
     pub fn new(network: usize, depth: usize, index: usize, layers: [&Layer; 3], simd: V4) -> Self {
         let inputs = layers[0].inputs().div_ceil(32);
         let mut panel = Self {
@@ -53,7 +52,7 @@ impl<const FORWARD: usize, const BACKWARD: usize> Panel<FORWARD, BACKWARD> {
         panel
     }
 
-    /// Makes the operands from the parameters.
+    /// Updates the operands from the parameters after a step.
     pub fn refresh(&mut self, simd: V4) {
         simd.vectorize(Refresh { simd, panel: self });
     }
@@ -99,7 +98,7 @@ impl<const FORWARD: usize, const BACKWARD: usize> NullaryFnOnce for Refresh<'_, 
     }
 }
 
-/// Where the number of an output and an input stands in a panel.
+/// Returns the position of the weight from an input to an output in a panel.
 fn place(output: usize, input: usize) -> usize {
     let (block, output, input) = (input / 32, output % 32, input % 32);
     block * SQUARE + (output / 16 * 2 + input / 16) * 256 + output % 16 * 16 + input % 16
@@ -121,7 +120,7 @@ fn pack(layer: &Layer, index: usize) -> Buffer {
     values
 }
 
-/// The inverse of `pack`.
+/// Writes the values of a panel back into a layer; the inverse of `pack`.
 pub fn unpack(values: &[f32], index: usize, layer: &mut Layer) {
     let (inputs, biases) = (layer.inputs(), layer.inputs().div_ceil(32) * SQUARE);
     for output in panel_outputs(layer, index) {

@@ -1,9 +1,8 @@
-/*!
-The tile unit of x86-64 (AMX): products of bf16 operands, summed in f32.
+/*! The tile unit of x86-64 (AMX): products of bf16 operands, summed in f32.
 
 Eight tile registers hold 16 rows of 64 bytes each. One instruction adds the product of two tiles to a third:
 16 × 32 bf16 times 32 × 16 bf16 gives 16 × 16 f32. The right operand holds in row `j` of column `n` the pair of its rows
-`k`, the left one in row `m` the pairs of its columns. Any pairs will do if both operands agree, and ours are `k` and
+`k`, the left one in row `m` the pairs of its columns. Any pairing works if both operands agree; here `k` is paired with
 `k + 16`, so that two vectors make a row of pairs by a shift and a mask.
 
 Denormal numbers count as zero, on the way in and out.
@@ -21,54 +20,54 @@ use std::sync::OnceLock;
 use pulp::u32x16;
 use pulp::x86::V4;
 
-/// 16 rows of 16 pairs of bf16.
+/// A tile: 16 rows of 16 pairs of bf16.
 #[derive(Debug, Clone, Copy)]
 #[repr(C, align(64))]
 pub struct Tile(pub [u32x16; 16]);
 
-/// 32 × 32 numbers of a product's left or right side, each as the sum of so many bf16: the first is the number rounded,
-/// the second what that leaves. The two tiles of a part are rows 0–15 and 16–31 of a left operand, columns 0–15 and 16–31
-/// of a right one.
+/// An operand: 32 × 32 numbers of a product's left or right side, each as the sum of `PARTS` bf16 numbers: the first is
+/// the rounded number, the second the rest. The two tiles of a part are rows 0–15 and 16–31 of a left operand, columns
+/// 0–15 and 16–31 of a right one.
 #[derive(Debug, Clone, Copy)]
 #[repr(C)]
 pub struct Operand<const PARTS: usize>(pub [[Tile; 2]; PARTS]);
 
 impl<const PARTS: usize> Operand<PARTS> {
-    /// All zero.
+    /// An operand of zeros.
     pub const ZERO: Self = Self([[Tile([u32x16(0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0); 16]); 2]; PARTS]);
 }
 
 /// 32 × 32 sums, as four tiles of 16 × 16, row by row: upper left, upper right, lower left, lower right.
 pub type Square = [f32; SQUARE];
 
-/// Numbers in a [`Square`].
+/// Number of elements in a [`Square`].
 pub const SQUARE: usize = 32 * 32;
 
-/// Work for the vector units while the tile unit multiplies, in sixteen pieces.
+/// Work for the vector units while the tile unit multiplies, divided into sixteen pieces.
 pub trait Meanwhile {
-    /// Some of them.
+    /// Does the pieces of a range, between 0 and 16.
     fn pieces(&mut self, simd: V4, pieces: Range<usize>);
 }
 
-/// No work.
+/// The work that does nothing.
 impl Meanwhile for () {
     #[inline(always)]
     fn pieces(&mut self, _: V4, _: Range<usize>) {}
 }
 
-/// The tile unit of this thread, ready for products.
+/// The tile unit of this thread, configured for products.
 pub struct TileUnit {
     pub simd: V4,
-    /// Other threads have their own.
+    /// Marker that keeps the value on its thread, because every thread has its own unit.
     thread: PhantomData<*const ()>,
 }
 
 thread_local! {
-    /// Number of units on this thread; dropping the last one releases the registers.
+    /// Number of [`TileUnit`] values on this thread; dropping the last one releases the registers.
     static UNITS: Cell<usize> = const { Cell::new(0) };
 }
 
-/// The tile configuration that `ldtilecfg` reads.
+/// A tile configuration for the instruction `ldtilecfg`.
 #[repr(C, align(64))]
 struct Shapes {
     palette: u8,
@@ -78,7 +77,7 @@ struct Shapes {
     rows: [u8; 16],
 }
 
-/// Eight tiles of 16 rows of 64 bytes.
+/// The configuration of eight tiles with 16 rows of 64 bytes.
 static SHAPES: Shapes = {
     let (mut bytes_per_row, mut rows, mut tile) = ([0; 16], [0; 16], 0);
     while tile < 8 {
@@ -88,7 +87,7 @@ static SHAPES: Shapes = {
     Shapes { palette: 1, start_row: 0, reserved: [0; 14], bytes_per_row, rows }
 };
 
-/// Returns true if the processor has the unit and Linux lets this process use it.
+/// Returns true if the processor has tile units and Linux lets this process use them.
 pub fn available() -> bool {
     static AVAILABLE: OnceLock<bool> = OnceLock::new();
     *AVAILABLE.get_or_init(|| {
@@ -116,7 +115,7 @@ fn permitted() -> bool {
 }
 
 impl TileUnit {
-    /// Sets the unit of this thread up, if there is one.
+    /// Configures the tile unit of this thread; `None` if there is none.
     pub fn new() -> Option<Self> {
         let simd = V4::try_new().filter(|_| available())?;
         // SAFETY: the processor has the instruction and Linux permits it; it reads 64 bytes.
@@ -125,8 +124,8 @@ impl TileUnit {
         Some(Self { simd, thread: PhantomData })
     }
 
-    /// `sums = Σ left · right`, or more, added to what they are, while the vector units do other work. With two parts the product of the two small ones,
-    /// 2⁻¹⁶ of the whole, is left out.
+    /// Computes `sums = Σ left · right`, or adds to `sums`, while the vector units do other work. With two parts the
+    /// product of the two small ones, 2⁻¹⁶ of the whole, is omitted.
     #[inline(always)]
     pub fn product<'a, const PARTS: usize>(
         &self,
@@ -186,7 +185,7 @@ impl TileUnit {
     }
 }
 
-/// Brings numbers into the cache before they are asked for.
+/// Prefetches numbers into the cache.
 #[inline(always)]
 pub fn prefetch(numbers: &[f32]) {
     for line in numbers.chunks(16) {
@@ -218,7 +217,7 @@ impl TileUnit {
         }
     }
 
-    /// Then that of both first parts. The right one is still in tiles 6 and 7.
+    /// Adds the product of both first parts to tiles 0 to 3. The right one is still in tiles 6 and 7.
     #[inline(always)]
     fn multiply_add_second<const PARTS: usize>(&self, left: &Operand<PARTS>) {
         // SAFETY: as above.
@@ -237,7 +236,8 @@ impl TileUnit {
         }
     }
 
-    /// Then that of the first part of the left one, still in tiles 4 and 5, and the second of `right`.
+    /// Adds the product of the first part of the left operand, still in tiles 4 and 5, and the second of `right` to
+    /// tiles 0 to 3.
     #[inline(always)]
     fn multiply_add_third<const PARTS: usize>(&self, right: &Operand<PARTS>) {
         // SAFETY: as above.
