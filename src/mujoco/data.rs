@@ -74,6 +74,14 @@ fields! {
     velocities / velocities_mut = qvel[Model::nv];
     /// Accelerations that warm-start the constraint solver, shape (nv). Part of the state for exact resumption.
     warm_start / warm_start_mut = qacc_warmstart[Model::nv];
+    /// Generalised accelerations, shape (nv): those of the last step, or what [`Data::inverse_dynamics`] starts from.
+    accelerations / accelerations_mut = qacc[Model::nv];
+    /// Generalised forces of the last [`Data::inverse_dynamics`], shape (nv).
+    inverse_forces = qfrc_inverse[Model::nv];
+    /// Points that hinges turn about, world frame, shape (njnt, 3). \[m\]
+    joint_anchors = xanchor[|m| 3 * m.count(Kind::Joint)];
+    /// Axes of hinges, world frame, unit vectors, shape (njnt, 3).
+    joint_axes = xaxis[|m| 3 * m.count(Kind::Joint)];
     /// Actuator controls, shape (nu).
     controls / controls_mut = ctrl[Model::nu];
     /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
@@ -195,6 +203,16 @@ impl Data {
     /// Any fault that MuJoCo reports, see [`Error`].
     pub fn step(&mut self) -> Result<()> {
         self.call("mj_step", sys::supple_step)
+    }
+
+    /// Writes the generalised forces that give the present accelerations in the present state to
+    /// [`Data::inverse_forces`], and places bodies, joints and geometries: `M a + h` by the recursive Newton-Euler
+    /// algorithm. Armature, losses, motors and contacts are left out.
+    ///
+    /// # Errors
+    /// Any fault that MuJoCo reports, see [`Error`].
+    pub fn inverse_dynamics(&mut self) -> Result<()> {
+        self.call("mj_rne", sys::supple_rne)
     }
 
     fn call(

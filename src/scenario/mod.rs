@@ -9,6 +9,7 @@ training.
 pub mod calibration;
 pub mod catalog;
 pub mod estimation;
+pub mod force_sense;
 pub mod metrics;
 mod playback;
 pub mod rig;

@@ -1,0 +1,353 @@
+/*! The force that acts on the trunk from outside, and the force on each foot, felt through the balance of momentum.
+
+A trunk with four legs of three hinges has 18 equations of motion. Four foot forces `f` (12 unknowns) and a wrench `w` on
+the trunk (6 unknowns) are all that comes from outside, so that the equations determine them:
+
+```text
+leg i:  J_iᵀ f_i = r_i                  r = M(q) a + h(q, v) + d(v) − Sᵀ τ
+trunk:  w = r_base − Σ J_base,iᵀ f_i
+```
+
+`M a + h` is MuJoCo's recursive Newton-Euler algorithm on a model of the robot alone; armature and joint losses `d` (damping
+times rate; dry friction, smoothed below [`STICKING_RAD_S`]) are added. `J_i` is that of the point where the sphere of the
+foot would touch level ground. All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
+equations are the same in every frame that moves uniformly, and gravity is an acceleration of the frame. The
+accelerometer's specific force, brought from the IMU to the trunk's origin, thus stands for base acceleration and gravity
+together. Neither velocity nor height of the base is needed, and a wrong orientation turns the result but is not taken for
+a force.
+
+Time stamps. What the simulation does between two readings, k and k+1, is `M(q_k) (v_k+1 − v_k)/Δt + h(q_k, v_k) + D v_k+1 =
+Sᵀ τ_k + …` (semi-implicit Euler, damping implicit). So configuration and `h` are those of the earlier reading, torques those
+that acted between, the specific force is that of the later one (turned back by ω Δt), damping acts on the later rates.
+
+Differences and the momentum observer. `w` is linear in the accelerations of joints and trunk: `w_k = A_k (v_k+1 − v_k)/Δt + …`
+with `A = (1, −J_baseᵀ J⁻ᵀ) M`. A first-order low-pass LP of time constant T turns this into
+
+```text
+LP(A v̇) = (A v − LP(A v)) / T − LP(Ȧ v)
+```
+
+by integration by parts: the residual of De Luca and Mattone's momentum observer, with K = 1/T and A v for the momentum.
+Summation by parts says the same of differences, exactly, with the differences of A for Ȧ. So [`ForceObserver`] multiplies
+differences by `A` and filters the product: it is the momentum observer without Ȧ to compute, every term passes the same
+filter, noise of rates is amplified by 1/T and not by 1/Δt, and `A` is always that of its own instant.
+
+- A. De Luca and R. Mattone, "Sensorless robot collision detection and hybrid force/motion control", ICRA 2005.
+- S. Haddadin, A. De Luca and A. Albu-Schäffer, "Robot collisions: a survey on detection, isolation, and identification",
+  IEEE Transactions on Robotics 33(6), 2017.
+- V. Morlando, A. Teimoorzadeh and F. Ruggiero, "Whole-body control with disturbance rejection through a momentum-based
+  observer for quadruped robots", Mechanism and Machine Theory 164, 2021.
+*/
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+use super::SensorFault;
+use super::sensors::{EncoderReading, ImuReading, finite};
+use crate::mujoco::{self, Data, Kind, Model};
+use crate::robot::{GRAVITY_M_S2, JOINTS, Joints, LEGS, PARTS, Robot, joint_name};
+
+/// The time constant that follows a walk and quiets the sensors \[s\].
+pub const TIME_CONSTANT_S: f64 = 0.1;
+
+/// Forces are limited to so many weights of the robot before they are filtered: a push of 1.2 m/s within 1/240 s.
+pub const LIMIT_WEIGHTS: f64 = 30.0;
+
+/// The moment on the trunk is limited to that force at this arm \[m\].
+const LIMIT_ARM_M: f64 = 0.5;
+
+/// Dry friction grows with the rate up to this one [rad/s].
+const STICKING_RAD_S: f64 = 0.05;
+
+/// A leg is nearly singular if some joint motion moves its foot by less than this fraction of thigh and shank.
+const SINGULAR: f64 = 0.06;
+
+/// A joint rests on its limit from so close \[rad\].
+const AT_LIMIT_RAD: f64 = 0.005;
+
+/// A knee so low above the lowest foot may lie on the ground \[m\].
+const LOW_KNEE_M: f64 = 0.05;
+
+/// A trunk that is carried by more than this fraction of the weight may lie on something.
+const CARRIED: f64 = 1.0 / 3.0;
+
+/// What a robot knows of one physics step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ForceReading {
+    /// Gyro and accelerometer at the end of the step.
+    pub imu: ImuReading,
+    /// Joint angles and rates at the end of the step.
+    pub encoders: EncoderReading,
+    /// Torques of the motors during the step, commanded where they are not measured [N·m].
+    pub torques: Joints,
+    /// Rotation from the trunk's frame to a world with z up, at the end of the step.
+    pub world_from_base: UnitQuaternion<f64>,
+}
+
+/// Why the forces should not be trusted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Doubt {
+    /// There is no reading before the last one. The forces are as they were.
+    Starting,
+    /// The last reading was refused. The forces are as they were.
+    Refused,
+    /// The leg of this index is nearly singular, or a number overflowed. The forces are as they were.
+    Singular(usize),
+    /// The joint of this index is at its limit, which carries a torque that is not known.
+    JointLimit(usize),
+    /// Trunk or shins may lie on the ground: low knees, a trunk on its side, or one that is carried.
+    Lying,
+}
+
+/// Forces from outside, low-passed, in the trunk's heading frame (x forward, y left, z up).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExternalForces {
+    /// Force on the trunk \[N\].
+    pub force: Vector3<f64>,
+    /// Moment on the trunk about its centre of mass [N·m].
+    pub moment: Vector3<f64>,
+    /// Force on each foot, in the order of [`LEGS`] \[N\].
+    pub feet: [Vector3<f64>; 4],
+    /// Why they should not be trusted; `None` if they can be.
+    pub doubt: Option<Doubt>,
+}
+
+/// Error of the observer.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ForceFault {
+    /// A reading is not finite, or the time step is not positive.
+    #[error(transparent)]
+    Reading(#[from] SensorFault),
+    /// The time constant of the low-pass makes no sense.
+    #[error("the time constant of the force observer is {found_s} s, expected zero or a positive number")]
+    TimeConstant {
+        /// The time constant given \[s\].
+        found_s: f64,
+    },
+    /// MuJoCo cannot compile or evaluate the robot alone.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+}
+
+/// Finds the external forces from one reading for each physics step.
+#[derive(Debug)]
+pub struct ForceObserver {
+    /// The robot alone, without gravity.
+    data: Data,
+    time_constant_s: f64,
+    limit_n: f64,
+    weight_n: f64,
+    imu_in_base: Vector3<f64>,
+    /// Centre of mass of the trunk, trunk frame \[m\].
+    centre: Vector3<f64>,
+    /// Index of the root's first position and velocity.
+    root: [usize; 2],
+    joints: [JointPlace; JOINTS],
+    /// Geometry and radius \[m\] of each foot.
+    feet: [(usize, f64); 4],
+    before: Option<ForceReading>,
+    forces: ExternalForces,
+}
+
+/// Where a joint is in the model, and what it loses.
+#[derive(Debug, Clone, Copy, Default)]
+struct JointPlace {
+    joint: usize,
+    position: usize,
+    velocity: usize,
+    armature: f64,
+    damping: f64,
+    friction: f64,
+    range: [f64; 2],
+}
+
+impl ForceObserver {
+    /// The observer of a robot; forces start at zero. Without a time constant (0 s) nothing is filtered: for those who
+    /// integrate the force themselves.
+    ///
+    /// # Errors
+    /// A time constant that is negative or not finite, or a fault of MuJoCo.
+    pub fn new(robot: &Robot, time_constant_s: f64) -> Result<Self, ForceFault> {
+        if !(time_constant_s.is_finite() && time_constant_s >= 0.0) {
+            return Err(ForceFault::TimeConstant { found_s: time_constant_s });
+        }
+        let alone = r#"<mujoco><include file="robot.xml"/><compiler discardvisual="true"/></mujoco>"#;
+        let mut model = Model::from_xml(&[("alone.xml", alone), ("robot.xml", robot.mjcf())])?;
+        model.set_gravity([0.0; 3]);
+        let (mut joints, mut feet) = ([JointPlace::default(); JOINTS], [(0, 0.0); 4]);
+        for (index, place) in joints.iter_mut().enumerate() {
+            let joint = model.id(Kind::Joint, &format!("{}_joint", joint_name(index)))?;
+            model.set_losses(joint, robot.losses.friction_n_m, robot.losses.damping_n_m_s_per_rad);
+            let velocity = model.joint_velocity_index(joint);
+            *place = JointPlace {
+                joint,
+                position: model.joint_position_index(joint),
+                velocity,
+                armature: model.armature()[velocity],
+                damping: model.damping()[velocity],
+                friction: model.friction_loss()[velocity],
+                range: robot.joint_limits[index],
+            };
+        }
+        for (leg, foot) in feet.iter_mut().enumerate() {
+            *foot = (model.id(Kind::Geom, &format!("{}_foot", LEGS[leg]))?, robot.legs[leg].foot_radius_m);
+        }
+        let root = model.id(Kind::Joint, "root")?;
+        let weight_n = robot.mass_kg * GRAVITY_M_S2;
+        Ok(ForceObserver {
+            time_constant_s,
+            limit_n: LIMIT_WEIGHTS * weight_n,
+            weight_n,
+            imu_in_base: robot.imu_in_base,
+            centre: model.body_centre_of_mass(model.id(Kind::Body, "trunk")?).into(),
+            root: [model.joint_position_index(root), model.joint_velocity_index(root)],
+            joints,
+            feet,
+            before: None,
+            forces: ExternalForces {
+                force: Vector3::zeros(),
+                moment: Vector3::zeros(),
+                feet: [Vector3::zeros(); 4],
+                doubt: Some(Doubt::Starting),
+            },
+            data: Data::new(model)?,
+        })
+    }
+
+    /// The forces after the last reading.
+    pub fn forces(&self) -> &ExternalForces {
+        &self.forces
+    }
+
+    /// Forgets everything, as after the robot has been put elsewhere.
+    pub fn reset(&mut self) {
+        self.before = None;
+        self.forces = ExternalForces {
+            force: Vector3::zeros(),
+            moment: Vector3::zeros(),
+            feet: [Vector3::zeros(); 4],
+            doubt: Some(Doubt::Starting),
+        };
+    }
+
+    /// Takes the reading of a physics step, `dt_s` \[s\] after the last one.
+    ///
+    /// # Errors
+    /// A reading that is not finite, by name, a time step that is not positive, or a fault of MuJoCo. The forces are then
+    /// as before and in [`Doubt::Refused`], and the next reading is a first one.
+    pub fn update(&mut self, reading: &ForceReading, dt_s: f64) -> Result<&ExternalForces, ForceFault> {
+        let before = self.before.take();
+        self.forces.doubt = Some(Doubt::Refused);
+        check(reading, dt_s)?;
+        self.forces.doubt = match before {
+            Some(before) => self.balance(&before, reading, dt_s)?,
+            None => Some(Doubt::Starting),
+        };
+        self.before = Some(*reading);
+        Ok(&self.forces)
+    }
+
+    /// Solves the equations of the step between two readings and filters the result.
+    fn balance(&mut self, before: &ForceReading, now: &ForceReading, dt_s: f64) -> mujoco::Result<Option<Doubt>> {
+        self.place(before, now, dt_s);
+        self.data.inverse_dynamics()?;
+        let up = before.world_from_base.inverse() * Vector3::z();
+        let (mut force, mut moment) = (self.base_rows(0), self.base_rows(3));
+        let (mut feet, mut lowest, mut knee) = ([Vector3::zeros(); 4], f64::INFINITY, f64::INFINITY);
+        for leg in 0..LEGS.len() {
+            let (geom, radius) = self.feet[leg];
+            let contact = vector(self.data.geom_positions(), geom) - radius * up;
+            let places = &self.joints[PARTS.len() * leg..][..PARTS.len()];
+            let anchor = |part: usize| vector(self.data.joint_anchors(), places[part].joint);
+            let column =
+                |part: usize| vector(self.data.joint_axes(), places[part].joint).cross(&(contact - anchor(part)));
+            let jacobian = Matrix3::from_columns(&[column(0), column(1), column(2)]);
+            let rows = Vector3::from_fn(|part, _| self.joint_row(PARTS.len() * leg + part, before, now, dt_s));
+            let length = (anchor(2) - anchor(1)).norm() + (contact - anchor(2)).norm();
+            // The inverse's norm is at least one over the smallest singular value.
+            let inverse = jacobian.try_inverse().filter(|inverse| inverse.norm() * SINGULAR * length < 1.0);
+            let Some(inverse) = inverse else { return Ok(Some(Doubt::Singular(leg))) };
+            feet[leg] = inverse.tr_mul(&rows);
+            force -= feet[leg];
+            moment -= contact.cross(&feet[leg]);
+            (lowest, knee) = (lowest.min(contact.dot(&up)), knee.min(anchor(2).dot(&up)));
+            if !feet[leg].iter().all(|value| value.is_finite()) {
+                return Ok(Some(Doubt::Singular(leg)));
+            }
+        }
+        moment -= self.centre.cross(&force);
+        self.filter(before, [force, moment, feet[0], feet[1], feet[2], feet[3]], dt_s);
+
+        let at_limit = |joint: &usize| {
+            let ([low, high], angle) = (self.joints[*joint].range, now.encoders.angles[*joint]);
+            angle < low + AT_LIMIT_RAD || angle > high - AT_LIMIT_RAD
+        };
+        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.forces.force.z > CARRIED * self.weight_n;
+        let limit = (0..JOINTS).find(at_limit).map(Doubt::JointLimit);
+        Ok(if lying { Some(Doubt::Lying) } else { limit })
+    }
+
+    /// Writes state and accelerations of the step into MuJoCo's data, trunk frame.
+    fn place(&mut self, before: &ForceReading, now: &ForceReading, dt_s: f64) {
+        let (rate, arm) = (now.imu.gyro, self.imu_in_base);
+        let turning = (rate - before.imu.gyro) / dt_s;
+        let of_arm = turning.cross(&arm) + rate.cross(&rate.cross(&arm));
+        let linear = UnitQuaternion::from_scaled_axis(rate * dt_s) * (now.imu.specific_force - of_arm);
+        let [position, velocity] = self.root;
+        self.data.positions_mut()[position..][..7].copy_from_slice(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+        self.data.velocities_mut()[velocity..][..3].fill(0.0);
+        self.data.velocities_mut()[velocity + 3..][..3].copy_from_slice(before.imu.gyro.as_slice());
+        self.data.accelerations_mut()[velocity..][..3].copy_from_slice(linear.as_slice());
+        self.data.accelerations_mut()[velocity + 3..][..3].copy_from_slice(turning.as_slice());
+        for (index, place) in self.joints.iter().enumerate() {
+            let [earlier, later] = [before, now].map(|reading| reading.encoders.rates[index]);
+            self.data.positions_mut()[place.position] = before.encoders.angles[index];
+            self.data.velocities_mut()[place.velocity] = earlier;
+            self.data.accelerations_mut()[place.velocity] = (later - earlier) / dt_s;
+        }
+    }
+
+    /// Three of the base's rows of `r`.
+    fn base_rows(&self, from: usize) -> Vector3<f64> {
+        Vector3::from_column_slice(&self.data.inverse_forces()[self.root[1] + from..][..3])
+    }
+
+    /// A joint's row of `r`.
+    fn joint_row(&self, joint: usize, before: &ForceReading, now: &ForceReading, dt_s: f64) -> f64 {
+        let place = &self.joints[joint];
+        let rate = now.encoders.rates[joint];
+        let acceleration = (rate - before.encoders.rates[joint]) / dt_s;
+        let friction = place.friction * (rate / STICKING_RAD_S).clamp(-1.0, 1.0);
+        self.data.inverse_forces()[place.velocity] + place.armature * acceleration + place.damping * rate + friction
+            - now.torques[joint]
+    }
+
+    /// Low-passes force, moment and foot forces, trunk frame, in the heading frame.
+    fn filter(&mut self, before: &ForceReading, found: [Vector3<f64>; 6], dt_s: f64) {
+        let (_, _, yaw) = before.world_from_base.euler_angles();
+        let heading_from_base = UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * before.world_from_base;
+        let gain = 1.0 - (-dt_s / self.time_constant_s).exp();
+        let forces = &mut self.forces;
+        let [first, second, third, fourth] = &mut forces.feet;
+        let filtered = [&mut forces.force, &mut forces.moment, first, second, third, fourth];
+        for (index, (filtered, found)) in filtered.into_iter().zip(found).enumerate() {
+            let limit = if index == 1 { self.limit_n * LIMIT_ARM_M } else { self.limit_n };
+            let limited = found * (limit / found.norm().max(limit));
+            *filtered += gain * (heading_from_base * limited - *filtered);
+        }
+    }
+}
+
+/// Refuses what is not finite.
+fn check(reading: &ForceReading, dt_s: f64) -> Result<(), SensorFault> {
+    if !(dt_s.is_finite() && dt_s > 0.0) {
+        return Err(SensorFault::Timestep { dt_s });
+    }
+    reading.imu.check()?;
+    reading.encoders.check()?;
+    finite(&reading.torques, |joint| format!("torque of {}", joint_name(joint)))?;
+    finite(reading.world_from_base.coords.as_slice(), |index| format!("orientation {}", ["x", "y", "z", "w"][index]))
+}
+
+fn vector(rows: &[f64], index: usize) -> Vector3<f64> {
+    Vector3::from_column_slice(&rows[3 * index..][..3])
+}
