@@ -99,7 +99,7 @@ pub enum Doubt {
 }
 
 /// Forces from outside, low-passed, in the trunk's heading frame (x forward, y left, z up).
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct ExternalForces {
     /// Force on the trunk \[N\].
     pub force: Vector3<f64>,
@@ -142,22 +142,20 @@ pub struct ForceObserver {
     /// Index of the root's first position and velocity.
     root: [usize; 2],
     joints: [JointPlace; JOINTS],
+    /// Ranges of the joints \[rad\].
+    limits: [[f64; 2]; JOINTS],
     /// Geometry and radius \[m\] of each foot.
     feet: [(usize, f64); 4],
     before: Option<ForceReading>,
     forces: ExternalForces,
 }
 
-/// Where a joint is in the model, and what it loses.
+/// Where a joint is in the model: its id, and the indices of its angle and rate.
 #[derive(Debug, Clone, Copy, Default)]
 struct JointPlace {
     joint: usize,
     position: usize,
     velocity: usize,
-    armature: f64,
-    damping: f64,
-    friction: f64,
-    range: [f64; 2],
 }
 
 impl ForceObserver {
@@ -177,16 +175,8 @@ impl ForceObserver {
         for (index, place) in joints.iter_mut().enumerate() {
             let joint = model.id(Kind::Joint, &format!("{}_joint", joint_name(index)))?;
             model.set_losses(joint, robot.losses.friction_n_m, robot.losses.damping_n_m_s_per_rad);
-            let velocity = model.joint_velocity_index(joint);
-            *place = JointPlace {
-                joint,
-                position: model.joint_position_index(joint),
-                velocity,
-                armature: model.armature()[velocity],
-                damping: model.damping()[velocity],
-                friction: model.friction_loss()[velocity],
-                range: robot.joint_limits[index],
-            };
+            let (position, velocity) = (model.joint_position_index(joint), model.joint_velocity_index(joint));
+            *place = JointPlace { joint, position, velocity };
         }
         for (leg, foot) in feet.iter_mut().enumerate() {
             *foot = (model.id(Kind::Geom, &format!("{}_foot", LEGS[leg]))?, robot.legs[leg].foot_radius_m);
@@ -201,14 +191,10 @@ impl ForceObserver {
             centre: model.body_centre_of_mass(model.id(Kind::Body, "trunk")?).into(),
             root: [model.joint_position_index(root), model.joint_velocity_index(root)],
             joints,
+            limits: robot.joint_limits,
             feet,
             before: None,
-            forces: ExternalForces {
-                force: Vector3::zeros(),
-                moment: Vector3::zeros(),
-                feet: [Vector3::zeros(); 4],
-                doubt: Some(Doubt::Starting),
-            },
+            forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
             data: Data::new(model)?,
         })
     }
@@ -221,12 +207,7 @@ impl ForceObserver {
     /// Forgets everything, as after the robot has been put elsewhere.
     pub fn reset(&mut self) {
         self.before = None;
-        self.forces = ExternalForces {
-            force: Vector3::zeros(),
-            moment: Vector3::zeros(),
-            feet: [Vector3::zeros(); 4],
-            doubt: Some(Doubt::Starting),
-        };
+        self.forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
     }
 
     /// Takes the reading of a physics step, `dt_s` \[s\] after the last one.
@@ -278,7 +259,7 @@ impl ForceObserver {
         self.filter(before, [force, moment, feet[0], feet[1], feet[2], feet[3]], dt_s);
 
         let at_limit = |joint: &usize| {
-            let ([low, high], angle) = (self.joints[*joint].range, now.encoders.angles[*joint]);
+            let ([low, high], angle) = (self.limits[*joint], now.encoders.angles[*joint]);
             angle < low + AT_LIMIT_RAD || angle > high - AT_LIMIT_RAD
         };
         let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.forces.force.z > CARRIED * self.weight_n;
@@ -313,12 +294,12 @@ impl ForceObserver {
 
     /// A joint's row of `r`.
     fn joint_row(&self, joint: usize, before: &ForceReading, now: &ForceReading, dt_s: f64) -> f64 {
-        let place = &self.joints[joint];
+        let (model, dof) = (self.data.model(), self.joints[joint].velocity);
         let rate = now.encoders.rates[joint];
         let acceleration = (rate - before.encoders.rates[joint]) / dt_s;
-        let friction = place.friction * (rate / STICKING_RAD_S).clamp(-1.0, 1.0);
-        self.data.inverse_forces()[place.velocity] + place.armature * acceleration + place.damping * rate + friction
-            - now.torques[joint]
+        let friction = model.friction_loss()[dof] * (rate / STICKING_RAD_S).clamp(-1.0, 1.0);
+        let lost = model.damping()[dof] * rate + friction;
+        self.data.inverse_forces()[dof] + model.armature()[dof] * acceleration + lost - now.torques[joint]
     }
 
     /// Low-passes force, moment and foot forces, trunk frame, in the heading frame.
