@@ -47,13 +47,13 @@ use super::sensors::{EncoderReading, ImuReading, finite};
 use crate::mujoco::{self, Data, Kind, Model};
 use crate::robot::{GRAVITY_M_S2, JOINTS, Joints, LEGS, PARTS, Robot, joint_name};
 
-/// The time constant that follows a walk and quiets the sensors \[s\].
+/// Default time constant of the low-pass \[s\].
 pub const TIME_CONSTANT_S: f64 = 0.1;
 
-/// Forces are limited to so many weights of the robot before they are filtered: a push of 1.2 m/s within 1/240 s.
+/// Limit of each force before the low-pass, in weights of the robot: that of a push of 1.2 m/s within 1/240 s.
 pub const LIMIT_WEIGHTS: f64 = 30.0;
 
-/// The moment on the trunk is limited to that force at this arm \[m\].
+/// The limit of the moment on the trunk is that force at this arm \[m\].
 const LIMIT_ARM_M: f64 = 0.5;
 
 /// Dry friction grows with the rate up to this one [rad/s].
@@ -62,16 +62,16 @@ const STICKING_RAD_S: f64 = 0.05;
 /// A leg is nearly singular if some joint motion moves its foot by less than this fraction of thigh and shank.
 const SINGULAR: f64 = 0.06;
 
-/// A joint rests on its limit from so close \[rad\].
+/// A joint counts as at its limit when it is this close to it \[rad\].
 const AT_LIMIT_RAD: f64 = 0.005;
 
-/// A knee so low above the lowest foot may lie on the ground \[m\].
+/// A knee lower than this above the lowest foot may lie on the ground \[m\].
 const LOW_KNEE_M: f64 = 0.05;
 
-/// A trunk that is carried by more than this fraction of the weight may lie on something.
-const CARRIED: f64 = 1.0 / 3.0;
+/// A trunk lifted by more than this fraction of the robot's weight may lie on something.
+const LIFTED: f64 = 1.0 / 3.0;
 
-/// What a robot knows of one physics step.
+/// The readings of one physics step.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ForceReading {
     /// Gyro and accelerometer at the end of the step.
@@ -84,7 +84,7 @@ pub struct ForceReading {
     pub world_from_base: UnitQuaternion<f64>,
 }
 
-/// Why the forces should not be trusted.
+/// A reason not to trust the forces.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Doubt {
     /// There is no reading before the last one. The forces are as they were.
@@ -108,7 +108,7 @@ pub struct ExternalForces {
     pub moment: Vector3<f64>,
     /// Force on each foot, in the order of [`LEGS`] \[N\].
     pub feet: [Vector3<f64>; 4],
-    /// Why they should not be trusted; `None` if they can be.
+    /// The reason not to trust them; `None` if they can be trusted.
     pub doubt: Option<Doubt>,
 }
 
@@ -151,7 +151,7 @@ pub struct ForceObserver {
     forces: ExternalForces,
 }
 
-/// Where a joint is in the model: its id, and the indices of its angle and rate.
+/// Id of a joint in the model and the indices of its angle and rate.
 #[derive(Debug, Clone, Copy, Default)]
 struct JointPlace {
     joint: usize,
@@ -160,8 +160,8 @@ struct JointPlace {
 }
 
 impl ForceObserver {
-    /// The observer of a robot; forces start at zero. Without a time constant (0 s) nothing is filtered: for those who
-    /// integrate the force themselves.
+    /// Creates the observer of a robot; forces start at zero. A time constant of zero switches the low-pass off, for callers
+    /// that integrate the force themselves.
     ///
     /// # Errors
     /// A time constant that is negative or not finite, or a fault of MuJoCo.
@@ -205,7 +205,7 @@ impl ForceObserver {
         &self.forces
     }
 
-    /// Forgets everything, as after the robot has been put elsewhere.
+    /// Forgets all readings and forces; to be called after the robot has been put elsewhere.
     pub fn reset(&mut self) {
         self.before = None;
         self.forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
@@ -265,7 +265,7 @@ impl ForceObserver {
         }
         moment -= self.centre.cross(&force);
         self.filter(before, [force, moment, feet[0], feet[1], feet[2], feet[3]], dt_s);
-        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.forces.force.z > CARRIED * self.weight_n;
+        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.forces.force.z > LIFTED * self.weight_n;
         Ok(lying.then_some(Doubt::Lying))
     }
 
@@ -439,7 +439,8 @@ mod tests {
             ExternalForces { doubt: Some(Doubt::JointLimit(5)), ..Default::default() }
         );
         // A straight knee.
-        let robot = Robot { joint_limits: [[-9.0, 9.0]; JOINTS], ..Robot::clone(&robot) };
+        let mut robot = Robot::clone(&robot);
+        robot.joint_limits = [[-9.0, 9.0]; JOINTS];
         reading.encoders.angles[5] = -0.01;
         assert_eq!(steady(&robot, &reading), ExternalForces { doubt: Some(Doubt::Singular(1)), ..Default::default() });
     }

@@ -57,7 +57,7 @@ pub enum SensingError {
     Start(#[from] SensorFault),
 }
 
-/// Sensors without errors, but for the encoder bias, which the motors have too.
+/// Error-free sensors, except for the encoder bias, which the motors have too.
 #[derive(Debug, Clone)]
 pub struct ExactSensors {
     imu_in_base: Vector3<f64>,
@@ -68,7 +68,7 @@ pub struct ExactSensors {
 }
 
 impl ExactSensors {
-    /// Switches them on in the present state.
+    /// Creates the sensors in the present state of the robot.
     pub fn new(sim: &Sim, conditions: &Conditions) -> Self {
         ExactSensors {
             imu_in_base: sim.robot().imu_in_base,
@@ -77,7 +77,7 @@ impl ExactSensors {
         }
     }
 
-    /// Reads them after a physics step, each once.
+    /// Reads the sensors; to be called once after each physics step.
     pub fn read(&mut self, data: &Data, parts: &Parts) -> (ImuReading, EncoderReading) {
         let dt_s = data.model().timestep_s();
         let velocity = parts.trunk_velocity(data);
@@ -108,7 +108,7 @@ pub struct Senses {
     target: Joints,
     /// The last valid reading of the encoders.
     reading: EncoderReading,
-    /// What the sensors gave last, valid or not.
+    /// The last readings of the sensors, valid or not.
     felt: Option<(ImuReading, EncoderReading)>,
     touching: [bool; 4],
     /// True if a sensor failed in the last tick.
@@ -178,7 +178,7 @@ impl Senses {
         self.take(imu, encoders, dt_s);
     }
 
-    /// The last readings as they came, valid or not, and the estimated orientation, for a
+    /// Returns the last readings, valid or not, and the estimated orientation, for a
     /// [`ForceObserver`](crate::estimate::external_force::ForceObserver). `torques` are those of the last physics step [N·m].
     pub fn force_reading(&self, torques: &Joints) -> ForceReading {
         let (imu, encoders) = self.felt.unwrap_or_else(|| unreachable!("senses start with a reading"));
