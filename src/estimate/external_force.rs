@@ -9,7 +9,7 @@ trunk:  w = r_base − Σ J_base,iᵀ f_i
 ```
 
 `M a + h` is MuJoCo's recursive Newton-Euler algorithm on a model of the robot alone; armature and joint losses `d` (damping
-times rate; dry friction, smoothed below [`STICKING_RAD_S`]) are added. `J_i` is that of the point where the sphere of the
+times rate; dry friction, smoothed below 0.05 rad/s) are added. `J_i` is that of the point where the sphere of the
 foot would touch level ground. All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
 equations are the same in every frame that moves uniformly, and gravity is an acceleration of the frame. The
 accelerometer's specific force, brought from the IMU to the trunk's origin, thus stands for base acceleration and gravity
@@ -91,8 +91,10 @@ pub enum Doubt {
     Starting,
     /// The last reading was refused. The forces are as they were.
     Refused,
-    /// The leg of this index is nearly singular, or a number overflowed. The forces are as they were.
+    /// The leg of this index is nearly singular. The forces are as they were.
     Singular(usize),
+    /// The readings are so large that the forces are not finite. The forces are as they were.
+    Overflow,
     /// The joint of this index is at its limit, which carries a torque that is not known. The forces are as they were.
     JointLimit(usize),
     /// Trunk or shins may lie on the ground: low knees, a trunk on its side, or one that is lifted.
@@ -242,7 +244,7 @@ impl ForceObserver {
         let up = before.world_from_base.inverse() * Vector3::z();
         let (mut force, mut moment) = (self.base_rows(0), self.base_rows(3));
         let (mut feet, mut lowest, mut knee) = ([Vector3::zeros(); 4], f64::INFINITY, f64::INFINITY);
-        for leg in 0..LEGS.len() {
+        for (leg, foot) in feet.iter_mut().enumerate() {
             let (geom, radius) = self.feet[leg];
             let contact = vector(self.data.geom_positions(), geom) - radius * up;
             let places = &self.joints[PARTS.len() * leg..][..PARTS.len()];
@@ -255,15 +257,15 @@ impl ForceObserver {
             // The inverse's norm is at least one over the smallest singular value.
             let inverse = jacobian.try_inverse().filter(|inverse| inverse.norm() * SINGULAR * length < 1.0);
             let Some(inverse) = inverse else { return Ok(Some(Doubt::Singular(leg))) };
-            feet[leg] = inverse.tr_mul(&rows);
-            force -= feet[leg];
-            moment -= contact.cross(&feet[leg]);
+            *foot = inverse.tr_mul(&rows);
+            force -= *foot;
+            moment -= contact.cross(foot);
             (lowest, knee) = (lowest.min(contact.dot(&up)), knee.min(anchor(2).dot(&up)));
-            if !feet[leg].iter().all(|value| value.is_finite()) {
-                return Ok(Some(Doubt::Singular(leg)));
-            }
         }
         moment -= self.centre.cross(&force);
+        if !force.iter().chain(&moment).all(|value| value.is_finite()) {
+            return Ok(Some(Doubt::Overflow));
+        }
         self.filter(before, [force, moment, feet[0], feet[1], feet[2], feet[3]], dt_s);
         let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.forces.force.z > LIFTED * self.weight_n;
         Ok(lying.then_some(Doubt::Lying))
@@ -438,6 +440,9 @@ mod tests {
             steady(&robot, &reading),
             ExternalForces { doubt: Some(Doubt::JointLimit(5)), ..Default::default() }
         );
+        reading.encoders = EncoderReading { angles: robot.nominal_pose, rates: [1e200; JOINTS] };
+        assert_eq!(steady(&robot, &reading), ExternalForces { doubt: Some(Doubt::Overflow), ..Default::default() });
+        reading.encoders.rates = [0.0; JOINTS];
         // A straight knee.
         let mut robot = Robot::clone(&robot);
         robot.joint_limits = [[-9.0, 9.0]; JOINTS];

@@ -72,7 +72,7 @@ mod tests {
     use crate::estimate::contact::ContactNetwork;
     use crate::estimate::external_force::{Doubt, TIME_CONSTANT_S};
     use crate::policy::{Agent, shipped};
-    use crate::robot::{JOINTS, JointLosses, LEGS, Losses, PARTS, Robot};
+    use crate::robot::{JOINTS, JointLosses, Losses, PARTS, Robot};
     use crate::sim::{Push, Scene};
     use crate::task::Command;
     use crate::util::random::{Purpose, stream};
@@ -114,13 +114,13 @@ mod tests {
             sim.refresh().unwrap();
             let (parts, heading) = (sim.parts().clone(), sim.state().heading());
             let (pull, moment, mut feet) = (random(&mut rng, 50.0), random(&mut rng, 10.0), [Vector3::zeros(); 4]);
-            for leg in 0..LEGS.len() {
+            for (leg, force) in feet.iter_mut().enumerate() {
                 let foot = parts.feet()[leg];
                 let radius = sim.robot().legs[leg].foot_radius_m;
                 let centre = Vector3::from_column_slice(&sim.data().geom_positions()[3 * foot..][..3]);
                 let calf = sim.data().model().joint_body(parts.joints()[PARTS.len() * leg + 2]);
-                feet[leg] = random(&mut rng, 80.0);
-                apply(sim.data_mut(), calf, centre - radius * Vector3::z(), feet[leg]);
+                *force = random(&mut rng, 80.0);
+                apply(sim.data_mut(), calf, centre - radius * Vector3::z(), *force);
             }
             let trunk = &mut sim.data_mut().applied_forces_mut()[6 * parts.trunk()..][..6];
             trunk[..3].copy_from_slice(pull.as_slice());
