@@ -98,4 +98,13 @@ int supple_object_velocity(const mjModel* m, const mjData* d, int objtype, int o
   GUARDED(mj_objectVelocity(m, d, objtype, objid, res, flg_local));
 }
 
+static void rne(const mjModel* m, mjData* d) {
+  mj_kinematics(m, d);
+  mj_comPos(m, d);
+  mj_comVel(m, d);
+  mj_rne(m, d, 1, d->qfrc_inverse);
+}
+
+int supple_rne(const mjModel* m, mjData* d, char* error) { GUARDED(rne(m, d)); }
+
 int supple_raise(const char* message, char* error) { GUARDED(mju_error(message)); }

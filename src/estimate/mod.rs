@@ -9,6 +9,7 @@ of the start. Horizontal position and heading drift, because nothing on the robo
 */
 
 pub mod contact;
+pub mod external_force;
 pub mod kalman;
 pub mod orientation;
 pub mod sensors;

@@ -51,7 +51,7 @@ impl EncoderReading {
     }
 }
 
-fn finite(values: &[f64], name: impl Fn(usize) -> String) -> Result<(), SensorFault> {
+pub(super) fn finite(values: &[f64], name: impl Fn(usize) -> String) -> Result<(), SensorFault> {
     let bad = values.iter().enumerate().find(|(_, value)| !value.is_finite());
     bad.map_or(Ok(()), |(index, found)| Err(SensorFault::NotFinite { reading: name(index), found: *found }))
 }

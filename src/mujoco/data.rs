@@ -77,6 +77,31 @@ impl Data {
         self.slice_mut(self.raw().qacc_warmstart, self.model.nv())
     }
 
+    /// Generalised accelerations, shape (nv): those of the last step, or what [`Data::inverse_dynamics`] starts from.
+    pub fn accelerations(&self) -> &[f64] {
+        self.slice(self.raw().qacc, self.model.nv())
+    }
+
+    /// [`Data::accelerations`], writable.
+    pub fn accelerations_mut(&mut self) -> &mut [f64] {
+        self.slice_mut(self.raw().qacc, self.model.nv())
+    }
+
+    /// Generalised forces of the last [`Data::inverse_dynamics`], shape (nv).
+    pub fn inverse_forces(&self) -> &[f64] {
+        self.slice(self.raw().qfrc_inverse, self.model.nv())
+    }
+
+    /// Points that hinges turn about, world frame, shape (njnt, 3). \[m\]
+    pub fn joint_anchors(&self) -> &[f64] {
+        self.slice(self.raw().xanchor, 3 * self.model.count(Kind::Joint))
+    }
+
+    /// Axes of hinges, world frame, unit vectors, shape (njnt, 3).
+    pub fn joint_axes(&self) -> &[f64] {
+        self.slice(self.raw().xaxis, 3 * self.model.count(Kind::Joint))
+    }
+
     /// Actuator controls, shape (nu).
     pub fn controls(&self) -> &[f64] {
         self.slice(self.raw().ctrl, self.model.nu())
@@ -257,6 +282,16 @@ impl Data {
     /// The simulation is unstable, a contact or constraint buffer is full, or MuJoCo reports a fatal error.
     pub fn step(&mut self) -> Result<()> {
         self.call("mj_step", sys::supple_step)
+    }
+
+    /// Writes the generalised forces that give the present accelerations in the present state to
+    /// [`Data::inverse_forces`], and places bodies, joints and geometries: `M a + h` by the recursive Newton-Euler
+    /// algorithm. Armature, losses, motors and contacts are left out.
+    ///
+    /// # Errors
+    /// Any fault that MuJoCo reports, see [`Error`].
+    pub fn inverse_dynamics(&mut self) -> Result<()> {
+        self.call("mj_rne", sys::supple_rne)
     }
 
     fn call(

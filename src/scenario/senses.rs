@@ -17,6 +17,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::contact::{ContactEstimator, ContactNetwork, RATE_HZ};
+use crate::estimate::external_force::ForceReading;
 use crate::estimate::sensors::TrunkMotion;
 use crate::estimate::{
     EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors,
@@ -56,6 +57,42 @@ pub enum SensingError {
     Start(#[from] SensorFault),
 }
 
+/// Error-free sensors, except for the encoder bias, which the motors have too.
+#[derive(Debug, Clone)]
+pub struct ExactSensors {
+    imu_in_base: Vector3<f64>,
+    /// Encoder bias \[rad\].
+    offsets: Joints,
+    /// Trunk's velocity at the last reading: linear, world frame [m/s], and angular, base frame [rad/s].
+    last_velocity: (Vector3<f64>, Vector3<f64>),
+}
+
+impl ExactSensors {
+    /// Creates the sensors in the present state of the robot.
+    pub fn new(sim: &Sim, conditions: &Conditions) -> Self {
+        ExactSensors {
+            imu_in_base: sim.robot().imu_in_base,
+            offsets: conditions.encoder_bias,
+            last_velocity: sim.parts().trunk_velocity(sim.data()),
+        }
+    }
+
+    /// Reads the sensors; to be called once after each physics step.
+    pub fn read(&mut self, data: &Data, parts: &Parts) -> (ImuReading, EncoderReading) {
+        let dt_s = data.model().timestep_s();
+        let velocity = parts.trunk_velocity(data);
+        let motion = TrunkMotion {
+            world_from_base: parts.world_from_base(data),
+            acceleration: (velocity.0 - self.last_velocity.0) / dt_s,
+            angular_velocity: velocity.1,
+            angular_acceleration: (velocity.1 - self.last_velocity.1) / dt_s,
+        };
+        self.last_velocity = velocity;
+        let encoders = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
+        (ImuReading::exact(&motion, self.imu_in_base, Vector3::from(data.model().gravity())), encoders)
+    }
+}
+
 /// The sensors of a robot and its state estimator.
 #[derive(Debug)]
 pub struct Senses {
@@ -64,16 +101,15 @@ pub struct Senses {
     rng: ChaCha8Rng,
     contacts: ContactEstimator,
     estimator: Estimator,
-    /// Encoder bias \[rad\].
-    offsets: Joints,
+    exact: ExactSensors,
     /// Position of the robot at its start, world frame \[m\].
     origin: Vector3<f64>,
-    /// Trunk's velocity at the last reading: linear, world frame [m/s], and angular, base frame [rad/s].
-    last_velocity: (Vector3<f64>, Vector3<f64>),
     /// Joint targets given last \[rad\].
     target: Joints,
     /// The last valid reading of the encoders.
     reading: EncoderReading,
+    /// The last readings of the sensors, valid or not.
+    felt: Option<(ImuReading, EncoderReading)>,
     touching: [bool; 4],
     /// True if a sensor failed in the last tick.
     failing: bool,
@@ -110,11 +146,11 @@ impl Senses {
             contacts: ContactEstimator::new(network),
             estimator: Estimator::new(Arc::clone(&robot), EstimatorConfig::default()),
             robot,
-            offsets: conditions.encoder_bias,
+            exact: ExactSensors::new(sim, conditions),
             origin: Vector3::new(state.position.x, state.position.y, 0.0),
-            last_velocity: sim.parts().trunk_velocity(sim.data()),
             target: *target,
             reading: EncoderReading { angles: state.joint_angles, rates: state.joint_rates },
+            felt: None,
             touching: [false; 4],
             failing: false,
             news: None,
@@ -135,20 +171,18 @@ impl Senses {
     /// Reads all sensors after a physics step.
     pub fn read(&mut self, data: &Data, parts: &Parts) {
         let dt_s = data.model().timestep_s();
-        let velocity = parts.trunk_velocity(data);
-        let motion = TrunkMotion {
-            world_from_base: parts.world_from_base(data),
-            acceleration: (velocity.0 - self.last_velocity.0) / dt_s,
-            angular_velocity: velocity.1,
-            angular_acceleration: (velocity.1 - self.last_velocity.1) / dt_s,
-        };
-        self.last_velocity = velocity;
-        let exact = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
-        let imu = ImuReading::exact(&motion, self.robot.imu_in_base, Vector3::from(data.model().gravity()));
+        let (imu, encoders) = self.exact.read(data, parts);
         let imu = self.sensors.imu(&imu, dt_s, &mut self.rng);
-        let encoders = self.sensors.encoders(&exact, dt_s, &mut self.rng);
-
+        let encoders = self.sensors.encoders(&encoders, dt_s, &mut self.rng);
+        self.felt = Some((imu, encoders));
         self.take(imu, encoders, dt_s);
+    }
+
+    /// Returns the last readings, valid or not, and the estimated orientation, for a
+    /// [`ForceObserver`](crate::estimate::external_force::ForceObserver). `torques` are those of the last physics step [N·m].
+    pub fn force_reading(&self, torques: &Joints) -> ForceReading {
+        let (imu, encoders) = self.felt.unwrap_or_else(|| unreachable!("senses start with a reading"));
+        ForceReading { imu, encoders, torques: *torques, world_from_base: self.estimate().world_from_base }
     }
 
     /// Updates the estimate with the readings of a tick.

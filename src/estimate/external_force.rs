@@ -1,0 +1,452 @@
+/*! The force that acts on the trunk from outside, and the force on each foot, felt through the balance of momentum.
+
+A trunk with four legs of three hinges has 18 equations of motion. Four foot forces `f` (12 unknowns) and a wrench `w` on
+the trunk (6 unknowns) are all that comes from outside, so that the equations determine them:
+
+```text
+leg i:  J_iᵀ f_i = r_i                  r = M(q) a + h(q, v) + d(v) − Sᵀ τ
+trunk:  w = r_base − Σ J_base,iᵀ f_i
+```
+
+`M a + h` is MuJoCo's recursive Newton-Euler algorithm on a model of the robot alone; armature and joint losses `d` (damping
+times rate; dry friction, smoothed below 0.05 rad/s) are added. `J_i` is that of the point where the sphere of the
+foot would touch level ground. All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
+equations are the same in every frame that moves uniformly, and gravity is an acceleration of the frame. The
+accelerometer's specific force, brought from the IMU to the trunk's origin, thus stands for base acceleration and gravity
+together. Neither velocity nor height of the base is needed, and a wrong orientation turns the result but is not taken for
+a force. What touches a thigh or shin counts in part as a force on the foot, in part as one on the trunk.
+
+Time stamps. What the simulation does between two readings, k and k+1, is `M(q_k) (v_k+1 − v_k)/Δt + h(q_k, v_k) + D v_k+1 =
+Sᵀ τ_k + …` (semi-implicit Euler, damping implicit). So configuration and `h` are those of the earlier reading, torques those
+that acted between, the specific force is that of the later one (turned back by ω Δt), damping acts on the later rates.
+
+Differences and the momentum observer. `w` is linear in the accelerations of joints and trunk: `w_k = A_k (v_k+1 − v_k)/Δt + …`
+with `A = (1, −J_baseᵀ J⁻ᵀ) M`. A first-order low-pass LP of time constant T turns this into
+
+```text
+LP(A v̇) = (A v − LP(A v)) / T − LP(Ȧ v)
+```
+
+by integration by parts: the residual of De Luca and Mattone's momentum observer, with K = 1/T and A v for the momentum.
+Summation by parts says the same of differences, exactly, with the differences of A for Ȧ. So [`ForceObserver`] multiplies
+differences by `A` and filters the product: it is the momentum observer without Ȧ to compute, every term passes the same
+filter, noise of rates is amplified by 1/T and not by 1/Δt, and `A` is always that of its own instant. To filter `r` first
+and to use `J` of the present would not do: in a walk, the force would be off by 7 N instead of 0.02.
+
+- A. De Luca and R. Mattone, "Sensorless robot collision detection and hybrid force/motion control", ICRA 2005.
+- S. Haddadin, A. De Luca and A. Albu-Schäffer, "Robot collisions: a survey on detection, isolation, and identification",
+  IEEE Transactions on Robotics 33(6), 2017.
+- V. Morlando, A. Teimoorzadeh and F. Ruggiero, "Whole-body control with disturbance rejection through a momentum-based
+  observer for quadruped robots", Mechanism and Machine Theory 164, 2021.
+*/
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+
+use super::SensorFault;
+use super::sensors::{EncoderReading, ImuReading, finite};
+use crate::mujoco::{self, Data, Kind, Model};
+use crate::robot::{GRAVITY_M_S2, JOINTS, Joints, LEGS, PARTS, Robot, joint_name};
+
+/// Default time constant of the low-pass \[s\].
+pub const TIME_CONSTANT_S: f64 = 0.1;
+
+/// Limit of each force before the low-pass, in weights of the robot: that of a push of 1.2 m/s within 1/240 s.
+pub const LIMIT_WEIGHTS: f64 = 30.0;
+
+/// The limit of the moment on the trunk is that force at this arm \[m\].
+const LIMIT_ARM_M: f64 = 0.5;
+
+/// Dry friction grows with the rate up to this one [rad/s].
+const STICKING_RAD_S: f64 = 0.05;
+
+/// A leg is nearly singular if some joint motion moves its foot by less than this fraction of thigh and shank.
+const SINGULAR: f64 = 0.06;
+
+/// A joint counts as at its limit when it is this close to it \[rad\].
+const AT_LIMIT_RAD: f64 = 0.005;
+
+/// A knee lower than this above the lowest foot may lie on the ground \[m\].
+const LOW_KNEE_M: f64 = 0.05;
+
+/// A trunk lifted by more than this fraction of the robot's weight may lie on something.
+const LIFTED: f64 = 1.0 / 3.0;
+
+/// The readings of one physics step.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ForceReading {
+    /// Gyro and accelerometer at the end of the step.
+    pub imu: ImuReading,
+    /// Joint angles and rates at the end of the step.
+    pub encoders: EncoderReading,
+    /// Torques of the motors during the step, commanded where they are not measured [N·m].
+    pub torques: Joints,
+    /// Rotation from the trunk's frame to a world with z up, at the end of the step.
+    pub world_from_base: UnitQuaternion<f64>,
+}
+
+/// A reason not to trust the forces.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Doubt {
+    /// There is no reading before the last one. The forces are as they were.
+    Starting,
+    /// The last reading was refused. The forces are as they were.
+    Refused,
+    /// The leg of this index is nearly singular. The forces are as they were.
+    Singular(usize),
+    /// The readings are so large that the forces are not finite. The forces are as they were.
+    Overflow,
+    /// The joint of this index is at its limit, which carries a torque that is not known. The forces are as they were.
+    JointLimit(usize),
+    /// Trunk or shins may lie on the ground: low knees, a trunk on its side, or one that is lifted.
+    Lying,
+}
+
+/// Forces from outside, low-passed, in the trunk's heading frame (x forward, y left, z up).
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct ExternalForces {
+    /// Force on the trunk \[N\].
+    pub force: Vector3<f64>,
+    /// Moment on the trunk about its centre of mass [N·m].
+    pub moment: Vector3<f64>,
+    /// Force on each foot, in the order of [`LEGS`] \[N\].
+    pub feet: [Vector3<f64>; 4],
+    /// The reason not to trust them; `None` if they can be trusted.
+    pub doubt: Option<Doubt>,
+}
+
+/// Error of the observer.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ForceFault {
+    /// A reading is not finite, or the time step is not positive.
+    #[error(transparent)]
+    Reading(#[from] SensorFault),
+    /// The time constant of the low-pass makes no sense.
+    #[error("the time constant of the force observer is {found_s} s, expected zero or a positive number")]
+    TimeConstant {
+        /// The time constant given \[s\].
+        found_s: f64,
+    },
+    /// MuJoCo cannot compile or evaluate the robot alone.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+}
+
+/// Finds the external forces from one reading for each physics step.
+#[derive(Debug)]
+pub struct ForceObserver {
+    /// The robot alone, without gravity.
+    data: Data,
+    time_constant_s: f64,
+    limit_n: f64,
+    weight_n: f64,
+    imu_in_base: Vector3<f64>,
+    /// Centre of mass of the trunk, trunk frame \[m\].
+    centre: Vector3<f64>,
+    /// Index of the root's first position and velocity.
+    root: [usize; 2],
+    joints: [JointPlace; JOINTS],
+    /// Ranges of the joints \[rad\].
+    limits: [[f64; 2]; JOINTS],
+    /// Geometry and radius \[m\] of each foot.
+    feet: [(usize, f64); 4],
+    before: Option<ForceReading>,
+    forces: ExternalForces,
+}
+
+/// Id of a joint in the model and the indices of its angle and rate.
+#[derive(Debug, Clone, Copy, Default)]
+struct JointPlace {
+    joint: usize,
+    position: usize,
+    velocity: usize,
+}
+
+impl ForceObserver {
+    /// Creates the observer of a robot; forces start at zero. A time constant of zero switches the low-pass off, for callers
+    /// that integrate the force themselves.
+    ///
+    /// # Errors
+    /// A time constant that is negative or not finite, or a fault of MuJoCo.
+    pub fn new(robot: &Robot, time_constant_s: f64) -> Result<Self, ForceFault> {
+        if !(time_constant_s.is_finite() && time_constant_s >= 0.0) {
+            return Err(ForceFault::TimeConstant { found_s: time_constant_s });
+        }
+        let alone = r#"<mujoco><include file="robot.xml"/><compiler discardvisual="true"/></mujoco>"#;
+        let mut model = Model::from_xml(&[("alone.xml", alone), ("robot.xml", robot.mjcf())])?;
+        model.set_gravity([0.0; 3]);
+        let (mut joints, mut feet) = ([JointPlace::default(); JOINTS], [(0, 0.0); 4]);
+        for (index, place) in joints.iter_mut().enumerate() {
+            let joint = model.id(Kind::Joint, &format!("{}_joint", joint_name(index)))?;
+            model.set_losses(joint, robot.losses.friction_n_m, robot.losses.damping_n_m_s_per_rad);
+            let (position, velocity) = (model.joint_position_index(joint), model.joint_velocity_index(joint));
+            *place = JointPlace { joint, position, velocity };
+        }
+        for (leg, foot) in feet.iter_mut().enumerate() {
+            *foot = (model.id(Kind::Geom, &format!("{}_foot", LEGS[leg]))?, robot.legs[leg].foot_radius_m);
+        }
+        let root = model.id(Kind::Joint, "root")?;
+        let weight_n = robot.mass_kg * GRAVITY_M_S2;
+        Ok(ForceObserver {
+            time_constant_s,
+            limit_n: LIMIT_WEIGHTS * weight_n,
+            weight_n,
+            imu_in_base: robot.imu_in_base,
+            centre: model.body_centre_of_mass(model.id(Kind::Body, "trunk")?).into(),
+            root: [model.joint_position_index(root), model.joint_velocity_index(root)],
+            joints,
+            limits: robot.joint_limits,
+            feet,
+            before: None,
+            forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
+            data: Data::new(model)?,
+        })
+    }
+
+    /// The forces after the last reading.
+    pub fn forces(&self) -> &ExternalForces {
+        &self.forces
+    }
+
+    /// Forgets all readings and forces; to be called after the robot has been put elsewhere.
+    pub fn reset(&mut self) {
+        self.before = None;
+        self.forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
+    }
+
+    /// Takes the reading of a physics step, `dt_s` \[s\] after the last one.
+    ///
+    /// # Errors
+    /// A reading that is not finite, by name, a time step that is not positive, or a fault of MuJoCo. The forces are then
+    /// as before and in [`Doubt::Refused`], and the next reading is a first one.
+    pub fn update(&mut self, reading: &ForceReading, dt_s: f64) -> Result<&ExternalForces, ForceFault> {
+        let before = self.before.take();
+        self.forces.doubt = Some(Doubt::Refused);
+        check(reading, dt_s)?;
+        self.forces.doubt = match before {
+            Some(before) => self.balance(&before, reading, dt_s)?,
+            None => Some(Doubt::Starting),
+        };
+        self.before = Some(*reading);
+        Ok(&self.forces)
+    }
+
+    /// Solves the equations of the step between two readings and filters the result.
+    fn balance(&mut self, before: &ForceReading, now: &ForceReading, dt_s: f64) -> mujoco::Result<Option<Doubt>> {
+        let at_limit = |joint: &usize| {
+            let ([low, high], angle) = (self.limits[*joint], now.encoders.angles[*joint]);
+            angle < low + AT_LIMIT_RAD || angle > high - AT_LIMIT_RAD
+        };
+        if let Some(joint) = (0..JOINTS).find(at_limit) {
+            return Ok(Some(Doubt::JointLimit(joint)));
+        }
+        self.place(before, now, dt_s);
+        self.data.inverse_dynamics()?;
+        let up = before.world_from_base.inverse() * Vector3::z();
+        let (mut force, mut moment) = (self.base_rows(0), self.base_rows(3));
+        let (mut feet, mut lowest, mut knee) = ([Vector3::zeros(); 4], f64::INFINITY, f64::INFINITY);
+        for (leg, foot) in feet.iter_mut().enumerate() {
+            let (geom, radius) = self.feet[leg];
+            let contact = vector(self.data.geom_positions(), geom) - radius * up;
+            let places = &self.joints[PARTS.len() * leg..][..PARTS.len()];
+            let anchor = |part: usize| vector(self.data.joint_anchors(), places[part].joint);
+            let column =
+                |part: usize| vector(self.data.joint_axes(), places[part].joint).cross(&(contact - anchor(part)));
+            let jacobian = Matrix3::from_columns(&[column(0), column(1), column(2)]);
+            let rows = Vector3::from_fn(|part, _| self.joint_row(PARTS.len() * leg + part, before, now, dt_s));
+            let length = (anchor(2) - anchor(1)).norm() + (contact - anchor(2)).norm();
+            // The inverse's norm is at least one over the smallest singular value.
+            let inverse = jacobian.try_inverse().filter(|inverse| inverse.norm() * SINGULAR * length < 1.0);
+            let Some(inverse) = inverse else { return Ok(Some(Doubt::Singular(leg))) };
+            *foot = inverse.tr_mul(&rows);
+            force -= *foot;
+            moment -= contact.cross(foot);
+            (lowest, knee) = (lowest.min(contact.dot(&up)), knee.min(anchor(2).dot(&up)));
+        }
+        moment -= self.centre.cross(&force);
+        if !force.iter().chain(&moment).all(|value| value.is_finite()) {
+            return Ok(Some(Doubt::Overflow));
+        }
+        self.filter(before, [force, moment, feet[0], feet[1], feet[2], feet[3]], dt_s);
+        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.forces.force.z > LIFTED * self.weight_n;
+        Ok(lying.then_some(Doubt::Lying))
+    }
+
+    /// Writes state and accelerations of the step into MuJoCo's data, trunk frame.
+    fn place(&mut self, before: &ForceReading, now: &ForceReading, dt_s: f64) {
+        let (rate, arm) = (now.imu.gyro, self.imu_in_base);
+        let turning = (rate - before.imu.gyro) / dt_s;
+        let of_arm = turning.cross(&arm) + rate.cross(&rate.cross(&arm));
+        let linear = UnitQuaternion::from_scaled_axis(rate * dt_s) * (now.imu.specific_force - of_arm);
+        let [position, velocity] = self.root;
+        self.data.positions_mut()[position..][..7].copy_from_slice(&[0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]);
+        self.data.velocities_mut()[velocity..][..3].fill(0.0);
+        self.data.velocities_mut()[velocity + 3..][..3].copy_from_slice(before.imu.gyro.as_slice());
+        self.data.accelerations_mut()[velocity..][..3].copy_from_slice(linear.as_slice());
+        self.data.accelerations_mut()[velocity + 3..][..3].copy_from_slice(turning.as_slice());
+        for (index, place) in self.joints.iter().enumerate() {
+            let [earlier, later] = [before, now].map(|reading| reading.encoders.rates[index]);
+            self.data.positions_mut()[place.position] = before.encoders.angles[index];
+            self.data.velocities_mut()[place.velocity] = earlier;
+            self.data.accelerations_mut()[place.velocity] = (later - earlier) / dt_s;
+        }
+    }
+
+    /// Three of the base's rows of `r`.
+    fn base_rows(&self, from: usize) -> Vector3<f64> {
+        Vector3::from_column_slice(&self.data.inverse_forces()[self.root[1] + from..][..3])
+    }
+
+    /// A joint's row of `r`.
+    fn joint_row(&self, joint: usize, before: &ForceReading, now: &ForceReading, dt_s: f64) -> f64 {
+        let (model, dof) = (self.data.model(), self.joints[joint].velocity);
+        let rate = now.encoders.rates[joint];
+        let acceleration = (rate - before.encoders.rates[joint]) / dt_s;
+        let friction = model.friction_loss()[dof] * (rate / STICKING_RAD_S).clamp(-1.0, 1.0);
+        let lost = model.damping()[dof] * rate + friction;
+        self.data.inverse_forces()[dof] + model.armature()[dof] * acceleration + lost - now.torques[joint]
+    }
+
+    /// Low-passes force, moment and foot forces, trunk frame, in the heading frame.
+    fn filter(&mut self, before: &ForceReading, found: [Vector3<f64>; 6], dt_s: f64) {
+        let (_, _, yaw) = before.world_from_base.euler_angles();
+        let heading_from_base = UnitQuaternion::from_euler_angles(0.0, 0.0, -yaw) * before.world_from_base;
+        let gain = 1.0 - (-dt_s / self.time_constant_s).exp();
+        let forces = &mut self.forces;
+        let [first, second, third, fourth] = &mut forces.feet;
+        let filtered = [&mut forces.force, &mut forces.moment, first, second, third, fourth];
+        for (index, (filtered, found)) in filtered.into_iter().zip(found).enumerate() {
+            let limit = if index == 1 { self.limit_n * LIMIT_ARM_M } else { self.limit_n };
+            let limited = found * (limit / found.norm().max(limit));
+            *filtered += gain * (heading_from_base * limited - *filtered);
+        }
+    }
+}
+
+/// Refuses what is not finite.
+fn check(reading: &ForceReading, dt_s: f64) -> Result<(), SensorFault> {
+    if !(dt_s.is_finite() && dt_s > 0.0) {
+        return Err(SensorFault::Timestep { dt_s });
+    }
+    reading.imu.check()?;
+    reading.encoders.check()?;
+    finite(&reading.torques, |joint| format!("torque of {}", joint_name(joint)))?;
+    finite(reading.world_from_base.coords.as_slice(), |index| format!("orientation {}", ["x", "y", "z", "w"][index]))
+}
+
+fn vector(rows: &[f64], index: usize) -> Vector3<f64> {
+    Vector3::from_column_slice(&rows[3 * index..][..3])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::kinematics;
+
+    const DT_S: f64 = 1.0 / 240.0;
+
+    fn still(robot: &Robot) -> ForceReading {
+        ForceReading {
+            imu: ImuReading { gyro: Vector3::zeros(), specific_force: Vector3::new(0.0, 0.0, GRAVITY_M_S2) },
+            encoders: EncoderReading { angles: robot.nominal_pose, rates: [0.0; JOINTS] },
+            torques: [0.0; JOINTS],
+            world_from_base: UnitQuaternion::from_euler_angles(0.0, 0.0, 2.0),
+        }
+    }
+
+    /// The forces of a steady state, without a filter.
+    fn steady(robot: &Robot, reading: &ForceReading) -> ExternalForces {
+        let mut observer = ForceObserver::new(robot, 0.0).unwrap();
+        assert_eq!(observer.update(reading, DT_S).unwrap().doubt, Some(Doubt::Starting));
+        *observer.update(reading, DT_S).unwrap()
+    }
+
+    #[test]
+    fn free_fall_feels_no_force() {
+        for robot in ["go1", "go2"].map(|name| Robot::load(name).unwrap()) {
+            let mut reading = still(&robot);
+            reading.imu.specific_force.z = 0.0;
+            let forces = steady(&robot, &reading);
+            let all = forces.feet.iter().chain([&forces.force, &forces.moment]);
+            assert!(all.into_iter().all(|force| force.norm() < 1e-9) && forces.doubt.is_none(), "{forces:?}");
+        }
+    }
+
+    #[test]
+    fn pull_is_what_feet_and_weight_leave() {
+        let robot = Robot::load("go1").unwrap();
+        let mut reading = still(&robot);
+        let total = |forces: &ExternalForces| forces.force + forces.feet.iter().sum::<Vector3<f64>>();
+        let hanging = steady(&robot, &reading);
+        // A robot at rest is held by its weight, 13.100448 kg · 9.81 m/s², whatever its motors do.
+        assert!((total(&hanging) - Vector3::z() * 128.515_395).norm() < 1e-4, "{}", total(&hanging));
+        reading.torques[5] = 6.0;
+        let pressing = steady(&robot, &reading);
+        let change = pressing.feet[1] - hanging.feet[1];
+        assert!((total(&pressing) - total(&hanging)).norm() < 1e-9);
+        assert!((pressing.force - hanging.force + change).norm() < 1e-9 && pressing.feet[3] == hanging.feet[3]);
+        // Virtual work: only turning the knee against the 6 N m moves the foot's lowest point along the force.
+        for (part, work) in [0.0, 0.0, -6.0].into_iter().enumerate() {
+            let mut rates = [0.0; JOINTS];
+            rates[3 + part] = 1.0;
+            let foot = kinematics::feet(&robot.legs, &robot.nominal_pose, &rates)[1];
+            let moves = foot.velocity + foot.spin.cross(&(-robot.legs[1].foot_radius_m * Vector3::z()));
+            assert!((moves.dot(&change) - work).abs() < 1e-9, "{part}: {}", moves.dot(&change));
+        }
+    }
+
+    #[test]
+    fn a_step_of_force_arrives_with_the_time_constant() {
+        let robot = Robot::load("go1").unwrap();
+        let mut observer = ForceObserver::new(&robot, 0.1).unwrap();
+        let mut reading = still(&robot);
+        reading.imu.specific_force = Vector3::x();
+        (0..25).for_each(|_| drop(observer.update(&reading, DT_S)));
+        // 24 steps are 0.1 s. Forward as the trunk heads, not as the world.
+        let expected = robot.mass_kg * (1.0 - (-1.0_f64).exp());
+        let total = observer.forces().force + observer.forces().feet.iter().sum::<Vector3<f64>>();
+        assert!((total - expected * Vector3::x()).norm() < 1e-9, "{total}");
+        reading.imu.specific_force.x = 1e6;
+        (0..240).for_each(|_| drop(observer.update(&reading, DT_S)));
+        let limit = LIMIT_WEIGHTS * robot.mass_kg * GRAVITY_M_S2;
+        assert!(observer.forces().force.norm() <= limit && observer.forces().force.x > 0.99 * limit);
+    }
+
+    #[test]
+    fn bad_reading_is_named_and_leaves_forces() {
+        let robot = Robot::load("go1").unwrap();
+        assert!(matches!(ForceObserver::new(&robot, -1.0), Err(ForceFault::TimeConstant { .. })));
+        let (mut observer, good) = (ForceObserver::new(&robot, 0.1).unwrap(), still(&robot));
+        (0..9).for_each(|_| drop(observer.update(&good, DT_S)));
+        let before = *observer.forces();
+        let (mut torque, mut turn) = (good, good);
+        torque.torques[4] = f64::NAN;
+        turn.world_from_base.as_mut_unchecked().coords.x = f64::INFINITY;
+        for (bad, words) in [(torque, "torque of FL_thigh reads NaN"), (turn, "orientation x reads inf")] {
+            let fault = observer.update(&bad, DT_S).unwrap_err().to_string();
+            assert!(fault.contains(words), "{fault}");
+            assert_eq!(*observer.forces(), ExternalForces { doubt: Some(Doubt::Refused), ..before });
+            assert_eq!(observer.update(&good, DT_S).unwrap().doubt, Some(Doubt::Starting));
+        }
+        assert_eq!(observer.update(&good, DT_S).unwrap().doubt, before.doubt);
+        assert!(observer.update(&good, 0.0).is_err());
+    }
+
+    #[test]
+    fn legs_that_cannot_be_solved_leave_forces() {
+        let robot = Robot::load("go1").unwrap();
+        let mut reading = still(&robot);
+        reading.encoders.angles[5] = robot.joint_limits[5][1];
+        assert_eq!(
+            steady(&robot, &reading),
+            ExternalForces { doubt: Some(Doubt::JointLimit(5)), ..Default::default() }
+        );
+        reading.encoders = EncoderReading { angles: robot.nominal_pose, rates: [1e200; JOINTS] };
+        assert_eq!(steady(&robot, &reading), ExternalForces { doubt: Some(Doubt::Overflow), ..Default::default() });
+        reading.encoders.rates = [0.0; JOINTS];
+        // A straight knee.
+        let mut robot = Robot::clone(&robot);
+        robot.joint_limits = [[-9.0, 9.0]; JOINTS];
+        reading.encoders.angles[5] = -0.01;
+        assert_eq!(steady(&robot, &reading), ExternalForces { doubt: Some(Doubt::Singular(1)), ..Default::default() });
+    }
+}
