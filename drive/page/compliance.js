@@ -3,7 +3,7 @@
 /** The compliance for a slider position: far left the policy's own (null), elsewhere the nearest within the range. */
 const meaning = (value, [low, high]) => (value < low / 2 ? null : Math.min(Math.max(value, low), high));
 
-const inWords = (compliance, own) => (compliance !== null ? compliance.toFixed(3) : `own, ${own.toFixed(3)}`);
+const inWords = (compliance, own) => (compliance !== null ? compliance.toFixed(3) : `own, ${own.map((axis) => axis.toFixed(3)).join(" ")}`);
 
 /** Shows a slider for each robot; calls `tell(robot, compliance)` when one is released. */
 export function show(list, robots, tell) {

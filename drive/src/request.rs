@@ -156,8 +156,8 @@ pub struct RobotStatus {
     pub velocity: [f64; 3],
     /// Commanded compliance [m/s/N]; null for the policy's own.
     pub compliance: Option<f64>,
-    /// Range of commanded compliance, and own compliance [m/s/N]; `None` if the policy is not calibrated.
-    pub reach: Option<([f64; 2], f64)>,
+    /// Range of commanded compliance, and own compliance forward and left [m/s/N]; `None` if the policy is not calibrated.
+    pub reach: Option<([f64; 2], [f64; 2])>,
     /// Number of falls since the last setup.
     pub falls: u32,
     /// Present measurements: velocity, power, push and pull; `None` before the first step.

@@ -198,9 +198,9 @@ mod tests {
         leash.task.compliance = Some(0.03);
         let mut agent = supple::policy::shipped::find("compliant").unwrap();
         let mut play = |low: f64| {
-            let point = |measured| Point { setting: measured, measured };
-            let calibration = PolicyCalibration::unmeasured(&agent.sha256);
-            agent.calibration = Some(PolicyCalibration { points: vec![point(low), point(0.05)], ..calibration });
+            let points = [low, 0.05].map(|c| Point { commanded: c, measured: [c; 2] }).to_vec();
+            let sha256 = agent.sha256.clone();
+            agent.calibration = Some(PolicyCalibration { sha256, mass_kg: 13.0, own_m_s_per_n: [0.02; 2], points });
             play(&protocol.leash, &condition, 1, &agent, Sensing::True).unwrap()
         };
         let refused = play(0.04);

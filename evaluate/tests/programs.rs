@@ -538,11 +538,11 @@ fn set_with_commanded_compliance_is_measured_apart() {
         ("baseline-seed1.safetensors", falling_policy()),
     ]);
     let folder = folder.path();
-    let calibrate = |own_m_s_per_n: f64| {
-        let calibration =
-            PolicyCalibration { own_m_s_per_n, ..PolicyCalibration::unmeasured(standing_policy().sha256()) };
-        let points = [0.01, 0.05].map(|c| Point { setting: c, measured: c }).to_vec();
-        let text = serde_json::to_string(&PolicyCalibration { points, ..calibration }).unwrap();
+    let calibrate = |own: f64| {
+        let points = [0.01, 0.05].map(|c| Point { commanded: c, measured: [c; 2] }).to_vec();
+        let sha256 = standing_policy().sha256().to_owned();
+        let calibration = PolicyCalibration { sha256, mass_kg: 12.0, own_m_s_per_n: [own; 2], points };
+        let text = serde_json::to_string(&calibration).unwrap();
         std::fs::write(folder.join("policies/compliant-seed0.calibration.json"), text).unwrap();
     };
     calibrate(0.02);
@@ -564,14 +564,8 @@ fn set_with_commanded_compliance_is_measured_apart() {
     assert_eq!(kept(&folder.join("report")).len(), 5);
 
     for (path, expected) in [
-        (
-            "policies/compliant@0.06",
-            "policies/compliant-seed0.safetensors at @0.06: compliance 0.06 m/s/N is out of range",
-        ),
-        (
-            "policies/baseline@0.03",
-            "policies/baseline-seed0.safetensors at @0.03: how far it yields has not been measured",
-        ),
+        ("policies/compliant@0.06", "policies/compliant-seed0.safetensors: compliance 0.06 m/s/N is out of range"),
+        ("policies/baseline@0.03", "policies/baseline-seed0.safetensors: how far it yields has not been measured"),
         ("policies/nobody@0.03", "there is no policy 'policies/nobody'"),
     ] {
         for sets in [&["--also", &format!("soft={path}")][..], &["--a", path, "--b", "policies/baseline"]] {

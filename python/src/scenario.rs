@@ -6,7 +6,7 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use supple::scenario::catalog::{DEFAULTS, ParameterError, Scenario, ScriptError};
-use supple::scenario::estimation::Estimation;
+use supple::scenario::estimation::{Estimation, felt_forces};
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::{EventKind, Trace};
 use supple::scenario::{Playback, Script, Sensing};
@@ -47,6 +47,7 @@ pub fn run_scenario<'py>(
         Ok((script, trace))
     })?;
     let mut metrics = scenario.metrics(&script, &trace);
+    metrics.extend(felt_forces(&trace));
     if estimated {
         metrics.extend(Estimation::metrics(&trace));
     }
@@ -63,6 +64,7 @@ pub fn sensing(estimated: bool) -> Sensing {
 fn play(policy: &Policy, script: &Script, sensing: Sensing, seed: u64, with_bodies: bool) -> PyResult<Trace> {
     let config = &policy.agent.config;
     let rollout = Playback::new(script, config, policy.agent.controller()).map_err(failed)?;
+    let rollout = rollout.with_felt_forces().map_err(failed)?;
     let rollout = if with_bodies { rollout.with_bodies() } else { rollout };
     let rollout = rollout.with_sensing(sensing, seed).map_err(refused)?;
     let mut trace = rollout.empty_trace();

@@ -84,5 +84,13 @@ pub fn arrays<'py>(py: Python<'py>, trace: &Trace) -> PyResult<Bound<'py, PyDict
         let contacts: Vec<bool> = frames.iter().flat_map(|frame| sensed(frame).contacts).collect();
         arrays.set_item("estimated_contacts", contacts.into_pyarray(py).reshape([frames.len(), 4])?)?;
     }
+    if frames.iter().any(|frame| frame.felt.is_some()) {
+        let felt = |frame: &Frame| frame.felt.unwrap_or_default();
+        put("felt_force", &[3], frames.iter().flat_map(|frame| felt(frame).force).collect())?;
+        put("true_force", &[3], frames.iter().flat_map(|frame| felt(frame).true_force).collect())?;
+        put("felt_foot_forces", &[4, 3], frames.iter().flat_map(|frame| felt(frame).feet).flatten().collect())?;
+        let trusted: Vec<bool> = frames.iter().map(|frame| felt(frame).doubt.is_none()).collect();
+        arrays.set_item("felt_is_trusted", trusted.into_pyarray(py))?;
+    }
     Ok(arrays)
 }

@@ -23,6 +23,8 @@ const FOOT_TRAIL: (f64, usize) = (1.0 / 30.0, 22);
 const ABOVE_GROUND_M: f32 = 0.003;
 /// Height of an event's label above the trunk \[m\].
 const LABEL_HEIGHT_M: f32 = 0.28;
+/// Height of the arrow of the felt force above the trunk \[m\].
+const FELT_HEIGHT_M: f32 = 0.14;
 /// Distance from the trunk's origin to its side \[m\].
 const TRUNK_RADIUS_M: f64 = 0.13;
 /// Distance from the trunk's origin to its front \[m\].
@@ -80,6 +82,7 @@ impl Overlay {
         self.log_trails(stream, frame, trunk)?;
         self.log_shadows(stream, frame, trunk)?;
         self.log_foot_forces(stream, frame)?;
+        self.log_felt(stream, frame, trunk)?;
         self.log_disturbance(stream, frame, trunk)?;
         self.log_rope(stream, frame)?;
         self.log_label(stream, frame.time_s)
@@ -199,6 +202,28 @@ impl Overlay {
             .with_radii([Radius::new_scene_units(0.006)])
             .with_colors([opaque(LIGHT_GREEN)]);
         stream.log(&self.entity("foot forces"), &arrows)
+    }
+
+    /// Logs the felt forces: on the trunk above it, on the feet beside their true ones. In doubt, the arrows are grey.
+    fn log_felt(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
+        let Some(felt) = &frame.felt else { return Ok(()) };
+        let (sin, cos) = frame.roll_pitch_yaw[2].sin_cos();
+        let in_world = |[forward, left, up]: [f64; 3]| {
+            let horizontal = [forward * cos - left * sin, forward * sin + left * cos, up];
+            horizontal.map(|force| (force * METRES_PER_NEWTON) as f32)
+        };
+        let colour = if felt.doubt.is_none() { PURPLE } else { GREY };
+        let [x, y, z] = trunk;
+        let on_trunk = Arrows3D::from_vectors([in_world(felt.force)])
+            .with_origins([[x, y, z + FELT_HEIGHT_M]])
+            .with_radii([Radius::new_scene_units(0.01)])
+            .with_colors([opaque(colour)]);
+        stream.log(&self.entity("felt force"), &on_trunk)?;
+        let on_feet = Arrows3D::from_vectors(felt.feet.map(in_world))
+            .with_origins(frame.foot_positions.map(|foot| foot.map(|x| x as f32)))
+            .with_radii([Radius::new_scene_units(0.004)])
+            .with_colors([opaque(colour)]);
+        stream.log(&self.entity("felt foot forces"), &on_feet)
     }
 
     /// Logs the disturbance of a frame: pushes and pressing obstacles as arrows that end at the trunk; a pull as a rope

@@ -114,6 +114,22 @@ pub struct ExternalForces {
     pub doubt: Option<Doubt>,
 }
 
+impl ExternalForces {
+    /// Adds other forces; the first doubt stays.
+    pub fn add(&mut self, other: &ExternalForces) {
+        self.force += other.force;
+        self.moment += other.moment;
+        self.feet.iter_mut().zip(other.feet).for_each(|(sum, foot)| *sum += foot);
+        self.doubt = self.doubt.or(other.doubt);
+    }
+
+    /// Returns these forces divided by a number.
+    pub fn divided(self, by: f64) -> Self {
+        let feet = self.feet.map(|foot| foot / by);
+        ExternalForces { force: self.force / by, moment: self.moment / by, feet, ..self }
+    }
+}
+
 /// Error of the observer.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ForceFault {

@@ -94,9 +94,18 @@ impl Agent {
     /// # Errors
     /// A file cannot be read or is invalid, or the calibration next to it is invalid.
     pub fn load(path: &Path) -> Result<Self, AgentError> {
+        let mut agent = Self::load_uncalibrated(path)?;
+        agent.calibration = PolicyCalibration::load_for(path, &agent.sha256)?;
+        Ok(agent)
+    }
+
+    /// Like [`Agent::load`], but leaves a calibration next to the policy unread.
+    ///
+    /// # Errors
+    /// A file cannot be read or is invalid.
+    pub fn load_uncalibrated(path: &Path) -> Result<Self, AgentError> {
         let mut agent = if files::is_yaml(path) { external::load(path)? } else { Agent::from(Policy::load(path)?) };
         agent.find_robot(path.parent().unwrap_or(Path::new("")));
-        agent.calibration = PolicyCalibration::load_for(path, &agent.sha256)?;
         Ok(agent)
     }
 
@@ -139,7 +148,7 @@ impl Agent {
     fn compliant<'a>(&self, policy: Box<dyn Controller + 'a>) -> Box<dyn Controller + 'a> {
         match &self.calibration {
             None => policy,
-            Some(calibration) => Box::new(CompliantController::new(policy, calibration.clone(), &self.config)),
+            Some(calibration) => Box::new(CompliantController::new(policy, calibration, &self.config)),
         }
     }
 

@@ -1,7 +1,7 @@
 /*! Compliance control: a policy that tracks a velocity is calibrated once, and then its compliance can be commanded.
 
-The outer loop of [`crate::task::compliance`] is put around the policy. The calibration maps its setting to the measured
-compliance, and is inverted to find the setting that gives the commanded one.
+The virtual mass of [`crate::task::compliance`] is put around the policy. The calibration says how far the policy yields by
+itself, which commanded compliances have been tried, and what they gave.
 */
 
 use std::io::ErrorKind;
@@ -14,7 +14,7 @@ use super::controller::Controller;
 use crate::config::Config;
 use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
-use crate::task::OuterLoop;
+use crate::task::VirtualMass;
 use crate::util::files::{self, FileError};
 use crate::util::paths;
 
@@ -24,23 +24,22 @@ use crate::util::paths;
 pub struct PolicyCalibration {
     /// SHA-256 of the policy's files, which identifies it.
     pub sha256: String,
-    /// Own compliance of the policy, `C₀` [m/s/N].
-    pub own_m_s_per_n: f64,
-    /// The velocity error of the undisturbed policy, forward and left [m/s], as a constant and the factors of the commanded
-    /// forward [m/s], left [m/s] and yaw rate [rad/s].
-    pub bias: [[f64; 4]; 2],
-    /// The measured compliance for each setting of the outer loop; both columns increase.
+    /// Mass of the robot that it was measured on \[kg\].
+    pub mass_kg: f64,
+    /// Own compliance of the policy, `C₀`, forward and left [m/s/N].
+    pub own_m_s_per_n: [f64; 2],
+    /// The measured compliance for some commanded ones, increasing; the first and the last bound what can be commanded.
     pub points: Vec<Point>,
 }
 
-/// A setting of the outer loop and the compliance measured with it.
+/// A commanded compliance and the compliance measured with it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Point {
-    /// Setting `c` of the outer loop [m/s/N].
-    pub setting: f64,
-    /// Measured compliance, mean over directions of the pull [m/s/N].
-    pub measured: f64,
+    /// Commanded compliance [m/s/N].
+    pub commanded: f64,
+    /// Measured compliance, forward and left [m/s/N].
+    pub measured: [f64; 2],
 }
 
 /// The reason why a commanded compliance is refused.
@@ -56,10 +55,8 @@ pub enum ComplianceError {
         /// The largest compliance that the policy supports [m/s/N].
         high: f64,
     },
-    /// The policy does not observe a quantity that the outer loop needs.
-    #[error(
-        "compliance control needs '{name}', which this policy does not observe; run the outer loop in your own controller"
-    )]
+    /// The policy does not observe the velocity command, which compliance control changes.
+    #[error("compliance control needs '{name}', which this policy does not observe")]
     NotSeen {
         /// Name of the quantity.
         name: String,
@@ -100,7 +97,7 @@ impl PolicyCalibration {
         let path = Self::path(policy);
         match files::read_bounded(&path, MAX_BYTES) {
             Ok(bytes) => {
-                let found: PolicyCalibration = serde_json::from_slice(&bytes).map_err(FileError::of(WHAT, &path))?;
+                let found = Self::parse(&bytes).map_err(FileError::of(WHAT, &path))?;
                 if found.sha256 != sha256 {
                     return Ok(None);
                 }
@@ -116,8 +113,12 @@ impl PolicyCalibration {
     /// # Errors
     /// The text is not a calibration, its values are invalid, or it belongs to another policy.
     pub fn from_json(path: &Path, text: &str, sha256: &str) -> Result<Self, FileError> {
-        let found: PolicyCalibration = serde_json::from_str(text).map_err(FileError::of(WHAT, path))?;
+        let found = Self::parse(text.as_bytes()).map_err(FileError::of(WHAT, path))?;
         found.checked(sha256).map_err(FileError::of(WHAT, path))
+    }
+
+    fn parse(bytes: &[u8]) -> Result<Self, String> {
+        serde_json::from_slice(bytes).map_err(|error| format!("{error}: run `policy calibrate` again"))
     }
 
     /// Returns `self` if it belongs to this policy and its values are valid.
@@ -126,29 +127,21 @@ impl PolicyCalibration {
     /// The calibration belongs to another policy, or its values are invalid; the text says what to do.
     pub fn checked(self, sha256: &str) -> Result<Self, &'static str> {
         let points = &self.points;
-        let numbers = points.iter().flat_map(|point| [point.setting, point.measured]).chain([self.own_m_s_per_n]);
+        let numbers = points.iter().flat_map(|point| [point.commanded].into_iter().chain(point.measured));
         if self.sha256 != sha256 {
             return Err("it is of another policy: run `policy calibrate` again");
         }
-        let rising =
-            points.windows(2).all(|pair| pair[1].measured > pair[0].measured && pair[1].setting > pair[0].setting);
-        let finite = numbers.chain(self.bias.into_iter().flatten()).all(f64::is_finite);
-        if points.len() < 2 || !rising || !finite || self.own_m_s_per_n < 0.0 {
-            return Err("expected two points or more, rising, and finite numbers: run `policy calibrate` again");
+        let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
+        let positive = numbers.chain(self.own_m_s_per_n).chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
+        if points.len() < 2 || !rising || !positive {
+            return Err("expected two points or more, rising, and positive numbers: run `policy calibrate` again");
         }
         Ok(self)
     }
 
-    /// Identity calibration, used while measuring: assumes setting = compliance.
-    pub fn unmeasured(sha256: &str) -> Self {
-        let points = [0.0, 1.0].map(|setting| Point { setting, measured: setting }).to_vec();
-        PolicyCalibration { sha256: sha256.to_owned(), own_m_s_per_n: 0.0, bias: [[0.0; 4]; 2], points }
-    }
-
-    /// Returns the smallest and the largest compliance that the policy supports [m/s/N].
+    /// Returns the smallest and the largest compliance that can be commanded [m/s/N].
     pub fn range(&self) -> [f64; 2] {
-        let measured = |point: Option<&Point>| point.map_or(0.0, |point| point.measured);
-        [measured(self.points.first()), measured(self.points.last())]
+        [self.points.first(), self.points.last()].map(|point| point.map_or(0.0, |point| point.commanded))
     }
 
     /// Checks that a commanded compliance [m/s/N] is in the policy's range.
@@ -160,105 +153,60 @@ impl PolicyCalibration {
         let within = (low..=high).contains(&compliance);
         if within { Ok(()) } else { Err(ComplianceError::OutOfReach { found: compliance, low, high }) }
     }
-
-    /// Returns the setting whose compliance is nearest to the commanded one [m/s/N].
-    fn nearest_setting(&self, compliance: f64) -> f64 {
-        let [low, high] = self.range();
-        let wanted = compliance.clamp(low, high);
-        let between = |pair: &[Point]| {
-            let part = (wanted - pair[0].measured) / (pair[1].measured - pair[0].measured);
-            (0.0..=1.0).contains(&part).then_some(pair[0].setting + part * (pair[1].setting - pair[0].setting))
-        };
-        self.points.windows(2).find_map(between).unwrap_or(compliance)
-    }
-
-    /// Returns the velocity error of the undisturbed policy, forward and left [m/s].
-    fn bias(&self, command: &Command) -> [f64; 2] {
-        let of = |[constant, forward, left, yaw]: [f64; 4]| {
-            constant + forward * command.forward + left * command.left + yaw * command.yaw
-        };
-        self.bias.map(of)
-    }
 }
 
-/// The outer loop of a calibrated policy, with its state.
+/// The virtual mass on raw observations, for programs that run the policy themselves: it changes the command in them.
 #[derive(Debug)]
-struct CalibratedLoop {
-    calibration: PolicyCalibration,
-    outer_loop: OuterLoop,
-    /// State of the loop's low-pass, forward and left, base frame [m/s].
-    low_pass: [f64; 2],
-}
-
-impl CalibratedLoop {
-    /// Creates the loop for the rates and commands that the policy was trained with.
-    fn new(calibration: PolicyCalibration, config: &Config) -> Self {
-        let outer_loop = OuterLoop::new(config, calibration.own_m_s_per_n);
-        CalibratedLoop { calibration, outer_loop, low_pass: [0.0; 2] }
-    }
-
-    /// Returns the command that gives a policy, walking at `velocity` (forward and left [m/s]), this compliance [m/s/N].
-    fn command(&mut self, velocity: [f64; 2], command: &Command, compliance: f64) -> Command {
-        let setting = self.calibration.nearest_setting(compliance);
-        self.outer_loop.command(velocity, command, setting, self.calibration.bias(command), &mut self.low_pass)
-    }
-}
-
-/// The outer loop on raw observations, for programs that run the policy themselves: it replaces
-/// the command in an observation.
-#[derive(Debug)]
-pub struct ObservationOuterLoop {
-    outer_loop: CalibratedLoop,
+pub struct CompliantObservations {
+    mass: VirtualMass,
+    change: [f64; 2],
     compliance: f64,
-    /// The indices of velocity (forward, left) and command (forward, left, yaw) in the observation.
-    velocity: [usize; 2],
-    command: [usize; 3],
+    /// The indices of the command, forward and left, in the observation.
+    command: [usize; 2],
 }
 
-impl ObservationOuterLoop {
-    /// Creates the loop for a commanded compliance [m/s/N]; observations arrive at the policy's own rate.
+impl CompliantObservations {
+    /// Starts for a commanded compliance [m/s/N]; observations arrive at the policy's own rate.
     ///
     /// # Errors
-    /// The policy does not observe velocity and command, or the compliance is out of its range.
-    pub fn new(policy: &Policy, calibration: PolicyCalibration, compliance: f64) -> Result<Self, ComplianceError> {
+    /// The policy does not observe its command, or the compliance is out of its range.
+    pub fn new(policy: &Policy, calibration: &PolicyCalibration, compliance: f64) -> Result<Self, ComplianceError> {
         calibration.check(compliance)?;
         let names = policy.layout().names();
         let place = |name: &str| {
             let wanted = names.iter().position(|known| known == name);
             wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
         };
-        Ok(ObservationOuterLoop {
-            outer_loop: CalibratedLoop::new(calibration, &policy.provenance.config),
+        Ok(CompliantObservations {
+            mass: VirtualMass::new(&policy.provenance.config, calibration.mass_kg, calibration.own_m_s_per_n),
+            change: [0.0; 2],
             compliance,
-            velocity: [place("velocity forward [m/s]")?, place("velocity left [m/s]")?],
-            command: [
-                place("commanded forward [m/s]")?,
-                place("commanded left [m/s]")?,
-                place("commanded yaw rate [rad/s]")?,
-            ],
+            command: [place("commanded forward [m/s]")?, place("commanded left [m/s]")?],
         })
     }
 
-    /// Replaces the command in an observation with the next one of the outer loop.
-    pub fn apply(&mut self, observation: &mut [f64]) {
-        let [forward, left, yaw] = self.command.map(|place| observation[place]);
-        let command = Command::velocity(forward, left, yaw);
-        let velocity = self.velocity.map(|place| observation[place]);
-        let command = self.outer_loop.command(velocity, &command, self.compliance);
+    /// Changes the command in an observation. `force` is what acts on the trunk from outside, forward and left, mean over the
+    /// last policy step \[N\].
+    pub fn apply(&mut self, observation: &mut [f64], force: [f64; 2]) {
+        let [forward, left] = self.command.map(|place| observation[place]);
+        let command =
+            self.mass.command(force, &Command::velocity(forward, left, 0.0), self.compliance, &mut self.change);
         (observation[self.command[0]], observation[self.command[1]]) = (command.forward, command.left);
     }
 }
 
-/// A calibrated policy with the outer loop that makes it yield as commanded.
+/// A calibrated policy with the virtual mass that makes it yield as commanded.
 pub struct CompliantController<'a> {
     policy: Box<dyn Controller + 'a>,
-    outer_loop: CalibratedLoop,
+    mass: VirtualMass,
+    change: [f64; 2],
 }
 
 impl<'a> CompliantController<'a> {
-    /// Wraps a policy in an outer loop, for the rates and commands that it was trained with.
-    pub fn new(policy: Box<dyn Controller + 'a>, calibration: PolicyCalibration, config: &Config) -> Self {
-        CompliantController { policy, outer_loop: CalibratedLoop::new(calibration, config) }
+    /// Wraps a policy, for the rates and commands that it was trained with.
+    pub fn new(policy: Box<dyn Controller + 'a>, calibration: &PolicyCalibration, config: &Config) -> Self {
+        let mass = VirtualMass::new(config, calibration.mass_kg, calibration.own_m_s_per_n);
+        CompliantController { policy, mass, change: [0.0; 2] }
     }
 }
 
@@ -268,16 +216,18 @@ impl Controller for CompliantController<'_> {
     }
 
     fn begin(&mut self, state: &RobotState) {
-        self.outer_loop.low_pass = [0.0; 2];
+        self.change = [0.0; 2];
         self.policy.begin(state);
     }
 
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints {
         let Some(compliance) = command.compliance else {
+            self.change = [0.0; 2];
             return self.policy.joint_targets(state, command);
         };
-        let velocity = [state.velocity_in_base.x, state.velocity_in_base.y];
-        let command = self.outer_loop.command(velocity, command, compliance);
+        // A force that cannot be trusted lets go: the change of the command fades.
+        let force = state.felt_force.unwrap_or_default();
+        let command = self.mass.command(force, command, compliance, &mut self.change);
         self.policy.joint_targets(state, &command)
     }
 }
@@ -295,73 +245,62 @@ mod tests {
         }
     }
 
-    const TEXT: &str = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0.1, 0.5, 0, 0], [0, 0, 0, 2]],
-        "points": [{"setting": 0.005, "measured": 0.006}, {"setting": 0.02, "measured": 0.018}]}"#;
+    const TEXT: &str = r#"{"sha256": "it", "mass_kg": 12.5, "own_m_s_per_n": [0.01, 0.02],
+        "points": [{"commanded": 0.005, "measured": [0.006, 0.007]}, {"commanded": 0.05, "measured": [0.048, 0.051]}]}"#;
 
     fn parsed(text: &str) -> Result<PolicyCalibration, FileError> {
         PolicyCalibration::from_json(Path::new("p.calibration.json"), text, "it")
     }
 
     #[test]
-    fn a_setting_is_found_between_those_that_were_measured() {
+    fn compliance_beyond_tried_ones_is_refused() {
         let calibration = parsed(TEXT).unwrap();
-        // A quarter of the way from 0.006 to 0.018.
-        assert!((calibration.nearest_setting(0.009) - 0.00875).abs() < 1e-12);
-        assert_eq!(calibration.nearest_setting(1.0), 0.02);
-        assert!(calibration.check(0.018).is_ok() && calibration.check(0.0).is_err());
-        let beyond = ComplianceError::OutOfReach { found: 0.019, low: 0.006, high: 0.018 };
-        assert_eq!(calibration.check(0.019), Err(beyond));
-        let bias = calibration.bias(&Command::velocity(0.4, 0.0, 0.25));
-        assert!((bias[0] - 0.3).abs() < 1e-12 && (bias[1] - 0.5).abs() < 1e-12);
+        assert!(calibration.check(0.005).is_ok() && calibration.check(0.05).is_ok());
+        let beyond = ComplianceError::OutOfReach { found: 0.06, low: 0.005, high: 0.05 };
+        assert_eq!(calibration.check(0.06), Err(beyond));
+        assert!(calibration.check(0.0).is_err() && calibration.check(f64::NAN).is_err());
     }
 
     #[test]
-    fn who_runs_a_policy_on_observations_leads_it_as_the_controller_does() {
+    fn observations_get_the_command_of_the_controller() {
         let policy = crate::policy::shipped::find_ours("compliant").unwrap();
-        // C₀ is half of what is commanded; off by 0.1 m/s forward as always, and −0.2 m/s to the left by a hand.
-        let calibration = PolicyCalibration { bias: [[0.1, 0.0, 0.0, 0.0], [0.0; 4]], ..parsed(TEXT).unwrap() };
-        let point = |c| Point { setting: c, measured: c };
-        let calibration = PolicyCalibration { points: vec![point(0.005), point(0.03)], ..calibration };
-        let mut outer_loop = ObservationOuterLoop::new(&policy, calibration.clone(), 0.02).unwrap();
+        let calibration = parsed(TEXT).unwrap();
+        let mut compliant = CompliantObservations::new(&policy, &calibration, 0.03).unwrap();
         let mut observation = vec![0.0; policy.layout().length()];
-        // As `policy show` has them: velocity left, up, forward; commanded left, forward, yaw rate.
-        (observation[62], observation[64]) = (-0.2, 0.6);
+        // As `policy show` has them: commanded left, forward, yaw rate.
         (observation[80], observation[81], observation[82]) = (0.0, 0.5, 0.25);
-        let before = observation.clone();
-        outer_loop.apply(&mut observation);
-        // A 60th of a second of a low-pass of 0.1 s: 1 − e^(−1/6).
-        let asked = -0.5 * (1.0 - (-1.0_f64 / 6.0).exp()) * 0.2;
-        assert!(
-            (observation[80] - asked).abs() < 1e-12 && (observation[81] - 0.5).abs() < 1e-12,
-            "{}",
-            observation[80]
-        );
-        observation[80..82].copy_from_slice(&before[80..82]);
-        assert_eq!(observation, before);
-        assert!(ObservationOuterLoop::new(&policy, calibration, 0.04).is_err());
+        compliant.apply(&mut observation, [-10.0, 0.0]);
+        // Time constant 12.5 kg · (0.03 − 0.01) m/s/N = 0.25 s, a 60th of a second: 1 − e^(−1/15) of −0.2 m/s.
+        let forward = 0.5 - 0.2 * (1.0 - (-1.0_f64 / 15.0).exp());
+        assert!((observation[81] - forward).abs() < 1e-12, "{}", observation[81]);
+        assert_eq!((observation[80], observation[82]), (0.0, 0.25));
+        assert!(CompliantObservations::new(&policy, &calibration, 0.06).is_err());
     }
 
     #[test]
-    fn what_lies_beside_a_policy_that_was_trained_on_does_not_count() {
+    fn calibration_of_an_earlier_training_state_does_not_count() {
         let folder = tempfile::tempdir().unwrap();
         let policy = folder.path().join("p.safetensors");
-        let beside = |sha256| PolicyCalibration::load_for(&policy, sha256).map(|found| found.is_some());
-        assert!(!beside("it").unwrap());
+        let load = |sha256| PolicyCalibration::load_for(&policy, sha256).map(|found| found.is_some());
+        assert!(!load("it").unwrap());
         std::fs::write(PolicyCalibration::path(&policy), TEXT).unwrap();
-        assert!(beside("it").unwrap() && !beside("its successor").unwrap());
-        std::fs::write(PolicyCalibration::path(&policy), TEXT.replace("0.018", "0.006")).unwrap();
-        assert!(beside("it").is_err());
+        assert!(load("it").unwrap() && !load("its successor").unwrap());
+        std::fs::write(PolicyCalibration::path(&policy), TEXT.replace("0.048", "-0.048")).unwrap();
+        assert!(load("it").is_err());
     }
 
     #[test]
-    fn a_calibration_of_another_policy_or_without_sense_is_refused() {
+    fn invalid_calibration_is_refused_by_name() {
         let other = PolicyCalibration::from_json(Path::new("p.calibration.json"), TEXT, "other");
         assert!(other.unwrap_err().to_string().contains("p.calibration.json"));
         for (from, to) in
-            [("0.018", "0.006"), ("0.02,", "0.005,"), ("0.01,", "-0.01,"), ("0.01,", "1e999,"), ("0.1,", "{},")]
+            [("0.05,", "0.005,"), ("[0.01,", "[-0.01,"), ("12.5", "1e999"), ("[0.006, 0.007]", "0.006"), ("12.5", "0")]
         {
             assert!(TEXT.contains(from), "{from}");
             assert!(parsed(&TEXT.replacen(from, to, 1)).is_err(), "{from} to {to}");
         }
+        // Of the velocity loop, which was measured otherwise.
+        let old = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0, 0, 0, 0], [0, 0, 0, 0]], "points": []}"#;
+        assert!(parsed(old).unwrap_err().to_string().contains("run `policy calibrate` again"));
     }
 }

@@ -19,31 +19,43 @@ const CALIBRATIONS: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/calibr
 /// There is no such policy (the error lists the shipped ones), or its file is invalid.
 pub fn find(name: &str) -> Result<Agent, AgentError> {
     let (name, compliance) = split_compliance(name);
-    let mut agent = find_by_name(name)?;
+    let mut agent = match file_of(name) {
+        Some(file) if !is_onnx(&file) => Agent::load(&file)?,
+        _ => find_uncalibrated(name)?,
+    };
+    if let Some((name, text)) =
+        embedded(name).and_then(|at| CALIBRATIONS.iter().find(|(known, _)| *known == EMBEDDED[at].0))
+    {
+        agent.calibration = Some(PolicyCalibration::from_json(Path::new(name), text, &agent.sha256)?);
+    }
     agent.commanded_compliance = compliance;
     Ok(agent)
 }
 
-fn find_by_name(name: &str) -> Result<Agent, AgentError> {
-    let path = paths::as_path(name);
-    if path.is_dir() {
-        return Agent::load(&path.join("policy.safetensors"));
-    }
-    if path.exists() {
-        if path.extension().is_some_and(|extension| extension == "onnx") {
+/// Like [`find`], but leaves the policy's calibration unread, to make a new one. The name has no compliance behind it.
+///
+/// # Errors
+/// There is no such policy (the error lists the shipped ones), or its file is invalid.
+pub fn find_uncalibrated(name: &str) -> Result<Agent, AgentError> {
+    if let Some(file) = file_of(name) {
+        if is_onnx(&file) {
             return Err(AgentError::Undescribed { name: name.to_owned() });
         }
-        return Agent::load(&path);
+        return Agent::load_uncalibrated(&file);
     }
-    let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
-    let shipped =
-        position(&names, name).ok_or_else(|| AgentError::Unknown { name: name.to_owned(), known: known() })?;
+    let shipped = embedded(name).ok_or_else(|| AgentError::Unknown { name: name.to_owned(), known: known() })?;
     let (known, bytes) = EMBEDDED[shipped];
-    let mut agent = Agent::from(Policy::from_bytes(bytes, Path::new(known))?);
-    if let Some((name, text)) = CALIBRATIONS.iter().find(|(name, _)| *name == known) {
-        agent.calibration = Some(PolicyCalibration::from_json(Path::new(name), text, &agent.sha256)?);
-    }
-    Ok(agent)
+    Ok(Agent::from(Policy::from_bytes(bytes, Path::new(known))?))
+}
+
+fn is_onnx(file: &Path) -> bool {
+    file.extension().is_some_and(|extension| extension == "onnx")
+}
+
+/// Returns the index of a shipped policy; `None` if a file has the name.
+fn embedded(name: &str) -> Option<usize> {
+    let names: Vec<&str> = EMBEDDED.iter().map(|(known, _)| *known).collect();
+    position(&names, name).filter(|_| file_of(name).is_none())
 }
 
 /// Returns the file that [`find`] would read; `None` for a policy inside the program.

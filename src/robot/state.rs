@@ -51,6 +51,9 @@ pub struct RobotState {
     pub joint_rates: Joints,
     /// Feet in the order of [`LEGS`](crate::robot::LEGS).
     pub feet: [FootState; 4],
+    /// Force on the trunk from outside that the robot feels, forward and left in the heading frame, mean over the last policy
+    /// step \[N\]; `None` where nothing observes it, or where it cannot be trusted.
+    pub felt_force: Option<[f64; 2]>,
 }
 
 impl RobotState {

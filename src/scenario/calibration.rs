@@ -1,10 +1,8 @@
-/*! Calibration: measures the compliance of a policy by pulls in all directions, and its bias by undisturbed walks.
+/*! Calibration: measures the compliance of a policy by pulls in all directions, by itself and as commanded.
 
-While it walks at 0.5 m/s on a plane, the robot is pulled in twelve directions with up to 20 N, one after the other. Its
-compliance is the mean velocity along the pull, minus that without the pull, divided by the force.
+While it stands and while it walks at 0.5 m/s on a plane, the robot is pulled in twelve directions with up to 20 N, one after the
+other. Its compliance on an axis is the slope of the velocity, minus that without the pull, over the force on that axis.
 */
-
-use nalgebra::{SMatrix, SVector};
 
 use super::Playback;
 use super::catalog::{Leash, Scenario, ScriptError, Task, defaults};
@@ -30,24 +28,12 @@ const AT_S: f64 = 2.0;
 const FOR_S: f64 = 6.0;
 const MEAN_S: f64 = 3.0;
 
-/// Settings of the outer loop, relative to the policy's own compliance. Below, the loop would work against its own
-/// delay; above, a small bias would make the robot drift away.
-const SETTINGS: [f64; 9] = [0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0];
+/// Compliances that are tried [m/s/N]. Below, the policy would have to be stiffer than any is; above, a robot drifts away under
+/// the smallest error of the felt force.
+const TRIED: [f64; 7] = [0.005, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06];
 
-/// Walks from which the bias is fitted: forward [m/s], left [m/s], yaw rate [rad/s].
-const WALKS: [[f64; 3]; 11] = [
-    [0.0, 0.0, 0.0],
-    [0.5, 0.0, 0.0],
-    [-0.5, 0.0, 0.0],
-    [0.8, 0.0, 0.0],
-    [-0.8, 0.0, 0.0],
-    [0.0, 0.3, 0.0],
-    [0.0, -0.3, 0.0],
-    [0.0, 0.0, 0.4],
-    [0.0, 0.0, -0.4],
-    [0.5, 0.2, 0.0],
-    [0.5, -0.2, 0.0],
-];
+/// Velocities at which the robot is pulled, forward [m/s].
+const WALKS_M_S: [f64; 2] = [0.0, 0.5];
 
 /// Error while calibrating a policy.
 #[derive(Debug, thiserror::Error)]
@@ -64,11 +50,14 @@ pub enum CalibrationError {
     /// The robot falls without a pull, or under the weakest pull.
     #[error("it falls {0}: there is no compliance to measure")]
     Falls(&'static str),
-    /// The measured compliance does not increase with the setting.
+    /// The policy does not give way along an axis.
     #[error(
-        "it yields by {0:.4?} m/s/N, alone and at rising settings: it does not follow its command well enough to be led"
+        "by itself it yields by {0:.4?} m/s/N forward and left, expected positive numbers: it does not track a velocity"
     )]
-    NotRising(Vec<f64>),
+    Stiff([f64; 2]),
+    /// The robot falls under each compliance but at most one.
+    #[error("it stays on its feet for fewer than two of the commanded compliances {TRIED:?} m/s/N")]
+    Range,
 }
 
 /// A walk with or without a pull.
@@ -88,54 +77,55 @@ impl Probe {
 /// Calibrates a policy on its robot, using `threads` threads.
 ///
 /// # Errors
-/// The robot falls, its compliance does not increase with the setting, or it cannot be simulated.
+/// The robot falls, does not give way, or cannot be simulated.
 pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration, CalibrationError> {
-    let mut calibration = PolicyCalibration::unmeasured(&agent.sha256);
-    let walks: Vec<Probe> =
-        WALKS.iter().map(|[forward, left, yaw]| Probe::walk(Command::velocity(*forward, *left, *yaw))).collect();
     agent.calibration = None;
-    let undisturbed = offsets(agent, &walks, threads)?;
-    if undisturbed[1].is_none() {
-        return Err(CalibrationError::Falls("undisturbed at 0.5 m/s"));
+    let own = compliance(agent, None, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
+    if !own.iter().all(|own| *own > 0.0) {
+        return Err(CalibrationError::Stiff(own));
     }
-    calibration.bias = bias(&walks, &undisturbed);
-    let own = yielding(agent, 0.0, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
-    if own.is_nan() || own <= 0.0 {
-        return Err(CalibrationError::NotRising(vec![own]));
-    }
-    calibration.own_m_s_per_n = own;
+    let mass_kg = agent.config.robot.load().map_err(ScriptError::from)?.mass_kg;
+    let mut calibration =
+        PolicyCalibration { sha256: agent.sha256.clone(), mass_kg, own_m_s_per_n: own, points: Vec::new() };
     agent.calibration = Some(calibration.clone());
-    let mut points = Vec::new();
-    for setting in SETTINGS.map(|part| part * own) {
-        // A pull that brings it down ends the range.
-        let Some(measured) = yielding(agent, setting, threads)? else { break };
-        points.push(Point { setting, measured });
+    for commanded in TRIED {
+        // A compliance at which pulls bring it down, or that it does not give, is left out of the range.
+        match compliance(agent, Some(commanded), threads)? {
+            Some(measured) if measured.iter().all(|it| *it > 0.0) => {
+                calibration.points.push(Point { commanded, measured })
+            }
+            _ if calibration.points.is_empty() => {}
+            _ => break,
+        }
     }
-    let rising = points.windows(2).all(|pair| pair[1].measured > pair[0].measured);
-    if points.len() < 2 || !rising {
-        return Err(CalibrationError::NotRising(points.iter().map(|point| point.measured).collect()));
-    }
-    Ok(PolicyCalibration { points, ..calibration })
+    if calibration.points.len() < 2 { Err(CalibrationError::Range) } else { Ok(calibration) }
 }
 
-/// Measures the mean compliance over all directions at a setting [m/s/N]; `None` if the robot fell.
-fn yielding(agent: &Agent, setting: f64, threads: usize) -> Result<Option<f64>, CalibrationError> {
-    let command = Command { compliance: Some(setting), ..Command::velocity(0.5, 0.0, 0.0) };
+/// Measures the compliance forward and left, mean over standing and walking [m/s/N]; `None` if the robot fell.
+fn compliance(agent: &Agent, commanded: Option<f64>, threads: usize) -> Result<Option<[f64; 2]>, CalibrationError> {
     let side = |index: u32| 360.0 * f64::from(index) / f64::from(DIRECTIONS);
-    let weaker = (LED_M_S / (setting.max(1e-9) * FORCES_N[1])).min(1.0);
-    let pulls = FORCES_N.iter().flat_map(|force_n| {
-        (0..DIRECTIONS).map(move |index| Probe { command, force_n: weaker * force_n, direction_deg: side(index) })
-    });
-    let probes: Vec<Probe> = std::iter::once(Probe::walk(command)).chain(pulls).collect();
-    let found: Option<Vec<[f64; 2]>> = offsets(agent, &probes, threads)?.into_iter().collect();
-    Ok(found.map(|found| {
-        let undisturbed = found[0];
-        let along = |(probe, offset): (&Probe, &[f64; 2])| {
-            let (left, forward) = probe.direction_deg.to_radians().sin_cos();
-            ((offset[0] - undisturbed[0]) * forward + (offset[1] - undisturbed[1]) * left) / probe.force_n
-        };
-        probes.iter().zip(&found).skip(1).map(along).sum::<f64>() / (found.len() - 1) as f64
-    }))
+    let weaker = commanded.map_or(1.0, |commanded| (LED_M_S / (commanded * FORCES_N[1])).min(1.0));
+    let mut sum = [0.0; 2];
+    for forward in WALKS_M_S {
+        let command = Command { compliance: commanded, ..Command::velocity(forward, 0.0, 0.0) };
+        let pulls = FORCES_N.iter().flat_map(|force_n| {
+            (0..DIRECTIONS).map(move |index| Probe { command, force_n: weaker * force_n, direction_deg: side(index) })
+        });
+        let probes: Vec<Probe> = std::iter::once(Probe::walk(command)).chain(pulls).collect();
+        let found: Option<Vec<[f64; 2]>> = offsets(agent, &probes, threads)?.into_iter().collect();
+        let Some(found) = found else { return Ok(None) };
+        let pulled = || probes.iter().zip(&found).skip(1);
+        for (axis, sum) in sum.iter_mut().enumerate() {
+            let force = |probe: &Probe| {
+                let (left, forward) = probe.direction_deg.to_radians().sin_cos();
+                probe.force_n * [forward, left][axis]
+            };
+            let work: f64 = pulled().map(|(probe, offset)| force(probe) * (offset[axis] - found[0][axis])).sum();
+            let squares: f64 = pulled().map(|(probe, _)| force(probe).powi(2)).sum();
+            *sum += work / squares / WALKS_M_S.len() as f64;
+        }
+    }
+    Ok(Some(sum))
 }
 
 /// Measures the mean velocity minus the commanded one at the end of each probe, forward and left, in the heading at the
@@ -153,16 +143,8 @@ fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option
         let trace = Playback::new(&script, &agent.config, agent.controller())?.trace();
         let along =
             |direction: [f64; 2]| metrics::offset_along_force(&trace, direction, duration_s - MEAN_S, duration_s);
-        // Turning, the world's directions are none of the robot's.
-        let errors = || metrics::velocity_errors(&trace, duration_s - MEAN_S, duration_s).map(|[f, l, _]| [f, l]);
         let upright = trace.fall().is_none() && trace.fault().is_none();
-        Ok(if !upright {
-            None
-        } else if yaw == 0.0 {
-            along([1.0, 0.0]).zip(along([0.0, 1.0])).map(Into::into)
-        } else {
-            errors()
-        })
+        Ok(if upright { along([1.0, 0.0]).zip(along([0.0, 1.0])).map(Into::into) } else { None })
     };
     let mut found: Vec<Result<Option<[f64; 2]>, CalibrationError>> = probes.iter().map(|_| Ok(None)).collect();
     let chunk = probes.len().div_ceil(threads.max(1)).max(1);
@@ -172,16 +154,4 @@ fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option
         }
     });
     found.into_iter().collect()
-}
-
-/// Fits the bias by least squares over the walks without a fall.
-fn bias(walks: &[Probe], undisturbed: &[Option<[f64; 2]>]) -> [[f64; 4]; 2] {
-    let (mut normal, mut right) = (SMatrix::<f64, 4, 4>::identity() * 1e-6, [SVector::<f64, 4>::zeros(); 2]);
-    for (walk, offset) in walks.iter().zip(undisturbed) {
-        let Some(offset) = offset else { continue };
-        let row = SVector::from([1.0, walk.command.forward, walk.command.left, walk.command.yaw]);
-        normal += row * row.transpose();
-        right.iter_mut().zip(offset).for_each(|(right, offset)| *right += row * *offset);
-    }
-    right.map(|right| normal.cholesky().map_or(right * 0.0, |factors| factors.solve(&right)).into())
 }

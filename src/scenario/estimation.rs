@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::metrics::Metric;
 use crate::estimate::contact::score::Confusion;
-use crate::scenario::trace::{Frame, Sensed, Trace};
+use crate::scenario::trace::{Felt, Frame, Sensed, Trace};
 
 /// Errors of the state estimate over all frames before the first fall.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -57,6 +57,23 @@ impl Estimation {
             metric("contact_f1", "contact estimate", found.and_then(|found| found.contact_f1), "F1"),
         ]
     }
+}
+
+/// Returns how far felt and true force on the trunk differ over the frames before the first fall in which the felt one can be
+/// trusted, and the fraction of frames in which it cannot.
+pub fn felt_forces(trace: &Trace) -> [Metric; 2] {
+    let trace = trace.on_its_feet();
+    let felt: Vec<&Felt> = trace.frames.iter().filter_map(|frame| frame.felt.as_ref()).collect();
+    let trusted: Vec<&&Felt> = felt.iter().filter(|felt| felt.doubt.is_none()).collect();
+    let squares =
+        trusted.iter().map(|felt| (0..2).map(|axis| (felt.force[axis] - felt.true_force[axis]).powi(2)).sum::<f64>());
+    let rmse = (!trusted.is_empty()).then(|| (squares.sum::<f64>() / trusted.len() as f64).sqrt());
+    let doubted = (!felt.is_empty()).then(|| 1.0 - trusted.len() as f64 / felt.len() as f64);
+    [
+        Metric::new("felt_force_rmse_n", "felt force on the trunk, RMSE", rmse, "N")
+            .because("no felt force can be trusted"),
+        Metric::new("felt_force_doubted", "felt force in doubt", doubted, "").because("no force is observed"),
+    ]
 }
 
 #[cfg(test)]

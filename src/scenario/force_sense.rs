@@ -12,6 +12,9 @@ use crate::sim::{Conditions, Parts, Sim, StepObserver};
 pub struct ForceSense {
     observer: ForceObserver,
     exact: ExactSensors,
+    /// Sum of the forces since the last call of [`ForceSense::take_mean`], and their number.
+    sum: ExternalForces,
+    count: u32,
 }
 
 impl ForceSense {
@@ -21,7 +24,7 @@ impl ForceSense {
     /// As [`ForceObserver::new`].
     pub fn new(sim: &Sim, conditions: &Conditions, time_constant_s: f64) -> Result<Self, ForceFault> {
         let observer = ForceObserver::new(sim.robot(), time_constant_s)?;
-        Ok(ForceSense { observer, exact: ExactSensors::new(sim, conditions) })
+        Ok(ForceSense { observer, exact: ExactSensors::new(sim, conditions), sum: ExternalForces::default(), count: 0 })
     }
 
     /// Updates the forces with a physics step; to be called from [`StepObserver::forces`], once for each step. `torques` are
@@ -40,7 +43,16 @@ impl ForceSense {
         let (imu, encoders) = self.exact.read(data, parts);
         let truth = || ForceReading { imu, encoders, torques: *torques, world_from_base: parts.world_from_base(data) };
         let reading = senses.map_or_else(truth, |senses| senses.force_reading(torques));
-        self.observer.update(&reading, data.model().timestep_s())
+        let fault = self.observer.update(&reading, data.model().timestep_s()).err();
+        self.sum.add(self.observer.forces());
+        self.count += 1;
+        fault.map_or_else(|| Ok(self.observer.forces()), Err)
+    }
+
+    /// Returns the mean of the forces since the last call, with the first doubt.
+    pub fn take_mean(&mut self) -> ExternalForces {
+        let sum = std::mem::take(&mut self.sum);
+        sum.divided(f64::from(std::mem::take(&mut self.count).max(1)))
     }
 
     /// The forces after the last physics step.
@@ -52,6 +64,7 @@ impl ForceSense {
     pub fn reset(&mut self, sim: &Sim, conditions: &Conditions) {
         self.exact = ExactSensors::new(sim, conditions);
         self.observer.reset();
+        (self.sum, self.count) = (ExternalForces::default(), 0);
     }
 }
 

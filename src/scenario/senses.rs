@@ -242,6 +242,7 @@ impl Senses {
             joint_angles: self.reading.angles,
             joint_rates: self.reading.rates,
             feet,
+            felt_force: None,
         }
     }
 

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use serde::{Deserialize, Serialize};
 
+use crate::estimate::external_force::Doubt;
 use crate::robot::Joints;
 use crate::task::{Command, Stage, Terms};
 
@@ -76,6 +77,19 @@ pub struct Sensed {
     pub true_contacts: [bool; 4],
 }
 
+/// The forces from outside in a policy step as the robot feels them, heading frame, low-passed over 0.1 s.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Felt {
+    /// Felt force on the trunk \[N\].
+    pub force: [f64; 3],
+    /// True force on the trunk, low-passed alike: pulls, spring, rope, and what touches the trunk \[N\].
+    pub true_force: [f64; 3],
+    /// Felt force on each foot \[N\].
+    pub feet: [[f64; 3]; 4],
+    /// Reason not to trust the felt forces of this step; `None` if they can be trusted.
+    pub doubt: Option<Doubt>,
+}
+
 /// The state at the end of one policy step and what the step cost.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Frame {
@@ -133,6 +147,8 @@ pub struct Frame {
     pub spring: Option<Stretch>,
     /// The estimated state; `None` if the robot acts on the true state.
     pub sensed: Option<Sensed>,
+    /// The felt forces, if they are observed.
+    pub felt: Option<Felt>,
     /// Disturbance to draw in this step.
     pub disturbance: Option<Disturbance>,
     /// The matching stage of a training episode, for scripts with a single push.

@@ -148,6 +148,7 @@ impl Parts {
             position,
             world_from_base,
             feet,
+            felt_force: None,
         }
     }
 

@@ -8,7 +8,7 @@ pub mod compliance;
 pub mod episode;
 pub mod reward;
 
-pub use compliance::OuterLoop;
+pub use compliance::VirtualMass;
 pub use episode::{Curriculum, EpisodePlan, Stage, Stages};
 pub use reward::{SwingTracker, Terms};
 

@@ -8,7 +8,7 @@ use std::process::ExitCode;
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
 use supple::config::Config;
-use supple::policy::compliance::{ObservationOuterLoop, PolicyCalibration};
+use supple::policy::compliance::{CompliantObservations, PolicyCalibration};
 use supple::policy::{AgentError, Buffers, Policy, Provenance};
 use supple::policy::{external, onnx, shipped};
 use supple::robot::{Robot, joint_names, joint_table};
@@ -52,7 +52,8 @@ enum Command {
         #[arg(long, value_name = "N", default_value_t = 0)]
         samples: u64,
     },
-    /// Print joint targets (rad) for observations given on standard input, each a JSON array on a line
+    /// Print joint targets (rad) for observations given on standard input, each a JSON array on a line; with --compliance, each
+    /// line is {"observation": [...], "force_n": [forward, left]} with the force on the trunk, mean over the last policy step
     Run {
         /// Policy file, run folder, or name of a shipped policy
         #[arg(value_parser = terminal::path_as_text())]
@@ -144,7 +145,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Calibrate { policy, threads, out } => {
             let threads =
                 threads.map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
-            let mut agent = shipped::find(&policy)?;
+            let mut agent = shipped::find_uncalibrated(&policy)?;
             // Not after minutes of work.
             let path = shipped::file_of(&policy).map(|file| PolicyCalibration::path(&file));
             let out = out.or(path).context("a policy inside the program has no place beside it: say --out FILE")?;
@@ -162,11 +163,10 @@ fn run(command: Command) -> anyhow::Result<()> {
             let compliance = agent.resolve_compliance(None, compliance).with_context(|| name.clone())?;
             let calibration = agent.calibration.clone();
             let policy = agent.into_policy().ok_or_else(|| AgentError::External { name: name.clone() })?;
-            let outer_loop = calibration.zip(compliance).map(|(calibration, compliance)| {
-                ObservationOuterLoop::new(&policy, calibration, compliance).with_context(|| name.clone())
+            let compliant = calibration.zip(compliance).map(|(calibration, compliance)| {
+                CompliantObservations::new(&policy, &calibration, compliance).with_context(|| name.clone())
             });
-            let outer_loop = outer_loop.transpose()?;
-            answer(&policy, outer_loop)?;
+            answer(&policy, compliant.transpose()?)?;
         }
         Command::List => list()?,
         Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
@@ -203,11 +203,14 @@ fn list() -> anyhow::Result<()> {
 /// Formats the measured compliance for each setting as a table.
 fn calibration_table(calibration: &PolicyCalibration) -> String {
     let [low, high] = calibration.range();
-    let own = calibration.own_m_s_per_n;
-    let mut table = format!("by itself it yields by {own:.4} m/s/N; --compliance can be {low:.4} to {high:.4}\n\n");
-    table += "setting  measured [m/s/N]\n";
+    let [forward, left] = calibration.own_m_s_per_n;
+    let mut table = format!(
+        "own compliance: {forward:.4} m/s/N forward, {left:.4} left; --compliance can be {low:.4} to {high:.4}\n\n"
+    );
+    table += "commanded  measured forward  left [m/s/N]\n";
     for point in &calibration.points {
-        table += &format!("{:7.4}  {:8.4}\n", point.setting, point.measured);
+        let [forward, left] = point.measured;
+        table += &format!("{:9.4}  {forward:16.4}  {left:.4}\n", point.commanded);
     }
     table
 }
@@ -224,16 +227,33 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
 }
 
 /// Prints a line of joint targets for each line of observations.
-fn answer(policy: &Policy, mut outer_loop: Option<ObservationOuterLoop>) -> anyhow::Result<()> {
+fn answer(policy: &Policy, mut compliant: Option<CompliantObservations>) -> anyhow::Result<()> {
+    /// A line of input where a compliance is commanded.
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Pulled {
+        observation: Vec<f64>,
+        force_n: [f64; 2],
+    }
     let (mut buffers, length) = (Buffers::default(), policy.layout().length());
     for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {
         let line = line.with_context(|| format!("standard input, line {}", index + 1))?;
-        let at = || format!("line {}: expected a JSON array of numbers", index + 1);
-        let mut observation: Vec<f64> = serde_json::from_str(&line).with_context(at)?;
+        let expected = match compliant {
+            None => "a JSON array of numbers",
+            Some(_) => r#"{"observation": [...], "force_n": [forward, left]}"#,
+        };
+        let at = || format!("line {}: expected {expected}", index + 1);
+        let (mut observation, force_n) = match compliant {
+            None => (serde_json::from_str::<Vec<f64>>(&line).with_context(at)?, [0.0; 2]),
+            Some(_) => {
+                let Pulled { observation, force_n } = serde_json::from_str(&line).with_context(at)?;
+                (observation, force_n)
+            }
+        };
         let found = observation.len();
         anyhow::ensure!(found == length, "line {}: {found} numbers, expected {length}; see `policy show`", index + 1);
-        if let Some(outer_loop) = &mut outer_loop {
-            outer_loop.apply(&mut observation);
+        if let Some(compliant) = &mut compliant {
+            compliant.apply(&mut observation, force_n);
         }
         let targets = policy.joint_targets(&observation, &mut buffers);
         if let Some(joint) = targets.iter().position(|target| !target.is_finite()) {

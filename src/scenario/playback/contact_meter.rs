@@ -5,6 +5,7 @@ use nalgebra::Vector3;
 use crate::mujoco::Data;
 use crate::robot::{Foothold, Joints};
 use crate::scenario::Spring;
+use crate::scenario::force_sense::ForceSense;
 use crate::scenario::rig::RopeForces;
 use crate::scenario::senses::Senses;
 use crate::scenario::spring::SpringState;
@@ -15,6 +16,10 @@ use crate::task::SwingTracker;
 #[derive(Default)]
 pub(super) struct ContactMeter<'a> {
     pub(super) senses: Option<&'a mut Senses>,
+    /// The observer of the forces from outside.
+    pub(super) force_sense: Option<&'a mut ForceSense>,
+    /// Sum over the physics steps of the true force on the trunk, world frame \[N\]; without a rope's.
+    pub(super) trunk_force: Vector3<f64>,
     /// The constant force on the trunk, world frame \[N\].
     pub(super) pull: Vector3<f64>,
     /// The spring that also acts on the trunk.
@@ -38,7 +43,9 @@ pub(super) struct ContactMeter<'a> {
 impl StepObserver for ContactMeter<'_> {
     fn trunk_force(&mut self, data: &Data) -> Option<Vector3<f64>> {
         let (spring, state) = self.spring.as_mut()?;
-        Some(self.pull + state.force(spring, data))
+        let force = state.force(spring, data);
+        self.trunk_force += force;
+        Some(self.pull + force)
     }
 
     fn feet(&mut self, feet: &[Foothold; 4]) {
@@ -49,6 +56,11 @@ impl StepObserver for ContactMeter<'_> {
         if let Some(senses) = &mut self.senses {
             senses.read(data, parts);
         }
+        if let Some(force_sense) = &mut self.force_sense {
+            // A fault is kept as a doubt beside the forces.
+            let _ = force_sense.read(data, parts, torques, self.senses.as_deref());
+        }
+        self.trunk_force += self.pull;
         self.substeps += 1;
         self.torques = *torques;
         if let Some(tendon) = self.rope {
@@ -66,6 +78,9 @@ impl StepObserver for ContactMeter<'_> {
             let on_second = data.contact_force(contact.index);
             if let Some(leg) = parts.feet().iter().position(|foot| *foot == geom) {
                 (0..3).for_each(|k| feet[leg][k] += sign * on_second[k]);
+            }
+            if data.model().geom_body(geom) == parts.trunk() {
+                self.trunk_force += sign * Vector3::from(on_second);
             }
             if other != parts.ground() {
                 (0..3).for_each(|k| obstacles[k] += sign * on_second[k]);

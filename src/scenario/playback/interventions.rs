@@ -3,6 +3,7 @@
 use super::Playback;
 use crate::mujoco;
 use crate::policy::Controller;
+use crate::scenario::trace::Felt;
 use crate::sim::Push;
 use crate::task::{Command, SwingTracker};
 
@@ -63,6 +64,10 @@ impl<'a> Playback<'a> {
 
     fn begin_again(&mut self) {
         self.state = self.sim.state();
+        if let Some(force_sense) = &mut self.force_sense {
+            force_sense.reset(&self.sim, &self.script.conditions);
+        }
+        self.felt = Felt::default();
         self.swings = SwingTracker::new(&self.state.feet, self.config.reward.foot_height_m);
         self.fallen_since = None;
         self.failed = false;

@@ -9,17 +9,19 @@ use std::borrow::Cow;
 use contact_meter::ContactMeter;
 use nalgebra::Vector3;
 
+use super::force_sense::ForceSense;
 use super::rig::RigState;
 use super::senses::Senses;
 use super::spring::SpringState;
 use super::{Goal, Script, Sensing, SensingError, TimedPush};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
+use crate::estimate::external_force::{ForceFault, TIME_CONSTANT_S};
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
 use crate::robot::{GRAVITY_M_S2, Joints, RobotState};
-use crate::scenario::trace::{Disturbance, Event, EventKind, Frame, Pose, Rope, Stretch, Trace};
+use crate::scenario::trace::{Disturbance, Event, EventKind, Felt, Frame, Pose, Rope, Stretch, Trace};
 use crate::sim::{Pull, Push, Sim, StepSummary};
 use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
 
@@ -68,6 +70,12 @@ pub struct Playback<'a> {
     controller_must_begin: bool,
     /// The sensors; `None` if the controller sees the true state.
     pub(super) senses: Option<Senses>,
+    /// The observer of the forces from outside; `None` if nobody asks for them.
+    force_sense: Option<ForceSense>,
+    /// The felt forces, low-passed.
+    felt: Felt,
+    /// Impulse of the pushes in this step, world frame [N·s].
+    push_impulse: Vector3<f64>,
     with_bodies: bool,
     step: usize,
     steps: usize,
@@ -113,7 +121,7 @@ impl<'a> Playback<'a> {
         let mut sim = Sim::new(&script.scene, &config.simulation, config.episode.min_height_m)?;
         sim.reset(script.conditions, &controller.rest())?;
         let state = sim.state();
-        Ok(Playback {
+        let playback = Playback {
             steps: config.simulation.policy_steps(script.duration_s),
             controller,
             command: script.command,
@@ -121,6 +129,9 @@ impl<'a> Playback<'a> {
             pull: None,
             controller_must_begin: true,
             senses: None,
+            force_sense: None,
+            felt: Felt::default(),
+            push_impulse: Vector3::zeros(),
             with_bodies: false,
             step: 0,
             pushes_done: 0,
@@ -139,7 +150,27 @@ impl<'a> Playback<'a> {
             sim,
             script,
             config,
-        })
+        };
+        match playback.command.compliance {
+            Some(_) => playback.with_felt_forces(),
+            None => Ok(playback),
+        }
+    }
+
+    /// Observes the forces from outside, as a commanded compliance needs (which switches this on by itself), and stores them
+    /// in the frames. Call it before the first step.
+    ///
+    /// # Errors
+    /// MuJoCo cannot compile the robot alone.
+    pub fn with_felt_forces(mut self) -> mujoco::Result<Self> {
+        if self.force_sense.is_none() {
+            let force_sense = ForceSense::new(&self.sim, &self.script.conditions, 0.0);
+            self.force_sense = Some(force_sense.map_err(|fault| match fault {
+                ForceFault::Physics(error) => error,
+                other => mujoco::Error::Input { what: "the force observer".into(), found: other.to_string() },
+            })?);
+        }
+        Ok(self)
     }
 
     /// Stores the pose of every body in the frames; recordings need them, metrics do not.
@@ -198,8 +229,9 @@ impl<'a> Playback<'a> {
 
     /// Returns the controller's joint targets \[rad\].
     fn act(&mut self) -> Joints {
-        let known = self.senses.as_ref().map(Senses::state);
-        let known = known.as_ref().unwrap_or(&self.state);
+        let estimated =
+            self.senses.as_ref().map(|senses| RobotState { felt_force: self.state.felt_force, ..senses.state() });
+        let known = estimated.as_ref().unwrap_or(&self.state);
         if std::mem::take(&mut self.controller_must_begin) {
             self.controller.begin(known);
         }
@@ -217,11 +249,12 @@ impl<'a> Playback<'a> {
             pull: self.steady_force(),
             rope: self.rig.as_ref().map(RigState::tendon),
             senses: self.senses.as_mut(),
+            force_sense: self.force_sense.as_mut(),
             spring: self.script.spring.as_ref().zip(self.spring.as_mut()),
             ..ContactMeter::default()
         };
         let summary = self.sim.step(target, &mut meter)?;
-        Ok((summary, ContactMeter { senses: None, spring: None, ..meter }))
+        Ok((summary, ContactMeter { senses: None, force_sense: None, spring: None, ..meter }))
     }
 
     /// Detects the events of the step: sensor faults, spring, reward, fall, rope and goal.
@@ -262,7 +295,29 @@ impl<'a> Playback<'a> {
             .zip(self.script.rig.as_ref())
             .map(|(state, rig)| state.after_step(rig, &self.sim, time_s, meter.rope_forces, meter.touched, events));
         self.look_for_goal(time_s, events);
+        self.feel(meter, rope.as_ref());
         Ok(StepOutcome { terms, spring, rope })
+    }
+
+    /// Takes in the felt forces of the step.
+    fn feel(&mut self, meter: &ContactMeter<'_>, rope: Option<&Rope>) {
+        let Some(force_sense) = &mut self.force_sense else { return };
+        let felt = force_sense.take_mean();
+        self.state.felt_force = felt.doubt.is_none().then_some([felt.force.x, felt.force.y]);
+        let mut truth = meter.trunk_force / f64::from(meter.substeps.max(1));
+        truth += std::mem::take(&mut self.push_impulse) / self.sim.policy_period_s();
+        if let Some((rope, [from, to])) = rope.and_then(|rope| Some((rope, rope.points.first_chunk::<2>()?))) {
+            let along = Vector3::from(to.map(f64::from)) - Vector3::from(from.map(f64::from));
+            truth += rope.force_n * along.try_normalize(1e-9).unwrap_or_default();
+        }
+        let step = 1.0 - (-self.sim.policy_period_s() / TIME_CONSTANT_S).exp();
+        let follow = |kept: &mut [f64; 3], now: Vector3<f64>| {
+            (0..3).for_each(|axis| kept[axis] += step * (now[axis] - kept[axis]))
+        };
+        follow(&mut self.felt.force, felt.force);
+        follow(&mut self.felt.true_force, self.state.heading().inverse() * truth);
+        self.felt.feet.iter_mut().zip(felt.feet).for_each(|(kept, now)| follow(kept, now));
+        self.felt.doubt = felt.doubt;
     }
 
     /// Builds the frame of the step that has just been played.
@@ -306,6 +361,7 @@ impl<'a> Playback<'a> {
             rope,
             spring,
             sensed: self.senses.as_ref().map(|senses| senses.sensed(state)),
+            felt: self.force_sense.as_ref().map(|_| self.felt),
             disturbance: self.disturbance(time_s, spring),
             stage: self.stage(time_s),
         }
@@ -355,6 +411,7 @@ impl<'a> Playback<'a> {
         self.sim.push(push)?;
         let change = self.sim.state().velocity_in_world() - before;
         self.shown_push = Some((time_s + PUSH_SHOWN_S, change));
+        self.push_impulse += self.sim.robot().mass_kg * change;
         let [forward, left] = push.linear;
         let text = format!("push: {forward:+.2} m/s forward, {left:+.2} m/s left");
         events.push(Event { time_s, kind: EventKind::Disturbance, text });

@@ -132,7 +132,7 @@ impl LiveSession {
 
     /// Iterates over the range of commanded compliance and the own compliance of each robot [m/s/N]; `None` without
     /// calibration.
-    pub fn reaches(&self) -> impl Iterator<Item = Option<([f64; 2], f64)>> + '_ {
+    pub fn reaches(&self) -> impl Iterator<Item = Option<([f64; 2], [f64; 2])>> + '_ {
         let calibrations = self.players.iter().map(|player| player.agent.calibration.as_ref());
         calibrations.map(|calibration| calibration.map(|found| (found.range(), found.own_m_s_per_n)))
     }
@@ -252,7 +252,8 @@ impl Player {
         let mut script = setup.scene.script(setup.seed, &agent.config)?;
         script.command.compliance = agent.resolve_compliance(seat.compliance, None)?;
         let controller = agent.shared_controller();
-        let rollout = Playback::owned(script.clone(), agent.config.clone(), controller)?.with_bodies();
+        let rollout =
+            Playback::owned(script.clone(), agent.config.clone(), controller)?.with_felt_forces()?.with_bodies();
         Ok(Player { agent, script, rollout, is_beginning: true, steps: 0, falls: 0 })
     }
 

@@ -21,7 +21,7 @@ use supple::policy::compliance::split_compliance;
 use supple::policy::shipped;
 use supple::robot::Robot;
 use supple::scenario::catalog::Scenario;
-use supple::scenario::estimation::Estimation;
+use supple::scenario::estimation::{Estimation, felt_forces};
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::Trace;
 use supple::scenario::{Playback, Script, Sensing};
@@ -168,6 +168,7 @@ fn play_seeds(
 /// Computes the scenario's metrics, and those of the state estimate if there is one.
 fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace) -> Vec<Metric> {
     let mut found = scenario.metrics(script, trace);
+    found.extend(felt_forces(trace));
     if sensing == Sensing::Estimated {
         found.extend(Estimation::metrics(trace));
     }
@@ -209,7 +210,7 @@ fn play(
 ) -> anyhow::Result<Vec<Trace>> {
     let mut rollouts = Vec::new();
     for ((_, agent), script) in robots.iter().zip(scripts) {
-        let rollout = Playback::new(script, &agent.config, agent.controller())?.with_bodies();
+        let rollout = Playback::new(script, &agent.config, agent.controller())?.with_felt_forces()?.with_bodies();
         rollouts.push(rollout.with_sensing(args.sensing, seed)?);
     }
     let mut traces: Vec<Trace> = rollouts.iter().map(Playback::empty_trace).collect();

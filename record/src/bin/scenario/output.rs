@@ -184,10 +184,13 @@ const ESTIMATED: [&str; 6] = [
     "estimated_base_z_m_s",
 ];
 
+/// Columns of the force on the trunk, felt and true, heading frame, low-passed over 0.1 s.
+const FELT: [&str; 5] = ["felt_forward_n", "felt_left_n", "true_forward_n", "true_left_n", "felt_is_trusted"];
+
 /// Writes the traces as CSV, one row for each policy step.
 pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<()> {
     let mut table = csv::Writer::from_writer(file);
-    table.write_record(["policy"].into_iter().chain(COLUMNS.map(|(name, _)| name)).chain(ESTIMATED))?;
+    table.write_record(["policy"].into_iter().chain(COLUMNS.map(|(name, _)| name)).chain(ESTIMATED).chain(FELT))?;
     for outcome in outcomes {
         for frame in &outcome.trace.frames {
             table.write_field(outcome.policy)?;
@@ -198,7 +201,12 @@ pub fn write_csv(file: &mut dyn Write, outcomes: &[Outcome<'_>]) -> io::Result<(
                 let ([x, y, _], [u, v, w]) = (sensed.position, sensed.velocity);
                 [x, y, sensed.height_m, u, v, w].map(|value| value.to_string())
             });
-            table.write_record(estimated.unwrap_or_default())?;
+            let felt = frame.felt.map(|felt| {
+                let [forward, left, true_forward, true_left] =
+                    [felt.force[0], felt.force[1], felt.true_force[0], felt.true_force[1]].map(|it| it.to_string());
+                [forward, left, true_forward, true_left, felt.doubt.is_none().to_string()]
+            });
+            table.write_record(estimated.unwrap_or_default().into_iter().chain(felt.unwrap_or_default()))?;
         }
     }
     table.flush()
