@@ -2,32 +2,32 @@
 
 An [`Experiment`] says which conditions there are, plays nothing itself, and turns a trace into numbers; [`runner`] plays
 its trials in parallel, each with a seed that does not depend on the policy, and [`store`] keeps what came out, so that
-a finished experiment is not run again. From the kept numbers alone come [`findings`] (claims with intervals, tables,
-figures) and from those the [`report`]. `docs/experiments.md` has the definitions in words.
+a finished experiment is not run again. From the kept numbers alone comes [`section_content`] (claims with intervals, tables,
+figures) and from that the [`report`]. `docs/experiments.md` has the definitions in words.
 
 Tables and figures show every set of policies; claims and differences are about the first set and the second.
 */
 
 pub mod experiments;
-pub mod findings;
-pub mod grid;
+pub mod measurement_store;
 pub mod plot;
 pub mod policy_sets;
 pub mod protocol;
 pub mod report;
 pub mod results;
 pub mod runner;
+pub mod section_builder;
+pub mod section_content;
 pub mod sensing;
-pub mod show;
+pub mod square_grid;
 pub mod statistics;
-pub mod store;
 pub mod trial;
 
 use serde::Serialize;
 
-use findings::Findings;
 use results::Results;
-use show::Show;
+use section_builder::SectionBuilder;
+use section_content::SectionContent;
 use supple::config::ConfigError;
 use supple::scenario::Script;
 use supple::scenario::catalog::{ParameterError, Scenario};
@@ -96,16 +96,16 @@ pub struct Condition {
 
 /// The numbers that an experiment takes from a trace.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Measured {
+pub struct TrialValues {
     /// One for each of the experiment's quantities.
     pub values: Vec<Option<f64>>,
     /// The series that the experiment's figures draw.
     pub series: Vec<Vec<f32>>,
 }
 
-impl From<Vec<Option<f64>>> for Measured {
+impl From<Vec<Option<f64>>> for TrialValues {
     fn from(values: Vec<Option<f64>>) -> Self {
-        Measured { values, series: Vec::new() }
+        TrialValues { values, series: Vec::new() }
     }
 }
 
@@ -140,15 +140,15 @@ pub trait Experiment: erased_serde::Serialize + Sync {
     }
 
     /// Reads a trial.
-    fn measure(&self, trial: &Trial) -> Measured;
+    fn measure(&self, trial: &Trial) -> TrialValues;
 
     /// Shows claims, tables and figures.
-    fn show(&self, show: &mut Show);
+    fn report(&self, section: &mut SectionBuilder);
 
     /// Returns the claims, tables and figures of the experiment's results.
-    fn findings(&self, results: &Results) -> Findings {
-        let mut show = Show::new(self.info().name, results);
-        self.show(&mut show);
-        show.findings
+    fn content(&self, results: &Results) -> SectionContent {
+        let mut section = SectionBuilder::new(self.info().name, results);
+        self.report(&mut section);
+        section.content
     }
 }

@@ -18,7 +18,7 @@ const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "rand
 
 /// Why there is nothing to compare.
 #[derive(Debug, thiserror::Error)]
-pub enum ContestantError {
+pub enum PolicySetError {
     /// The folder cannot be read.
     #[error("cannot read the policies in {}: {source}", path.display())]
     Read {
@@ -64,7 +64,7 @@ pub enum ContestantError {
 
 /// A policy that is measured.
 #[derive(Debug)]
-pub struct Contestant {
+pub struct SetMember {
     /// Seed of its training: pairs it with the other sets', and seeds its trials.
     pub seed: u64,
     /// Where it was read from.
@@ -75,77 +75,77 @@ pub struct Contestant {
 
 /// One of the sets.
 #[derive(Debug)]
-pub struct Side {
+pub struct PolicySet {
     /// The name in tables and legends.
     pub name: String,
     /// By seed.
-    pub members: Vec<Contestant>,
+    pub members: Vec<SetMember>,
 }
 
 /// All sets, and what a reader has to know about them.
 #[derive(Debug)]
-pub struct Contest {
+pub struct PolicySets {
     /// First (compliant), second (baseline), with which it is compared, and whatever is shown beside them.
-    pub sides: Vec<Side>,
+    pub sets: Vec<PolicySet>,
     /// Files left out, seeds without a partner.
     pub notes: Vec<String>,
 }
 
-impl Contest {
+impl PolicySets {
     /// Policies `NAME-seedN.safetensors`, or external ones `NAME-seedN.yaml`, of several names in one folder; and all
     /// policies of further sets, by name and path.
     ///
     /// # Errors
-    /// [`ContestantError`]
-    pub fn in_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
-        Self::of_files(folder, policy_files(folder)?, names, also)
+    /// [`PolicySetError`]
+    pub fn from_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
+        Self::from_files(folder, policy_files(folder)?, names, also)
     }
 
-    /// As [`Contest::in_folder`] of the policies inside the program.
+    /// As [`PolicySets::from_folder`] of the policies inside the program.
     ///
     /// # Errors
-    /// [`ContestantError`]
-    pub fn shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+    /// [`PolicySetError`]
+    pub fn from_shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
         let of_sets = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/'));
         let files = of_sets.map(|(name, _)| name.into()).collect();
-        Self::of_files(Path::new("the policies inside this program"), files, names, also)
+        Self::from_files(Path::new("the policies inside this program"), files, names, also)
     }
 
-    fn of_files(
+    fn from_files(
         folder: &Path,
         all: Vec<PathBuf>,
         names: &[String],
         also: &[(String, PathBuf)],
-    ) -> Result<Self, ContestantError> {
+    ) -> Result<Self, PolicySetError> {
         let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
         for file in all {
-            match names.iter().enumerate().find_map(|(side, name)| Some((side, seed_of(name, &file)?))) {
-                Some((side, seed)) => files[side].push((Some(seed), file)),
+            match names.iter().enumerate().find_map(|(set, name)| Some((set, seed_of(name, &file)?))) {
+                Some((set, seed)) => files[set].push((Some(seed), file)),
                 None => notes.push(format!("{} was left out: its name is not that of either set", name_of(&file))),
             }
         }
-        let side = |(name, files): (&String, _)| {
-            Side::load(name, folder, files, 0.0, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+        let set = |(name, files): (&String, _)| {
+            PolicySet::load(name, folder, files, 0.0, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
-        let further = also.iter().map(|(name, path)| Side::of_path(name, path));
-        Ok(Self::new(names.iter().zip(files).map(side).chain(further).collect::<Result<_, _>>()?, notes))
+        let further = also.iter().map(|(name, path)| PolicySet::from_path(name, path));
+        Ok(Self::new(names.iter().zip(files).map(set).chain(further).collect::<Result<_, _>>()?, notes))
     }
 
     /// All policies of sets by name and path.
     ///
     /// # Errors
-    /// [`ContestantError`]
-    pub fn of_paths(sets: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
-        let sides = sets.iter().map(|(name, path)| Side::of_path(name, path));
-        let mut sides = sides.collect::<Result<Vec<_>, _>>()?;
-        let notes = pair_single_policies(&mut sides);
-        Ok(Self::new(sides, notes))
+    /// [`PolicySetError`]
+    pub fn from_paths(sets: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
+        let sets = sets.iter().map(|(name, path)| PolicySet::from_path(name, path));
+        let mut sets = sets.collect::<Result<Vec<_>, _>>()?;
+        let notes = pair_single_policies(&mut sets);
+        Ok(Self::new(sets, notes))
     }
 
-    fn new(sides: Vec<Side>, mut notes: Vec<String>) -> Self {
-        for (side, other) in [(0, 1), (1, 0)] {
-            let (Some(own), Some(partner)) = (sides.get(side), sides.get(other)) else { continue };
-            let lacks = |contestant: &&Contestant| partner.members.iter().all(|other| other.seed != contestant.seed);
+    fn new(sets: Vec<PolicySet>, mut notes: Vec<String>) -> Self {
+        for (set, other) in [(0, 1), (1, 0)] {
+            let (Some(own), Some(partner)) = (sets.get(set), sets.get(other)) else { continue };
+            let lacks = |member: &&SetMember| partner.members.iter().all(|other| other.seed != member.seed);
             let alone: Vec<String> = own.members.iter().filter(lacks).map(|member| member.seed.to_string()).collect();
             if !alone.is_empty() {
                 notes.push(format!(
@@ -157,29 +157,29 @@ impl Contest {
                 ));
             }
         }
-        for side in &sides {
+        for set in &sets {
             if let Some(compliance) =
-                side.members.iter().map(|member| member.agent.commanded_compliance).find(|compliance| *compliance > 0.0)
+                set.members.iter().map(|member| member.agent.commanded_compliance).find(|compliance| *compliance > 0.0)
             {
-                let name = &side.name;
+                let name = &set.name;
                 notes.push(format!(
                     "{name} has a commanded compliance of {compliance} m/s/N in trials that command none"
                 ));
             }
-            for (index, member) in side.members.iter().enumerate() {
-                let is_same = |other: &&Contestant| other.agent.sha256 == member.agent.sha256;
-                if let Some(twin) = side.members[..index].iter().find(is_same) {
-                    let (name, [a, b]) = (&side.name, [twin.seed, member.seed]);
+            for (index, member) in set.members.iter().enumerate() {
+                let is_same = |other: &&SetMember| other.agent.sha256 == member.agent.sha256;
+                if let Some(twin) = set.members[..index].iter().find(is_same) {
+                    let (name, [a, b]) = (&set.name, [twin.seed, member.seed]);
                     notes.push(format!("{name}, seeds {a} and {b}, are one policy: they are no two samples of {name}"));
                 }
                 let trained = member.agent.policy().map(|policy| policy.provenance.seed);
                 if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
-                    let (name, seed) = (&side.name, member.seed);
+                    let (name, seed) = (&set.name, member.seed);
                     notes.push(format!("{name}, seed {seed}, was trained with seed {trained}"));
                 }
             }
         }
-        let keys = unlike(&sides);
+        let keys = unlike(&sets);
         if !keys.is_empty() {
             notes.push(format!(
                 "the policies were not trained alike: their configurations differ in {}",
@@ -192,12 +192,12 @@ impl Contest {
                 notes.push(format!("each policy is tried with its own {}", tried.join(", ")));
             }
         }
-        Contest { sides, notes }
+        PolicySets { sets, notes }
     }
 
     /// Tries all policies with joints that have these losses.
     pub fn set_losses(&mut self, losses: Losses) {
-        for member in self.sides.iter_mut().flat_map(|side| &mut side.members) {
+        for member in self.sets.iter_mut().flat_map(|set| &mut set.members) {
             member.agent.config.robot.set_losses(losses);
         }
         self.notes.push(format!(
@@ -208,13 +208,13 @@ impl Contest {
 
     /// Names of all sets.
     pub fn names(&self) -> Vec<String> {
-        self.sides.iter().map(|side| side.name.clone()).collect()
+        self.sets.iter().map(|set| set.name.clone()).collect()
     }
 }
 
-impl Side {
+impl PolicySet {
     /// All policies that a path stands for.
-    fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
+    fn from_path(name: &str, path: &Path) -> Result<Self, PolicySetError> {
         let text = paths::as_text(path);
         let (text, compliance) = split_compliance(&text);
         let path = &paths::as_path(text);
@@ -233,7 +233,7 @@ impl Side {
             }
         };
         let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-        Side::load(name, path, files, compliance.unwrap_or(0.0), || "*.safetensors or *.yaml".into())
+        PolicySet::load(name, path, files, compliance.unwrap_or(0.0), || "*.safetensors or *.yaml".into())
     }
 
     fn load(
@@ -242,41 +242,41 @@ impl Side {
         files: Vec<(Option<u64>, PathBuf)>,
         compliance: f64,
         wanted: impl Fn() -> String,
-    ) -> Result<Self, ContestantError> {
+    ) -> Result<Self, PolicySetError> {
         if files.is_empty() {
-            return Err(ContestantError::Missing { path: folder.to_owned(), wanted: wanted() });
+            return Err(PolicySetError::Missing { path: folder.to_owned(), wanted: wanted() });
         }
-        let mut members: Vec<Contestant> = Vec::new();
+        let mut members: Vec<SetMember> = Vec::new();
         for (seed, file) in files {
             let mut agent = shipped::find(&paths::as_text(&file))?;
             if let Err(source) = agent.check_compliance(compliance) {
-                return Err(ContestantError::Compliance { file, compliance, source });
+                return Err(PolicySetError::Compliance { file, compliance, source });
             }
             agent.commanded_compliance = compliance;
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());
-                return Err(ContestantError::Twice { first, second: file, seed, set });
+                return Err(PolicySetError::Twice { first, second: file, seed, set });
             }
-            members.push(Contestant { seed, file, agent });
+            members.push(SetMember { seed, file, agent });
         }
         members.sort_by_key(|member| member.seed);
-        Ok(Side { name: name.to_owned(), members })
+        Ok(PolicySet { name: name.to_owned(), members })
     }
 }
 
 /// Gives single policies the seed of the first set's single policy, which pairs them; says so.
-fn pair_single_policies(sides: &mut [Side]) -> Vec<String> {
-    let is_pair = sides.len() == 2;
-    let Some((first, others)) = sides.split_first_mut() else { return Vec::new() };
+fn pair_single_policies(sets: &mut [PolicySet]) -> Vec<String> {
+    let is_pair = sets.len() == 2;
+    let Some((first, others)) = sets.split_first_mut() else { return Vec::new() };
     let [a] = &first.members[..] else { return Vec::new() };
     let mut notes = Vec::new();
-    for side in others {
-        if let [b] = &mut side.members[..]
+    for set in others {
+        if let [b] = &mut set.members[..]
             && a.seed != b.seed
         {
             let which =
-                if is_pair { "two policies".into() } else { format!("policies of {} and {}", first.name, side.name) };
+                if is_pair { "two policies".into() } else { format!("policies of {} and {}", first.name, set.name) };
             notes.push(format!("the {which} are compared as a pair, though their seeds are {} and {}", a.seed, b.seed));
             b.seed = a.seed;
         }
@@ -285,8 +285,8 @@ fn pair_single_policies(sides: &mut [Side]) -> Vec<String> {
 }
 
 /// Keys beside the recovery stage's, which is what is compared, in which configurations of policies of ours differ.
-fn unlike(sides: &[Side]) -> Vec<String> {
-    let members = sides.iter().flat_map(|side| &side.members);
+fn unlike(sets: &[PolicySet]) -> Vec<String> {
+    let members = sets.iter().flat_map(|set| &set.members);
     let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
     let Some(first) = configs.next() else { return Vec::new() };
     let keys = configs.flat_map(|config| first.differences(config));
@@ -319,8 +319,8 @@ fn seed_in_name(file: &Path) -> Option<u64> {
 }
 
 /// All policy files of a folder, by name.
-fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
-    let fail = |source| ContestantError::Read { path: folder.to_owned(), source };
+fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, PolicySetError> {
+    let fail = |source| PolicySetError::Read { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(fail)?;
     let mut files =
         entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(fail)?;

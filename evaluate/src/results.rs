@@ -24,7 +24,7 @@ pub struct Results {
 
 /// How the trials of a set ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
-pub struct Ends {
+pub struct EndCounts {
     /// All that were played.
     pub trials: usize,
     /// The number of trials that ended in a fall.
@@ -135,8 +135,8 @@ impl Results {
     }
 
     /// How a set's trials ended.
-    pub fn ends(&self, set: usize) -> Ends {
-        let mut ends = Ends::default();
+    pub fn ends(&self, set: usize) -> EndCounts {
+        let mut ends = EndCounts::default();
         for sample in self.sets[set].values().flatten().flatten() {
             ends.trials += usize::from(sample.end != TrialEnd::OutOfReach);
             ends.out_of_reach += usize::from(sample.end == TrialEnd::OutOfReach);

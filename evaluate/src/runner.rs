@@ -4,9 +4,9 @@ use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::policy_sets::{Contest, Contestant, Side};
+use super::measurement_store::{self, MeasurementStore, StoredMeasurement};
+use super::policy_sets::{PolicySet, PolicySets, SetMember};
 use super::results::{PolicyResult, Results};
-use super::store::{self, Store, Stored};
 use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
 use supple::config::ConfigError;
@@ -46,7 +46,7 @@ pub struct Settings {
     /// The state that the policies act on.
     pub sensing: Sensing,
     /// Finished measurements.
-    pub store: Store,
+    pub store: MeasurementStore,
 }
 
 /// An experiment's results and where they come from.
@@ -64,14 +64,18 @@ pub struct Measurement {
 ///
 /// # Errors
 /// [`RunError::Config`]
-pub fn work(experiment: &dyn Experiment, contest: &Contest, settings: &Settings) -> Result<f64, RunError> {
+pub fn remaining_work(
+    experiment: &dyn Experiment,
+    policies: &PolicySets,
+    settings: &Settings,
+) -> Result<f64, RunError> {
     let conditions = experiment.conditions()?;
     let of_policy = f64::from(experiment.trials()) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
-    let missing = |contestant: &&Contestant| {
-        let key = store::key(experiment, &conditions, contestant, settings.sensing);
+    let missing = |member: &&SetMember| {
+        let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         settings.again || settings.store.read(experiment, &key).is_none()
     };
-    let policies = contest.sides.iter().flat_map(|side| &side.members).filter(missing).count();
+    let policies = policies.sets.iter().flat_map(|set| &set.members).filter(missing).count();
     Ok(of_policy * policies as f64)
 }
 
@@ -81,16 +85,16 @@ pub fn work(experiment: &dyn Experiment, contest: &Contest, settings: &Settings)
 /// [`RunError::Config`]
 pub fn finished(
     experiment: &dyn Experiment,
-    contest: &Contest,
-    store: &Store,
+    policies: &PolicySets,
+    store: &MeasurementStore,
     sensing: Sensing,
 ) -> Result<Option<Measurement>, RunError> {
     let conditions = experiment.conditions()?;
-    let key = |contestant: &Contestant| store::key(experiment, &conditions, contestant, sensing);
-    let read = |contestant: &Contestant| store.read(experiment, &key(contestant));
-    let of_side = |side: &Side| side.members.iter().map(read).collect::<Option<Vec<Stored>>>();
-    let stored = contest.sides.iter().map(of_side).collect::<Option<Vec<_>>>();
-    Ok(stored.map(|stored| Measurement::new(experiment, conditions, contest, stored)))
+    let key = |member: &SetMember| measurement_store::key(experiment, &conditions, member, sensing);
+    let read = |member: &SetMember| store.read(experiment, &key(member));
+    let of_set = |set: &PolicySet| set.members.iter().map(read).collect::<Option<Vec<StoredMeasurement>>>();
+    let stored = policies.sets.iter().map(of_set).collect::<Option<Vec<_>>>();
+    Ok(stored.map(|stored| Measurement::new(experiment, conditions, policies, stored)))
 }
 
 /// Measures an experiment with every policy with which that has not been done. `progress` is told the work of every trial
@@ -100,29 +104,29 @@ pub fn finished(
 /// [`RunError`]
 pub fn measure(
     experiment: &dyn Experiment,
-    contest: &Contest,
+    policies: &PolicySets,
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<(), RunError> {
     let (name, conditions) = (experiment.info().name, experiment.conditions()?);
     let store = |source| RunError::Store { experiment: name, source };
-    for contestant in contest.sides.iter().flat_map(|side| &side.members) {
-        let key = store::key(experiment, &conditions, contestant, settings.sensing);
+    for member in policies.sets.iter().flat_map(|set| &set.members) {
+        let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         let is_there = || !settings.again && settings.store.read(experiment, &key).is_some();
         if is_there() {
             continue;
         }
-        let _claim = settings.store.claim(experiment).map_err(store)?;
+        let _claim = settings.store.lock_experiment(experiment).map_err(store)?;
         // The process that had claimed it may have measured it.
         if is_there() {
             continue;
         }
         let start = Instant::now();
-        let samples = play_all(experiment, &conditions, contestant, settings, progress).map_err(|source| {
-            RunError::Trial { experiment: name, policy: contestant.file.display().to_string(), source }
+        let samples = play_all(experiment, &conditions, member, settings, progress).map_err(|source| {
+            RunError::Trial { experiment: name, policy: member.file.display().to_string(), source }
         })?;
         let wall_s = start.elapsed().as_secs_f64();
-        settings.store.write(experiment, &key, contestant, wall_s, samples).map_err(store)?;
+        settings.store.write(experiment, &key, member, wall_s, samples).map_err(store)?;
     }
     Ok(())
 }
@@ -131,16 +135,16 @@ impl Measurement {
     fn new(
         experiment: &dyn Experiment,
         conditions: Vec<Condition>,
-        contest: &Contest,
-        stored: Vec<Vec<Stored>>,
+        policies: &PolicySets,
+        stored: Vec<Vec<StoredMeasurement>>,
     ) -> Self {
         let wall_s = stored.iter().flatten().map(|stored| stored.wall_s).sum();
         let mut revisions: Vec<String> = stored.iter().flatten().map(|stored| stored.revision.clone()).collect();
         revisions.sort();
         revisions.dedup();
-        let by_seed = |of_side: Vec<Stored>| of_side.into_iter().map(|s| (s.seed, s.samples)).collect();
+        let by_seed = |of_set: Vec<StoredMeasurement>| of_set.into_iter().map(|s| (s.seed, s.samples)).collect();
         let sets = stored.into_iter().map(by_seed).collect();
-        let results = Results { names: contest.names(), conditions, quantities: experiment.info().quantities, sets };
+        let results = Results { names: policies.names(), conditions, quantities: experiment.info().quantities, sets };
         Measurement { results, wall_s, revisions }
     }
 }
@@ -149,15 +153,15 @@ impl Measurement {
 fn play_all(
     experiment: &dyn Experiment,
     conditions: &[Condition],
-    contestant: &Contestant,
+    member: &SetMember,
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<PolicyResult, TrialError> {
     let (number, trials) = (experiment.info().number, experiment.trials() as usize);
     let play = |index: usize| {
         let condition = &conditions[index / trials];
-        let seed = trial::trial_seed(contestant.seed, number, index / trials, (index % trials) as u32);
-        let sample = trial::play(experiment, condition, seed, &contestant.agent, settings.sensing)?;
+        let seed = trial::trial_seed(member.seed, number, index / trials, (index % trials) as u32);
+        let sample = trial::play(experiment, condition, seed, &member.agent, settings.sensing)?;
         progress(condition.scenario.cost());
         Ok(sample)
     };

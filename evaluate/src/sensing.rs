@@ -7,10 +7,10 @@ differs in nothing but what the policy sees. A second table says how good the es
 
 use std::collections::BTreeMap;
 
-use super::findings::{Row, Table};
-use super::policy_sets::Contest;
-use super::results::{Ends, PolicyResult, Results};
+use super::policy_sets::PolicySets;
+use super::results::{EndCounts, PolicyResult, Results};
 use super::runner::Measurement;
+use super::section_content::{Row, Table};
 use super::statistics::{Comparison, Numbers, PerSeed, mean};
 use super::{Experiment, FELL, Quantity};
 use supple::estimate::contact::ContactNetwork;
@@ -32,9 +32,9 @@ const ERRORS: [OfEstimation; 4] = [
 
 /// The effect of acting on sensors, over all experiments that were run with it.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SensingFindings {
+pub struct SensingComparison {
     /// Names of the sets of policies.
-    policies: Vec<String>,
+    set_names: Vec<String>,
     /// The quantities of the claims, and falls; estimated first.
     pub main: Table,
     /// All quantities, in files alone.
@@ -51,23 +51,23 @@ pub struct SensingFindings {
     pub wall_s: f64,
 }
 
-impl SensingFindings {
+impl SensingComparison {
     /// Creates findings without any experiment.
-    pub fn new(contest: &Contest) -> Self {
+    pub fn new(policies: &PolicySets) -> Self {
         let table = |name: &str, caption: &str, in_page| Table {
             name: name.to_owned(),
             caption: caption.to_owned(),
             rows: Vec::new(),
             in_page,
         };
-        let policies = || {
-            let members = contest.sides.iter().flat_map(|side| side.members.iter().map(move |member| (side, member)));
-            members.map(|(side, member)| (format!("{}-seed{}", side.name, member.seed), member.agent.sha256.as_str()))
+        let labelled = || {
+            let members = policies.sets.iter().flat_map(|set| set.members.iter().map(move |member| (set, member)));
+            members.map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()))
         };
         // Trials have been played with it, or there is nothing to tell.
         let network = ContactNetwork::shipped().ok();
-        SensingFindings {
-            policies: contest.names(),
+        SensingComparison {
+            set_names: policies.names(),
             main: table(
                 "sensing",
                 "What acting on sensors changes: falls, and the quantities that the paper's claims are about.",
@@ -80,7 +80,7 @@ impl SensingFindings {
                  the base frame, height of the base, horizontal position at the end, contacts of all feet.",
                 true,
             ),
-            notes: network.iter().filter_map(|network| network.unfamiliar(policies())).collect(),
+            notes: network.iter().filter_map(|network| network.unfamiliar(labelled())).collect(),
             experiments: Vec::new(),
             network: network.as_ref().map_or(String::new(), ContactNetwork::checksum),
             wall_s: 0.0,
@@ -92,27 +92,27 @@ impl SensingFindings {
         let info = experiment.info();
         self.experiments.push(info.name);
         self.wall_s += estimated.wall_s;
-        for (set, name) in self.policies.iter().enumerate() {
+        for (set, name) in self.set_names.iter().enumerate() {
             let results = Results {
                 names: NAMES.map(ToOwned::to_owned).into(),
                 conditions: truth.results.conditions.clone(),
                 quantities: truth.results.quantities,
                 sets: vec![estimated.results.sets[set].clone(), truth.results.sets[set].clone()],
             };
-            let findings = experiment.findings(&results);
+            let content = experiment.content(&results);
             let of = format!("{} {}, {name}", info.id, info.name);
             let ends = results.ends(0);
             if ends.faults > 0 {
-                let Ends { faults, trials, .. } = ends;
+                let EndCounts { faults, trials, .. } = ends;
                 self.notes.push(format!(
                     "{of}: sensors or physics failed in {faults} of {trials} trials on estimates; they have no numbers."
                 ));
             }
-            self.notes.extend(findings.notes.iter().map(|note| format!("{of}: {note}")));
+            self.notes.extend(content.notes.iter().map(|note| format!("{of}: {note}")));
             let is_main = |quantity: Quantity| {
-                quantity == FELL || findings.claims.iter().any(|claim| claim.quantity.name == quantity.name)
+                quantity == FELL || content.claims.iter().any(|claim| claim.quantity.name == quantity.name)
             };
-            for table in &findings.tables {
+            for table in &content.tables {
                 for row in &table.rows {
                     let place = if row.condition.is_empty() { String::new() } else { format!(", {}", row.condition) };
                     let condition = format!("{} {}{place}, {name}", info.id, info.name);
@@ -138,7 +138,7 @@ impl SensingFindings {
     /// The tables, each with the names of its columns.
     pub fn tables(&self) -> [(&Table, Vec<String>); 3] {
         let ways = || NAMES.map(ToOwned::to_owned).to_vec();
-        [(&self.main, ways()), (&self.errors, self.policies.clone()), (&self.all, ways())]
+        [(&self.main, ways()), (&self.errors, self.set_names.clone()), (&self.all, ways())]
     }
 }
 
@@ -151,13 +151,13 @@ fn errors(set: &BTreeMap<u64, PolicyResult>, of: fn(&Estimation) -> Option<f64>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy_sets::Side;
+    use crate::policy_sets::PolicySet;
     use crate::protocol::Protocol;
     use crate::trial::{Sample, TrialEnd};
 
-    fn contest() -> Contest {
-        let side = |name: &str| Side { name: name.into(), members: Vec::new() };
-        Contest { sides: vec![side("compliant"), side("baseline")], notes: Vec::new() }
+    fn policy_sets() -> PolicySets {
+        let set = |name: &str| PolicySet { name: name.into(), members: Vec::new() };
+        PolicySets { sets: vec![set("compliant"), set("baseline")], notes: Vec::new() }
     }
 
     /// Every trial of set s and seed k gives `value + s + k`, and an estimate that is off by a hundredth of it.
@@ -177,7 +177,7 @@ mod tests {
         let policy = |value| vec![vec![sample(value); experiment.trials() as usize]; conditions.len()];
         let set = |set: f64| BTreeMap::from([(0, policy(value + set)), (1, policy(value + set + 1.0))]);
         let results = Results {
-            names: contest().names(),
+            names: policy_sets().names(),
             quantities: experiment.info().quantities,
             sets: vec![set(0.0), set(10.0)],
             conditions,
@@ -188,7 +188,7 @@ mod tests {
     #[test]
     fn each_number_stands_beside_the_one_with_the_true_state() {
         let protocol = Protocol::quick().unwrap();
-        let mut found = SensingFindings::new(&contest());
+        let mut found = SensingComparison::new(&policy_sets());
         found.add(&protocol.walk, &measurement(&protocol.walk, 2.0, false), &measurement(&protocol.walk, 3.0, true));
         let row = |condition: &str| {
             let is_row = |row: &&Row| row.condition == condition && row.quantity.name == "velocity_error_m_s";
@@ -211,7 +211,7 @@ mod tests {
     fn every_experiment_has_falls_or_claims_in_the_table() {
         let protocol = Protocol::quick().unwrap();
         for experiment in protocol.experiments() {
-            let mut found = SensingFindings::new(&contest());
+            let mut found = SensingComparison::new(&policy_sets());
             found.add(experiment, &measurement(experiment, 0.5, false), &measurement(experiment, 0.5, true));
             assert!(!found.main.rows.is_empty(), "{}", experiment.info().name);
             assert!(found.main.rows.len() <= found.all.rows.len());

@@ -41,7 +41,7 @@ pub struct Spread {
 
 impl Spread {
     /// Creates the spread of numbers by seed; none if there are no numbers.
-    pub fn of(values: &PerSeed) -> Option<Self> {
+    pub fn from_values(values: &PerSeed) -> Option<Self> {
         let seeds = values.len();
         let mean = mean(values.values().copied())?;
         let sd = (seeds > 1).then(|| {
@@ -91,7 +91,7 @@ pub struct Numbers {
 impl Numbers {
     /// Creates the numbers of a set of `members` policies, by seed.
     pub fn new(by_seed: PerSeed, members: usize) -> Self {
-        Numbers { spread: Spread::of(&by_seed), by_seed, members }
+        Numbers { spread: Spread::from_values(&by_seed), by_seed, members }
     }
 
     fn scaled(&self, factor: f64) -> Self {
@@ -239,7 +239,7 @@ pub enum Verdict {
 
 impl Verdict {
     /// Judges the difference of a comparison.
-    pub fn of(comparison: &Comparison, expected: Expected) -> Self {
+    pub fn new(comparison: &Comparison, expected: Expected) -> Self {
         let Some(estimate) = comparison.difference else {
             let both = comparison.pair().iter().all(|set| set.spread.is_some());
             return if both { Verdict::Unpaired } else { Verdict::Undefined };
@@ -257,7 +257,7 @@ impl Verdict {
 
     /// Of a bound that the means of the first two sets have to keep. A policy without the number, most often because it fell,
     /// does not keep it.
-    pub fn below(bound: f64, comparison: &Comparison) -> Self {
+    pub fn from_bound(bound: f64, comparison: &Comparison) -> Self {
         let is_whole = comparison.trials.is_none_or(|trials| trials.used == trials.of);
         let keeps = |set: &Numbers| set.is_whole() && set.spread.is_some_and(|spread| spread.mean < bound);
         match comparison.pair() {
@@ -304,10 +304,10 @@ mod tests {
     #[test]
     fn mean_and_sample_standard_deviation() {
         // mean 4; squares (2² + 0 + 2²) / (3 − 1) = 4
-        let spread = Spread::of(&per_seed(&[2.0, 4.0, 6.0])).unwrap();
+        let spread = Spread::from_values(&per_seed(&[2.0, 4.0, 6.0])).unwrap();
         assert_eq!((spread.mean, spread.sd, spread.seeds), (4.0, Some(2.0), 3));
-        assert_eq!(Spread::of(&per_seed(&[3.0])).unwrap().sd, None);
-        assert_eq!(Spread::of(&PerSeed::new()), None);
+        assert_eq!(Spread::from_values(&per_seed(&[3.0])).unwrap().sd, None);
+        assert_eq!(Spread::from_values(&PerSeed::new()), None);
     }
 
     #[test]
@@ -315,8 +315,8 @@ mod tests {
         let comparison = comparison(&[1.5, 2.5, 3.5, 4.5, 5.5], &[1.0, 2.0, 3.0, 4.0, 5.0]);
         let difference = comparison.difference.unwrap();
         assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsExpected);
-        assert_eq!(Verdict::of(&comparison, Expected::Lower), Verdict::Opposite);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::AsExpected);
+        assert_eq!(Verdict::new(&comparison, Expected::Lower), Verdict::Opposite);
         // 17.5 / 15 − 1
         assert!((comparison.relative.unwrap().value - 1.0 / 6.0).abs() < 1e-12);
         let percent = comparison.scaled(100.0);
@@ -326,18 +326,18 @@ mod tests {
 
     #[test]
     fn where_everybody_succeeds_nothing_is_said_to_be_missing() {
-        assert_eq!(Verdict::of(&comparison(&[1.0; 5], &[1.0; 5]), Expected::Higher), Verdict::Alike);
+        assert_eq!(Verdict::new(&comparison(&[1.0; 5], &[1.0; 5]), Expected::Higher), Verdict::Alike);
         let (a, b) = ([1.0, 0.9, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.9, 1.0]);
-        assert_eq!(Verdict::of(&comparison(&a, &b), Expected::Higher), Verdict::NoEffect);
+        assert_eq!(Verdict::new(&comparison(&a, &b), Expected::Higher), Verdict::NoEffect);
     }
 
     #[test]
     fn four_pairs_have_no_interval_and_decide_nothing_and_five_do() {
         let comparison = comparison(&[2.0, 4.0, 3.0, 3.0], &[1.0; 4]);
         assert_eq!(comparison.difference.unwrap(), IntervalEstimate { value: 2.0, interval: None, pairs: 4 });
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::TooFew);
         let comparison = self::comparison(&[2.0, 4.0, 3.0, 3.0, 3.0], &[1.0; 5]);
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsExpected);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::AsExpected);
     }
 
     #[test]
@@ -371,11 +371,11 @@ mod tests {
         let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
         let comparison = of(a, b);
         assert_eq!(comparison.difference, Some(IntervalEstimate { value: 3.0, interval: None, pairs: 1 }));
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::TooFew);
         let none = of(per_seed(&[1.0]), PerSeed::new());
-        assert_eq!(Verdict::of(&none, Expected::Higher), Verdict::Undefined);
+        assert_eq!(Verdict::new(&none, Expected::Higher), Verdict::Undefined);
         let apart = of([(0, 1.0)].into(), [(1, 2.0)].into());
-        assert_eq!(Verdict::of(&apart, Expected::Higher), Verdict::Unpaired);
+        assert_eq!(Verdict::new(&apart, Expected::Higher), Verdict::Unpaired);
     }
 
     #[test]
@@ -385,19 +385,19 @@ mod tests {
         let three = Comparison::new(sets);
         assert_eq!((three.difference, three.relative), (two.difference, two.relative));
         assert_eq!(three.sets[2].spread.unwrap().mean, 8.5);
-        assert_eq!(Verdict::below(5.0, &three), Verdict::Holds);
+        assert_eq!(Verdict::from_bound(5.0, &three), Verdict::Holds);
     }
 
     #[test]
     fn a_bound_is_kept_by_all_policies_in_all_trials_or_not_at_all() {
         let kept = comparison(&[0.02, 0.04], &[0.03, 0.04]);
-        assert_eq!(Verdict::below(0.05, &kept), Verdict::Holds);
-        assert_eq!(Verdict::below(0.035, &kept), Verdict::Fails);
-        assert_eq!(Verdict::below(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &kept), Verdict::Holds);
+        assert_eq!(Verdict::from_bound(0.035, &kept), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
         let one_fell =
             Comparison::new(vec![Numbers::new(per_seed(&[0.02]), 2), Numbers::new(per_seed(&[0.02, 0.03]), 2)]);
-        assert_eq!(Verdict::below(0.05, &one_fell), Verdict::Fails);
-        assert_eq!(Verdict::below(0.05, &of(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
+        assert_eq!(Verdict::from_bound(0.05, &one_fell), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &of(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
     }
 
     #[test]

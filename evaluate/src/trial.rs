@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{Condition, Experiment, FELL, Measured, Quantity};
+use super::{Condition, Experiment, FELL, Quantity, TrialValues};
 use supple::mujoco;
 use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
@@ -45,7 +45,7 @@ pub enum TrialEnd {
 
 impl TrialEnd {
     /// Returns how a trace ended.
-    pub fn of(trace: &Trace) -> Self {
+    pub fn from_trace(trace: &Trace) -> Self {
         let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
         match (happened(EventKind::Fall), happened(EventKind::Fault)) {
             (true, _) => TrialEnd::Fell,
@@ -96,7 +96,7 @@ pub struct Trial<'a> {
 impl<'a> Trial<'a> {
     /// Creates a trial from a scenario, its script for a seed and the trace of a policy.
     pub fn new(scenario: &'a Scenario, script: &'a Script, trace: &'a Trace) -> Self {
-        Trial { scenario, script, trace, end: TrialEnd::of(trace), metrics: OnceCell::new() }
+        Trial { scenario, script, trace, end: TrialEnd::from_trace(trace), metrics: OnceCell::new() }
     }
 
     /// Returns true if the robot stayed on its feet to the end.
@@ -116,7 +116,7 @@ impl<'a> Trial<'a> {
     }
 
     /// Quantities by name, as [`Trial::upright_metric`], and whether the robot fell.
-    pub fn upright_metrics(&self, quantities: &[Quantity]) -> Measured {
+    pub fn upright_metrics(&self, quantities: &[Quantity]) -> TrialValues {
         let value = |quantity: &Quantity| match *quantity {
             FELL => self.end.fell(),
             quantity => self.upright_metric(quantity.name),
@@ -170,7 +170,7 @@ pub fn play(
     let rollout = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
     let trace = rollout.trace();
     let trial = Trial::new(&scenario, &script, &trace);
-    let Measured { values, series } = experiment.measure(&trial);
+    let TrialValues { values, series } = experiment.measure(&trial);
     Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
 }
 

@@ -92,8 +92,8 @@ impl Experiment for BallPit {
         })
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        let Scenario::BallPit(pit) = trial.scenario else { return Measured::default() };
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let Scenario::BallPit(pit) = trial.scenario else { return TrialValues::default() };
         let crossed = trial.metric("crossed") == Some(1.0);
         let crossing = metrics::crossing(trial.trace, pit.distance_m, pit.far_edge_m()).filter(|_| crossed);
         let among_balls = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
@@ -108,17 +108,17 @@ impl Experiment for BallPit {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Crossing a field of loose balls.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Crossing a field of loose balls.");
+        section.dots(
             "",
             "Crossing a ball pit",
             &["crossed", "fell", "stuck", "peak_foot_force_n"],
             "Crossing a field of loose balls: mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
         let (text, force) = ("Compliant policies get across the ball pit", "The largest force on a foot is lower");
-        let all = show.all();
-        show.claim(text, "more often", "crossed", Expected::Higher, &all);
-        show.claim(force, "lower", "peak_foot_force_n", Expected::Lower, &all);
+        let all = section.all();
+        section.claim(text, "more often", "crossed", Expected::Higher, &all);
+        section.claim(force, "lower", "peak_foot_force_n", Expected::Lower, &all);
     }
 }

@@ -24,7 +24,7 @@ pub(super) const INFO: Info = Info {
     method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
              push minus its mean over the last second before, smoothed by a centred moving average of \
              0.4 s, about a stride. Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
-             the push; a fall has none, and what lasts to the end counts as lasting until there. Beside it, without threshold and average: how far the push carries \
+             the push; a fall has none, and what lasts to the end counts as lasting until there. OtherReport it, without threshold and average: how far the push carries \
              the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
     quantities: QUANTITIES,
 };
@@ -64,7 +64,7 @@ impl Experiment for Decay {
         push::sideways()
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let Some(pushed) = trial.script.pushes.first() else { return vec![None; QUANTITIES.len()].into() };
         let upright = trial.is_upright();
         let before = metrics::window(trial.trace, pushed.time_s - 1.0, pushed.time_s);
@@ -72,13 +72,14 @@ impl Experiment for Decay {
         let [to_10, to_20, carried, undecayed] =
             push::of_upright(trial).map_or([None; 4], |it| push::decay(trial.trace, it.time_s, it.push.linear));
         let values = vec![to_10, to_20, carried, before, undecayed, trial.end.fell()];
-        Measured { values, series: velocity::around(trial.trace, pushed.time_s) }
+        TrialValues { values, series: velocity::around(trial.trace, pushed.time_s) }
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Decay of a sideways push of 0.5 m/s.").state("decay_10_s", "+85 %");
-        let results = show.results;
-        let means = show.per_seed(0, "decay_10_s").into_iter().map(|seeds| Spread::of(&seeds).map(|it| it.mean));
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Decay of a sideways push of 0.5 m/s.").set_paper("decay_10_s", "+85 %");
+        let results = section.results;
+        let means =
+            section.per_seed(0, "decay_10_s").into_iter().map(|seeds| Spread::from_values(&seeds).map(|it| it.mean));
         let words = means.map(|mean| mean.map_or("none".to_owned(), |mean| format!("{mean:.2} s")));
         let words: Vec<String> = words.zip(&results.names).map(|(mean, name)| format!("{mean} ({name})")).collect();
         let caption = format!(
@@ -88,11 +89,11 @@ impl Experiment for Decay {
             words.join(" and ")
         );
         let words = ["Sideways velocity after a push, one policy of each set", "time since the push [s]"];
-        velocity::figure(show, ["", "decay-curves"], words, 0, |curve, set| marked(results, curve, set), caption);
+        velocity::figure(section, ["", "decay-curves"], words, 0, |curve, set| marked(results, curve, set), caption);
         for (quantity, words) in push::LASTING {
             let text = format!("After a sideways push, compliant policies {words}");
-            show.claim(&text, "+85 % in time", quantity, Expected::Higher, &[0]);
+            section.claim(&text, "+85 % in time", quantity, Expected::Higher, &[0]);
         }
-        show.notes(push::undecayed(results, &[0]));
+        section.notes(push::undecayed(results, &[0]));
     }
 }

@@ -56,7 +56,7 @@ impl Experiment for Directions {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let push = push::of_upright(trial);
         let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.time_s, push.push.linear));
         let briefly = push
@@ -66,12 +66,12 @@ impl Experiment for Directions {
         [&decay[..], &[trial.end.fell(), briefly]].concat().into()
     }
 
-    fn show(&self, show: &mut Show) {
+    fn report(&self, section: &mut SectionBuilder) {
         let names = self.commands_m_s.iter().map(|command| match command {
             0.0 => gait(0.0).to_owned(),
             command => format!("{} at {command} m/s", gait(*command)),
         });
-        let groups = Group::all(names, show.results);
+        let groups = Group::from_names(names, section.results);
         let mut rows = Vec::new();
         for (group, command) in groups.iter().zip(&self.commands_m_s) {
             let (name, is_standing) = (&group.name, *command == 0.0);
@@ -80,16 +80,16 @@ impl Experiment for Directions {
                 let text = format!(
                     "Pushed from any side while {name}, compliant policies {words}; the numbers are means over directions, \
                      and it is so in {}",
-                    show.results.larger_in(&group.conditions, quantity)
+                    section.results.larger_in(&group.conditions, quantity)
                 );
-                show.claim(&text, "longer", quantity, Expected::Higher, &group.conditions);
+                section.claim(&text, "longer", quantity, Expected::Higher, &group.conditions);
             }
-            show.notes(push::undecayed(show.results, &group.conditions).map(|note| format!("{name}: {note}")));
+            section.notes(push::undecayed(section.results, &group.conditions).map(|note| format!("{name}: {note}")));
             let shown = QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED);
-            rows.extend(shown.map(|quantity| show.row(group, *quantity)));
+            rows.extend(shown.map(|quantity| section.row(group, *quantity)));
         }
-        show.table_of("Decay time of a push of 0.5 m/s, mean over all directions.", rows);
-        show.table_in_file("all", "Decay time of a push by direction.");
+        section.table_with_rows("Decay time of a push of 0.5 m/s, mean over all directions.", rows);
+        section.table_in_file("all", "Decay time of a push by direction.");
         for (part, title, axis, what) in [
             (
                 "",
@@ -108,7 +108,7 @@ impl Experiment for Directions {
                 "{what} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. Trials \
                  with a fall have none. The two plots differ in scale."
             );
-            show.polar(part, title, axis, &groups, Scales::Own, caption);
+            section.polar(part, title, axis, &groups, Scales::Own, caption);
         }
     }
 }

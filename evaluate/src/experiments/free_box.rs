@@ -1,9 +1,9 @@
 //! E6: walking into a free box (Fig. 6).
 
 use super::prelude::*;
-use crate::findings::{Line, Lines};
 use crate::plot::top_view::{self, Run, View};
 use crate::results::Results;
+use crate::section_content::{Line, Lines};
 use crate::trial::{Sample, TrialEnd};
 use supple::scenario::Script;
 use supple::scenario::catalog::FreeBox as Cube;
@@ -133,7 +133,7 @@ impl Experiment for FreeBox {
         in_range("resumed_s", self.resumed_s, 0.1, 60.0, "0.1 to 60 s")
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let trace = trial.trace;
         let passed = trial.upright_metric("passed") == Some(1.0);
         // Who never touches the box has not spared it.
@@ -150,26 +150,26 @@ impl Experiment for FreeBox {
             (Some(first), Some(last)) => vec![path(0), path(1), flat_pose(first), flat_pose(last)],
             _ => Vec::new(),
         };
-        Measured { values, series }
+        TrialValues { values, series }
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Collision with a free box of 2 kg, by its friction.");
-        let size_m = match &show.results.conditions[0].scenario {
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Collision with a free box of 2 kg, by its friction.");
+        let size_m = match &section.results.conditions[0].scenario {
             Scenario::Box(free_box) => free_box.size_m,
             _ => 0.0,
         };
-        let views = show.by_set(|set| self.view(show.results, set));
-        show.lines(paths_and_boxes(&views));
+        let views = section.by_set(|set| self.view(section.results, set));
+        section.lines(paths_and_boxes(&views));
         let caption = format!(
             "Walking into a free box ({}), seen from above; the robot starts at (0, 0) and walks to the right. In \
              full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \
              trials of the same policy with the box after. A cross is a fall.",
-            show.first_label()
+            section.first_label()
         );
         let title = "Paths of the robot and the box, seen from above";
-        show.figure("", caption, top_view::draw(title, &views, size_m));
-        show.dots(
+        section.figure("", caption, top_view::draw(title, &views, size_m));
+        section.dots(
             "forces",
             "Displacement and forces of the box",
             &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
@@ -182,8 +182,8 @@ impl Experiment for FreeBox {
             ("Compliant policies are deflected past the box", "past", "passed", Expected::Higher),
             ("… and resume their course", "resume", "resumed", Expected::Higher),
         ] {
-            for (index, label) in show.labels().into_iter().enumerate() {
-                show.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
+            for (index, label) in section.labels().into_iter().enumerate() {
+                section.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
             }
         }
     }

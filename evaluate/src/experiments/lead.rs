@@ -57,23 +57,24 @@ impl Experiment for Lead {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         trial.upright_metrics(QUANTITIES)
     }
 
-    fn show(&self, show: &mut Show) {
-        let groups = Group::all(self.commands_m_s.iter().map(|command| gait(*command).to_owned()), show.results);
+    fn report(&self, section: &mut SectionBuilder) {
+        let groups =
+            Group::from_names(self.commands_m_s.iter().map(|command| gait(*command).to_owned()), section.results);
         for Group { name, conditions } in &groups {
             for (quantity, words) in
                 [("mean_tension_n", "go along with less tension (mean over directions)"), ("fell", "fall less often")]
             {
                 let text = format!("Led by the leash while {name}, compliant policies {words}");
-                show.claim(&text, "", quantity, Expected::Lower, conditions);
+                section.claim(&text, "", quantity, Expected::Lower, conditions);
             }
         }
-        show.table_of("Led by the leash at 0.5 m/s, mean over all directions.", show.rows(&groups));
-        show.table_in_file("all", "Led by the leash at 0.5 m/s, by direction.");
-        show.polar(
+        section.table_with_rows("Led by the leash at 0.5 m/s, mean over all directions.", section.rows(&groups));
+        section.table_in_file("all", "Led by the leash at 0.5 m/s, by direction.");
+        section.polar(
             "",
             "Tension of a leash that somebody walks away with, by direction",
             ("mean_tension_n", "mean tension [N]"),

@@ -75,7 +75,7 @@ impl Experiment for Leash {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let mut values = vec![None, trial.end.fell(), None];
         if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
@@ -85,18 +85,19 @@ impl Experiment for Leash {
         values.into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let groups = Group::all(self.forces_n.iter().map(|force| format!("{force} N")), show.results);
+    fn report(&self, section: &mut SectionBuilder) {
+        let groups = Group::from_names(self.forces_n.iter().map(|force| format!("{force} N")), section.results);
         for Group { name, conditions } in &groups {
             let text = format!(
                 "Pulled with {name}, compliant policies yield more (here: in {}; the numbers are means over directions)",
-                show.results.larger_in(conditions, "offset_m_s"),
+                section.results.larger_in(conditions, "offset_m_s"),
             );
-            show.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
+            section.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
         }
-        show.table_of("Velocity offset along a constant pull, mean over all directions.", show.rows(&groups));
-        show.table_in_file("all", "Velocity offset along the pull by direction.");
-        show.polar(
+        section
+            .table_with_rows("Velocity offset along a constant pull, mean over all directions.", section.rows(&groups));
+        section.table_in_file("all", "Velocity offset along the pull by direction.");
+        section.polar(
             "",
             "Velocity offset along a pull, by direction",
             ("offset_m_s", "velocity offset along the pull [m/s]"),

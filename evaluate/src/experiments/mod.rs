@@ -1,7 +1,7 @@
 //! The experiments E0 to E14, one file each: what is varied, what is measured, what is shown.
 
 mod ball_pit;
-mod calibration;
+mod commanded_compliance;
 mod decay;
 mod directions;
 mod free_box;
@@ -27,7 +27,7 @@ use crate::plot::polar::evenly;
 use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 
 pub use ball_pit::BallPit;
-pub use calibration::Calibration;
+pub use commanded_compliance::CommandedCompliance;
 pub use decay::Decay;
 pub use directions::Directions;
 pub use free_box::FreeBox;
@@ -49,10 +49,10 @@ mod prelude {
     pub use serde::{Deserialize, Serialize};
 
     pub(super) use super::{by_gait_and_direction, check_directions, gait, truth};
-    pub use crate::show::{Group, Show};
+    pub use crate::section_builder::{Group, SectionBuilder};
     pub use crate::statistics::Expected;
     pub use crate::trial::Trial;
-    pub use crate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+    pub use crate::{Condition, Experiment, FELL, Info, Quantity, TrialValues};
     pub use supple::config::ConfigError;
     pub use supple::scenario::catalog::{ParameterError, Scenario, Task, defaults, in_range};
     pub use supple::scenario::metrics;
@@ -76,7 +76,7 @@ pub struct Protocol {
     pub pendulum: Pendulum,
     pub rubble: Rubble,
     pub outdoor: Outdoor,
-    pub calibration: Calibration,
+    pub calibration: CommandedCompliance,
     pub pull: Pull,
     pub wall: Wall,
     pub lead: Lead,
@@ -141,10 +141,10 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::Measured;
-    use crate::findings::Row;
+    use crate::TrialValues;
     use crate::plot::png::Renderer;
     use crate::results::Results;
+    use crate::section_content::Row;
     use crate::trial::{Sample, Trial, TrialEnd};
     use supple::config::Config;
     use supple::scenario::Script;
@@ -186,24 +186,24 @@ mod tests {
             for (value, sets) in [(None, 2), (Some(0.5), 2), (Some(0.5), 5)] {
                 let values = vec![value; experiment.info().quantities.len()];
                 let sample = Sample { end: TrialEnd::Upright, values, series: Vec::new(), estimation: None };
-                let findings = experiment.findings(&results(experiment, &sample, sets));
+                let content = experiment.content(&results(experiment, &sample, sets));
                 let name = experiment.info().name;
-                assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{name}");
+                assert!(!content.claims.is_empty() && !content.tables.is_empty(), "{name}");
                 // A report takes away by name what is not of its policies.
-                let figures = findings.figures.iter().map(|figure| &figure.name);
-                let tables = findings.tables.iter().map(|table| &table.name);
-                let lines = findings.lines.iter().map(|lines| &lines.name);
+                let figures = content.figures.iter().map(|figure| &figure.name);
+                let tables = content.tables.iter().map(|table| &table.name);
+                let lines = content.lines.iter().map(|lines| &lines.name);
                 assert!(figures.chain(tables).chain(lines).all(|file| file.starts_with(name)));
                 // `summary.json` has every number, for it has every table.
                 let conditions = experiment.conditions().unwrap();
                 let quantities = experiment.info().quantities;
                 for (condition, quantity) in conditions.iter().flat_map(|c| quantities.iter().map(move |q| (c, q))) {
                     let has = |row: &Row| row.condition == condition.label && row.quantity.name == quantity.name;
-                    let tables = &findings.tables;
+                    let tables = &content.tables;
                     assert!(tables.iter().flat_map(|table| &table.rows).any(has), "{name}: {}", quantity.name);
                     assert!(tables.iter().flat_map(|table| &table.rows).all(|row| row.comparison.sets.len() == sets));
                 }
-                for figure in &findings.figures {
+                for figure in &content.figures {
                     assert!(!figure.svg.contains("NaN") && !figure.svg.contains("inf"), "{}", figure.name);
                     // Rendering is slow.
                     if sets == 2 {
@@ -221,7 +221,7 @@ mod tests {
         (scenario, script)
     }
 
-    fn measured(experiment: &dyn Experiment, trace: &Trace) -> Measured {
+    fn measured(experiment: &dyn Experiment, trace: &Trace) -> TrialValues {
         let (scenario, script) = script(experiment);
         experiment.measure(&Trial::new(&scenario, &script, trace))
     }

@@ -51,7 +51,7 @@ impl Experiment for Outdoor {
         Ok(self.steepest.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         vec![
             truth(trial.is_upright()),
             trial.velocity_error(),
@@ -61,16 +61,16 @@ impl Experiment for Outdoor {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Over hills of varied friction, by their steepest slope.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Over hills of varied friction, by their steepest slope.");
+        section.dots(
             "",
             "Success, velocity error and power on hills",
             &["success", "velocity_error_m_s", "power_w"],
             "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single seeds as \
              hollow marks. Velocity error and power are of trials without a fall.",
         );
-        let (all, text) = (show.all(), "On hills of varied friction, compliant policies fall less often");
-        show.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);
+        let (all, text) = (section.all(), "On hills of varied friction, compliant policies fall less often");
+        section.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);
     }
 }

@@ -65,8 +65,8 @@ impl Experiment for Pendulum {
         Ok(commands.flat_map(|command| self.heights_m.iter().map(|height| condition(*command, *height))).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        let Scenario::Pendulum(pendulum) = trial.scenario else { return Measured::default() };
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let Scenario::Pendulum(pendulum) = trial.scenario else { return TrialValues::default() };
         let impact = pendulum.impact(trial.trace);
         // Fallen or not, the ball has hit as hard as it has; decay times know of falls themselves.
         let is_valid = trial.end != TrialEnd::Fault;
@@ -78,12 +78,12 @@ impl Experiment for Pendulum {
         values.extend(QUANTITIES[3..6].iter().map(of_blow));
         values.extend([truth(impact.is_some()), undecayed, trial.end.fell()]);
         let series = impact.map(|impact| velocity::around(trial.trace, impact.time_s));
-        Measured { values, series: series.unwrap_or_default() }
+        TrialValues { values, series: series.unwrap_or_default() }
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Hit by a ball of 3 kg on a string of 1 m, by command and release height.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Hit by a ball of 3 kg on a string of 1 m, by command and release height.");
+        section.dots(
             "",
             "What a swinging ball does, by release height",
             &["decay_20_s", "carried_m", "peak_contact_force_n"],
@@ -91,21 +91,23 @@ impl Experiment for Pendulum {
              force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have no decay \
              time and no distance.",
         );
-        let last = show.results.conditions.len() - 1;
+        let last = section.results.conditions.len() - 1;
         let caption = format!(
             "Sideways velocity around the blow of the ball ({}): mean and min–max band over the runs of one policy, each \
              until it falls.",
-            show.results.conditions[last].label
+            section.results.conditions[last].label
         );
         let words = ["Sideways velocity after the blow of a ball, one policy of each set", "time since the blow [s]"];
-        velocity::figure(show, ["velocity", "pendulum-velocities"], words, last, |curve, _| curve, caption);
+        velocity::figure(section, ["velocity", "pendulum-velocities"], words, last, |curve, _| curve, caption);
         let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        for (Group { name, conditions }, command) in Group::all(names, show.results).iter().zip(&self.commands_m_s) {
-            show.notes(push::undecayed(show.results, conditions).map(|note| format!("{name}: {note}")));
+        for (Group { name, conditions }, command) in
+            Group::from_names(names, section.results).iter().zip(&self.commands_m_s)
+        {
+            section.notes(push::undecayed(section.results, conditions).map(|note| format!("{name}: {note}")));
             for (quantity, words) in push::lasting(*command) {
                 let text =
                     format!("Hit by a swinging ball while {name}, compliant policies {words}; mean over heights");
-                show.claim(&text, "more gradual", quantity, Expected::Higher, conditions);
+                section.claim(&text, "more gradual", quantity, Expected::Higher, conditions);
             }
         }
     }

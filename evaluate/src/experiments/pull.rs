@@ -54,19 +54,19 @@ impl Experiment for Pull {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         vec![truth(trial.is_upright())].into()
     }
 
-    fn show(&self, show: &mut Show) {
+    fn report(&self, section: &mut SectionBuilder) {
         let names = self.forces_n.iter().map(|force| format!("{force} N"));
-        let forces = Group::all(names, show.results);
+        let forces = Group::from_names(names, section.results);
         let text =
             format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
-        show.claim(&text, "", SURVIVED.name, Expected::Higher, &show.all());
-        show.table_of("Sustained pulls survived, by force: mean over all directions.", show.rows(&forces));
-        show.table_in_file("all", "Sustained pulls survived, by force and direction.");
-        show.dots_of(
+        section.claim(&text, "", SURVIVED.name, Expected::Higher, &section.all());
+        section.table_with_rows("Sustained pulls survived, by force: mean over all directions.", section.rows(&forces));
+        section.table_in_file("all", "Sustained pulls survived, by force and direction.");
+        section.grouped_dots(
             "",
             "Sustained pulls survived, by force",
             &forces,
@@ -77,17 +77,18 @@ impl Experiment for Pull {
         let directions = self.directions as usize;
         let spread = |set: usize, direction: usize| {
             let conditions: Vec<usize> = forces.iter().map(|force| force.conditions[direction]).collect();
-            Spread::of(&show.results.per_seed_over(set, &conditions, SURVIVED.name))
+            Spread::from_values(&section.results.per_seed_over(set, &conditions, SURVIVED.name))
                 .map(|spread| spread.times(SURVIVED.scale()))
         };
         let panel = Polar {
             title: String::new(),
-            sets: show.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
+            sets: section.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
         };
         let title = "Sustained pulls survived, by direction";
-        let svg = polar::draw(title, &[panel], &show.results.names, "survived [%], mean over all forces", Scales::Own);
+        let svg =
+            polar::draw(title, &[panel], &section.results.names, "survived [%], mean over all forces", Scales::Own);
         let caption = "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to, over all forces: mean \
                        and ± standard deviation over seeds.";
-        show.figure("directions", caption, svg);
+        section.figure("directions", caption, svg);
     }
 }

@@ -61,15 +61,15 @@ impl Experiment for Pulley {
         Ok(commands.flat_map(|command| self.directions_deg.iter().map(|d| condition(*command, *d))).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         trial.upright_metrics(QUANTITIES)
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table(
             "Pulled by 1 kg over a pulley, by command and direction (0° ahead, 90° left, 180° back, 270° right).",
         );
-        show.dots(
+        section.dots(
             "",
             "Displacement, velocity and falls under a pull",
             &["displacement_m", "offset_m_s", "fell"],
@@ -78,11 +78,11 @@ impl Experiment for Pulley {
              seeds as hollow marks; trials with a fall count as falls only.",
         );
         let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        for Group { name, conditions } in Group::all(names, show.results) {
+        for Group { name, conditions } in Group::from_names(names, section.results) {
             let text = format!("Pulled by a weight while {name}, compliant policies go with it (mean over directions)");
-            show.claim(&text, "goes with it", "displacement_m", Expected::Higher, &conditions);
+            section.claim(&text, "goes with it", "displacement_m", Expected::Higher, &conditions);
         }
-        let (all, text) = (show.all(), "Pulled by a weight, compliant policies topple less often");
-        show.claim(text, "less prone", "fell", Expected::Lower, &all);
+        let (all, text) = (section.all(), "Pulled by a weight, compliant policies topple less often");
+        section.claim(text, "less prone", "fell", Expected::Lower, &all);
     }
 }

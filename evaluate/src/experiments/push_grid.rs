@@ -1,10 +1,10 @@
 //! E1: how large a push the robot withstands, over a grid of pushes (Fig. 2).
 
 use super::prelude::*;
-use crate::findings::{Claim, Row};
-use crate::grid::{self, Grid};
 use crate::plot::heatmap::{self, Map};
 use crate::results::Results;
+use crate::section_content::{Claim, Row};
+use crate::square_grid::{self, SquareGrid};
 use crate::statistics::{Comparison, Numbers, PerSeed, Spread, estimate, mean};
 use crate::trial::TrialEnd;
 use supple::scenario::Script;
@@ -36,7 +36,7 @@ pub(super) const INFO: Info = Info {
 pub struct PushGrid {
     /// Largest push along either axis \[m/s\].
     pub limit_m_s: f64,
-    /// Grid points along either axis.
+    /// SquareGrid points along either axis.
     pub points_per_side: usize,
     /// Trials of each grid point.
     pub trials: u32,
@@ -49,12 +49,12 @@ pub struct PushGrid {
 }
 
 impl PushGrid {
-    fn grid(&self, values: Vec<f64>) -> Grid {
-        Grid { coordinates: grid::coordinates(self.limit_m_s, self.points_per_side), values }
+    fn grid(&self, values: Vec<f64>) -> SquareGrid {
+        SquareGrid { coordinates: square_grid::coordinates(self.limit_m_s, self.points_per_side), values }
     }
 
     /// Success rate over some seeds of a set, by grid point.
-    fn success(&self, results: &Results, set: usize, seeds: &[u64]) -> Grid {
+    fn success(&self, results: &Results, set: usize, seeds: &[u64]) -> SquareGrid {
         let of_point = |point: usize| {
             let of_seed = |seed: &u64| {
                 let trials = results.sets[set].get(seed)?.get(point)?;
@@ -66,12 +66,12 @@ impl PushGrid {
     }
 
     /// The same over all seeds of a set.
-    fn map(&self, results: &Results, set: usize) -> Grid {
+    fn map(&self, results: &Results, set: usize) -> SquareGrid {
         self.success(results, set, &results.sets[set].keys().copied().collect::<Vec<u64>>())
     }
 
     /// A number of the success map: of all seeds together, with the interval of the difference over pairs of seeds.
-    fn compare(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
+    fn compare(&self, results: &Results, number: impl Fn(&SquareGrid) -> f64) -> Comparison {
         let pooled = |set: usize| {
             let seeds = results.sets[set].len();
             let mean = number(&self.map(results, set));
@@ -101,7 +101,7 @@ impl PushGrid {
     }
 
     /// The same number for each seed alone.
-    fn compare_by_seed(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
+    fn compare_by_seed(&self, results: &Results, number: impl Fn(&SquareGrid) -> f64) -> Comparison {
         let by_seed = |set: usize| {
             let seeds = results.sets[set].keys();
             let of_seed = seeds.map(|seed| (*seed, number(&self.success(results, set, &[*seed]))));
@@ -122,7 +122,7 @@ impl Experiment for PushGrid {
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushAway = defaults("push")?;
-        let coordinates = grid::coordinates(self.limit_m_s, self.points_per_side);
+        let coordinates = square_grid::coordinates(self.limit_m_s, self.points_per_side);
         let condition = |forward: f64, left: f64| Condition {
             label: format!("{forward:+.3}, {left:+.3} m/s").replace('-', "−"),
             scenario: Scenario::Push(PushAway {
@@ -149,15 +149,15 @@ impl Experiment for PushGrid {
         script.pushes.first().map_or(script.duration_s, |push| push.time_s + self.watch_s)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= self.until_s(trial.script));
         vec![truth(!fell && trial.end != TrialEnd::Fault)].into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let results = show.results;
-        let fraction = |grid: &Grid| grid.fraction_at_least(self.level);
-        let overall = |grid: &Grid| mean(grid.values.iter().copied()).unwrap_or(0.0);
+    fn report(&self, section: &mut SectionBuilder) {
+        let results = section.results;
+        let fraction = |grid: &SquareGrid| grid.fraction_at_least(self.level);
+        let overall = |grid: &SquareGrid| mean(grid.values.iter().copied()).unwrap_or(0.0);
         let pooled = self.compare(results, fraction);
         let row = |quantity, paper: &str, comparison| Row {
             condition: String::new(),
@@ -172,10 +172,10 @@ impl Experiment for PushGrid {
         ];
         let level = 100.0 * self.level;
         let title = format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %.");
-        show.table_of(&title, rows);
-        show.table_in_file("points", "Success rate at every grid point (forward, left).");
+        section.table_with_rows(&title, rows);
+        section.table_in_file("points", "Success rate at every grid point (forward, left).");
 
-        let maps = show.by_set(|set| self.map(results, set));
+        let maps = section.by_set(|set| self.map(results, set));
         let titled = maps
             .iter()
             .zip(&results.names)
@@ -191,9 +191,9 @@ impl Experiment for PushGrid {
              seeds and trials. The line is the {level:.0} % contour; above each map, the fraction of grid points at or \
              above {level:.0} %."
         );
-        show.figure("", caption, svg);
+        section.figure("", caption, svg);
         let text =
             format!("The {level:.0} % contour of push recovery encloses more of the grid for compliant policies");
-        show.findings.claims.push(Claim::direction(&text, "78 / 73 %", FRACTION, Expected::Higher, pooled));
+        section.content.claims.push(Claim::new(&text, "78 / 73 %", FRACTION, Expected::Higher, pooled));
     }
 }

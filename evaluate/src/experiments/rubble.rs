@@ -54,8 +54,8 @@ impl Experiment for Rubble {
         Ok(self.heights_m.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        let Scenario::Rubble(rubble) = trial.scenario else { return Measured::default() };
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let Scenario::Rubble(rubble) = trial.scenario else { return TrialValues::default() };
         let crossed = trial.metric("crossed");
         let crossing = metrics::crossing(trial.trace, rubble.distance_m, rubble.far_edge_m());
         let crossing = crossing.filter(|_| crossed == Some(1.0));
@@ -70,17 +70,17 @@ impl Experiment for Rubble {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Over wooden blocks and soft mats, by the largest height of the blocks.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Over wooden blocks and soft mats, by the largest height of the blocks.");
+        section.dots(
             "",
             "Success and velocity error among blocks and mats",
             &["success", "crossed", "velocity_error_m_s"],
             "Over wooden blocks and soft mats, by the largest height of the blocks: mean ± standard deviation over seeds, \
              single seeds as hollow marks. The velocity error is of trials that got across.",
         );
-        let (all, text) = (show.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
-        show.claim(text, "superior", "success", Expected::Higher, &all);
-        show.claim("… and get across more often", "superior", "crossed", Expected::Higher, &all);
+        let (all, text) = (section.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
+        section.claim(text, "superior", "success", Expected::Higher, &all);
+        section.claim("… and get across more often", "superior", "crossed", Expected::Higher, &all);
     }
 }

@@ -71,7 +71,7 @@ impl Experiment for Table4 {
         in_range("window_s", self.window_s, 0.1, until_push_s, "0.1 s to the time before the push")
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let Some(push) = trial.script.pushes.first() else { return vec![None; QUANTITIES.len()].into() };
         let trace = trial.trace;
         // A trace ends with a fall.
@@ -90,14 +90,14 @@ impl Experiment for Table4 {
         [&power[..], &torque, &sum, &[trial.end.fell()]].concat().into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let table = show.table("Power and torque around a sideways push.");
+    fn report(&self, section: &mut SectionBuilder) {
+        let table = section.table("Power and torque around a sideways push.");
         for (quantity, paper) in PAPER {
-            table.state(quantity, paper);
+            table.set_paper(quantity, paper);
         }
         let panel = |label, unit, rows: [&str; 2]| Dots {
             quantity: Quantity::new("", label, unit, 1),
-            rows: rows.map(|name| show.per_seed(0, name)).into(),
+            rows: rows.map(|name| section.per_seed(0, name)).into(),
         };
         let panels = [
             panel("mechanical power", "W", ["power_before_w", "power_after_w"]),
@@ -105,10 +105,10 @@ impl Experiment for Table4 {
         ];
         let labels = ["before", "after"].map(|when| format!("{} s {when}", self.window_s));
         let title = "Power and torque before and after a push";
-        let svg = dots::draw(title, &panels, &labels, &show.results.names);
+        let svg = dots::draw(title, &panels, &labels, &section.results.names);
         let caption = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s: mean ± standard \
                        deviation over seeds, single seeds as hollow marks.";
-        show.figure("", caption, svg);
+        section.figure("", caption, svg);
         for (text, paper, quantity) in [
             ("After a push, compliant policies use less power", "140.9 / 166.9 W (−15 %)", "power_after_w"),
             ("After a push, compliant policies use less torque", "25.8 / 27.4 N·m (−6 %)", "torque_sum_after_n_m"),
@@ -121,7 +121,7 @@ impl Experiment for Table4 {
             ("A push adds less power to the walk", "62.4 / 86.8 W (−28 %)", "power_increase_w"),
             ("… and less torque", "0.3 / 0.5 N·m (−40 %)", "torque_sum_increase_n_m"),
         ] {
-            show.claim(text, paper, quantity, Expected::Lower, &[0]);
+            section.claim(text, paper, quantity, Expected::Lower, &[0]);
         }
     }
 }

@@ -59,7 +59,7 @@ impl Experiment for Terrain {
         Ok(heights.flat_map(|height| frequencies.iter().map(|frequency| condition(*height, *frequency))).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         vec![
             truth(trial.is_upright()),
             trial.velocity_error(),
@@ -69,23 +69,23 @@ impl Experiment for Terrain {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Walking over Perlin terrain, by height (peak to peak) and frequency.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Walking over Perlin terrain, by height (peak to peak) and frequency.");
+        section.dots(
             "",
             "Success, velocity error and peak foot force by terrain",
             &["success", "velocity_error_m_s", "peak_foot_force_n"],
             "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds as \
              hollow marks. Numbers but success are of trials without a fall.",
         );
-        let (all, first) = (show.all(), show.first_label());
+        let (all, first) = (section.all(), section.first_label());
         for (text, over) in [
             (format!("On terrain of {first}, compliant policies fall less often"), &[0][..]),
             ("Over all terrains, compliant policies fall less often".to_owned(), &all),
         ] {
-            show.claim(&text, "less often", "success", Expected::Higher, over);
+            section.claim(&text, "less often", "success", Expected::Higher, over);
         }
         let text = "The largest force on a foot is lower";
-        show.claim(text, "lower", "peak_foot_force_n", Expected::Lower, &all);
+        section.claim(text, "lower", "peak_foot_force_n", Expected::Lower, &all);
     }
 }

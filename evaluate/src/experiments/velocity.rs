@@ -1,10 +1,10 @@
 //! Sideways velocity around a push, run by run: what the figures of E2 and E10 draw.
 
-use crate::findings::{Line, Lines};
 use crate::plot::axes::range;
 use crate::plot::curves::{self, Curve};
 use crate::results::Results;
-use crate::show::Show;
+use crate::section_builder::SectionBuilder;
+use crate::section_content::{Line, Lines};
 use supple::scenario::trace::Trace;
 
 /// The time shown before and after the push \[s\].
@@ -31,19 +31,19 @@ pub(super) fn around(trace: &Trace, push_s: f64) -> Vec<Vec<f32>> {
 /// A figure of a condition with a curve for each set, and a file with the points of all conditions' curves. `marked` adds
 /// to the curve of a set.
 pub(super) fn figure(
-    show: &mut Show,
+    section: &mut SectionBuilder,
     [part, lines]: [&str; 2],
     [title, x_label]: [&str; 2],
     condition: usize,
     marked: impl Fn(Curve, usize) -> Curve,
     caption: String,
 ) {
-    let curves = show.by_set(|set| marked(curve(show.results, set, condition), set));
-    show.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
-    show.lines([self::lines(lines, show.results)]);
+    let curves = section.by_set(|set| marked(curve(section.results, set, condition), set));
+    section.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
+    section.lines([self::lines(lines, section.results)]);
 }
 
-/// Mean and extremes over the runs of a condition with the policy that figures show.
+/// Mean and extremes over the runs of a condition with the policy that figures section.
 fn curve(results: &Results, set: usize, condition: usize) -> Curve {
     let seed = results.shown_seed(set);
     let runs = seed.and_then(|seed| results.sets[set].get(&seed)?.get(condition));

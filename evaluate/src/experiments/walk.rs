@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use super::prelude::*;
-use crate::findings::{Claim, difference, spread};
 use crate::results::Results;
+use crate::section_content::{Claim, difference, spread};
 use crate::statistics::Verdict;
 use supple::scenario::catalog::Walk as Undisturbed;
 
@@ -132,7 +132,7 @@ impl Experiment for Walk {
         Ok(self.commands.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         if !trial.is_upright() {
             let undefined = QUANTITIES[1..].iter().map(|_| None);
             return std::iter::once(trial.end.fell()).chain(undefined).collect::<Vec<_>>().into();
@@ -148,25 +148,25 @@ impl Experiment for Walk {
         values.into()
     }
 
-    fn show(&self, show: &mut Show) {
+    fn report(&self, section: &mut SectionBuilder) {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
-        let (results, first) = (show.results, show.first_label());
+        let (results, first) = (section.results, section.first_label());
         let of_first = Group { name: first.to_owned(), conditions: vec![0] };
         let title = format!("Walking undisturbed at the command of the other experiments ({first}).");
-        show.table_of(&title, show.rows(&[of_first]));
-        show.table_in_file("commands", caption);
+        section.table_with_rows(&title, section.rows(&[of_first]));
+        section.table_in_file("commands", caption);
         let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
         let text = format!("Walking undisturbed ({first}), both keep the velocity error below {bound} m/s in the mean");
         let (comparison, quantity) = (results.compare(0, quantity), results.quantity(quantity));
-        let verdict = Verdict::below(bound, &comparison);
-        show.findings.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });
-        show.dots(
+        let verdict = Verdict::from_bound(bound, &comparison);
+        section.content.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });
+        section.dots(
             "",
             "Velocity error and power by command",
             &["velocity_error_m_s", "power_w"],
             "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
              the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
-        show.notes(std::iter::once(over_all(results)).chain(self.warnings(results)));
+        section.notes(std::iter::once(over_all(results)).chain(self.warnings(results)));
     }
 }

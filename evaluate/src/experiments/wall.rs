@@ -50,20 +50,20 @@ impl Experiment for Wall {
         Ok(self.commands_m_s.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         trial.upright_metrics(QUANTITIES)
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Walking into a wall of 700 N/m and 4 N·s/m, by command.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Walking into a wall of 700 N/m and 4 N·s/m, by command.");
+        section.dots(
             "",
             "Force, impulse and depth at a wall that gives",
             &["peak_force_n", "blow_n_s", "depth_m"],
             "Walking into a wall of 700 N/m and 4 N·s/m: largest force, impulse in the first second, largest depth. Mean ± \
              standard deviation over seeds, single seeds as hollow marks; trials with a fall have none.",
         );
-        let all = show.all();
+        let all = section.all();
         for (quantity, words) in [
             ("peak_force_n", "press less hard at the most"),
             ("blow_n_s", "press less in the first second"),
@@ -71,7 +71,7 @@ impl Experiment for Wall {
             ("fell", "fall less often"),
         ] {
             let text = format!("Walking into a wall that gives, compliant policies {words}");
-            show.claim(&text, "", quantity, Expected::Lower, &all);
+            section.claim(&text, "", quantity, Expected::Lower, &all);
         }
     }
 }

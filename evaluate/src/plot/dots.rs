@@ -38,7 +38,7 @@ pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String]) -
     }
     for (index, dots) in panels.iter().enumerate() {
         let scale = dots.quantity.scale();
-        let reach = |values: &PerSeed| Spread::of(values).map(|spread| spread.mean + spread.sd.unwrap_or(0.0));
+        let reach = |values: &PerSeed| Spread::from_values(values).map(|spread| spread.mean + spread.sd.unwrap_or(0.0));
         let rows = || dots.rows.iter().flatten();
         let values = rows().flat_map(|values| values.values().copied()).chain(rows().filter_map(reach));
         let values = values.map(|value| scale * value);
@@ -73,7 +73,7 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
                     draw_mark(svg, at(*value), set, 2.2, false);
                 }
             }
-            let Some(spread) = Spread::of(values) else {
+            let Some(spread) = Spread::from_values(values) else {
                 svg.text([left + 5.0, y + 4.0], "no value", Text::new(SMALL, Anchor::Start).coloured(GREY));
                 continue;
             };

@@ -3,7 +3,7 @@
 use super::axes::Panel;
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{GREY, INK, SMALL, WIDTH};
-use crate::grid::Grid;
+use crate::square_grid::SquareGrid;
 
 /// Viridis at equal steps: of equal lightness differences, also without colour.
 const COLOURS: [[f64; 3]; 9] = [
@@ -24,7 +24,7 @@ pub struct Map<'a> {
     /// Above it.
     pub title: String,
     /// Fractions, 0 to 1.
-    pub grid: &'a Grid,
+    pub grid: &'a SquareGrid,
 }
 
 /// Height of a row of maps \[px\].
@@ -48,14 +48,14 @@ pub fn draw(title: &str, maps: &[Map], level: f64, labels: [&str; 3]) -> String 
 }
 
 /// Cells are centred on their grid points, so that the panel reaches half a cell beyond the grid.
-fn panel(corner: [f64; 2], side: f64, grid: &Grid) -> Panel {
+fn panel(corner: [f64; 2], side: f64, grid: &SquareGrid) -> Panel {
     let last = grid.coordinates.len() - 1;
     let half = 0.5 * (grid.coordinates[1] - grid.coordinates[0]);
     let range = [grid.coordinates[0] - half, grid.coordinates[last] + half];
     Panel { corner, size: [side, side], x: range, y: range }
 }
 
-fn draw_map(svg: &mut Svg, panel: &Panel, grid: &Grid, level: f64) {
+fn draw_map(svg: &mut Svg, panel: &Panel, grid: &SquareGrid, level: f64) {
     let half = 0.5 * (grid.coordinates[1] - grid.coordinates[0]);
     let side = grid.coordinates.len();
     for (index, value) in grid.values.iter().enumerate() {

@@ -38,8 +38,8 @@ pub fn draw(title: &str, panels: &[Polar], names: &[String], axis: &str, scales:
     let mut svg = Svg::new(WIDTH, 410.0);
     for (index, panel) in panels.iter().enumerate() {
         let scale = match scales {
-            Scales::Shared => Scale::of(panels),
-            Scales::Own => Scale::of(std::slice::from_ref(panel)),
+            Scales::Shared => Scale::new(panels),
+            Scales::Own => Scale::new(std::slice::from_ref(panel)),
         };
         let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64 - 6.0, 188.0];
         draw_rings(&mut svg, centre, scale, axis);
@@ -61,7 +61,7 @@ struct Scale {
 }
 
 impl Scale {
-    fn of(panels: &[Polar]) -> Self {
+    fn new(panels: &[Polar]) -> Self {
         let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
         // A band reaches below zero only where means do: a time that varies much is not negative for that.
         let is_signed = spreads.clone().any(|spread| spread.mean < 0.0);

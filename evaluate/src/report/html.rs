@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 
 use super::markdown::{cells, claim_cells, claim_columns, columns};
-use super::{Report, Section, beside, duration};
-use crate::findings::{Claim, Table};
+use super::{Report, Section, duration, other_reports};
 use crate::plot::svg::escaped;
+use crate::section_content::{Claim, Table};
 use crate::statistics::Verdict;
 
 const STYLE: &str = include_str!("style.css");
@@ -54,7 +54,7 @@ pub fn page(report: &Report) -> String {
     let words = WORDS.iter().map(|(word, meaning)| format!("<dt>{word}</dt><dd>{}</dd>", escaped(meaning)));
     let _ = writeln!(body, "<details><summary>Definitions</summary><dl>{}</dl></details>", words.collect::<String>());
     body.push_str(&claims(report));
-    if !report.beside.is_empty() {
+    if !report.other_reports.is_empty() {
         body.push_str(&beside_table(report));
     }
     body.push_str(&policies(report));
@@ -66,7 +66,7 @@ pub fn page(report: &Report) -> String {
     }
     if !report.missing.is_empty() {
         let lines = report.missing.iter().map(|info| {
-            let command = escaped(&report.command.of(Some(info.name)));
+            let command = escaped(&report.command.line(Some(info.name)));
             format!("<li>{} {} ({}): <code>{command}</code></li>", info.id, info.title, info.paper)
         });
         let _ = write!(body, "<h2>Not run</h2>\n<ul>{}</ul>\n", lines.collect::<String>());
@@ -98,7 +98,7 @@ fn introduction(report: &Report) -> String {
          seeds.</p>\n\
          {notes}<dl><dt>Command</dt><dd><code>{}</code></dd><dt>Protocol</dt><dd>{}</dd>\
          <dt>Time for all trials</dt><dd>{}</dd><dt>Measured by revision</dt><dd>{}</dd></dl>\n",
-        escaped(&report.command.of(None)),
+        escaped(&report.command.line(None)),
         escaped(&report.protocol),
         duration(report.wall_s()),
         escaped(&report.revisions().join(", ")),
@@ -108,7 +108,7 @@ fn introduction(report: &Report) -> String {
 fn claims(report: &Report) -> String {
     let mut rows = String::new();
     for section in &report.sections {
-        for (index, claim) in section.findings.claims.iter().enumerate() {
+        for (index, claim) in section.content.claims.iter().enumerate() {
             let id = if index == 0 { section.info.id } else { "" };
             let _ = writeln!(rows, "<tr><td><a href=\"#{}\">{id}</a></td>{}</tr>", section.info.name, claim_row(claim));
         }
@@ -136,7 +136,7 @@ fn claim_row(claim: &Claim) -> String {
 }
 
 fn beside_table(report: &Report) -> String {
-    let (columns, rows) = beside::table(report);
+    let (columns, rows) = other_reports::table(report);
     let head: String = columns.iter().map(|column| format!("<th>{}</th>", escaped(column))).collect();
     let row = |cells: Vec<String>| {
         let cells = cells.iter().map(|cell| format!("<td>{}</td>", escaped(cell)));
@@ -144,8 +144,8 @@ fn beside_table(report: &Report) -> String {
     };
     format!(
         "<h2 id=\"beside\">{}</h2>\n<p>{}</p>\n<table><tr>{head}</tr>\n{}</table>\n",
-        beside::TITLE,
-        beside::CAPTION,
+        other_reports::TITLE,
+        other_reports::CAPTION,
         rows.into_iter().map(row).collect::<String>()
     )
 }
@@ -183,8 +183,8 @@ fn experiment(section: &Section, report: &Report) -> String {
         escaped(info.paper),
         escaped(info.method)
     );
-    text.push_str(&notes(&section.findings.notes));
-    for figure in &section.findings.figures {
+    text.push_str(&notes(&section.content.notes));
+    for figure in &section.content.figures {
         let _ = write!(
             text,
             "<figure id=\"figure-{}\">\n{}<figcaption>{}</figcaption>\n</figure>\n",
@@ -193,7 +193,7 @@ fn experiment(section: &Section, report: &Report) -> String {
             escaped(&figure.caption)
         );
     }
-    for table in section.findings.tables.iter().filter(|table| table.in_page) {
+    for table in section.content.tables.iter().filter(|table| table.in_page) {
         text.push_str(&numbers(table, &report.names));
     }
     text.push_str(&provenance(section, report));
@@ -269,6 +269,6 @@ fn provenance(section: &Section, report: &Report) -> String {
         report.policies.len(),
         falls.join("; "),
         duration(section.wall_s),
-        escaped(&report.command.of(Some(section.info.name))),
+        escaped(&report.command.line(Some(section.info.name))),
     )
 }

@@ -1,7 +1,7 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::{Report, beside, duration};
-use crate::findings::{Claim, Row, Table, difference, percent, spread};
+use super::{Report, duration, other_reports};
+use crate::section_content::{Claim, Row, Table, difference, percent, spread};
 
 /// Cells of a row: condition, quantity, the paper's numbers, ours of each set, difference, relative change.
 pub fn cells(row: &Row) -> Vec<String> {
@@ -61,7 +61,7 @@ pub fn table(table: &Table, names: &[String]) -> String {
 /// The claims of all experiments.
 pub fn claims(report: &Report) -> String {
     let rows = report.sections.iter().flat_map(|section| {
-        section.findings.claims.iter().map(|claim| {
+        section.content.claims.iter().map(|claim| {
             let mut cells = claim_cells(claim);
             cells.insert(0, format!("{} {}", section.info.id, section.info.paper));
             cells
@@ -73,8 +73,8 @@ pub fn claims(report: &Report) -> String {
 }
 
 /// The claims here and in other reports.
-pub fn beside_table(report: &Report) -> String {
-    let (columns, rows) = beside::table(report);
+pub fn other_reports_table(report: &Report) -> String {
+    let (columns, rows) = other_reports::table(report);
     grid(&columns, rows.into_iter())
 }
 
@@ -85,7 +85,7 @@ pub fn document(report: &Report) -> String {
          Made by `{}`; not edited by hand. [experiments.md](../docs/experiments.md) defines every number. A cell is the mean ± \
          standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
          intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
-        report.command.of(None),
+        report.command.line(None),
         report.names.join(" and "),
         report.protocol,
         report.revisions().join(", "),
@@ -93,7 +93,7 @@ pub fn document(report: &Report) -> String {
         claims(report)
     );
     let of_section = |section: &super::Section| {
-        section.findings.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
+        section.content.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
     };
     let mut notes: String = report.sections.iter().map(of_section).collect();
     notes.extend(report.notes.iter().map(|note| format!("- {note}\n")));
@@ -104,8 +104,13 @@ pub fn document(report: &Report) -> String {
     if !notes.is_empty() {
         text.push_str(&format!("\n{notes}"));
     }
-    if !report.beside.is_empty() {
-        text.push_str(&format!("\n## {}\n\n{}\n\n{}", beside::TITLE, beside::CAPTION, beside_table(report)));
+    if !report.other_reports.is_empty() {
+        text.push_str(&format!(
+            "\n## {}\n\n{}\n\n{}",
+            other_reports::TITLE,
+            other_reports::CAPTION,
+            other_reports_table(report)
+        ));
     }
     for figure in report.figures_of_document() {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));

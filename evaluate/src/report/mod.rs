@@ -4,23 +4,23 @@
 numbers to six digits. Durations and the command stand in the page only.
 */
 
-pub mod beside;
+mod csv_tables;
 mod html;
 mod markdown;
+pub mod other_reports;
 mod summary;
-mod tables;
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use self::beside::Beside;
-use super::findings::{Figure, Findings, Table};
+use self::other_reports::OtherReport;
 use super::plot::png::Renderer;
-use super::policy_sets::Contest;
-use super::results::Ends;
+use super::policy_sets::PolicySets;
+use super::results::EndCounts;
 use super::runner::Measurement;
-use super::sensing::SensingFindings;
+use super::section_content::{Figure, SectionContent, Table};
+use super::sensing::SensingComparison;
 use super::{Experiment, Info};
 use supple::policy::Provenance;
 use supple::util::files;
@@ -74,7 +74,7 @@ pub struct Command {
 
 impl Command {
     /// Returns the command line for one experiment, or for the whole report.
-    pub fn of(&self, experiment: Option<&str>) -> String {
+    pub fn line(&self, experiment: Option<&str>) -> String {
         let program = std::iter::once("cargo run --release --bin evaluate --");
         let experiments = self.experiments.iter().map(String::as_str).filter(|_| experiment.is_none());
         let words = program.chain(experiments).chain(experiment).chain(self.options.iter().map(String::as_str));
@@ -94,9 +94,9 @@ pub struct Section {
     /// Trials of each condition with each policy.
     pub trials: u32,
     /// How the trials of each set ended.
-    pub ends: Vec<Ends>,
+    pub ends: Vec<EndCounts>,
     /// The claims, tables and figures.
-    pub findings: Findings,
+    pub content: SectionContent,
     /// Time that its trials took \[s\].
     pub wall_s: f64,
     /// Revisions of the programs that measured.
@@ -107,23 +107,23 @@ impl Section {
     /// Creates the section of an experiment from its measurement.
     pub fn new(experiment: &dyn Experiment, measurement: &Measurement) -> Self {
         let results = &measurement.results;
-        let mut findings = experiment.findings(results);
-        let ends: Vec<Ends> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
+        let mut content = experiment.content(results);
+        let ends: Vec<EndCounts> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
         for (name, ends) in results.names.iter().zip(&ends) {
             if ends.trials > 0 && ends.falls == ends.trials {
-                findings
+                content
                     .notes
                     .push(format!("{name} fell in every trial: quantities that a fall leaves undefined are –."));
             }
             if ends.out_of_reach > 0 {
-                findings.notes.push(format!(
+                content.notes.push(format!(
                     "{} of {} trials of {name} were not played: not all of its policies can yield as far as they ask for.",
                     ends.out_of_reach,
                     ends.out_of_reach + ends.trials
                 ));
             }
             if ends.faults > 0 {
-                findings.notes.push(format!(
+                content.notes.push(format!(
                     "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no other \
                      numbers.",
                     ends.faults, ends.trials
@@ -137,7 +137,7 @@ impl Section {
             conditions: results.conditions.len(),
             trials: experiment.trials(),
             ends,
-            findings,
+            content,
             wall_s: measurement.wall_s,
             revisions: measurement.revisions.clone(),
         }
@@ -162,13 +162,13 @@ pub struct Report {
     /// Experiments that are not finished.
     pub missing: Vec<Info>,
     /// E12: the experiments that were also run with estimated sensing.
-    pub sensing: SensingFindings,
+    pub sensing: SensingComparison,
     /// Other reports whose numbers are shown beside these.
-    pub beside: Vec<Beside>,
+    pub other_reports: Vec<OtherReport>,
 }
 
 /// Reads a fact from the provenance of a policy file of Supple.
-fn origin<T>(member: &super::policy_sets::Contestant, of: impl Fn(&Provenance) -> T) -> Option<T> {
+fn origin<T>(member: &super::policy_sets::SetMember, of: impl Fn(&Provenance) -> T) -> Option<T> {
     member.agent.policy().map(|policy| of(&policy.provenance))
 }
 
@@ -181,8 +181,8 @@ impl PolicyLine {
 
 impl Report {
     /// A report without experiments yet.
-    pub fn new(contest: &Contest, protocol: String, command: Command) -> Self {
-        let line = |set: &str, member: &super::policy_sets::Contestant| PolicyLine {
+    pub fn new(policies: &PolicySets, protocol: String, command: Command) -> Self {
+        let line = |set: &str, member: &super::policy_sets::SetMember| PolicyLine {
             set: set.to_owned(),
             seed: member.seed,
             sha256: member.agent.sha256.clone(),
@@ -190,26 +190,26 @@ impl Report {
             samples: origin(member, |origin| origin.samples),
             revision: origin(member, |origin| origin.git_revision.clone()).unwrap_or_else(|| "–".into()),
         };
-        let of_side = |side: &super::policy_sets::Side| {
-            side.members.iter().map(|member| line(&side.name, member)).collect::<Vec<_>>()
+        let of_set = |set: &super::policy_sets::PolicySet| {
+            set.members.iter().map(|member| line(&set.name, member)).collect::<Vec<_>>()
         };
         Report {
-            names: contest.names(),
-            policies: contest.sides.iter().flat_map(of_side).collect(),
+            names: policies.names(),
+            policies: policies.sets.iter().flat_map(of_set).collect(),
             protocol,
             command,
-            notes: contest.notes.clone(),
+            notes: policies.notes.clone(),
             sections: Vec::new(),
             missing: Vec::new(),
-            sensing: SensingFindings::new(contest),
-            beside: Vec::new(),
+            sensing: SensingComparison::new(policies),
+            other_reports: Vec::new(),
         }
     }
 
     /// Adds a finished experiment. What undisturbed walking tells of the policies is to be known of all the others, too.
     pub fn add(&mut self, mut section: Section) {
         if section.info.number == 0 {
-            self.notes.append(&mut section.findings.notes);
+            self.notes.append(&mut section.content.notes);
         }
         self.sections.push(section);
     }
@@ -246,15 +246,15 @@ impl Report {
         }
         let renderer = Renderer::default();
         for section in &self.sections {
-            for figure in &section.findings.figures {
+            for figure in &section.content.figures {
                 write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
                 write_png(&renderer, figure, &figures)?;
             }
-            for table in &section.findings.tables {
+            for table in &section.content.tables {
                 write_table(&tables, table, &self.names)?;
             }
-            for lines in &section.findings.lines {
-                write(&tables.join(format!("{}.csv", lines.name)), tables::points_csv(lines).as_bytes())?;
+            for lines in &section.content.lines {
+                write(&tables.join(format!("{}.csv", lines.name)), csv_tables::points_csv(lines).as_bytes())?;
             }
         }
         if !self.sensing.experiments.is_empty() {
@@ -262,10 +262,10 @@ impl Report {
                 write_table(&tables, table, &names)?;
             }
         }
-        write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
+        write(&tables.join("claims.csv"), csv_tables::claims_csv(self).as_bytes())?;
         write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
-        if !self.beside.is_empty() {
-            write(&tables.join("beside.md"), markdown::beside_table(self).as_bytes())?;
+        if !self.other_reports.is_empty() {
+            write(&tables.join("beside.md"), markdown::other_reports_table(self).as_bytes())?;
         }
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
         write(&out.join("report.html"), html::page(self).as_bytes())
@@ -287,7 +287,7 @@ impl Report {
 
     /// What the document of claims shows: how a push decays, which pushes are recovered from.
     fn figures_of_document(&self) -> impl Iterator<Item = &Figure> {
-        let all = || self.sections.iter().flat_map(|section| &section.findings.figures);
+        let all = || self.sections.iter().flat_map(|section| &section.content.figures);
         ["decay", "push-grid"].into_iter().filter_map(move |name| all().find(|figure| figure.name == name))
     }
 }
@@ -299,7 +299,7 @@ fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), 
 }
 
 fn write_table(folder: &Path, table: &Table, names: &[String]) -> Result<(), ReportError> {
-    write(&folder.join(format!("{}.csv", table.name)), tables::csv(table, names).as_bytes())?;
+    write(&folder.join(format!("{}.csv", table.name)), csv_tables::csv(table, names).as_bytes())?;
     write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names).as_bytes())
 }
 

@@ -4,7 +4,7 @@ use serde_json::{Map, Value, json};
 
 use super::{Report, Section};
 use crate::Quantity;
-use crate::findings::Table;
+use crate::section_content::Table;
 use crate::statistics::{Comparison, Numbers};
 
 /// The whole summary.
@@ -52,7 +52,7 @@ fn sensing(report: &Report) -> Value {
 
 /// A table's name and rows.
 fn table(table: &Table, names: &[String]) -> (String, Value) {
-    let row = |row: &crate::findings::Row| {
+    let row = |row: &crate::section_content::Row| {
         json!({
             "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit, "paper": row.paper,
             "ours": comparison(names, &row.comparison, row.quantity),
@@ -64,7 +64,7 @@ fn table(table: &Table, names: &[String]) -> (String, Value) {
 fn experiment(section: &Section, names: &[String]) -> Value {
     let ends: Map<String, Value> = names.iter().cloned().zip(section.ends.iter().map(|ends| json!(ends))).collect();
     let claims: Vec<Value> = section
-        .findings
+        .content
         .claims
         .iter()
         .map(|claim| {
@@ -83,9 +83,9 @@ fn experiment(section: &Section, names: &[String]) -> Value {
         "trials_of_each_condition_and_policy": section.trials,
         "trials": ends,
         "claims": claims,
-        "notes": section.findings.notes,
-        "tables": section.findings.tables.iter().map(|table| self::table(table, names)).collect::<Map<_, _>>(),
-        "lines": section.findings.lines,
+        "notes": section.content.notes,
+        "tables": section.content.tables.iter().map(|table| self::table(table, names)).collect::<Map<_, _>>(),
+        "lines": section.content.lines,
     })
 }
 

@@ -11,12 +11,12 @@ use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
 use supple::util::terminal;
-use supple_evaluate::policy_sets::Contest;
+use supple_evaluate::measurement_store::MeasurementStore;
+use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
-use supple_evaluate::report::beside::Beside;
+use supple_evaluate::report::other_reports::OtherReport;
 use supple_evaluate::report::{Command, Report, Section};
 use supple_evaluate::runner::{self, Settings};
-use supple_evaluate::store::Store;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
@@ -26,20 +26,21 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
-    let mut contest = contest(args)?;
+    let mut policies = policies(args)?;
     if let Some(joints) = args.joints {
-        contest.set_losses(joints.into());
+        policies.set_losses(joints.into());
     }
-    let beside = args.beside.iter().map(|(name, folder)| Beside::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
+    let other_reports =
+        args.beside.iter().map(|(name, folder)| OtherReport::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
     let command = Command { experiments: args.experiments.clone(), options: args.options() };
-    let mut report = Report { beside, ..Report::new(&contest, name, command) };
+    let mut report = Report { other_reports, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
-    contest.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
+    policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
     // Zero stands for all cores.
     let threads = args.threads.map_or(0, usize::from);
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")?;
-    let settings = Settings { again: args.again, sensing: Sensing::True, store: Store::new(&args.out) };
+    let settings = Settings { again: args.again, sensing: Sensing::True, store: MeasurementStore::new(&args.out) };
     let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
     let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
     // E12 compares with the true state: estimated sensing is run besides.
@@ -48,22 +49,22 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let mut progress = Progress::default();
     for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
         for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
-            progress.expect(runner::work(experiment, &contest, settings)?);
+            progress.expect(runner::remaining_work(experiment, &policies, settings)?);
         }
     }
     for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
         for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
             progress.begin(&experiment.info());
-            runner::measure(experiment, &contest, settings, &|work| progress.advance(work))?;
+            runner::measure(experiment, &policies, settings, &|work| progress.advance(work))?;
             progress.end(&experiment.info(), settings.sensing);
         }
     }
     progress.finish();
 
     // What other processes have measured meanwhile belongs to the report, too; the last of them finds everything.
-    let _claim = settings.store.claim_report()?;
+    let _claim = settings.store.lock_report()?;
     for experiment in protocol.experiments() {
-        let finished = |sensing| runner::finished(experiment, &contest, &settings.store, sensing);
+        let finished = |sensing| runner::finished(experiment, &policies, &settings.store, sensing);
         let (truth, estimated) = (finished(Sensing::True)?, finished(Sensing::Estimated)?);
         if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
             report.sensing.add(experiment, truth, estimated);
@@ -90,7 +91,7 @@ fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
     })
 }
 
-fn contest(args: &Args) -> anyhow::Result<Contest> {
+fn policies(args: &Args) -> anyhow::Result<PolicySets> {
     let names: [String; 2] = args
         .names
         .clone()
@@ -105,11 +106,11 @@ fn contest(args: &Args) -> anyhow::Result<Contest> {
     Ok(match (&args.a, &args.b) {
         (Some(a), Some(b)) => {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
-            Contest::of_paths(&[&pair[..], &args.also].concat())?
+            PolicySets::from_paths(&[&pair[..], &args.also].concat())?
         }
         _ => match args.folder() {
-            Some(folder) => Contest::in_folder(&folder, &names, &args.also)?,
-            None => Contest::shipped(&names, &args.also)?,
+            Some(folder) => PolicySets::from_folder(&folder, &names, &args.also)?,
+            None => PolicySets::from_shipped(&names, &args.also)?,
         },
     })
 }

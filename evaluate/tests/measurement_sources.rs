@@ -1,12 +1,12 @@
 //! What a kept measurement of `evaluate` depends on: code that decides its numbers, and nothing else.
 
-#[path = "../measured.rs"]
-mod measured;
+#[path = "../measurement_sources.rs"]
+mod measurement_sources;
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use measured::{files_in, hash_of, measured_files};
+use measurement_sources::{files_in, hash_of, measured_files};
 
 #[test]
 fn measurement_depends_on_imports_only() {

@@ -3,7 +3,7 @@
 
 /// Values on a square grid with the same coordinates along both axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Grid {
+pub struct SquareGrid {
     /// Coordinates along either axis, ascending.
     pub coordinates: Vec<f64>,
     /// Shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).
@@ -18,7 +18,7 @@ pub fn coordinates(limit: f64, points: usize) -> Vec<f64> {
     (0..points).map(|k| limit * (2.0 * k as f64 / (points - 1) as f64 - 1.0)).collect()
 }
 
-impl Grid {
+impl SquareGrid {
     fn side(&self) -> usize {
         self.coordinates.len()
     }
@@ -75,10 +75,10 @@ impl Grid {
 mod tests {
     use super::*;
 
-    fn surface(points: usize, of: impl Fn(f64, f64) -> f64) -> Grid {
+    fn surface(points: usize, of: impl Fn(f64, f64) -> f64) -> SquareGrid {
         let coordinates = coordinates(1.5, points);
         let values = coordinates.iter().flat_map(|x| coordinates.iter().map(|y| of(*x, *y))).collect();
-        Grid { coordinates, values }
+        SquareGrid { coordinates, values }
     }
 
     #[test]
@@ -88,7 +88,7 @@ mod tests {
         assert_eq!(grid.fraction_at_least(0.8), 49.0 / 169.0);
         assert_eq!(grid.fraction_at_least(0.0), 1.0);
         // Eight of ten trials are 80 %, whatever the rounding.
-        let tenths = Grid { coordinates: vec![0.0, 1.0], values: vec![0.1 * 8.0, 0.7 + 0.1, 0.8 - 1e-12, 0.79] };
+        let tenths = SquareGrid { coordinates: vec![0.0, 1.0], values: vec![0.1 * 8.0, 0.7 + 0.1, 0.8 - 1e-12, 0.79] };
         assert_eq!(tenths.fraction_at_least(0.8), 0.75);
     }
 
@@ -104,7 +104,7 @@ mod tests {
 
     #[test]
     fn a_saddle_keeps_its_high_corners_apart_if_its_middle_is_low() {
-        let grid = Grid { coordinates: vec![0.0, 1.0], values: vec![1.0, 0.0, 0.0, 1.0] };
+        let grid = SquareGrid { coordinates: vec![0.0, 1.0], values: vec![1.0, 0.0, 0.0, 1.0] };
         for level in [0.4, 0.6] {
             let segments = grid.contour(level);
             assert_eq!(segments.len(), 2);

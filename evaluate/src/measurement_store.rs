@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::policy_sets::Contestant;
+use super::policy_sets::SetMember;
 use super::results::PolicyResult;
 use super::{Condition, Experiment};
 use supple::estimate::{EstimatorConfig, SensorNoise, contact};
@@ -28,7 +28,7 @@ const MAX_BYTES: u64 = 1 << 30;
 
 /// A finished measurement.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Stored {
+pub struct StoredMeasurement {
     /// Full hash of what decides the content.
     pub key: String,
     /// Name of the experiment.
@@ -49,14 +49,14 @@ pub struct Stored {
 
 /// The folder of finished measurements.
 #[derive(Debug, Clone)]
-pub struct Store {
+pub struct MeasurementStore {
     folder: PathBuf,
 }
 
-impl Store {
+impl MeasurementStore {
     /// Results below `out`.
     pub fn new(out: &Path) -> Self {
-        Store { folder: out.join("results") }
+        MeasurementStore { folder: out.join("results") }
     }
 
     /// Where a measurement is or will be.
@@ -65,9 +65,9 @@ impl Store {
     }
 
     /// A finished measurement, if it is there and whole.
-    pub fn read(&self, experiment: &dyn Experiment, key: &str) -> Option<Stored> {
+    pub fn read(&self, experiment: &dyn Experiment, key: &str) -> Option<StoredMeasurement> {
         let bytes = files::read_bounded(&self.path(experiment, key), MAX_BYTES).ok()?;
-        let stored: Stored = serde_json::from_slice(&bytes).ok()?;
+        let stored: StoredMeasurement = serde_json::from_slice(&bytes).ok()?;
         (stored.key == key && stored.checksum == checksum(&stored.samples)).then_some(stored)
     }
 
@@ -75,16 +75,16 @@ impl Store {
     ///
     /// # Errors
     /// The system's.
-    pub fn claim(&self, experiment: &dyn Experiment) -> io::Result<File> {
-        claim(&self.folder.join(experiment.info().name))
+    pub fn lock_experiment(&self, experiment: &dyn Experiment) -> io::Result<File> {
+        lock(&self.folder.join(experiment.info().name))
     }
 
     /// Waits until no other process writes a report about what is here: none does while the file is open.
     ///
     /// # Errors
     /// The system's.
-    pub fn claim_report(&self) -> io::Result<File> {
-        claim(&self.folder)
+    pub fn lock_report(&self) -> io::Result<File> {
+        lock(&self.folder)
     }
 
     /// Keeps a finished measurement.
@@ -95,15 +95,15 @@ impl Store {
         &self,
         experiment: &dyn Experiment,
         key: &str,
-        contestant: &Contestant,
+        member: &SetMember,
         wall_s: f64,
         samples: PolicyResult,
     ) -> io::Result<()> {
-        let stored = Stored {
+        let stored = StoredMeasurement {
             key: key.to_owned(),
             experiment: experiment.info().name.to_owned(),
-            sha256: contestant.agent.sha256.clone(),
-            seed: contestant.seed,
+            sha256: member.agent.sha256.clone(),
+            seed: member.seed,
             revision: git_revision().to_owned(),
             wall_s,
             checksum: checksum(&samples),
@@ -117,7 +117,7 @@ impl Store {
     }
 }
 
-fn claim(folder: &Path) -> io::Result<File> {
+fn lock(folder: &Path) -> io::Result<File> {
     fs::create_dir_all(folder)?;
     let file = File::options().create(true).append(true).open(folder.join(".lock"))?;
     // Where the file system knows no locks, two may measure the same: that costs time and does no harm.
@@ -132,8 +132,8 @@ fn checksum(samples: &PolicyResult) -> String {
 }
 
 /// Hash of everything that decides what an experiment measures with a policy.
-pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &Contestant, sensing: Sensing) -> String {
-    let robot = &contestant.agent.config.robot;
+pub fn key(experiment: &dyn Experiment, conditions: &[Condition], member: &SetMember, sensing: Sensing) -> String {
+    let robot = &member.agent.config.robot;
     let mut parts = serde_json::json!({
         "program": env!("SUPPLE_MEASUREMENT_SOURCES"),
         // One that cannot be read fails in its first trial, with the reason.
@@ -143,14 +143,14 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], contestant: &C
         "parameters": experiment,
         "trials": experiment.trials(),
         "conditions": conditions,
-        "policy": contestant.agent.sha256,
-        "seed": contestant.seed,
+        "policy": member.agent.sha256,
+        "seed": member.seed,
     });
     // A calibration does not affect trials without commanded compliance.
-    if contestant.agent.commanded_compliance > 0.0
+    if member.agent.commanded_compliance > 0.0
         || conditions.iter().any(|condition| condition.scenario.task().compliance > 0.0)
     {
-        parts["compliance"] = serde_json::json!([contestant.agent.commanded_compliance, contestant.agent.calibration]);
+        parts["compliance"] = serde_json::json!([member.agent.commanded_compliance, member.agent.calibration]);
     }
     if sensing == Sensing::Estimated {
         parts["sensing"] = serde_json::json!({

@@ -7,7 +7,7 @@ use super::statistics::{Comparison, Expected, IntervalEstimate, Numbers, Spread,
 
 /// Everything that an experiment shows.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Findings {
+pub struct SectionContent {
     /// The claims of the paper, each with a verdict.
     pub claims: Vec<Claim>,
     /// Numbers.
@@ -37,8 +37,8 @@ pub struct Claim {
 
 impl Claim {
     /// That the first set lies above or below the second.
-    pub fn direction(text: &str, paper: &str, quantity: Quantity, expected: Expected, comparison: Comparison) -> Self {
-        let verdict = Verdict::of(&comparison, expected);
+    pub fn new(text: &str, paper: &str, quantity: Quantity, expected: Expected, comparison: Comparison) -> Self {
+        let verdict = Verdict::new(&comparison, expected);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
 }
@@ -71,7 +71,7 @@ pub struct Table {
 
 impl Table {
     /// States the paper's numbers in the rows of a quantity.
-    pub fn state(&mut self, quantity: &str, paper: &str) {
+    pub fn set_paper(&mut self, quantity: &str, paper: &str) {
         let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);
         rows.for_each(|row| row.paper = paper.to_owned());
     }

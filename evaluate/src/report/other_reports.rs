@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use super::{Report, summary};
 use crate::Quantity;
-use crate::findings::{NOTHING, difference, number, percent};
+use crate::section_content::{NOTHING, difference, number, percent};
 use crate::statistics::{Comparison, IntervalEstimate, Numbers, PerSeed, Spread};
 use supple::util::files;
 
@@ -25,7 +25,7 @@ const MAX_BYTES: u64 = 1 << 28;
 
 /// Why another report cannot be shown.
 #[derive(Debug, thiserror::Error)]
-pub enum BesideError {
+pub enum OtherReportError {
     /// There is no summary.
     #[error("cannot read {}: {source}; expected the folder of a finished report", path.display())]
     Read {
@@ -46,55 +46,55 @@ pub enum BesideError {
 
 /// Another report, by what it says of the claims.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Beside {
+pub struct OtherReport {
     /// The name of that report in this one.
     pub name: String,
     /// By name.
-    experiments: BTreeMap<String, Measured>,
+    experiments: BTreeMap<String, MeasuredClaims>,
 }
 
 /// An experiment there.
 #[derive(Debug, Clone, PartialEq)]
-struct Measured {
+struct MeasuredClaims {
     parameters: Value,
     /// Quantity and numbers of each claim, as the summary has them: in the quantity's unit.
     claims: Vec<(String, Comparison)>,
 }
 
 #[derive(Deserialize)]
-struct Summary {
+struct SummaryRecord {
     sets: Vec<String>,
-    experiments: Vec<Experiment>,
+    experiments: Vec<ExperimentRecord>,
 }
 
 #[derive(Deserialize)]
-struct Experiment {
+struct ExperimentRecord {
     name: String,
     parameters: Value,
-    claims: Vec<Claim>,
+    claims: Vec<ClaimRecord>,
 }
 
 #[derive(Deserialize)]
-struct Claim {
+struct ClaimRecord {
     quantity: String,
-    ours: Ours,
+    ours: NumbersRecord,
 }
 
 #[derive(Deserialize)]
-struct Ours {
-    sets: BTreeMap<String, Set>,
+struct NumbersRecord {
+    sets: BTreeMap<String, SetRecord>,
     difference: Option<IntervalEstimate>,
     relative: Option<IntervalEstimate>,
 }
 
 #[derive(Deserialize)]
-struct Set {
+struct SetRecord {
     mean: Option<f64>,
     sd: Option<f64>,
     by_seed: PerSeed,
 }
 
-impl Set {
+impl SetRecord {
     fn numbers(self) -> Numbers {
         let seeds = self.by_seed.len();
         let spread = self.mean.map(|mean| Spread { mean, sd: self.sd, seeds });
@@ -102,26 +102,27 @@ impl Set {
     }
 }
 
-impl Beside {
+impl OtherReport {
     /// Reads the summary in the folder of a report.
     ///
     /// # Errors
-    /// [`BesideError`]
-    pub fn read(name: &str, folder: &Path) -> Result<Self, BesideError> {
+    /// [`OtherReportError`]
+    pub fn read(name: &str, folder: &Path) -> Result<Self, OtherReportError> {
         let path = folder.join("summary.json");
-        let bytes =
-            files::read_bounded(&path, MAX_BYTES).map_err(|source| BesideError::Read { path: path.clone(), source })?;
-        let content = |problem: String| BesideError::Content { path: path.clone(), problem };
-        let summary: Summary = serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))?;
+        let bytes = files::read_bounded(&path, MAX_BYTES)
+            .map_err(|source| OtherReportError::Read { path: path.clone(), source })?;
+        let content = |problem: String| OtherReportError::Content { path: path.clone(), problem };
+        let summary: SummaryRecord = serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))?;
         let [first, second, ..] = &summary.sets[..] else { return Err(content("it has no two sets".to_owned())) };
-        let numbers = |Claim { quantity, ours: Ours { mut sets, difference, relative } }: Claim| {
-            let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
-            (quantity, Comparison { sets: pair, difference, relative, trials: None })
+        let numbers =
+            |ClaimRecord { quantity, ours: NumbersRecord { mut sets, difference, relative } }: ClaimRecord| {
+                let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
+                (quantity, Comparison { sets: pair, difference, relative, trials: None })
+            };
+        let measured = |ExperimentRecord { name, parameters, claims }: ExperimentRecord| {
+            (name, MeasuredClaims { parameters, claims: claims.into_iter().map(numbers).collect() })
         };
-        let measured = |Experiment { name, parameters, claims }: Experiment| {
-            (name, Measured { parameters, claims: claims.into_iter().map(numbers).collect() })
-        };
-        Ok(Beside { name: name.to_owned(), experiments: summary.experiments.into_iter().map(measured).collect() })
+        Ok(OtherReport { name: name.to_owned(), experiments: summary.experiments.into_iter().map(measured).collect() })
     }
 
     /// A claim of an experiment, if it was measured alike there.
@@ -136,15 +137,16 @@ impl Beside {
 pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
     let columns = ["experiment", "claim, with what was found here", "here"]
         .into_iter()
-        .chain(report.beside.iter().map(|it| &*it.name));
+        .chain(report.other_reports.iter().map(|other| &*other.name));
     let of_section = |section: &super::Section| {
         let (info, parameters) = (section.info, summary::rounded(section.parameters.clone()));
-        let row = move |(index, claim): (usize, &crate::findings::Claim)| {
-            let there = report.beside.iter().map(|beside| beside.cell(info.name, &parameters, index, claim.quantity));
+        let row = move |(index, claim): (usize, &crate::section_content::Claim)| {
+            let there =
+                report.other_reports.iter().map(|other| other.cell(info.name, &parameters, index, claim.quantity));
             let here = [info.id.to_owned(), claim.text.clone(), cell(&claim.comparison, claim.quantity)];
             here.into_iter().chain(there).collect()
         };
-        section.findings.claims.iter().enumerate().map(row).collect::<Vec<_>>()
+        section.content.claims.iter().enumerate().map(row).collect::<Vec<_>>()
     };
     (columns.map(ToOwned::to_owned).collect(), report.sections.iter().flat_map(of_section).collect())
 }
@@ -202,14 +204,14 @@ mod tests {
              "difference": {"value": 0.2, "interval": null, "pairs": 1},
              "relative": {"value": 0.5, "interval": [0.4, 0.6], "pairs": 1}}}]}]}"#;
         std::fs::write(folder.path().join("summary.json"), summary).unwrap();
-        let beside = Beside::read("go2", folder.path()).unwrap();
-        let cell = |trials: u32, index, quantity| beside.cell("decay", &json!({ "trials": trials }), index, quantity);
+        let other = OtherReport::read("go2", folder.path()).unwrap();
+        let cell = |trials: u32, index, quantity| other.cell("decay", &json!({ "trials": trials }), index, quantity);
         assert_eq!(cell(20, 0, TIME), "0.60 / 0.40 s: +50 [+40, +60] %");
         assert_eq!(cell(20, 1, TIME), NOTHING);
         assert_eq!(cell(20, 0, Quantity { name: "decay_20_s", ..TIME }), NOTHING);
         assert_eq!(cell(5, 0, TIME), NOTHING, "another protocol");
-        assert!(matches!(Beside::read("x", &folder.path().join("none")), Err(BesideError::Read { .. })));
+        assert!(matches!(OtherReport::read("x", &folder.path().join("none")), Err(OtherReportError::Read { .. })));
         std::fs::write(folder.path().join("summary.json"), "{}").unwrap();
-        assert!(matches!(Beside::read("x", folder.path()), Err(BesideError::Content { .. })));
+        assert!(matches!(OtherReport::read("x", folder.path()), Err(OtherReportError::Content { .. })));
     }
 }

@@ -1,10 +1,10 @@
 //! How an experiment puts together what it shows: claims, tables and figures of its results, under its name.
 
 use super::Quantity;
-use super::findings::{Claim, Figure, Findings, Lines, Row, Table};
 use super::plot::dots::{self, Dots};
 use super::plot::polar::{self, Polar, Scales};
 use super::results::Results;
+use super::section_content::{Claim, Figure, Lines, Row, SectionContent, Table};
 use super::statistics::{Expected, PerSeed, Spread};
 
 /// Conditions that belong together, such as all directions at one command.
@@ -18,7 +18,7 @@ pub struct Group {
 
 impl Group {
     /// Conditions in the order of their groups, which are all of one size.
-    pub fn all(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<Group> {
+    pub fn from_names(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<Group> {
         let size = results.conditions.len() / names.len().max(1);
         names.enumerate().map(|(k, name)| Group { name, conditions: (k * size..(k + 1) * size).collect() }).collect()
     }
@@ -26,18 +26,18 @@ impl Group {
 
 /// The findings of an experiment, being put together.
 #[derive(Debug)]
-pub struct Show<'a> {
+pub struct SectionBuilder<'a> {
     name: &'static str,
     /// The results of the experiment.
     pub results: &'a Results,
     /// The findings added so far.
-    pub findings: Findings,
+    pub content: SectionContent,
 }
 
-impl<'a> Show<'a> {
+impl<'a> SectionBuilder<'a> {
     /// Nothing yet.
     pub fn new(name: &'static str, results: &'a Results) -> Self {
-        Show { name, results, findings: Findings::default() }
+        SectionBuilder { name, results, content: SectionContent::default() }
     }
 
     /// The experiment's name, or `NAME-part`.
@@ -63,8 +63,8 @@ impl<'a> Show<'a> {
     /// Claims that the first set lies above or below the second in a quantity, in the mean over some conditions.
     pub fn claim(&mut self, text: &str, paper: &str, quantity: &str, expected: Expected, over: &[usize]) {
         let comparison = self.results.compare_over(over, quantity);
-        let claim = Claim::direction(text, paper, self.results.quantity(quantity), expected, comparison);
-        self.findings.claims.push(claim);
+        let claim = Claim::new(text, paper, self.results.quantity(quantity), expected, comparison);
+        self.content.claims.push(claim);
     }
 
     /// A table of all quantities in all conditions.
@@ -78,19 +78,19 @@ impl<'a> Show<'a> {
     }
 
     /// A table of these rows.
-    pub fn table_of(&mut self, caption: &str, rows: Vec<Row>) {
+    pub fn table_with_rows(&mut self, caption: &str, rows: Vec<Row>) {
         self.add_table("", caption, rows, true);
     }
 
     fn add_table(&mut self, part: &str, caption: &str, rows: Vec<Row>, in_page: bool) -> &mut Table {
-        let (name, index) = (self.named(part), self.findings.tables.len());
-        self.findings.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
-        &mut self.findings.tables[index]
+        let (name, index) = (self.named(part), self.content.tables.len());
+        self.content.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
+        &mut self.content.tables[index]
     }
 
     /// All quantities in every condition by itself.
     fn all_rows(&self) -> Vec<Row> {
-        self.rows(&Group::all(self.labels().into_iter(), self.results))
+        self.rows(&Group::from_names(self.labels().into_iter(), self.results))
     }
 
     /// All quantities, of each the mean over each group.
@@ -107,17 +107,17 @@ impl<'a> Show<'a> {
 
     /// A figure.
     pub fn figure(&mut self, part: &str, caption: impl Into<String>, svg: String) {
-        self.findings.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
+        self.content.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
     }
 
     /// A figure of quantities by condition, a panel each.
     pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], caption: &str) {
-        let conditions = Group::all(self.labels().into_iter(), self.results);
-        self.dots_of(part, title, &conditions, quantities, caption);
+        let conditions = Group::from_names(self.labels().into_iter(), self.results);
+        self.grouped_dots(part, title, &conditions, quantities, caption);
     }
 
     /// A figure of quantities by group of conditions, a panel each.
-    pub fn dots_of(&mut self, part: &str, title: &str, groups: &[Group], quantities: &[&str], caption: &str) {
+    pub fn grouped_dots(&mut self, part: &str, title: &str, groups: &[Group], quantities: &[&str], caption: &str) {
         let panel = |name: &&str| {
             let row = |group: &Group| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
             Dots { quantity: self.results.quantity(name), rows: groups.iter().map(row).collect() }
@@ -138,7 +138,7 @@ impl<'a> Show<'a> {
         scales: Scales,
         caption: impl Into<String>,
     ) {
-        let spread = |set, condition: &usize| Spread::of(&self.results.per_seed(set, *condition, quantity));
+        let spread = |set, condition: &usize| Spread::from_values(&self.results.per_seed(set, *condition, quantity));
         let panel = |group: &Group| Polar {
             title: group.name.clone(),
             sets: self.by_set(|set| group.conditions.iter().map(|condition| spread(set, condition)).collect()),
@@ -150,12 +150,12 @@ impl<'a> Show<'a> {
 
     /// The points of a figure's lines, in a file.
     pub fn lines(&mut self, lines: impl IntoIterator<Item = Lines>) {
-        self.findings.lines.extend(lines);
+        self.content.lines.extend(lines);
     }
 
     /// Adds notes for the reader.
     pub fn notes(&mut self, notes: impl IntoIterator<Item = String>) {
-        self.findings.notes.extend(notes);
+        self.content.notes.extend(notes);
     }
 
     /// Something of each set.

@@ -2,10 +2,10 @@
 
 use super::prelude::*;
 use super::push;
-use crate::findings::{Claim, Row, Table};
 use crate::plot::curves::{self, Curve};
 use crate::plot::polar::evenly;
 use crate::results::Results;
+use crate::section_content::{Claim, Row, Table};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
 use supple::scenario::catalog::{Leash, PushAway};
 
@@ -48,7 +48,7 @@ pub(super) const INFO: Info = Info {
 /// The parameters of the experiment in the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Calibration {
+pub struct CommandedCompliance {
     /// Commanded compliances [m/s/N].
     pub compliances: Vec<f64>,
     /// Forward commands \[m/s\]; 0 is standing.
@@ -86,7 +86,7 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 3]> {
     (xx > 0.0 && yy > 0.0).then(|| [xy / xx, y - xy / xx * x, xy * xy / (xx * yy)])
 }
 
-impl Calibration {
+impl CommandedCompliance {
     /// The pulls at one command, in the order of the conditions.
     fn pulls(&self, command: usize) -> std::ops::Range<usize> {
         let count = self.compliances.len() * self.forces_n.len() * self.directions as usize;
@@ -120,7 +120,7 @@ impl Calibration {
                 let (compliance, force) = commanded(&results.conditions[*condition]);
                 compliance == *c && force.is_some_and(|force| c * force <= LARGEST_ERROR_M_S + 1e-9)
             });
-            let spread = |condition| Spread::of(&results.per_seed(set, condition, MEASURED.name));
+            let spread = |condition| Spread::from_values(&results.per_seed(set, condition, MEASURED.name));
             let means: Vec<f64> = at.filter_map(spread).map(|spread| spread.mean).collect();
             let least = means.iter().copied().reduce(f64::min)?;
             let largest = means.iter().copied().reduce(f64::max)?;
@@ -130,7 +130,7 @@ impl Calibration {
     }
 }
 
-impl Experiment for Calibration {
+impl Experiment for CommandedCompliance {
     fn info(&self) -> Info {
         INFO
     }
@@ -182,7 +182,7 @@ impl Experiment for Calibration {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let mut values = vec![None, None, None, trial.end.fell()];
         if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
@@ -196,14 +196,14 @@ impl Experiment for Calibration {
         values.into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let results = show.results;
+    fn report(&self, section: &mut SectionBuilder) {
+        let results = section.results;
         let (mut rows, mut panels) = (Vec::new(), Vec::new());
         for (command, speed) in self.commands_m_s.iter().enumerate() {
-            let lines = show.by_set(|set| self.lines(results, set, command));
+            let lines = section.by_set(|set| self.lines(results, set, command));
             for (k, quantity) in LINE.iter().enumerate() {
                 let numbers = |set: usize| results.numbers(set, lines[set][k].clone());
-                let comparison = Comparison::new(show.by_set(numbers));
+                let comparison = Comparison::new(section.by_set(numbers));
                 let (condition, paper) = (gait(*speed).to_owned(), String::new());
                 rows.push(Row { condition, quantity: *quantity, paper, comparison: comparison.clone() });
                 if quantity.name != SLOPE_ERROR {
@@ -214,9 +214,9 @@ impl Experiment for Calibration {
                      compliance",
                     gait(*speed)
                 );
-                let verdict = Verdict::below(SLOPE_BOUND, &comparison);
+                let verdict = Verdict::from_bound(SLOPE_BOUND, &comparison);
                 let (paper, quantity) = (format!("none; ours: < {SLOPE_BOUND}"), *quantity);
-                show.findings.claims.push(Claim { text, paper, quantity, comparison, verdict });
+                section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
             }
             for (set, name) in results.names.iter().enumerate() {
                 panels.push(Curve {
@@ -230,19 +230,19 @@ impl Experiment for Calibration {
         }
         let name = format!("{}-lines", INFO.name);
         let caption = "Lines through the measured compliance over the commanded one.".to_owned();
-        show.findings.tables.push(Table { name, caption, rows, in_page: true });
+        section.content.tables.push(Table { name, caption, rows, in_page: true });
         let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
         let pushes: Vec<Group> = pushed
             .iter()
             .map(|index| Group { name: results.conditions[*index].label.clone(), conditions: vec![*index] })
             .collect();
-        let rows = pushes.iter().flat_map(|group| [push::TO_10, push::CARRIED].map(|it| show.row(group, it)));
+        let rows = pushes.iter().flat_map(|group| [push::TO_10, push::CARRIED].map(|it| section.row(group, it)));
         let rows: Vec<Row> = rows.collect();
-        show.table_of("A sideways push of 0.5 m/s, by commanded compliance.", rows);
-        show.table_in_file("all", "Compliance by command, commanded compliance, force and direction.");
+        section.table_with_rows("A sideways push of 0.5 m/s, by commanded compliance.", rows);
+        section.table_in_file("all", "Compliance by command, commanded compliance, force and direction.");
         let words = ["commanded compliance [m/s/N]", "measured [m/s/N]"];
         let svg = curves::draw("Measured over commanded compliance", &panels, words[0], words[1]);
-        show.figure(
+        section.figure(
             "",
             "Measured over commanded compliance: mean over policies, directions and forces, and the band between the \
              direction and force with the least and that with the largest. Dashed: what is asked for.",
