@@ -156,12 +156,16 @@ pub fn document(report: &Report) -> String {
 /// A Markdown table. Columns that are empty throughout are left out.
 fn grid(columns: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     let rows: Vec<Vec<String>> = rows.collect();
-    let used: Vec<usize> =
-        (0..columns.len()).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
+    let used = used_columns(columns.len(), &rows);
     let line = |cells: &[String]| {
         let cells: Vec<String> = used.iter().map(|column| cells[*column].replace('|', "\\|")).collect();
         format!("| {} |\n", cells.join(" | "))
     };
     let ruler = format!("|{}\n", "---|".repeat(used.len()));
     format!("{}{ruler}{}", line(columns), rows.iter().map(|row| line(row)).collect::<String>())
+}
+
+/// Returns the indices of the columns in which a row has text.
+pub fn used_columns(columns: usize, rows: &[Vec<String>]) -> Vec<usize> {
+    (0..columns).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect()
 }
