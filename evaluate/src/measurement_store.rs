@@ -141,7 +141,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], member: &SetMe
         "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],
         "experiment": [experiment.info().name, experiment.info().number],
         "parameters": experiment,
-        "trials": experiment.trials(),
+        "trials": experiment.info().trials,
         "conditions": conditions,
         "policy": member.agent.sha256,
         "seed": member.seed,

@@ -78,7 +78,7 @@ impl Protocol {
     fn check(&self) -> Result<(), ProtocolError> {
         for experiment in self.experiments() {
             let section = experiment.info().name.replace('-', "_");
-            in_range("trials", f64::from(experiment.trials()), 1.0, 10_000.0, "1 to 10000")
+            in_range("trials", f64::from(experiment.info().trials), 1.0, 10_000.0, "1 to 10000")
                 .and_then(|()| experiment.check())
                 .map_err(|ParameterError { name, found, expected }| ProtocolError::Value {
                     key: format!("{section}.{name}"),
@@ -104,8 +104,9 @@ mod tests {
     #[test]
     fn both_protocols_are_valid_and_the_quick_one_is_smaller() {
         let trials = |protocol: &Protocol| -> usize {
-            let count =
-                |experiment: &&dyn Experiment| experiment.conditions().unwrap().len() * experiment.trials() as usize;
+            let count = |experiment: &&dyn Experiment| {
+                experiment.conditions().unwrap().len() * experiment.info().trials as usize
+            };
             protocol.experiments().iter().map(count).sum()
         };
         assert!(trials(&Protocol::quick().unwrap()) * 5 < trials(&Protocol::full().unwrap()));

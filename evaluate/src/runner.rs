@@ -70,7 +70,7 @@ pub fn remaining_work(
     settings: &Settings,
 ) -> Result<f64, RunError> {
     let conditions = experiment.conditions()?;
-    let of_policy = f64::from(experiment.trials()) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
+    let of_policy = f64::from(experiment.info().trials) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
     let missing = |member: &&SetMember| {
         let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         settings.again || settings.store.read(experiment, &key).is_none()
@@ -157,7 +157,7 @@ fn play_all(
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<PolicyResult, TrialError> {
-    let (number, trials) = (experiment.info().number, experiment.trials() as usize);
+    let (number, trials) = (experiment.info().number, experiment.info().trials as usize);
     let play = |index: usize| {
         let condition = &conditions[index / trials];
         let seed = trial::trial_seed(member.seed, number, index / trials, (index % trials) as u32);

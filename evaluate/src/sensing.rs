@@ -174,7 +174,7 @@ mod tests {
                 contact_f1: None,
             }),
         };
-        let policy = |value| vec![vec![sample(value); experiment.trials() as usize]; conditions.len()];
+        let policy = |value| vec![vec![sample(value); experiment.info().trials as usize]; conditions.len()];
         let set = |set: f64| BTreeMap::from([(0, policy(value + set)), (1, policy(value + set + 1.0))]);
         let results = Results {
             names: policy_sets().names(),

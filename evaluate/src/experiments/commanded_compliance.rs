@@ -9,12 +9,12 @@ use crate::section_content::{Claim, Row, Table};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
 use supple::scenario::catalog::{Leash, PushAway};
 
-/// The measured compliance; the commanded one is in the condition.
+/// The measured compliance; a condition has the commanded one.
 const MEASURED: Quantity = Quantity::new("compliance_m_s_per_n", "compliance", "m/s/N", 4);
 
 const QUANTITIES: &[Quantity] = &[MEASURED, push::TO_10, push::CARRIED, FELL];
 
-/// The line fitted to the measured over the commanded compliance.
+/// The numbers of the line that is fitted to the measured over the commanded compliance.
 const LINE: [Quantity; 4] = [
     Quantity::new("slope", "slope", "", 2),
     Quantity::new("intercept_m_s_per_n", "intercept", "m/s/N", 4),
@@ -22,52 +22,38 @@ const LINE: [Quantity; 4] = [
     Quantity::new(SLOPE_ERROR, "slope, distance from 1", "", 2),
 ];
 
-/// The quantity that the claims compare.
+/// The name of the quantity in the claims: the distance of the slope from 1.
 const SLOPE_ERROR: &str = "slope_error";
 
-/// A slope this far from one is still called calibrated.
+/// The largest distance of the slope from 1 at which a policy yields as commanded.
 const SLOPE_BOUND: f64 = 0.1;
 
-/// Faster than this, a robot is not led: pulls that would do so test the bound, not the calibration [m/s].
+/// The largest velocity that a pull may cause \[m/s\]; stronger pulls would test the robot's speed, not its compliance.
 const LARGEST_ERROR_M_S: f64 = 0.5;
 
-pub(super) const INFO: Info = Info {
-    id: "E13",
-    number: 14,
-    name: "calibration",
-    title: "Compliance as commanded",
-    paper: "not in the paper",
-    method: "The robot is commanded a compliance, standing and walking at 0.5 m/s, and is pulled by constant \
-             horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last seconds of \
-             the pull. Lines are fitted to each policy's means over all directions, over the commanded compliance c and the \
-             forces F, as far as c·F is at most 0.5 m/s: no robot is pulled faster than it can walk. With the same commands, it is also pushed to the \
-             left by 0.5 m/s: an ideal one takes 2.3·m·c until a tenth is left.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CommandedCompliance {
-    /// Commanded compliances [m/s/N].
+    /// The commanded compliances \[m/s/N\].
     pub compliances: Vec<f64>,
-    /// Forward commands \[m/s\]; 0 is standing.
+    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// Directions that divide the circle evenly.
+    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// Pulling forces \[N\].
+    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// Runs of each policy in each condition.
+    /// The number of trials of each policy in each condition.
     pub trials: u32,
-    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// Length of the pull \[s\].
+    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// Length of the average at its end \[s\].
+    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 
-/// Returns the compliance commanded in a condition [m/s/N] and the pull \[N\], if there is one.
+/// Returns the compliance commanded in a condition \[m/s/N\] and the force of its pull \[N\], if it has one.
 fn commanded(condition: &Condition) -> (f64, Option<f64>) {
     let force = match &condition.scenario {
         Scenario::Leash(leash) => Some(leash.force_n),
@@ -76,7 +62,7 @@ fn commanded(condition: &Condition) -> (f64, Option<f64>) {
     (condition.scenario.task().compliance, force)
 }
 
-/// (slope, intercept, R²) of the least-squares line.
+/// Returns (slope, intercept, R²) of the least-squares line through points (x, y).
 fn line(points: &[[f64; 2]]) -> Option<[f64; 3]> {
     let of = |axis: usize| mean(points.iter().map(|point| point[axis]));
     let [x, y] = [of(0)?, of(1)?];
@@ -87,13 +73,13 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 3]> {
 }
 
 impl CommandedCompliance {
-    /// The pulls at one command, in the order of the conditions.
+    /// Returns the indices of the conditions with a pull at one forward command.
     fn pulls(&self, command: usize) -> std::ops::Range<usize> {
         let count = self.compliances.len() * self.forces_n.len() * self.directions as usize;
         command * count..(command + 1) * count
     }
 
-    /// Of a set's policies at one command, by seed: the line's numbers.
+    /// Returns each number of [`LINE`] by seed, for the policies of a set at one forward command.
     fn lines(&self, results: &Results, set: usize, command: usize) -> Vec<PerSeed> {
         let mut lines = vec![PerSeed::new(); LINE.len()];
         for seed in results.sets[set].keys() {
@@ -113,7 +99,8 @@ impl CommandedCompliance {
         lines
     }
 
-    /// A set's measured compliance over what it was told: mean over policies, least and largest over directions and forces.
+    /// Returns the measured over the commanded compliance of a set: (commanded, mean over policies, least and largest over
+    /// directions and forces).
     fn curve(&self, results: &Results, set: usize, command: usize) -> Vec<[f64; 4]> {
         let of = |c: &f64| {
             let at = self.pulls(command).filter(|condition| {
@@ -132,11 +119,21 @@ impl CommandedCompliance {
 
 impl Experiment for CommandedCompliance {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E13",
+            number: 14,
+            name: "calibration",
+            title: "Compliance as commanded",
+            paper: "not in the paper",
+            method: "The robot has a commanded compliance, standing and walking at 0.5 m/s, and is pulled by constant \
+                     horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last \
+                     seconds of the pull. Lines are fitted to each policy's means over all directions, over the \
+                     commanded compliance c and the forces F, as far as c·F is at most 0.5 m/s: no robot is pulled \
+                     faster than it can walk. With the same commands, it is also pushed to the left by 0.5 m/s: an \
+                     ideal robot takes 2.3·m·c until a tenth of the push is left.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -210,8 +207,8 @@ impl Experiment for CommandedCompliance {
                     continue;
                 }
                 let text = format!(
-                    "Told how far to yield, {}, policies do: distance from 1 of the slope of measured over commanded \
-                     compliance",
+                    "With a commanded compliance while {}, both sets yield as commanded: the slope of measured over \
+                     commanded compliance is within {SLOPE_BOUND} of 1",
                     gait(*speed)
                 );
                 let verdict = Verdict::from_bound(SLOPE_BOUND, &comparison);
@@ -228,8 +225,8 @@ impl Experiment for CommandedCompliance {
                 });
             }
         }
-        let name = format!("{}-lines", INFO.name);
-        let caption = "Lines through the measured compliance over the commanded one.".to_owned();
+        let name = format!("{}-lines", self.info().name);
+        let caption = "Lines fitted to the measured over the commanded compliance.".to_owned();
         section.content.tables.push(Table { name, caption, rows, in_page: true });
         let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
         let pushes: Vec<Group> = pushed
@@ -245,7 +242,7 @@ impl Experiment for CommandedCompliance {
         section.figure(
             "",
             "Measured over commanded compliance: mean over policies, directions and forces, and the band between the \
-             direction and force with the least and that with the largest. Dashed: what is asked for.",
+             direction and force with the least and that with the largest. Dashed: the commanded compliance.",
             svg,
         );
     }

@@ -10,37 +10,25 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E5",
-    number: 5,
-    name: "leash",
-    title: "On a leash",
-    paper: "Fig. 5",
-    method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in directions \
-             all around; the force keeps its direction in the world. The offset is the mean velocity minus the \
-             command, along the force, over the last seconds of the pull. E0 has the undisturbed error.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Leash {
-    /// Directions that divide the circle evenly.
+    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// Runs of each policy in each direction.
+    /// The number of trials of each policy in each direction.
     pub trials: u32,
-    /// Pulling forces \[N\].
+    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// Length of the pull \[s\].
+    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// Length of the average at its end \[s\].
+    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 
-/// Constant pulls with each of the forces \[N\] in so many directions all around, from when on and for how long \[s\].
+/// Returns constant pulls with each force \[N\] in each direction, which start at `at_s` and last `for_s` \[s\].
 pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) -> Result<Vec<Condition>, ConfigError> {
     let base: Pulled = defaults("leash")?;
     let condition = |force_n: f64, direction_deg: f64| Condition {
@@ -58,11 +46,19 @@ pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) 
 
 impl Experiment for Leash {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E5",
+            number: 5,
+            name: "leash",
+            title: "On a leash",
+            paper: "Fig. 5",
+            method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in \
+                     directions all around; the force keeps its direction in the world. The offset is the mean \
+                     velocity minus the command, along the force, over the last seconds of the pull. E0 has the \
+                     undisturbed error.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -89,7 +85,7 @@ impl Experiment for Leash {
         let groups = Group::from_names(self.forces_n.iter().map(|force| format!("{force} N")), section.results);
         for Group { name, conditions } in &groups {
             let text = format!(
-                "Pulled with {name}, compliant policies yield more (here: in {}; the numbers are means over directions)",
+                "Pulled with {name}, compliant policies yield more (mean over directions; larger in {})",
                 section.results.larger_in(conditions, "offset_m_s"),
             );
             section.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);

@@ -1,4 +1,4 @@
-//! The experiments E0 to E14, one file each: what is varied, what is measured, what is shown.
+//! The experiments E0 to E14, one file each: its conditions, its quantities, and its section of the report.
 
 mod ball_pit;
 mod commanded_compliance;
@@ -112,7 +112,7 @@ fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
 }
 
-/// A condition for each command, standing or walking, and each direction.
+/// Returns a condition for each forward command \[m/s\] and each of `directions` directions \[deg\] that divide the circle evenly.
 fn by_gait_and_direction(
     commands_m_s: &[f64],
     directions: u32,
@@ -126,12 +126,12 @@ fn by_gait_and_direction(
     .collect()
 }
 
-/// Checks directions that divide the circle evenly: enough to tell sides apart.
+/// Checks the number of directions: at least three, so that sides can be told apart.
 fn check_directions(count: u32) -> Result<(), ParameterError> {
     in_range("directions", f64::from(count), 3.0, 360.0, "3 to 360")
 }
 
-/// 1 for yes, 0 for no.
+/// Returns 1 for true and 0 for false.
 fn truth(is: bool) -> Option<f64> {
     Some(f64::from(u8::from(is)))
 }
@@ -151,7 +151,7 @@ mod tests {
     use supple::scenario::catalog::Scenario;
     use supple::scenario::trace::{Event, EventKind, Frame, Pose, Trace};
 
-    /// A trace at 60 Hz of a robot whose heading velocity stays the same.
+    /// Returns a trace at 60 Hz of a robot with a constant velocity in the heading frame.
     fn steady(duration_s: f64, velocity_in_heading: [f64; 3]) -> Trace {
         let period_s = 1.0 / 60.0;
         let steps = 1..=(duration_s / period_s).round() as usize;
@@ -159,10 +159,10 @@ mod tests {
         Trace { period_s, weight_n: 128.5, frames: steps.map(frame).collect(), events: Vec::new() }
     }
 
-    /// Results of some sets of two seeds in which every trial gave the same.
+    /// Returns results of sets of two seeds in which every trial gave the same sample.
     fn results(experiment: &dyn Experiment, sample: &Sample, sets: usize) -> Results {
         let conditions = experiment.conditions().unwrap();
-        let policy = vec![vec![sample.clone(); experiment.trials() as usize]; conditions.len()];
+        let policy = vec![vec![sample.clone(); experiment.info().trials as usize]; conditions.len()];
         let set = || BTreeMap::from([(0, policy.clone()), (1, policy.clone())]);
         let names = ["a", "b", "c", "d", "e"][..sets].iter().map(ToString::to_string).collect();
         let quantities = experiment.info().quantities;
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn experiments_share_no_number_and_so_no_seed() {
+    fn experiments_share_no_number() {
         let protocol = Protocol::full().unwrap();
         let mut numbers: Vec<u64> =
             protocol.experiments().iter().map(|experiment| experiment.info().number.into()).collect();
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn every_experiment_shows_claims_and_figures_also_without_a_single_value() {
+    fn every_experiment_reports_claims_and_figures_without_values() {
         let protocol = Protocol::quick().unwrap();
         let renderer = Renderer::default();
         for experiment in protocol.experiments() {
@@ -189,7 +189,7 @@ mod tests {
                 let content = experiment.content(&results(experiment, &sample, sets));
                 let name = experiment.info().name;
                 assert!(!content.claims.is_empty() && !content.tables.is_empty(), "{name}");
-                // A report takes away by name what is not of its policies.
+                // A report removes outdated files by the experiment's name.
                 let figures = content.figures.iter().map(|figure| &figure.name);
                 let tables = content.tables.iter().map(|table| &table.name);
                 let lines = content.lines.iter().map(|lines| &lines.name);
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn every_experiment_measures_each_of_its_quantities_in_a_bare_trace() {
+    fn every_experiment_measures_all_its_quantities() {
         let mut trace = steady(12.0, [0.4, 0.0, 0.0]);
         for fell in [false, true] {
             if fell {
@@ -265,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn a_course_is_resumed_in_the_direction_of_the_start_only() {
+    fn course_is_resumed_in_the_starting_direction_only() {
         let protocol = Protocol::full().unwrap();
         let resumed = |yaw: f64| {
             let mut trace = steady(20.0, [0.4, 0.0, 0.0]);
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fall_after_the_second_changes_neither_power_nor_torque() {
+    fn fall_after_the_window_changes_no_power() {
         let protocol = Protocol::full().unwrap();
         let push_s = script(&protocol.table4).1.pushes[0].time_s;
         let power = |fall_s: f64| {
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fall_after_the_watch_is_a_success_of_the_push_grid() {
+    fn fall_after_the_watch_counts_as_success() {
         let protocol = Protocol::full().unwrap();
         let push_s = script(&protocol.push_grid).1.pushes[0].time_s;
         let success = |fall_s: f64| {

@@ -10,36 +10,31 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("steepest_met", "steepest slope on the way", "%", 0),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E11b",
-    number: 13,
-    name: "outdoor",
-    title: "Hills of varied friction",
-    paper: "Fig. 8d",
-    method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each square \
-             metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for each foot on it. \
-             The velocity error is the length of mean velocity minus command in the horizontal plane; numbers but \
-             success are of trials without a fall.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outdoor {
-    /// Steepest slopes, rise over run.
+    /// The steepest slopes of the hills, rise over run.
     pub steepest: Vec<f64>,
-    /// Runs of each policy for each of them.
+    /// The number of trials of each policy for each slope.
     pub trials: u32,
 }
 
 impl Experiment for Outdoor {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E11b",
+            number: 13,
+            name: "outdoor",
+            title: "Hills of varied friction",
+            paper: "Fig. 8d",
+            method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each \
+                     square metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for \
+                     each foot on it. The velocity error is the length of mean velocity minus command in the \
+                     horizontal plane; numbers but success are of trials without a fall.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -67,8 +62,8 @@ impl Experiment for Outdoor {
             "",
             "Success, velocity error and power on hills",
             &["success", "velocity_error_m_s", "power_w"],
-            "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single seeds as \
-             hollow marks. Velocity error and power are of trials without a fall.",
+            "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single \
+             seeds as hollow marks. Velocity error and power are of trials without a fall.",
         );
         let (all, text) = (section.all(), "On hills of varied friction, compliant policies fall less often");
         section.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);

@@ -17,38 +17,33 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E10",
-    number: 10,
-    name: "pendulum",
-    title: "A swinging ball",
-    paper: "Fig. 8b",
-    method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
-             right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
-             0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
-             which hardly rebounds and may touch again; the impulse is that of the first second.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pendulum {
-    /// Forward commands \[m/s\]; 0 is standing.
+    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// Heights of the release above the lowest point \[m\].
+    /// The release heights of the ball above its lowest point \[m\].
     pub heights_m: Vec<f64>,
-    /// Runs of each policy from each height at each command.
+    /// The number of trials of each policy from each height at each command.
     pub trials: u32,
 }
 
 impl Experiment for Pendulum {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E10",
+            number: 10,
+            name: "pendulum",
+            title: "A swinging ball",
+            paper: "Fig. 8b",
+            method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets \
+                     the right side of the trunk. The push is the largest change of the trunk's velocity along the \
+                     blow within 0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
+                     which hardly rebounds and may touch again; the impulse is that of the first second.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -68,7 +63,7 @@ impl Experiment for Pendulum {
     fn measure(&self, trial: &Trial) -> TrialValues {
         let Scenario::Pendulum(pendulum) = trial.scenario else { return TrialValues::default() };
         let impact = pendulum.impact(trial.trace);
-        // Fallen or not, the ball has hit as hard as it has; decay times know of falls themselves.
+        // The numbers of the blow also count if the robot falls; decay times exclude falls themselves.
         let is_valid = trial.end != TrialEnd::Fault;
         let [to_10, to_20, carried, undecayed] = impact
             .filter(|_| is_valid)
@@ -85,16 +80,16 @@ impl Experiment for Pendulum {
         section.table("Hit by a ball of 3 kg on a string of 1 m, by command and release height.");
         section.dots(
             "",
-            "What a swinging ball does, by release height",
+            "Effect of a swinging ball, by release height",
             &["decay_20_s", "carried_m", "peak_contact_force_n"],
-            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, peak \
-             force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have no decay \
-             time and no distance.",
+            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, \
+             peak force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
+             no decay time and no distance.",
         );
         let last = section.results.conditions.len() - 1;
         let caption = format!(
-            "Sideways velocity around the blow of the ball ({}): mean and min–max band over the runs of one policy, each \
-             until it falls.",
+            "Sideways velocity around the blow of the ball ({}): mean and min–max band over the runs of one policy, \
+             each until it falls.",
             section.results.conditions[last].label
         );
         let words = ["Sideways velocity after the blow of a ball, one policy of each set", "time since the blow [s]"];
@@ -106,7 +101,7 @@ impl Experiment for Pendulum {
             section.notes(push::undecayed(section.results, conditions).map(|note| format!("{name}: {note}")));
             for (quantity, words) in push::lasting(*command) {
                 let text =
-                    format!("Hit by a swinging ball while {name}, compliant policies {words}; mean over heights");
+                    format!("Hit by a swinging ball while {name}, compliant policies {words} (mean over heights)");
                 section.claim(&text, "more gradual", quantity, Expected::Higher, conditions);
             }
         }

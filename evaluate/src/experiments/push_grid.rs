@@ -13,38 +13,26 @@ use supple::scenario::metrics::PHASE_S;
 
 const SUCCESS: Quantity = Quantity::new("success", "success rate", "%", 0);
 const FRACTION: Quantity = Quantity::new("share_of_grid", "grid points with enough success", "%", 1);
-const FRACTION_BY_SEED: Quantity = Quantity::new("share_of_grid_by_seed", "the same for each seed alone", "%", 1);
+const FRACTION_BY_SEED: Quantity =
+    Quantity::new("share_of_grid_by_seed", "grid points with enough success, for each seed alone", "%", 1);
 const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success rate over the whole grid", "%", 1);
 const QUANTITIES: &[Quantity] = &[SUCCESS];
 
-pub(super) const INFO: Info = Info {
-    id: "E1",
-    number: 1,
-    name: "push-grid",
-    title: "Push recovery",
-    paper: "Fig. 2",
-    method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
-             left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. \
-             The success rate is that over the trials of all seeds; the fraction counts grid points at or \
-             above the contour's level.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PushGrid {
-    /// Largest push along either axis \[m/s\].
+    /// The largest push along either axis \[m/s\].
     pub limit_m_s: f64,
-    /// SquareGrid points along either axis.
+    /// The number of grid points along either axis.
     pub points_per_side: usize,
-    /// Trials of each grid point.
+    /// The number of trials of each policy at each grid point.
     pub trials: u32,
-    /// Earliest time of the push; it comes up to 0.65 s later \[s\].
+    /// The earliest time of the push \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// How long the robot must not fall \[s\].
+    /// The time after the push in which the robot must not fall \[s\].
     pub watch_s: f64,
-    /// The contour's level, 0 to 1.
+    /// The success rate of the contour, 0 to 1.
     pub level: f64,
 }
 
@@ -53,7 +41,7 @@ impl PushGrid {
         SquareGrid { coordinates: square_grid::coordinates(self.limit_m_s, self.points_per_side), values }
     }
 
-    /// Success rate over some seeds of a set, by grid point.
+    /// Returns the success rate of each grid point over some seeds of a set.
     fn success(&self, results: &Results, set: usize, seeds: &[u64]) -> SquareGrid {
         let of_point = |point: usize| {
             let of_seed = |seed: &u64| {
@@ -65,12 +53,12 @@ impl PushGrid {
         self.grid((0..results.conditions.len()).map(of_point).collect())
     }
 
-    /// The same over all seeds of a set.
+    /// Returns the success rate of each grid point over all seeds of a set.
     fn map(&self, results: &Results, set: usize) -> SquareGrid {
         self.success(results, set, &results.sets[set].keys().copied().collect::<Vec<u64>>())
     }
 
-    /// A number of the success map: of all seeds together, with the interval of the difference over pairs of seeds.
+    /// Compares a number of the map of all seeds together; the interval of its difference is over pairs of seeds.
     fn compare(&self, results: &Results, number: impl Fn(&SquareGrid) -> f64) -> Comparison {
         let pooled = |set: usize| {
             let seeds = results.sets[set].len();
@@ -80,7 +68,7 @@ impl PushGrid {
                 ..results.numbers(set, PerSeed::new())
             }
         };
-        // Resampling re-reads the maps often: keep every seed's own.
+        // Resampling reads the map of each seed many times.
         let common = results.common_seeds();
         let maps: Vec<[Vec<f64>; 2]> = common
             .iter()
@@ -100,7 +88,7 @@ impl PushGrid {
         }
     }
 
-    /// The same number for each seed alone.
+    /// Compares a number of each seed's own map.
     fn compare_by_seed(&self, results: &Results, number: impl Fn(&SquareGrid) -> f64) -> Comparison {
         let by_seed = |set: usize| {
             let seeds = results.sets[set].keys();
@@ -113,11 +101,19 @@ impl PushGrid {
 
 impl Experiment for PushGrid {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E1",
+            number: 1,
+            name: "push-grid",
+            title: "Push recovery",
+            paper: "Fig. 2",
+            method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
+                     left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. The \
+                     success rate is that over the trials of all seeds; the fraction counts grid points at or above \
+                     the contour's level.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -187,8 +183,8 @@ impl Experiment for PushGrid {
             ["forward push [m/s]", "push to the left [m/s]", "success rate [%]"],
         );
         let caption = format!(
-            "Success rate after a push of given forward and left velocity while walking at 0.5 m/s, over all \
-             seeds and trials. The line is the {level:.0} % contour; above each map, the fraction of grid points at or \
+            "Success rate after a push of given forward and left velocity while walking at 0.5 m/s, over all seeds \
+             and trials. The line is the {level:.0} % contour; above each map, the fraction of grid points at or \
              above {level:.0} %."
         );
         section.figure("", caption, svg);

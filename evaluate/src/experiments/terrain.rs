@@ -10,37 +10,32 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E8",
-    number: 8,
-    name: "terrain",
-    title: "Uneven terrain",
-    paper: "Fig. 7b",
-    method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
-             peak to peak and its frequency (cells per metre). A success is a trial without a fall. The velocity \
-             error is the length of mean velocity minus command in the horizontal plane.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Terrain {
-    /// Heights, peak to peak \[m\].
+    /// The heights of the terrain, peak to peak \[m\].
     pub heights_m: Vec<f64>,
-    /// Lattice cells per metre \[1/m\].
+    /// The frequencies of the terrain: lattice cells per metre \[1/m\].
     pub frequencies_per_m: Vec<f64>,
-    /// Runs of each policy on each terrain.
+    /// The number of trials of each policy on each terrain.
     pub trials: u32,
 }
 
 impl Experiment for Terrain {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E8",
+            number: 8,
+            name: "terrain",
+            title: "Uneven terrain",
+            paper: "Fig. 7b",
+            method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
+                     peak to peak and its frequency (cells per metre). A success is a trial without a fall. The \
+                     velocity error is the length of mean velocity minus command in the horizontal plane.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -75,8 +70,8 @@ impl Experiment for Terrain {
             "",
             "Success, velocity error and peak foot force by terrain",
             &["success", "velocity_error_m_s", "peak_foot_force_n"],
-            "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds as \
-             hollow marks. Numbers but success are of trials without a fall.",
+            "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds \
+             as hollow marks. Numbers but success are of trials without a fall.",
         );
         let (all, first) = (section.all(), section.first_label());
         for (text, over) in [
@@ -85,7 +80,7 @@ impl Experiment for Terrain {
         ] {
             section.claim(&text, "less often", "success", Expected::Higher, over);
         }
-        let text = "The largest force on a foot is lower";
+        let text = "Over all terrains, compliant policies have a lower peak foot force";
         section.claim(text, "lower", "peak_foot_force_n", Expected::Lower, &all);
     }
 }

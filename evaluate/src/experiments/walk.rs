@@ -23,35 +23,23 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
 ];
 
-/// Time in flight from which on a gait is called hopping; a trot at this speed has next to none.
+/// The fraction of time in flight from which a gait counts as hopping; a trot at this speed has almost none.
 const HOPPING_FRACTION: f64 = 0.3;
 
-pub(super) const INFO: Info = Info {
-    id: "E0",
-    number: 0,
-    name: "walk",
-    title: "Walking undisturbed",
-    paper: "Fig. 5, caption",
-    method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
-             2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
-             drawn at random but the sensors' noise, where there are sensors.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Walk {
-    /// Runs of each policy at each command.
+    /// The number of trials of each policy at each command.
     pub trials: u32,
-    /// Forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
+    /// The commands: forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
     pub commands: Vec<[f64; 3]>,
     /// The paper's bound on the velocity error \[m/s\].
     pub error_bound_m_s: f64,
 }
 
 impl Walk {
-    /// Policies that do not do what all the other experiments ask of them.
+    /// Returns warnings about policies that do not walk as all other experiments require.
     fn warnings(&self, results: &Results) -> Vec<String> {
         let Some([forward, left, _]) = self.commands.first() else { return Vec::new() };
         let mut notes = Vec::new();
@@ -82,7 +70,7 @@ impl Walk {
             let bound = self.error_bound_m_s;
             for (seed, error) in errors.iter().filter(|(_, error)| **error > bound && **error <= 0.5 * speed) {
                 notes.push(format!(
-                    "{name}, seed {seed}, by itself does not keep its velocity error below {bound} m/s: {error:.3} m/s."
+                    "{name}, seed {seed}, exceeds the velocity error of {bound} m/s by itself: {error:.3} m/s."
                 ));
             }
         }
@@ -90,7 +78,7 @@ impl Walk {
     }
 }
 
-/// How well all commands are followed, which the paper does not say.
+/// Returns a note about the velocity error over all commands, which the paper does not report.
 fn over_all(results: &Results) -> String {
     let quantity = results.quantity("velocity_error_m_s");
     let all: Vec<usize> = (0..results.conditions.len()).collect();
@@ -105,7 +93,7 @@ fn over_all(results: &Results) -> String {
     )
 }
 
-/// A command in words.
+/// Returns a command in words.
 fn label([forward, left, turn]: [f64; 3]) -> String {
     let parts = [("forward", forward), ("left", left), ("turn", turn)];
     let words: Vec<String> =
@@ -115,11 +103,18 @@ fn label([forward, left, turn]: [f64; 3]) -> String {
 
 impl Experiment for Walk {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E0",
+            number: 0,
+            name: "walk",
+            title: "Walking undisturbed",
+            paper: "Fig. 5, caption",
+            method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
+                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
+                     drawn at random but the sensors' noise, where there are sensors.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -156,7 +151,7 @@ impl Experiment for Walk {
         section.table_with_rows(&title, section.rows(&[of_first]));
         section.table_in_file("commands", caption);
         let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
-        let text = format!("Walking undisturbed ({first}), both keep the velocity error below {bound} m/s in the mean");
+        let text = format!("Walking undisturbed ({first}), both sets keep the mean velocity error below {bound} m/s");
         let (comparison, quantity) = (results.compare(0, quantity), results.quantity(quantity));
         let verdict = Verdict::from_bound(bound, &comparison);
         section.content.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });

@@ -11,34 +11,30 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E14b",
-    number: 16,
-    name: "wall",
-    title: "A wall that gives",
-    paper: "not in the paper",
-    method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, and presses on \
-             until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves all but the falls undefined.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wall {
-    /// Forward commands \[m/s\].
+    /// The forward commands \[m/s\].
     pub commands_m_s: Vec<f64>,
-    /// Runs of each policy at each command.
+    /// The number of trials of each policy at each command.
     pub trials: u32,
 }
 
 impl Experiment for Wall {
     fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+        Info {
+            id: "E14b",
+            number: 16,
+            name: "wall",
+            title: "A wall that gives",
+            paper: "not in the paper",
+            method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, \
+                     and presses on until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves \
+                     all but the falls undefined.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -60,14 +56,14 @@ impl Experiment for Wall {
             "",
             "Force, impulse and depth at a wall that gives",
             &["peak_force_n", "blow_n_s", "depth_m"],
-            "Walking into a wall of 700 N/m and 4 N·s/m: largest force, impulse in the first second, largest depth. Mean ± \
-             standard deviation over seeds, single seeds as hollow marks; trials with a fall have none.",
+            "Walking into a wall of 700 N/m and 4 N·s/m: largest force, impulse in the first second, largest depth. \
+             Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have none.",
         );
         let all = section.all();
         for (quantity, words) in [
-            ("peak_force_n", "press less hard at the most"),
-            ("blow_n_s", "press less in the first second"),
-            ("impulse_n_s", "press less to the end"),
+            ("peak_force_n", "have a lower peak force"),
+            ("blow_n_s", "have a smaller impulse in the first second"),
+            ("impulse_n_s", "have a smaller impulse until the end"),
             ("fell", "fall less often"),
         ] {
             let text = format!("Walking into a wall that gives, compliant policies {words}");

@@ -21,7 +21,7 @@ pub const INK: &str = "#222222";
 /// Second-rank text and frames.
 pub const GREY: &str = "#777777";
 
-/// SquareGrid lines.
+/// The colour of grid lines.
 pub const PALE: &str = "#dddddd";
 
 /// Colours of the sets of policies: blue, orange, green, purple, sky, vermilion.

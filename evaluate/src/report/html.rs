@@ -260,6 +260,7 @@ fn numbers(table: &Table, names: &[String]) -> Markup {
 }
 
 fn provenance(section: &Section, report: &Report) -> Markup {
+    let info = section.info;
     let falls = |(name, ends): (&String, &EndCounts)| format!("{name}: {} of {} trials", ends.falls, ends.trials);
     let falls: Vec<String> = report.names.iter().zip(&section.ends).map(falls).collect();
     html! {
@@ -267,13 +268,13 @@ fn provenance(section: &Section, report: &Report) -> Markup {
             summary { "How it was run" }
             dl {
                 dt { "conditions × trials × policies" }
-                dd { (section.conditions) " × " (section.trials) " × " (report.policies.len()) }
+                dd { (section.conditions) " × " (info.trials) " × " (report.policies.len()) }
                 dt { "falls" } dd { (falls.join("; ")) }
                 @for (key, value) in section.parameters.as_object().into_iter().flatten() {
                     dt { (key) } dd { (value.to_string()) }
                 }
                 dt { "time for all trials" } dd { (duration(section.wall_s)) }
-                dt { "command" } dd { code { (report.command.line(Some(section.info.name))) } }
+                dt { "command" } dd { code { (report.command.line(Some(info.name))) } }
             }
         }
     }

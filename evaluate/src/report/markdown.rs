@@ -142,7 +142,7 @@ pub fn document(report: &Report) -> String {
         let counts = [
             format!("{} {}", section.info.id, section.info.title),
             section.conditions.to_string(),
-            section.trials.to_string(),
+            section.info.trials.to_string(),
         ];
         let falls = section.ends.iter().map(|ends| format!("{} of {}", ends.falls, ends.trials));
         counts.into_iter().chain(falls).collect()

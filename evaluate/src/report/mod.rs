@@ -91,8 +91,6 @@ pub struct Section {
     pub parameters: serde_json::Value,
     /// Number of conditions.
     pub conditions: usize,
-    /// Trials of each condition with each policy.
-    pub trials: u32,
     /// How the trials of each set ended.
     pub ends: Vec<EndCounts>,
     /// The claims, tables and figures.
@@ -135,7 +133,6 @@ impl Section {
             // Plain structs of numbers and lists.
             parameters: serde_json::to_value(experiment).unwrap_or_default(),
             conditions: results.conditions.len(),
-            trials: experiment.trials(),
             ends,
             content,
             wall_s: measurement.wall_s,

@@ -80,7 +80,7 @@ fn experiment(section: &Section, names: &[String]) -> Value {
         "name": section.info.name,
         "paper": section.info.paper,
         "parameters": section.parameters,
-        "trials_of_each_condition_and_policy": section.trials,
+        "trials_of_each_condition_and_policy": section.info.trials,
         "trials": ends,
         "claims": claims,
         "notes": section.content.notes,
