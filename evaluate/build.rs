@@ -1,4 +1,4 @@
-//! Hashes the sources that decide what a measurement of this package comes out as.
+//! Hashes the sources that a measurement of this package depends on.
 
 mod measurement_sources;
 

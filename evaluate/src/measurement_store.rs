@@ -1,12 +1,12 @@
-/*! Finished measurements on disk, so that none is made twice.
+/*! Finished measurements on disk, so that none is repeated.
 
-A file holds all trials of one policy in one experiment. Its name is a hash of everything that decides its content: the
-policy, its seed, its sensing, its commanded compliance and calibration, the robot, the experiment's parameters and scenarios, and the sources of this program
-(but for those that only show what was measured). A new policy or a changed protocol therefore measures only what is
-new, and a report never mixes what different programs measured.
+A file holds all trials of one policy in one experiment. Its name is a hash of everything that its content depends on: the
+policy, its seed, sensing, commanded compliance and calibration, the robot, the experiment's parameters and scenarios, and the
+sources of this program except those that only report. After a change of a policy or of the protocol, only what is new is
+measured, and a report never mixes measurements of different programs.
 
-Several processes, on several machines too, may share a folder: an experiment is measured by one of them at a time, and the
-others find what it has measured.
+Several processes may share a folder, also on several machines: one process at a time measures an experiment, and the others
+read its results.
 */
 
 use std::fs::{self, File};
@@ -23,27 +23,27 @@ use supple::scenario::Sensing;
 use supple::util::files;
 use supple::util::provenance::git_revision;
 
-/// Larger files are not ours.
+/// The largest measurement that is read \[bytes\].
 const MAX_BYTES: u64 = 1 << 30;
 
-/// A finished measurement.
+/// A finished measurement: all trials of one policy in one experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StoredMeasurement {
-    /// Full hash of what decides the content.
+    /// The full hash of everything that the content depends on.
     pub key: String,
-    /// Name of the experiment.
+    /// The name of the experiment.
     pub experiment: String,
-    /// Policy.
+    /// The hash of the policy's file.
     pub sha256: String,
     /// The policy's seed.
     pub seed: u64,
-    /// Revision of the program that measured.
+    /// The revision of the program that measured.
     pub revision: String,
-    /// How long it took \[s\].
+    /// The time that the trials took \[s\].
     pub wall_s: f64,
-    /// Hash of the samples.
+    /// The hash of the samples.
     pub checksum: String,
-    /// Shape (conditions, trials).
+    /// The samples, shape (conditions, trials).
     pub samples: PolicyResult,
 }
 
@@ -54,43 +54,43 @@ pub struct MeasurementStore {
 }
 
 impl MeasurementStore {
-    /// Results below `out`.
+    /// Creates the store in the folder `results` of a report's folder.
     pub fn new(out: &Path) -> Self {
         MeasurementStore { folder: out.join("results") }
     }
 
-    /// Where a measurement is or will be.
+    /// Returns the path of a measurement.
     fn path(&self, experiment: &dyn Experiment, key: &str) -> PathBuf {
         self.folder.join(experiment.info().name).join(format!("{}.json", &key[..16]))
     }
 
-    /// A finished measurement, if it is there and whole.
+    /// Reads a finished measurement; none if it is missing or damaged.
     pub fn read(&self, experiment: &dyn Experiment, key: &str) -> Option<StoredMeasurement> {
         let bytes = files::read_bounded(&self.path(experiment, key), MAX_BYTES).ok()?;
         let stored: StoredMeasurement = serde_json::from_slice(&bytes).ok()?;
         (stored.key == key && stored.checksum == checksum(&stored.samples)).then_some(stored)
     }
 
-    /// Waits until no other process measures an experiment here: none does while the file is open.
+    /// Locks an experiment: waits until no other process measures it, and keeps others waiting while the file is open.
     ///
     /// # Errors
-    /// The system's.
+    /// The folder or its lock file cannot be created.
     pub fn lock_experiment(&self, experiment: &dyn Experiment) -> io::Result<File> {
         lock(&self.folder.join(experiment.info().name))
     }
 
-    /// Waits until no other process writes a report about what is here: none does while the file is open.
+    /// Locks the report: waits until no other process writes it, and keeps others waiting while the file is open.
     ///
     /// # Errors
-    /// The system's.
+    /// The folder or its lock file cannot be created.
     pub fn lock_report(&self) -> io::Result<File> {
         lock(&self.folder)
     }
 
-    /// Keeps a finished measurement.
+    /// Writes a finished measurement.
     ///
     /// # Errors
-    /// The system's.
+    /// The file cannot be written.
     pub fn write(
         &self,
         experiment: &dyn Experiment,
@@ -120,23 +120,23 @@ impl MeasurementStore {
 fn lock(folder: &Path) -> io::Result<File> {
     fs::create_dir_all(folder)?;
     let file = File::options().create(true).append(true).open(folder.join(".lock"))?;
-    // Where the file system knows no locks, two may measure the same: that costs time and does no harm.
+    // On a file system without locks, two processes may measure the same: it costs time only.
     let _ = file.lock();
     files::clear_temporaries(folder)?;
     Ok(file)
 }
 
 fn checksum(samples: &PolicyResult) -> String {
-    // Plain structs of numbers: serialising them cannot fail.
+    // Serialising structs of numbers cannot fail.
     files::sha256(&[&serde_json::to_vec(samples).unwrap_or_default()])
 }
 
-/// Hash of everything that decides what an experiment measures with a policy.
+/// Returns the hash of everything that the results of an experiment with a policy depend on.
 pub fn key(experiment: &dyn Experiment, conditions: &[Condition], member: &SetMember, sensing: Sensing) -> String {
     let robot = &member.agent.config.robot;
     let mut parts = serde_json::json!({
         "program": env!("SUPPLE_MEASUREMENT_SOURCES"),
-        // One that cannot be read fails in its first trial, with the reason.
+        // A robot that cannot be read fails in its first trial, with the reason.
         "robot": robot.load().map(|robot| robot.sha256().to_owned()).unwrap_or_default(),
         "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],
         "experiment": [experiment.info().name, experiment.info().number],

@@ -1,8 +1,8 @@
 /*! The sets of policies that are compared, read from folders.
 
-The path of a set is a folder (all policies in it), a run's folder, a policy's file, or a folder and the name that is common to
-files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. `policies/baseline@0.03` sets
-their commanded compliance [m/s/N].
+The path of a set is a folder (all policies in it), the folder of a run, a policy's file, or a folder and the common name of
+files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. `policies/baseline@0.03`
+also sets the commanded compliance \[m/s/N\] of these policies.
 */
 
 use std::collections::BTreeSet;
@@ -13,10 +13,10 @@ use supple::policy::{Agent, AgentError, shipped};
 use supple::robot::Losses;
 use supple::util::{files, paths};
 
-/// Keys of a configuration that trials are played with.
-const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
+/// The configuration keys, or their beginnings, that affect the trials of a policy.
+const TRIAL_KEYS: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
 
-/// Why there is nothing to compare.
+/// The reason why sets of policies cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicySetError {
     /// The folder cannot be read.
@@ -32,79 +32,80 @@ pub enum PolicySetError {
     Missing {
         /// The folder.
         path: PathBuf,
-        /// File names that were looked for.
+        /// The expected file names.
         wanted: String,
     },
     /// Two files of one set have the same seed.
-    #[error("{} and {} are both seed {seed} of {set}: only one can be compared", first.display(), second.display())]
+    #[error("{} and {} are both seed {seed} of {set}, expected one policy for each seed: remove or rename one", first.display(), second.display())]
     Twice {
-        /// One file.
+        /// The first file.
         first: PathBuf,
-        /// The other.
+        /// The second file.
         second: PathBuf,
-        /// Their seed.
+        /// The seed of both files.
         seed: u64,
-        /// Name of the set.
+        /// The name of the set.
         set: String,
     },
-    /// A file is no good.
+    /// A policy file is invalid.
     #[error(transparent)]
     Agent(#[from] AgentError),
-    /// The commanded compliance is out of the policy's range.
+    /// A policy does not support the commanded compliance.
     #[error("{} at @{compliance}: {source}", file.display())]
     Compliance {
-        /// The policy.
+        /// The file of the policy.
         file: PathBuf,
-        /// [m/s/N]
+        /// The commanded compliance \[m/s/N\].
         compliance: f64,
-        /// Why.
+        /// The reason.
         source: ComplianceError,
     },
 }
 
-/// A policy that is measured.
+/// A policy of a set.
 #[derive(Debug)]
 pub struct SetMember {
-    /// Seed of its training: pairs it with the other sets', and seeds its trials.
+    /// The seed of its training, which pairs it with policies of other sets and seeds its trials.
     pub seed: u64,
-    /// Where it was read from.
+    /// The file it was read from.
     pub file: PathBuf,
     /// The policy.
     pub agent: Agent,
 }
 
-/// One of the sets.
+/// A named set of policies.
 #[derive(Debug)]
 pub struct PolicySet {
     /// The name in tables and legends.
     pub name: String,
-    /// By seed.
+    /// The policies in the order of their seeds.
     pub members: Vec<SetMember>,
 }
 
-/// All sets, and what a reader has to know about them.
+/// All sets of policies, with notes for the reader of the report.
 #[derive(Debug)]
 pub struct PolicySets {
-    /// First (compliant), second (baseline), with which it is compared, and whatever is shown beside them.
+    /// The sets: the first (compliant) is compared with the second (baseline); further sets are shown beside them.
     pub sets: Vec<PolicySet>,
-    /// Files left out, seeds without a partner.
+    /// Notes about policies, such as files left out and seeds without a partner.
     pub notes: Vec<String>,
 }
 
 impl PolicySets {
-    /// Policies `NAME-seedN.safetensors`, or external ones `NAME-seedN.yaml`, of several names in one folder; and all
-    /// policies of further sets, by name and path.
+    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, and further
+    /// sets by name and path.
     ///
     /// # Errors
-    /// [`PolicySetError`]
+    /// A folder or policy cannot be read, a set has no policy or two of one seed, or a policy does not support the commanded
+    /// compliance.
     pub fn from_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
         Self::from_files(folder, policy_files(folder)?, names, also)
     }
 
-    /// As [`PolicySets::from_folder`] of the policies inside the program.
+    /// Reads the policies inside the program by the names of their sets, and further sets by name and path.
     ///
     /// # Errors
-    /// [`PolicySetError`]
+    /// The same as those of [`PolicySets::from_folder`].
     pub fn from_shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
         let of_sets = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/'));
         let files = of_sets.map(|(name, _)| name.into()).collect();
@@ -131,10 +132,10 @@ impl PolicySets {
         Ok(Self::new(names.iter().zip(files).map(set).chain(further).collect::<Result<_, _>>()?, notes))
     }
 
-    /// All policies of sets by name and path.
+    /// Reads sets by name and path.
     ///
     /// # Errors
-    /// [`PolicySetError`]
+    /// The same as those of [`PolicySets::from_folder`].
     pub fn from_paths(sets: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
         let sets = sets.iter().map(|(name, path)| PolicySet::from_path(name, path));
         let mut sets = sets.collect::<Result<Vec<_>, _>>()?;
@@ -149,8 +150,8 @@ impl PolicySets {
             let alone: Vec<String> = own.members.iter().filter(lacks).map(|member| member.seed.to_string()).collect();
             if !alone.is_empty() {
                 notes.push(format!(
-                    "{} has no policy of seed {} as {} has: means are over all seeds that there are, differences over \
-                     the seeds that both have",
+                    "{} has no policy of seed {}, unlike {}: means are over all seeds of a set, differences over the \
+                     seeds of both",
                     partner.name,
                     alone.join(", "),
                     own.name
@@ -170,7 +171,7 @@ impl PolicySets {
                 let is_same = |other: &&SetMember| other.agent.sha256 == member.agent.sha256;
                 if let Some(twin) = set.members[..index].iter().find(is_same) {
                     let (name, [a, b]) = (&set.name, [twin.seed, member.seed]);
-                    notes.push(format!("{name}, seeds {a} and {b}, are one policy: they are no two samples of {name}"));
+                    notes.push(format!("{name}, seeds {a} and {b}, are one policy with identical weights: they are not independent samples"));
                 }
                 let trained = member.agent.policy().map(|policy| policy.provenance.seed);
                 if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
@@ -185,17 +186,17 @@ impl PolicySets {
                 "the policies were not trained alike: their configurations differ in {}",
                 keys.join(", ")
             ));
-            // A policy runs with these, also here.
-            let is_tried = |key: &&String| TRIED.iter().any(|tried| key.starts_with(tried));
-            let tried: Vec<&str> = keys.iter().filter(is_tried).map(String::as_str).collect();
+            // Trials of a policy use its own values of these keys.
+            let affects_trials = |key: &&String| TRIAL_KEYS.iter().any(|known| key.starts_with(known));
+            let tried: Vec<&str> = keys.iter().filter(affects_trials).map(String::as_str).collect();
             if !tried.is_empty() {
-                notes.push(format!("each policy is tried with its own {}", tried.join(", ")));
+                notes.push(format!("each policy is evaluated with its own {}", tried.join(", ")));
             }
         }
         PolicySets { sets, notes }
     }
 
-    /// Tries all policies with joints that have these losses.
+    /// Sets the joint losses of all robots.
     pub fn set_losses(&mut self, losses: Losses) {
         for member in self.sets.iter_mut().flat_map(|set| &mut set.members) {
             member.agent.config.robot.set_losses(losses);
@@ -206,14 +207,14 @@ impl PolicySets {
         ));
     }
 
-    /// Names of all sets.
+    /// Returns the names of all sets.
     pub fn names(&self) -> Vec<String> {
         self.sets.iter().map(|set| set.name.clone()).collect()
     }
 }
 
 impl PolicySet {
-    /// All policies that a path stands for.
+    /// Reads all policies of a path.
     fn from_path(name: &str, path: &Path) -> Result<Self, PolicySetError> {
         let text = paths::as_text(path);
         let (text, compliance) = split_compliance(&text);
@@ -221,7 +222,7 @@ impl PolicySet {
         let files = if path.is_file() {
             vec![path.to_owned()]
         } else if path.join("run.json").exists() {
-            // A run's folder: its checkpoint is not a policy.
+            // The folder of a run also holds a checkpoint, which is not a policy.
             vec![path.join("policy.safetensors")]
         } else if path.is_dir() {
             policy_files(path)?
@@ -265,7 +266,7 @@ impl PolicySet {
     }
 }
 
-/// Gives single policies the seed of the first set's single policy, which pairs them; says so.
+/// Pairs sets of a single policy: gives their policies the seed of the first set's single policy. Returns notes about it.
 fn pair_single_policies(sets: &mut [PolicySet]) -> Vec<String> {
     let is_pair = sets.len() == 2;
     let Some((first, others)) = sets.split_first_mut() else { return Vec::new() };
@@ -284,7 +285,7 @@ fn pair_single_policies(sets: &mut [PolicySet]) -> Vec<String> {
     notes
 }
 
-/// Keys beside the recovery stage's, which is what is compared, in which configurations of policies of ours differ.
+/// Returns the keys in which the configurations of Supple's policies differ, except the compared one, the recovery stage.
 fn unlike(sets: &[PolicySet]) -> Vec<String> {
     let members = sets.iter().flat_map(|set| &set.members);
     let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
@@ -294,12 +295,12 @@ fn unlike(sets: &[PolicySet]) -> Vec<String> {
     keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
 }
 
-/// Without its folder: the same in every report of the same policies.
+/// Returns the name of a file without its folder.
 fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Files `NAME-seedN` of a path `FOLDER/NAME` that is no folder itself.
+/// Returns the files `NAME-seedN` of a path `FOLDER/NAME` that is not a folder.
 fn of_seeds(path: &Path) -> Vec<PathBuf> {
     let (Some(folder), Some(name), false) = (path.parent(), path.file_name(), path.is_dir()) else { return Vec::new() };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
@@ -308,17 +309,17 @@ fn of_seeds(path: &Path) -> Vec<PathBuf> {
     files.into_iter().filter(|file| seed_of(&name, file).is_some()).collect()
 }
 
-/// The seed of a policy of that name: N in `NAME-seedN`.
+/// Returns the seed N of a file `NAME-seedN` of a given name; none for another file.
 fn seed_of(name: &str, file: &Path) -> Option<u64> {
     file.file_stem()?.to_string_lossy().strip_prefix(name)?.strip_prefix("-seed")?.parse().ok()
 }
 
-/// The number after the last `-seed` of a file's name.
+/// Returns the number after the last `-seed` of a file's name.
 fn seed_in_name(file: &Path) -> Option<u64> {
     file.file_stem()?.to_str()?.rsplit_once("-seed")?.1.parse().ok()
 }
 
-/// All policy files of a folder, by name.
+/// Returns all policy files of a folder, sorted by name.
 fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, PolicySetError> {
     let fail = |source| PolicySetError::Read { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(fail)?;
@@ -334,7 +335,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_seed_of_a_policy_follows_its_whole_name() {
+    fn seed_follows_the_whole_name() {
         let of = |name, file: &str| seed_of(name, Path::new(file));
         assert_eq!(of("soft", "policies/soft-seed12.safetensors"), Some(12));
         assert_eq!(of("soft", "policies/soft-seed3.yaml"), Some(3));

@@ -1,4 +1,4 @@
-//! Plays the trials of an experiment on the threads of rayon's global pool. What comes out does not depend on how many there are.
+//! Plays the trials of an experiment on rayon's global pool; results do not depend on the number of threads.
 
 use std::time::Instant;
 
@@ -12,58 +12,58 @@ use super::{Condition, Experiment};
 use supple::config::ConfigError;
 use supple::scenario::Sensing;
 
-/// Why an experiment could not be finished.
+/// The reason why an experiment was not finished.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// A trial could not be played.
-    #[error("{experiment} with {policy}: {source}")]
+    /// A trial cannot be played.
+    #[error("experiment {experiment} with policy {policy}: {source}")]
     Trial {
-        /// Name of the experiment.
+        /// The name of the experiment.
         experiment: &'static str,
-        /// File of the policy.
+        /// The file of the policy.
         policy: String,
-        /// Why.
+        /// The reason.
         source: TrialError,
     },
-    /// The results cannot be kept.
-    #[error("cannot keep the results of {experiment}: {source}")]
+    /// The results cannot be written.
+    #[error("cannot write the results of experiment {experiment}: {source}")]
     Store {
-        /// Name of the experiment.
+        /// The name of the experiment.
         experiment: &'static str,
         /// The system's reason.
         source: std::io::Error,
     },
-    /// A scenario file inside the program.
+    /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
 }
 
-/// How to run.
+/// The settings of measurements.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Repeats measurements that exist already.
+    /// True to repeat finished measurements.
     pub again: bool,
     /// The state that the policies act on.
     pub sensing: Sensing,
-    /// Finished measurements.
+    /// The finished measurements.
     pub store: MeasurementStore,
 }
 
-/// An experiment's results and where they come from.
+/// The results of an experiment, with the time they took and the programs that measured them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measurement {
-    /// All trials.
+    /// The results of all trials.
     pub results: Results,
-    /// Time that the trials took when they were played, now or earlier \[s\].
+    /// The time that the trials took when they were played, now or earlier \[s\].
     pub wall_s: f64,
-    /// Revisions of the programs that played them.
+    /// The revisions of the programs that played the trials.
     pub revisions: Vec<String>,
 }
 
-/// The work of an experiment that is still to be done.
+/// Returns the cost of the trials of an experiment that are not measured yet \[seconds of simulated time\].
 ///
 /// # Errors
-/// [`RunError::Config`]
+/// A scenario file inside the program is invalid, which a test rules out.
 pub fn remaining_work(
     experiment: &dyn Experiment,
     policies: &PolicySets,
@@ -79,10 +79,10 @@ pub fn remaining_work(
     Ok(of_policy * policies as f64)
 }
 
-/// The experiment's results, if all of them are there already.
+/// Returns the results of an experiment; none if some are not measured yet.
 ///
 /// # Errors
-/// [`RunError::Config`]
+/// A scenario file inside the program is invalid, which a test rules out.
 pub fn finished(
     experiment: &dyn Experiment,
     policies: &PolicySets,
@@ -97,11 +97,11 @@ pub fn finished(
     Ok(stored.map(|stored| Measurement::new(experiment, conditions, policies, stored)))
 }
 
-/// Measures an experiment with every policy with which that has not been done. `progress` is told the work of every trial
-/// played.
+/// Measures an experiment with each policy for which the store has no measurement. `progress` receives the cost of each
+/// trial when it has been played.
 ///
 /// # Errors
-/// [`RunError`]
+/// A trial cannot be played, or the results cannot be written.
 pub fn measure(
     experiment: &dyn Experiment,
     policies: &PolicySets,
@@ -116,8 +116,8 @@ pub fn measure(
         if is_there() {
             continue;
         }
-        let _claim = settings.store.lock_experiment(experiment).map_err(store)?;
-        // The process that had claimed it may have measured it.
+        let _lock = settings.store.lock_experiment(experiment).map_err(store)?;
+        // Another process may have measured it meanwhile.
         if is_there() {
             continue;
         }
@@ -149,7 +149,7 @@ impl Measurement {
     }
 }
 
-/// Plays all trials of one policy, shape (conditions, trials); of several failures the first one is returned.
+/// Plays all trials of one policy, shape (conditions, trials). If several fail, it returns the first error.
 fn play_all(
     experiment: &dyn Experiment,
     conditions: &[Condition],

@@ -1,4 +1,4 @@
-//! How an experiment puts together what it shows: claims, tables and figures of its results, under its name.
+//! Builds an experiment's section of the report: claims, tables and figures of its results, under its name.
 
 use super::Quantity;
 use super::plot::dots::{self, Dots};
@@ -7,45 +7,45 @@ use super::results::Results;
 use super::section_content::{Claim, Figure, Lines, Row, SectionContent, Table};
 use super::statistics::{Expected, PerSeed, Spread};
 
-/// Conditions that belong together, such as all directions at one command.
+/// Conditions that are averaged, such as all directions at one command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
-    /// The name that the group's quantities share.
+    /// The label in tables and figures.
     pub name: String,
-    /// Their indices.
+    /// The indices of the conditions.
     pub conditions: Vec<usize>,
 }
 
 impl Group {
-    /// Conditions in the order of their groups, which are all of one size.
+    /// Splits all conditions, in their order, into groups of equal size with these names.
     pub fn from_names(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<Group> {
         let size = results.conditions.len() / names.len().max(1);
         names.enumerate().map(|(k, name)| Group { name, conditions: (k * size..(k + 1) * size).collect() }).collect()
     }
 }
 
-/// The findings of an experiment, being put together.
+/// The section of an experiment under construction.
 #[derive(Debug)]
 pub struct SectionBuilder<'a> {
     name: &'static str,
     /// The results of the experiment.
     pub results: &'a Results,
-    /// The findings added so far.
+    /// The content added so far.
     pub content: SectionContent,
 }
 
 impl<'a> SectionBuilder<'a> {
-    /// Nothing yet.
+    /// Creates an empty section.
     pub fn new(name: &'static str, results: &'a Results) -> Self {
         SectionBuilder { name, results, content: SectionContent::default() }
     }
 
-    /// The experiment's name, or `NAME-part`.
+    /// Returns the experiment's name, or `NAME-part` if the part is not empty.
     fn named(&self, part: &str) -> String {
         if part.is_empty() { self.name.to_owned() } else { format!("{}-{part}", self.name) }
     }
 
-    /// Indices of all conditions.
+    /// Returns the indices of all conditions.
     pub fn all(&self) -> Vec<usize> {
         (0..self.results.conditions.len()).collect()
     }
@@ -60,24 +60,24 @@ impl<'a> SectionBuilder<'a> {
         self.results.conditions.first().map_or("", |condition| &condition.label)
     }
 
-    /// Claims that the first set lies above or below the second in a quantity, in the mean over some conditions.
+    /// Adds the claim that the first set's mean of a quantity over some conditions is higher or lower than the second's.
     pub fn claim(&mut self, text: &str, paper: &str, quantity: &str, expected: Expected, over: &[usize]) {
         let comparison = self.results.compare_over(over, quantity);
         let claim = Claim::new(text, paper, self.results.quantity(quantity), expected, comparison);
         self.content.claims.push(claim);
     }
 
-    /// A table of all quantities in all conditions.
+    /// Adds a table of all quantities in all conditions to the page.
     pub fn table(&mut self, caption: &str) -> &mut Table {
         self.add_table("", caption, self.all_rows(), true)
     }
 
-    /// The same in a file of its own, not in the page.
+    /// Adds a table of all quantities in all conditions, as a file only.
     pub fn table_in_file(&mut self, part: &str, caption: &str) {
         self.add_table(part, caption, self.all_rows(), false);
     }
 
-    /// A table of these rows.
+    /// Adds a table of these rows to the page.
     pub fn table_with_rows(&mut self, caption: &str, rows: Vec<Row>) {
         self.add_table("", caption, rows, true);
     }
@@ -88,35 +88,35 @@ impl<'a> SectionBuilder<'a> {
         &mut self.content.tables[index]
     }
 
-    /// All quantities in every condition by itself.
+    /// Returns a row for each quantity in each condition.
     fn all_rows(&self) -> Vec<Row> {
         self.rows(&Group::from_names(self.labels().into_iter(), self.results))
     }
 
-    /// All quantities, of each the mean over each group.
+    /// Returns a row for each group and quantity: the mean over the group.
     pub fn rows(&self, groups: &[Group]) -> Vec<Row> {
         let quantities = self.results.quantities;
         groups.iter().flat_map(|group| quantities.iter().map(|quantity| self.row(group, *quantity))).collect()
     }
 
-    /// A row of a quantity's mean over a group.
+    /// Returns the row of a quantity's mean over a group.
     pub fn row(&self, group: &Group, quantity: Quantity) -> Row {
         let comparison = self.results.compare_over(&group.conditions, quantity.name);
         Row { condition: group.name.clone(), quantity, paper: String::new(), comparison }
     }
 
-    /// A figure.
+    /// Adds a figure.
     pub fn figure(&mut self, part: &str, caption: impl Into<String>, svg: String) {
         self.content.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
     }
 
-    /// A figure of quantities by condition, a panel each.
+    /// Adds a figure of quantities by condition, with a panel for each quantity.
     pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], caption: &str) {
         let conditions = Group::from_names(self.labels().into_iter(), self.results);
         self.grouped_dots(part, title, &conditions, quantities, caption);
     }
 
-    /// A figure of quantities by group of conditions, a panel each.
+    /// Adds a figure of quantities by group of conditions, with a panel for each quantity.
     pub fn grouped_dots(&mut self, part: &str, title: &str, groups: &[Group], quantities: &[&str], caption: &str) {
         let panel = |name: &&str| {
             let row = |group: &Group| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
@@ -128,7 +128,7 @@ impl<'a> SectionBuilder<'a> {
         self.figure(part, caption, svg);
     }
 
-    /// A figure of a quantity by direction, a panel for each group of directions that divide the circle evenly.
+    /// Adds a figure of a quantity by direction, with a panel for each group of directions, which divide the circle evenly.
     pub fn polar(
         &mut self,
         part: &str,
@@ -148,7 +148,7 @@ impl<'a> SectionBuilder<'a> {
         self.figure(part, caption, svg);
     }
 
-    /// The points of a figure's lines, in a file.
+    /// Adds the points of a figure's lines, as a file.
     pub fn lines(&mut self, lines: impl IntoIterator<Item = Lines>) {
         self.content.lines.extend(lines);
     }
@@ -158,12 +158,12 @@ impl<'a> SectionBuilder<'a> {
         self.content.notes.extend(notes);
     }
 
-    /// Something of each set.
+    /// Returns the value of a function for each set.
     pub fn by_set<T>(&self, of: impl Fn(usize) -> T) -> Vec<T> {
         (0..self.results.sets.len()).map(of).collect()
     }
 
-    /// A quantity in a condition, by set and seed.
+    /// Returns the means of a quantity in a condition, by set and seed.
     pub fn per_seed(&self, condition: usize, quantity: &str) -> Vec<PerSeed> {
         self.by_set(|set| self.results.per_seed(set, condition, quantity))
     }

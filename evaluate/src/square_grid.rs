@@ -1,19 +1,18 @@
-/*! Success over a square grid of pushes: how much of it lies above a level, and the contour of that level (Fig. 2).
-*/
+//! Values on a square grid, such as the success rate over pushes: the fraction above a level and its contour (Fig. 2).
 
 /// Values on a square grid with the same coordinates along both axes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SquareGrid {
-    /// Coordinates along either axis, ascending.
+    /// The coordinates along either axis, ascending.
     pub coordinates: Vec<f64>,
-    /// Shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).
+    /// The values, shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).
     pub values: Vec<f64>,
 }
 
-/// Tolerance of the level: means of tenths that differ from it by rounding only count as above it.
+/// The tolerance of a level: values that differ from it by rounding only count as above it.
 const ROUNDING: f64 = 1e-9;
 
-/// Coordinates from `-limit` to `limit`.
+/// Returns evenly spaced coordinates from `-limit` to `limit`.
 pub fn coordinates(limit: f64, points: usize) -> Vec<f64> {
     (0..points).map(|k| limit * (2.0 * k as f64 / (points - 1) as f64 - 1.0)).collect()
 }
@@ -27,13 +26,13 @@ impl SquareGrid {
         self.values[row * self.side() + column]
     }
 
-    /// Fraction of grid points at or above a level: what the paper counts inside its contour.
+    /// Returns the fraction of grid points at or above a level, which the paper counts inside its contour.
     pub fn fraction_at_least(&self, level: f64) -> f64 {
         let inside = self.values.iter().filter(|value| **value >= level - ROUNDING).count();
         inside as f64 / self.values.len().max(1) as f64
     }
 
-    /// Line segments of the contour at a level, by marching squares; each end is (first, second) coordinate.
+    /// Returns the line segments of the contour at a level, by marching squares; each end is (first, second) coordinate.
     pub fn contour(&self, level: f64) -> Vec<[[f64; 2]; 2]> {
         let mut segments = Vec::new();
         for row in 0..self.side().saturating_sub(1) {
@@ -44,7 +43,7 @@ impl SquareGrid {
         segments
     }
 
-    /// Segments within the cell whose least corner is given.
+    /// Returns the segments within the cell whose corner with the least coordinates is given.
     fn cell(&self, row: usize, column: usize, level: f64) -> Vec<[[f64; 2]; 2]> {
         // Around the cell: corners 0..4 and the edge that follows each.
         let corners = [(row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)];

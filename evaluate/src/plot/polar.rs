@@ -1,4 +1,4 @@
-//! A quantity by direction, all sets over one another, mean and ± standard deviation (Figs. 4 and 5).
+//! A quantity by direction: mean ± standard deviation of all sets in one panel (Figs. 4 and 5).
 
 use std::f64::consts::TAU;
 
@@ -7,28 +7,28 @@ use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, GREY, LARGE, PALE, SMALL, WIDTH, colour, line};
 use crate::statistics::Spread;
 
-/// Radius of a panel \[px\].
+/// The radius of a panel \[px\].
 const RADIUS: f64 = 134.0;
 
-/// A panel: for each set, the quantity in directions that divide the circle evenly, counter-clockwise from forward.
+/// A panel with a quantity in directions that divide the circle evenly, counter-clockwise from forward.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polar {
-    /// Above it.
+    /// The title above the panel.
     pub title: String,
-    /// By set, by direction; none where it is not defined.
+    /// The values by set, then by direction; none where a value is undefined.
     pub sets: Vec<Vec<Option<Spread>>>,
 }
 
-/// Which panels have the same scale. All sets always have.
+/// The scales of the panels; all sets of a panel share one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scales {
-    /// All of them.
+    /// All panels have the same scale.
     Shared,
-    /// Each has its own.
+    /// Each panel has its own scale.
     Own,
 }
 
-/// Directions that divide the circle evenly, counter-clockwise from forward \[deg\].
+/// Returns directions that divide the circle evenly, counter-clockwise from forward \[deg\].
 pub fn evenly(count: u32) -> impl Iterator<Item = f64> {
     (0..count).map(move |k| 360.0 * f64::from(k) / f64::from(count))
 }
@@ -63,7 +63,7 @@ struct Scale {
 impl Scale {
     fn new(panels: &[Polar]) -> Self {
         let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
-        // A band reaches below zero only where means do: a time that varies much is not negative for that.
+        // A band reaches below zero only if a mean does: times that vary much are not negative.
         let is_signed = spreads.clone().any(|spread| spread.mean < 0.0);
         let ends = spreads.flat_map(|spread| {
             let sd = spread.sd.unwrap_or(0.0);
@@ -88,7 +88,7 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
     let lowest = rings.first().copied().unwrap_or(0.0);
     for ring in rings.iter().filter(|ring| **ring > scale.low + 1e-9) {
         let radius = RADIUS * (ring - scale.low) / (scale.high - scale.low);
-        // Zero stands out when there is something inside it.
+        // The ring of zero is darker if there are negative values inside it.
         let colour = if *ring == 0.0 && lowest < 0.0 { GREY } else { PALE };
         svg.circle(centre, radius, "none", Stroke::new(colour, 1.0));
     }
@@ -106,10 +106,10 @@ fn ring_values(scale: Scale) -> Vec<f64> {
     ticks([scale.low, scale.high], 5)
 }
 
-/// Values of the rings, over everything else.
+/// Draws the values of the rings, over everything else.
 fn draw_ring_labels(svg: &mut Svg, centre: [f64; 2], scale: Scale) {
     let rings = ring_values(scale);
-    // Not where a direction is drawn.
+    // An angle between two directions.
     let angle = TAU / 16.0 + TAU / 64.0;
     for ring in rings.iter().filter(|ring| **ring > scale.low + 0.05 * (scale.high - scale.low)) {
         let [x, y] = scale.at(centre, angle, *ring);

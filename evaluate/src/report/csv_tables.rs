@@ -1,4 +1,4 @@
-//! Tables as CSV: bare numbers in the units named beside them, one line for each condition and quantity.
+//! Tables as CSV: one line for each condition and quantity, with numbers in the unit of that line.
 
 use super::Report;
 use crate::section_content::{Lines, Table};

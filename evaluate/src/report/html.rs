@@ -15,32 +15,34 @@ const DEFINITIONS: &[(&str, &str)] = &[
     (
         "trial",
         "one rollout. Its phase, offsets and terrain are drawn from the policy's seed, the experiment, the condition \
-      and the trial's number, never from the policy.",
+         and the trial's number, never from the policy.",
     ),
     ("phase", "a disturbance comes at a time drawn uniformly from 0.65 s, longer than a stride at 0.5 m/s."),
     ("push", "a velocity offset added to the trunk's velocity in one instant, in the heading frame (forward, left)."),
     (
         "fall",
-        "the base is less than 0.2 m above the ground under it, or any part but the feet (of robots from \
-      elsewhere: but feet and shanks) touches the ground. The trial \
-      ends, and what it leaves undefined is not averaged; falls are counted apart.",
+        "the base is less than 0.2 m above the ground under it, or any part but the feet (of robots from elsewhere: \
+         but feet and shanks) touches the ground. The trial ends, and what it leaves undefined is not averaged; falls \
+         are counted apart.",
     ),
     ("power, torque", "Σ|τ·q̇| and ‖τ‖₂ over the twelve joints, averaged at 240 Hz, τ as applied."),
     (
         "cell",
         "the mean over the trials of a policy, then mean ± standard deviation over policies. A trial that leaves a \
-      number undefined for one policy of a pair is left out for both. (4 of 5 seeds): the others have no such number.",
+         number undefined for one policy of a pair is left out for both. (4 of 5 seeds): the others have no such \
+         number.",
     ),
     (
         "difference, interval",
         "first minus second set, over the pairs of seeds that both have the number (how many, if not all); 95 % \
-      bootstrap over these pairs, expanded for their number. Fewer than five pairs have no interval.",
+         bootstrap over these pairs, expanded for their number. Fewer than five pairs have no interval.",
     ),
     (
         "verdict",
-        "effect in the expected direction (the paper's, where it has the experiment): the interval of the difference lies \
-      on that side of zero; opposite: on the other side; no effect shown: it includes zero; too few pairs to tell: fewer \
-      than five. A bound holds if the means of both sets keep it. Sets after the second have numbers alone.",
+        "effect in the expected direction (the paper's, where it has the experiment): the interval of the difference \
+         lies on that side of zero; opposite: on the other side; no effect shown: it includes zero; too few pairs to \
+         tell: fewer than five. A bound holds if the means of both sets keep it. Sets after the second have numbers \
+         alone.",
     ),
 ];
 
@@ -88,11 +90,22 @@ fn introduction(report: &Report) -> Markup {
             }
         }
         p {
-            "Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with " (trials) " trials in \
-             simulation. Trials are paired: trial " i { "k" } " of seed " i { "s" } " is the same for all sets. A number is \
-             the mean over the trials of a policy, then mean ± standard deviation over policies of different seeds (the \
-             fraction of the push grid is that of the map of all seeds together); intervals are 95 % bootstrap intervals \
-             over pairs of seeds."
+            "Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with " (trials) "trials \
+                                                                                                                in \
+                                                                                                                simulation. \
+                                                                                                                Trials \
+                                                                                                                are \
+                                                                                                                paired: \
+                                                                                                                trial \
+                                                                                                                " i { "k" } " of seed " i { "s" } "is the same for all sets. A \
+                                                                                     number is the mean over the \
+                                                                                     trials of a policy, then mean ± \
+                                                                                     standard deviation over policies \
+                                                                                     of different seeds (the fraction \
+                                                                                     of the push grid is that of the \
+                                                                                     map of all seeds together); \
+                                                                                     intervals are 95 % bootstrap \
+                                                                                     intervals over pairs of seeds."
         }
         (notes(&report.notes))
         dl {
@@ -202,8 +215,8 @@ fn sensing(report: &Report) -> Markup {
         section id="sensing" {
             h2 { "E12 Acting on sensors " small { "section IV-D" } }
             p {
-                "The same trials, with policies that see no true state: noisy IMU and encoders, a contact network and a \
-                 Kalman filter at 240 Hz. Differences are estimated minus true state."
+                "The same trials, with policies that see no true state: noisy IMU and encoders, a contact network and \
+                 a Kalman filter at 240 Hz. Differences are estimated minus true state."
             }
             (notes(&sensing.notes))
             @for (table, names) in sensing.tables().iter().filter(|(table, _)| table.in_page) { (numbers(table, names)) }

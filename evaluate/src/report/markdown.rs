@@ -3,7 +3,7 @@
 use super::{Report, duration, other_reports};
 use crate::section_content::{Claim, Row, Table, difference, percent, spread};
 
-/// Cells of a row: condition, quantity, the paper's numbers, ours of each set, difference, relative change.
+/// Returns the cells of a row: condition, quantity, the paper's numbers, the numbers of each set, difference, relative change.
 pub fn cells(row: &Row) -> Vec<String> {
     let c = &row.comparison;
     let mut cells = vec![row.condition.clone(), row.quantity.axis(), row.paper.clone()];
@@ -13,13 +13,13 @@ pub fn cells(row: &Row) -> Vec<String> {
     cells
 }
 
-/// Titles of these columns.
+/// Returns the column titles of [`cells`].
 pub fn columns(names: &[String]) -> Vec<String> {
     let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [%]"]);
     titled(["condition", "quantity", "paper (compliant / baseline)"], names, [difference, relative])
 }
 
-/// Cells of a claim: what the paper says, its numbers, ours of each set, difference, relative change, the verdict.
+/// Returns the cells of a claim: its text, the paper's numbers, the numbers of each set, difference, relative change, verdict.
 pub fn claim_cells(claim: &Claim) -> Vec<String> {
     let (c, quantity) = (&claim.comparison, claim.quantity);
     let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
@@ -33,14 +33,14 @@ pub fn claim_cells(claim: &Claim) -> Vec<String> {
     cells
 }
 
-/// Titles of these columns.
+/// Returns the column titles of [`claim_cells`].
 pub fn claim_columns(names: &[String]) -> Vec<String> {
     let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [95 % interval]"]);
     let paper = ["the paper's claim", "its numbers (compliant / baseline)"];
     titled(paper, names, [difference, relative, "verdict".into()])
 }
 
-/// Replaces the set names in titles when more than two sets are compared.
+/// Adds the names of the two compared sets to titles if there are more than two sets.
 fn of_pair<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
     titles.map(|title| match names {
         [a, b, _, ..] => format!("{title}, {a} and {b}"),
@@ -52,13 +52,13 @@ fn titled<const N: usize>(first: [&str; N], names: &[String], last: impl IntoIte
     first.map(ToOwned::to_owned).into_iter().chain(names.iter().cloned()).chain(last).collect()
 }
 
-/// A table with its caption.
+/// Returns a table with its caption.
 pub fn table(table: &Table, names: &[String]) -> String {
     let rows = table.rows.iter().map(cells);
     format!("{}\n\n{}", table.caption, grid(&columns(names), rows))
 }
 
-/// The claims of all experiments.
+/// Returns the table of the claims of all experiments.
 pub fn claims(report: &Report) -> String {
     let rows = report.sections.iter().flat_map(|section| {
         section.content.claims.iter().map(|claim| {
@@ -72,13 +72,13 @@ pub fn claims(report: &Report) -> String {
     grid(&columns, rows)
 }
 
-/// The claims here and in other reports.
+/// Returns the table of the claims here and in other reports.
 pub fn other_reports_table(report: &Report) -> String {
     let (columns, rows) = other_reports::table(report);
     grid(&columns, rows.into_iter())
 }
 
-/// `research/results.md`, which looks for its figures in `images/`.
+/// Returns the document of all claims (`research/results.md`), whose figures are in `images/`.
 pub fn document(report: &Report) -> String {
     let mut text = format!(
         "# The paper's claims and our numbers\n\n\
@@ -153,7 +153,7 @@ pub fn document(report: &Report) -> String {
     text
 }
 
-/// A Markdown table. Columns that are empty throughout are left out.
+/// Returns a Markdown table without the columns that are empty throughout.
 fn grid(columns: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     let rows: Vec<Vec<String>> = rows.collect();
     let used = used_columns(columns.len(), &rows);

@@ -1,7 +1,7 @@
 /*! The report: one page that opens offline, every figure and table as files, and every number as JSON.
 
-`summary.json` holds nothing that differs between two runs of the same evaluation: no times, no paths, maps in order,
-numbers to six digits. Durations and the command stand in the page only.
+`summary.json` is the same for two runs of the same evaluation: it has no times and no paths, maps are in order, and numbers
+have six digits. Durations and the command are in the page only.
 */
 
 mod csv_tables;
@@ -15,7 +15,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use self::other_reports::OtherReport;
-use super::plot::png::Renderer;
+use super::plot::png::{RenderError, Renderer};
 use super::policy_sets::PolicySets;
 use super::results::EndCounts;
 use super::runner::Measurement;
@@ -25,10 +25,10 @@ use super::{Experiment, Info};
 use supple::policy::Provenance;
 use supple::util::files;
 
-/// Why the report was not written.
+/// The reason why a report was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// Writing failed.
+    /// A file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {
         /// The file.
@@ -36,30 +36,30 @@ pub enum ReportError {
         /// The system's reason.
         source: io::Error,
     },
-    /// A figure could not be rendered.
-    #[error("figure {name}: {problem}")]
+    /// A figure cannot be rendered as PNG.
+    #[error("figure {name}: {source}")]
     Figure {
-        /// The policy's name.
+        /// The figure's name.
         name: String,
-        /// Why.
-        problem: String,
+        /// The reason.
+        source: RenderError,
     },
 }
 
-/// A policy as the report names it.
+/// A row of the report's table of policies.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct PolicyLine {
-    /// Name of its set.
+    /// The name of the policy's set.
     pub set: String,
-    /// By which it is paired.
+    /// The seed, by which policies of different sets are paired.
     pub seed: u64,
-    /// Identity.
+    /// The hash of the policy's file.
     pub sha256: String,
-    /// Name of its configuration.
+    /// The name of the configuration; `external` for an external policy.
     pub config: String,
-    /// Samples it has seen; none of an external policy.
+    /// The number of training samples; none for an external policy.
     pub samples: Option<u64>,
-    /// Revision of the program that trained it.
+    /// The revision of the program that trained the policy.
     pub revision: String,
 }
 
@@ -89,15 +89,15 @@ pub struct Section {
     pub info: Info,
     /// The experiment's parameters in the protocol.
     pub parameters: serde_json::Value,
-    /// Number of conditions.
+    /// The number of conditions.
     pub conditions: usize,
     /// How the trials of each set ended.
     pub ends: Vec<EndCounts>,
     /// The claims, tables and figures.
     pub content: SectionContent,
-    /// Time that its trials took \[s\].
+    /// The time that the trials took \[s\].
     pub wall_s: f64,
-    /// Revisions of the programs that measured.
+    /// The revisions of the programs that measured.
     pub revisions: Vec<String>,
 }
 
@@ -109,21 +109,21 @@ impl Section {
         let ends: Vec<EndCounts> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
         for (name, ends) in results.names.iter().zip(&ends) {
             if ends.trials > 0 && ends.falls == ends.trials {
-                content
-                    .notes
-                    .push(format!("{name} fell in every trial: quantities that a fall leaves undefined are –."));
+                content.notes.push(format!(
+                    "{name} fell in every trial: quantities that a fall leaves undefined are shown as –."
+                ));
             }
             if ends.out_of_reach > 0 {
                 content.notes.push(format!(
-                    "{} of {} trials of {name} were not played: not all of its policies can yield as far as they ask for.",
+                    "{} of {} trials of {name} were not played: some of its policies do not support the commanded compliance.",
                     ends.out_of_reach,
                     ends.out_of_reach + ends.trials
                 ));
             }
             if ends.faults > 0 {
                 content.notes.push(format!(
-                    "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no other \
-                     numbers.",
+                    "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no \
+                     other numbers.",
                     ends.faults, ends.trials
                 ));
             }
@@ -141,30 +141,30 @@ impl Section {
     }
 }
 
-/// The whole report.
+/// The content of a report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Report {
-    /// Names of all sets; claims and differences are about the first two.
+    /// The names of all sets; claims and differences compare the first two.
     pub names: Vec<String>,
     /// All policies.
     pub policies: Vec<PolicyLine>,
-    /// `full`, `quick` or a file.
+    /// The protocol: `full`, `quick` or a file name.
     pub protocol: String,
     /// The command line that makes this report.
     pub command: Command,
     /// Notes about the policies.
     pub notes: Vec<String>,
-    /// Finished experiments, in order.
+    /// The finished experiments in the order of the protocol.
     pub sections: Vec<Section>,
-    /// Experiments that are not finished.
+    /// The experiments that are not finished.
     pub missing: Vec<Info>,
     /// E12: the experiments that were also run with estimated sensing.
     pub sensing: SensingComparison,
-    /// Other reports whose numbers are shown beside these.
+    /// Other reports whose claims are shown beside these.
     pub other_reports: Vec<OtherReport>,
 }
 
-/// Reads a fact from the provenance of a policy file of Supple.
+/// Reads a value from the provenance of a policy; none for an external policy.
 fn origin<T>(member: &super::policy_sets::SetMember, of: impl Fn(&Provenance) -> T) -> Option<T> {
     member.agent.policy().map(|policy| of(&policy.provenance))
 }
@@ -177,7 +177,7 @@ impl PolicyLine {
 }
 
 impl Report {
-    /// A report without experiments yet.
+    /// Creates a report without experiments.
     pub fn new(policies: &PolicySets, protocol: String, command: Command) -> Self {
         let line = |set: &str, member: &super::policy_sets::SetMember| PolicyLine {
             set: set.to_owned(),
@@ -203,7 +203,7 @@ impl Report {
         }
     }
 
-    /// Adds a finished experiment. What undisturbed walking tells of the policies is to be known of all the others, too.
+    /// Adds a finished experiment. Notes about undisturbed walking (E0) concern all experiments and become notes of the report.
     pub fn add(&mut self, mut section: Section) {
         if section.info.number == 0 {
             self.notes.append(&mut section.content.notes);
@@ -211,12 +211,12 @@ impl Report {
         self.sections.push(section);
     }
 
-    /// Time that all trials took, with those of E12 \[s\].
+    /// Returns the time that all trials took, including those of E12 \[s\].
     fn wall_s(&self) -> f64 {
         self.sections.iter().map(|section| section.wall_s).sum::<f64>() + self.sensing.wall_s
     }
 
-    /// Revisions of the programs that measured.
+    /// Returns the revisions of the programs that measured.
     fn revisions(&self) -> Vec<&str> {
         let mut revisions: Vec<&str> =
             self.sections.iter().flat_map(|section| &section.revisions).map(String::as_str).collect();
@@ -225,10 +225,10 @@ impl Report {
         revisions
     }
 
-    /// Writes everything into a folder.
+    /// Writes the page, `summary.json`, figures and tables into a folder.
     ///
     /// # Errors
-    /// [`ReportError`]
+    /// A file cannot be written, or a figure cannot be rendered.
     pub fn write(&self, out: &Path) -> Result<(), ReportError> {
         let (figures, tables) = (out.join("figures"), out.join("tables"));
         for folder in [&*figures, &*tables, out] {
@@ -268,10 +268,10 @@ impl Report {
         write(&out.join("report.html"), html::page(self).as_bytes())
     }
 
-    /// Writes the table of claims as a document of its own, with the figures it shows in the folder `images` beside it.
+    /// Writes the table of claims as a Markdown document, and its figures into the folder `images` beside it.
     ///
     /// # Errors
-    /// [`ReportError`]
+    /// A file cannot be written, or a figure cannot be rendered.
     pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
         let images = path.with_file_name("images");
         let renderer = Renderer::default();
@@ -282,7 +282,7 @@ impl Report {
         write(path, markdown::document(self).as_bytes())
     }
 
-    /// What the document of claims shows: how a push decays, which pushes are recovered from.
+    /// Returns the figures of the document: the decay of a push, and the map of push recovery.
     fn figures_of_document(&self) -> impl Iterator<Item = &Figure> {
         let all = || self.sections.iter().flat_map(|section| &section.content.figures);
         ["decay", "push-grid"].into_iter().filter_map(move |name| all().find(|figure| figure.name == name))
@@ -290,8 +290,7 @@ impl Report {
 }
 
 fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), ReportError> {
-    let png =
-        renderer.png(&figure.svg).map_err(|problem| ReportError::Figure { name: figure.name.clone(), problem })?;
+    let png = renderer.png(&figure.svg).map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
     write(&folder.join(format!("{}.png", figure.name)), &png)
 }
 
@@ -300,7 +299,7 @@ fn write_table(folder: &Path, table: &Table, names: &[String]) -> Result<(), Rep
     write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names).as_bytes())
 }
 
-/// Removes an experiment's figures or tables of an earlier report, of other policies: their names begin with its own.
+/// Removes the figures or tables of an experiment that an earlier report of other policies wrote.
 fn remove_of(experiment: &str, folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
@@ -318,7 +317,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     files::write_atomically(path, bytes).map_err(|source| ReportError::Write { path: path.to_owned(), source })
 }
 
-/// A duration for people.
+/// Returns a duration in words.
 fn duration(seconds: f64) -> String {
     match seconds.round() as u64 {
         seconds @ 0..60 => format!("{seconds} s"),

@@ -1,4 +1,4 @@
-//! Claims beside those of other reports: on another robot, with other joints, after more samples.
+//! The claims of this report beside those of other reports: on another robot, with other joints, after more samples.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,49 +15,58 @@ use supple::util::files;
 /// The title of the table.
 pub const TITLE: &str = "Beside other reports";
 
-/// Above the table.
-pub const CAPTION: &str = "Means of both sets, and the first against the second: relative, in points of a fraction, or absolute where a mean \
-     is not above zero, with the 95 % interval; where there are fewer than five pairs, in how many of them it lies on that side. \
-     –: not measured there, or otherwise.";
+/// The text above the table.
+pub const CAPTION: &str = "Means of both sets, and the difference of the first from the second: relative, in points \
+                           for fractions, or absolute where a mean is not above zero, with the 95 % interval; with \
+                           fewer than five pairs, the number of pairs that differ that way. –: not measured there, or \
+                           with another protocol.";
 
-/// Larger files are not ours.
+/// The largest summary that is read \[bytes\].
 const MAX_BYTES: u64 = 1 << 28;
 
-/// Why another report cannot be shown.
+/// The reason why another report cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum OtherReportError {
-    /// There is no summary.
+    /// The summary cannot be read.
     #[error("cannot read {}: {source}; expected the folder of a finished report", path.display())]
     Read {
-        /// Where it should be.
+        /// The expected path of the summary.
         path: PathBuf,
         /// The system's reason.
         source: std::io::Error,
     },
-    /// It is something else.
-    #[error("{} is not the summary of a report: {problem}; make the report again with this program", path.display())]
-    Content {
+    /// The file is not a summary, or one of another version of this program.
+    #[error("{} is not the summary of a report: {source}; make the report again with this program", path.display())]
+    Parse {
         /// The file.
         path: PathBuf,
-        /// The problem with the file.
-        problem: String,
+        /// The position in the file and what is wrong there.
+        source: serde_json::Error,
+    },
+    /// The report does not compare two sets of policies.
+    #[error("{} has {found} sets of policies, expected two or more; make the report again with this program", path.display())]
+    Sets {
+        /// The file.
+        path: PathBuf,
+        /// The number of sets found.
+        found: usize,
     },
 }
 
-/// Another report, by what it says of the claims.
+/// The claims of another report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OtherReport {
-    /// The name of that report in this one.
+    /// The name of the other report in this one.
     pub name: String,
-    /// By name.
+    /// The experiments by name.
     experiments: BTreeMap<String, MeasuredClaims>,
 }
 
-/// An experiment there.
+/// The claims of an experiment in another report.
 #[derive(Debug, Clone, PartialEq)]
 struct MeasuredClaims {
     parameters: Value,
-    /// Quantity and numbers of each claim, as the summary has them: in the quantity's unit.
+    /// The name of the quantity and the numbers of each claim, in the quantity's printed unit.
     claims: Vec<(String, Comparison)>,
 }
 
@@ -106,14 +115,16 @@ impl OtherReport {
     /// Reads the summary in the folder of a report.
     ///
     /// # Errors
-    /// [`OtherReportError`]
+    /// The summary cannot be read, has another form, or has fewer than two sets.
     pub fn read(name: &str, folder: &Path) -> Result<Self, OtherReportError> {
         let path = folder.join("summary.json");
         let bytes = files::read_bounded(&path, MAX_BYTES)
             .map_err(|source| OtherReportError::Read { path: path.clone(), source })?;
-        let content = |problem: String| OtherReportError::Content { path: path.clone(), problem };
-        let summary: SummaryRecord = serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))?;
-        let [first, second, ..] = &summary.sets[..] else { return Err(content("it has no two sets".to_owned())) };
+        let summary: SummaryRecord =
+            serde_json::from_slice(&bytes).map_err(|source| OtherReportError::Parse { path: path.clone(), source })?;
+        let [first, second, ..] = &summary.sets[..] else {
+            return Err(OtherReportError::Sets { path, found: summary.sets.len() });
+        };
         let numbers =
             |ClaimRecord { quantity, ours: NumbersRecord { mut sets, difference, relative } }: ClaimRecord| {
                 let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
@@ -125,7 +136,7 @@ impl OtherReport {
         Ok(OtherReport { name: name.to_owned(), experiments: summary.experiments.into_iter().map(measured).collect() })
     }
 
-    /// A claim of an experiment, if it was measured alike there.
+    /// Returns the cell of a claim, or a dash if the other report measured it with other parameters or not at all.
     fn cell(&self, experiment: &str, parameters: &Value, index: usize, quantity: Quantity) -> String {
         let alike = self.experiments.get(experiment).filter(|there| there.parameters == *parameters);
         let same = alike.and_then(|there| there.claims.get(index)).filter(|(name, _)| name == quantity.name);
@@ -133,11 +144,10 @@ impl OtherReport {
     }
 }
 
-/// Titles and rows of the table: each claim, here and in the reports beside this one.
+/// Returns the column titles and rows of the table: each claim, here and in the other reports.
 pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
-    let columns = ["experiment", "claim, with what was found here", "here"]
-        .into_iter()
-        .chain(report.other_reports.iter().map(|other| &*other.name));
+    let columns =
+        ["experiment", "claim", "here"].into_iter().chain(report.other_reports.iter().map(|other| &*other.name));
     let of_section = |section: &super::Section| {
         let (info, parameters) = (section.info, summary::rounded(section.parameters.clone()));
         let row = move |(index, claim): (usize, &crate::section_content::Claim)| {
@@ -151,7 +161,7 @@ pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
     (columns.map(ToOwned::to_owned).collect(), report.sections.iter().flat_map(of_section).collect())
 }
 
-/// Means of both sets, how the first lies to the second, and, where there are too few pairs for an interval, how many agree.
+/// Returns means of both sets, the difference first − second, and, with too few pairs for an interval, how many agree with it.
 fn cell(comparison: &Comparison, quantity: Quantity) -> String {
     let mean = |set: &Numbers| set.spread.map_or(NOTHING.to_owned(), |spread| number(spread.mean, quantity));
     let means = comparison.pair().iter().map(mean).collect::<Vec<_>>().join(" / ");
@@ -183,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_has_means_and_the_relative_difference_and_counts_few_pairs() {
+    fn cell_has_means_and_relative_difference() {
         let few = Comparison::new(vec![numbers(&[0.6, 0.5, 0.4]), numbers(&[0.4, 0.4, 0.5])]);
         // (1.5 − 1.3) / 1.3 = 15 %; the third pair differs the other way.
         assert_eq!(cell(&few, TIME), "0.50 / 0.43 s: +15 % (2 of 3 pairs)");
@@ -212,6 +222,6 @@ mod tests {
         assert_eq!(cell(5, 0, TIME), NOTHING, "another protocol");
         assert!(matches!(OtherReport::read("x", &folder.path().join("none")), Err(OtherReportError::Read { .. })));
         std::fs::write(folder.path().join("summary.json"), "{}").unwrap();
-        assert!(matches!(OtherReport::read("x", folder.path()), Err(OtherReportError::Content { .. })));
+        assert!(matches!(OtherReport::read("x", folder.path()), Err(OtherReportError::Parse { .. })));
     }
 }

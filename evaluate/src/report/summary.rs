@@ -1,4 +1,4 @@
-//! Every number as JSON, the same bytes for the same evaluation.
+//! `summary.json`: every number of the report, the same bytes for the same evaluation.
 
 use serde_json::{Map, Value, json};
 
@@ -7,7 +7,7 @@ use crate::Quantity;
 use crate::section_content::Table;
 use crate::statistics::{Comparison, Numbers};
 
-/// The whole summary.
+/// Returns the summary of a report as JSON.
 pub fn json(report: &Report) -> String {
     let policies: Vec<Value> = report
         .policies
@@ -38,7 +38,7 @@ pub fn json(report: &Report) -> String {
     text
 }
 
-/// E12: all numbers both ways, and the errors of the estimates.
+/// Returns E12: all numbers with estimates and with the true state, and the errors of the estimates.
 fn sensing(report: &Report) -> Value {
     let found = &report.sensing;
     let tables = found.tables();
@@ -50,7 +50,7 @@ fn sensing(report: &Report) -> Value {
     })
 }
 
-/// A table's name and rows.
+/// Returns a table's name and rows.
 fn table(table: &Table, names: &[String]) -> (String, Value) {
     let row = |row: &crate::section_content::Row| {
         json!({
@@ -89,7 +89,7 @@ fn experiment(section: &Section, names: &[String]) -> Value {
     })
 }
 
-/// In the quantity's unit; a relative change is 0.1 for 10 %.
+/// Returns a comparison in the quantity's unit; a relative change of 10 % is 0.1.
 fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> Value {
     let comparison = comparison.scaled(quantity.scale());
     let mut sets = Map::new();
@@ -106,7 +106,7 @@ fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> 
     })
 }
 
-/// Numbers to six significant digits: the rest is not knowledge.
+/// Rounds all numbers of a value to six significant digits.
 pub fn rounded(value: Value) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => {

@@ -1,4 +1,4 @@
-//! `evaluate`: every figure and table of the paper for sets of policies.
+//! The program `evaluate`: every figure and table of the paper for sets of policies.
 
 mod args;
 mod progress;
@@ -37,13 +37,13 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
     std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
-    // Zero stands for all cores.
+    // Zero threads mean all cores.
     let threads = args.threads.map_or(0, usize::from);
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")?;
     let settings = Settings { again: args.again, sensing: Sensing::True, store: MeasurementStore::new(&args.out) };
     let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
     let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
-    // E12 compares with the true state: estimated sensing is run besides.
+    // E12 compares estimates with the true state, so both are run.
     let is_run = |settings: &Settings| settings.sensing == Sensing::True || args.sensing == Sensing::Estimated;
 
     let mut progress = Progress::default();
@@ -61,8 +61,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     progress.finish();
 
-    // What other processes have measured meanwhile belongs to the report, too; the last of them finds everything.
-    let _claim = settings.store.lock_report()?;
+    // The report includes what other processes have measured meanwhile; the last process reports everything.
+    let _lock = settings.store.lock_report()?;
     for experiment in protocol.experiments() {
         let finished = |sensing| runner::finished(experiment, &policies, &settings.store, sensing);
         let (truth, estimated) = (finished(Sensing::True)?, finished(Sensing::Estimated)?);
@@ -82,7 +82,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The protocol and its name in the report.
+/// Returns the protocol and its name in the report.
 fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
     Ok(match &args.protocol {
         Some(path) => (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), Protocol::load(path)?),
