@@ -137,8 +137,10 @@ pub trait Experiment: erased_serde::Serialize + Sync {
         script.duration_s
     }
 
-    /// Takes the experiment's numbers from a trial.
-    fn measure(&self, trial: &Trial) -> TrialValues;
+    /// Takes the experiment's numbers from a trial; by default, the scenario's metrics of the same names.
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        trial.upright_metrics(self.info().quantities)
+    }
 
     /// Adds claims, tables and figures to the experiment's section of the report.
     fn report(&self, section: &mut SectionBuilder);

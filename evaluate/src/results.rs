@@ -65,9 +65,20 @@ impl Results {
         self.per_seed_over(set, &[condition], quantity)
     }
 
-    /// Returns the mean over conditions of the mean over trials for each seed of a set.
+    /// Returns the mean over conditions of the mean over trials for each seed of a set. A trial that leaves the quantity
+    /// undefined for one policy of a pair is left out for both: otherwise a policy that falls in hard trials would be
+    /// averaged over easy ones. A policy whose partner has no number at all keeps its own. The first two sets are each
+    /// other's partners; the partner of every further set is the first.
     pub fn per_seed_over(&self, set: usize, conditions: &[usize], quantity: &str) -> PerSeed {
-        self.means(set, conditions, self.index(quantity))
+        let quantity = self.index(quantity);
+        let partners = self.sets.get(usize::from(set == 0));
+        let of_seed = |(seed, policy): (&u64, &PolicyResult)| {
+            let partner = partners.and_then(|set| set.get(seed));
+            let partner =
+                partner.filter(|other| conditions.iter().any(|c| mean_of(other, None, *c, quantity).is_some()));
+            Some((*seed, mean(conditions.iter().filter_map(|c| mean_of(policy, partner, *c, quantity)))?))
+        };
+        self.sets[set].iter().filter_map(of_seed).collect()
     }
 
     /// Compares the sets in one condition.
@@ -77,9 +88,8 @@ impl Results {
 
     /// Compares the sets by each policy's mean over conditions of the mean over trials.
     pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
-        let index = self.index(quantity);
-        let sets = (0..self.sets.len()).map(|set| self.numbers(set, self.means(set, conditions, index)));
-        Comparison::new(sets.collect()).with_trials(self.trials(conditions, index))
+        let sets = (0..self.sets.len()).map(|set| self.numbers(set, self.per_seed_over(set, conditions, quantity)));
+        Comparison::new(sets.collect()).with_trials(self.trials(conditions, self.index(quantity)))
     }
 
     /// Returns "N of M directions": the first set's number is larger in N of the M directions that have pairs of seeds.
@@ -93,21 +103,6 @@ impl Results {
     /// Creates the numbers of a set from values by seed.
     pub fn numbers(&self, set: usize, by_seed: PerSeed) -> Numbers {
         Numbers::new(by_seed, self.sets[set].len())
-    }
-
-    /// Returns the mean over conditions of the mean over trials for each seed of a set. A trial that leaves the quantity
-    /// undefined for one policy of a pair is left out for both: otherwise a policy that falls in hard trials would be
-    /// averaged over easy ones. A policy whose partner has no number at all keeps its own. The first two sets are each
-    /// other's partners; the partner of every further set is the first.
-    fn means(&self, set: usize, conditions: &[usize], quantity: usize) -> PerSeed {
-        let partners = self.sets.get(usize::from(set == 0));
-        let of_seed = |(seed, policy): (&u64, &PolicyResult)| {
-            let partner = partners.and_then(|set| set.get(seed));
-            let partner =
-                partner.filter(|other| conditions.iter().any(|c| mean_of(other, None, *c, quantity).is_some()));
-            Some((*seed, mean(conditions.iter().filter_map(|c| mean_of(policy, partner, *c, quantity)))?))
-        };
-        self.sets[set].iter().filter_map(of_seed).collect()
     }
 
     /// Counts the pairs of trials of the first two sets, and those in which both policies have a number.

@@ -1,11 +1,12 @@
 //! Plays the trials of an experiment on rayon's global pool; results do not depend on the number of threads.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::measurement_store::{self, MeasurementStore, StoredMeasurement};
-use super::policy_sets::{PolicySet, PolicySets, SetMember};
+use super::measurement_store::{self, MeasurementStore};
+use super::policy_sets::{PolicySets, SetMember};
 use super::results::{PolicyResult, Results};
 use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
@@ -57,7 +58,7 @@ pub struct Measurement {
     /// The time that the trials took when they were played, now or earlier \[s\].
     pub wall_s: f64,
     /// The revisions of the programs that played the trials.
-    pub revisions: Vec<String>,
+    pub revisions: BTreeSet<String>,
 }
 
 /// Returns the cost of the trials of an experiment that are not measured yet \[seconds of simulated time\].
@@ -90,11 +91,20 @@ pub fn finished(
     sensing: Sensing,
 ) -> Result<Option<Measurement>, RunError> {
     let conditions = experiment.conditions()?;
-    let key = |member: &SetMember| measurement_store::key(experiment, &conditions, member, sensing);
-    let read = |member: &SetMember| store.read(experiment, &key(member));
-    let of_set = |set: &PolicySet| set.members.iter().map(read).collect::<Option<Vec<StoredMeasurement>>>();
-    let stored = policies.sets.iter().map(of_set).collect::<Option<Vec<_>>>();
-    Ok(stored.map(|stored| Measurement::new(experiment, conditions, policies, stored)))
+    let (mut sets, mut wall_s, mut revisions) = (Vec::new(), 0.0, BTreeSet::new());
+    for set in &policies.sets {
+        let mut by_seed = BTreeMap::new();
+        for member in &set.members {
+            let key = measurement_store::key(experiment, &conditions, member, sensing);
+            let Some(stored) = store.read(experiment, &key) else { return Ok(None) };
+            wall_s += stored.wall_s;
+            revisions.insert(stored.revision);
+            by_seed.insert(stored.seed, stored.samples);
+        }
+        sets.push(by_seed);
+    }
+    let results = Results { names: policies.names(), conditions, quantities: experiment.info().quantities, sets };
+    Ok(Some(Measurement { results, wall_s, revisions }))
 }
 
 /// Measures an experiment with each policy for which the store has no measurement. `progress` receives the cost of each
@@ -129,24 +139,6 @@ pub fn measure(
         settings.store.write(experiment, &key, member, wall_s, samples).map_err(store)?;
     }
     Ok(())
-}
-
-impl Measurement {
-    fn new(
-        experiment: &dyn Experiment,
-        conditions: Vec<Condition>,
-        policies: &PolicySets,
-        stored: Vec<Vec<StoredMeasurement>>,
-    ) -> Self {
-        let wall_s = stored.iter().flatten().map(|stored| stored.wall_s).sum();
-        let mut revisions: Vec<String> = stored.iter().flatten().map(|stored| stored.revision.clone()).collect();
-        revisions.sort();
-        revisions.dedup();
-        let by_seed = |of_set: Vec<StoredMeasurement>| of_set.into_iter().map(|s| (s.seed, s.samples)).collect();
-        let sets = stored.into_iter().map(by_seed).collect();
-        let results = Results { names: policies.names(), conditions, quantities: experiment.info().quantities, sets };
-        Measurement { results, wall_s, revisions }
-    }
 }
 
 /// Plays all trials of one policy, shape (conditions, trials). If several fail, it returns the first error.

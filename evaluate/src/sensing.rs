@@ -183,7 +183,7 @@ mod tests {
             sets: vec![set(0.0), set(10.0)],
             conditions,
         };
-        Measurement { results, wall_s: 1.0, revisions: Vec::new() }
+        Measurement { results, wall_s: 1.0, revisions: Default::default() }
     }
 
     #[test]

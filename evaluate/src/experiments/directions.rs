@@ -70,7 +70,7 @@ impl Experiment for Directions {
         let mut rows = Vec::new();
         for (group, command) in groups.iter().zip(&self.commands_m_s) {
             let (name, is_standing) = (&group.name, *command == 0.0);
-            let briefly = (BRIEFLY_AVERAGED.name, "take longer to stabilise (to 10 %, averaged over 0.1 s)");
+            let briefly = (BRIEFLY_AVERAGED.name, "take longer to stabilise to 10 %, averaged over 0.1 s");
             for (quantity, words) in is_standing.then_some(briefly).into_iter().chain(push::lasting(*command)) {
                 let text = format!(
                     "Pushed from any side while {name}, compliant policies {words} (mean over directions; larger in {})",

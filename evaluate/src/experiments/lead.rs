@@ -53,10 +53,6 @@ impl Experiment for Lead {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> TrialValues {
-        trial.upright_metrics(QUANTITIES)
-    }
-
     fn report(&self, section: &mut SectionBuilder) {
         let groups =
             Group::from_names(self.commands_m_s.iter().map(|command| gait(*command).to_owned()), section.results);

@@ -1,48 +1,30 @@
 //! The experiments E0 to E14, one file each: its conditions, its quantities, and its section of the report.
 
-mod ball_pit;
-mod commanded_compliance;
-mod decay;
-mod directions;
-mod free_box;
-mod lead;
-mod leash;
-mod outdoor;
-mod pendulum;
-mod pull;
-mod pulley;
+pub mod ball_pit;
+pub mod commanded_compliance;
+pub mod decay;
+pub mod directions;
+pub mod free_box;
+pub mod lead;
+pub mod leash;
+pub mod outdoor;
+pub mod pendulum;
+pub mod pull;
+pub mod pulley;
 mod push;
-mod push_grid;
-mod rubble;
-mod table4;
-mod terrain;
+pub mod push_grid;
+pub mod rubble;
+pub mod table4;
+pub mod terrain;
 mod velocity;
-mod walk;
-mod wall;
+pub mod walk;
+pub mod wall;
 
 use serde::{Deserialize, Serialize};
 
 use super::{Condition, Experiment};
 use crate::plot::polar::evenly;
 use supple::scenario::catalog::{ParameterError, Scenario, in_range};
-
-pub use ball_pit::BallPit;
-pub use commanded_compliance::CommandedCompliance;
-pub use decay::Decay;
-pub use directions::Directions;
-pub use free_box::FreeBox;
-pub use lead::Lead;
-pub use leash::Leash;
-pub use outdoor::Outdoor;
-pub use pendulum::Pendulum;
-pub use pull::Pull;
-pub use pulley::Pulley;
-pub use push_grid::PushGrid;
-pub use rubble::Rubble;
-pub use table4::Table4;
-pub use terrain::Terrain;
-pub use walk::Walk;
-pub use wall::Wall;
 
 /// The imports that every experiment needs.
 mod prelude {
@@ -63,23 +45,23 @@ mod prelude {
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs)]
 pub struct Protocol {
-    pub walk: Walk,
-    pub push_grid: PushGrid,
-    pub decay: Decay,
-    pub table4: Table4,
-    pub directions: Directions,
-    pub leash: Leash,
-    pub r#box: FreeBox,
-    pub ball_pit: BallPit,
-    pub terrain: Terrain,
-    pub pulley: Pulley,
-    pub pendulum: Pendulum,
-    pub rubble: Rubble,
-    pub outdoor: Outdoor,
-    pub calibration: CommandedCompliance,
-    pub pull: Pull,
-    pub wall: Wall,
-    pub lead: Lead,
+    pub walk: walk::Walk,
+    pub push_grid: push_grid::PushGrid,
+    pub decay: decay::Decay,
+    pub table4: table4::Table4,
+    pub directions: directions::Directions,
+    pub leash: leash::Leash,
+    pub r#box: free_box::FreeBox,
+    pub ball_pit: ball_pit::BallPit,
+    pub terrain: terrain::Terrain,
+    pub pulley: pulley::Pulley,
+    pub pendulum: pendulum::Pendulum,
+    pub rubble: rubble::Rubble,
+    pub outdoor: outdoor::Outdoor,
+    pub calibration: commanded_compliance::CommandedCompliance,
+    pub pull: pull::Pull,
+    pub wall: wall::Wall,
+    pub lead: lead::Lead,
 }
 
 impl Protocol {

@@ -56,10 +56,6 @@ impl Experiment for Pulley {
         Ok(commands.flat_map(|command| self.directions_deg.iter().map(|d| condition(*command, *d))).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> TrialValues {
-        trial.upright_metrics(QUANTITIES)
-    }
-
     fn report(&self, section: &mut SectionBuilder) {
         section.table(
             "Pulled by 1 kg over a pulley, by command and direction (0° ahead, 90° left, 180° back, 270° right).",

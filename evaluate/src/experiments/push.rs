@@ -21,8 +21,8 @@ pub(super) const UNDECAYED: Quantity = Quantity::new("undecayed", "not decayed a
 
 /// The quantities that tell how long a disturbance lasts, with their words in claims. The paper names no threshold.
 pub(super) const LASTING: [(&str, &str); 3] = [
-    (TO_10.name, "take longer to stabilise (to 10 %)"),
-    (TO_20.name, "take longer to stabilise (to 20 %)"),
+    (TO_10.name, "take longer to stabilise to 10 %"),
+    (TO_20.name, "take longer to stabilise to 20 %"),
     (CARRIED.name, "are carried farther within 2 s"),
 ];
 

@@ -46,10 +46,6 @@ impl Experiment for Wall {
         Ok(self.commands_m_s.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> TrialValues {
-        trial.upright_metrics(QUANTITIES)
-    }
-
     fn report(&self, section: &mut SectionBuilder) {
         section.table("Walking into a wall of 700 N/m and 4 N·s/m, by command.");
         section.dots(

@@ -46,7 +46,11 @@ impl Panel {
         self.draw_frame(svg);
         svg.text([0.5 * (left + right), bottom + 35.0], x_label, Text::new(SMALL, Anchor::Middle));
         if let Some(label) = y_label {
-            svg.text([left - 42.0, 0.5 * (top + bottom)], label, Text::new(SMALL, Anchor::Middle).upwards());
+            svg.text(
+                [left - 42.0, 0.5 * (top + bottom)],
+                label,
+                Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) },
+            );
         }
     }
 
@@ -60,7 +64,7 @@ impl Panel {
     /// Draws a title above the panel.
     pub fn draw_title(&self, svg: &mut Svg, title: &str) {
         let centre = self.corner[0] + 0.5 * self.size[0];
-        svg.text([centre, self.corner[1] - 9.0], title, Text::new(LARGE, Anchor::Middle).bold());
+        svg.text([centre, self.corner[1] - 9.0], title, Text { bold: true, ..Text::new(LARGE, Anchor::Middle) });
     }
 }
 

@@ -74,7 +74,7 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
                 }
             }
             let Some(spread) = Spread::from_values(values) else {
-                svg.text([left + 5.0, y + 4.0], "no value", Text::new(SMALL, Anchor::Start).coloured(GREY));
+                svg.text([left + 5.0, y + 4.0], "no value", Text { colour: GREY, ..Text::new(SMALL, Anchor::Start) });
                 continue;
             };
             let sd = spread.sd.unwrap_or(0.0);

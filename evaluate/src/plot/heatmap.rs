@@ -94,7 +94,7 @@ fn draw_labels(svg: &mut Svg, panel: &Panel, x_label: &str, y_label: Option<&str
     svg.text([centre, bottom + 36.0], x_label, Text::new(SMALL, Anchor::Middle));
     if let Some(label) = y_label {
         let middle = panel.corner[1] + 0.5 * panel.size[1];
-        svg.text([panel.corner[0] - 42.0, middle], label, Text::new(SMALL, Anchor::Middle).upwards());
+        svg.text([panel.corner[0] - 42.0, middle], label, Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) });
     }
 }
 
@@ -114,7 +114,7 @@ fn draw_scale(svg: &mut Svg, corner: [f64; 2], height: f64, level: f64, label: &
         svg.line([corner[0], y], [corner[0] + width, y], stroke);
     }
     let at = [corner[0] + width + 44.0, corner[1] + 0.5 * height];
-    svg.text(at, label, Text::new(SMALL, Anchor::Middle).upwards());
+    svg.text(at, label, Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) });
 }
 
 fn colour(fraction: f64) -> String {

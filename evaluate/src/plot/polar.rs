@@ -47,7 +47,7 @@ pub fn draw(title: &str, panels: &[Polar], names: &[String], axis: &str, scales:
             draw_set(&mut svg, centre, scale, values, set);
         }
         draw_ring_labels(&mut svg, centre, scale);
-        svg.text([centre[0], 20.0], &panel.title, Text::new(LARGE, Anchor::Middle).bold());
+        svg.text([centre[0], 20.0], &panel.title, Text { bold: true, ..Text::new(LARGE, Anchor::Middle) });
     }
     draw_legend(&mut svg, [WIDTH * 0.5, 400.0], names);
     svg.finish(title)
@@ -99,7 +99,7 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
     svg.text([centre[0], centre[1] - out], "left", style(Anchor::Middle));
     svg.text([centre[0] - out, centre[1] + 4.0], "back", style(Anchor::End));
     svg.text([centre[0], centre[1] + out + 9.0], "right", style(Anchor::Middle));
-    svg.text([centre[0], centre[1] + out + 26.0], axis, style(Anchor::Middle).coloured(GREY));
+    svg.text([centre[0], centre[1] + out + 26.0], axis, Text { colour: GREY, ..style(Anchor::Middle) });
 }
 
 fn ring_values(scale: Scale) -> Vec<f64> {
@@ -113,7 +113,7 @@ fn draw_ring_labels(svg: &mut Svg, centre: [f64; 2], scale: Scale) {
     let angle = TAU / 16.0 + TAU / 64.0;
     for ring in rings.iter().filter(|ring| **ring > scale.low + 0.05 * (scale.high - scale.low)) {
         let [x, y] = scale.at(centre, angle, *ring);
-        svg.text([x, y + 4.0], &tick_text(*ring, &rings), Text::new(SMALL, Anchor::Middle).rimmed());
+        svg.text([x, y + 4.0], &tick_text(*ring, &rings), Text { rimmed: true, ..Text::new(SMALL, Anchor::Middle) });
     }
 }
 

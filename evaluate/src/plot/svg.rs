@@ -86,30 +86,6 @@ impl Text {
     pub const fn new(size: f64, anchor: Anchor) -> Self {
         Text { size, colour: super::INK, bold: false, anchor, upwards: false, rimmed: false }
     }
-
-    /// Sets the colour.
-    pub const fn coloured(mut self, colour: &'static str) -> Self {
-        self.colour = colour;
-        self
-    }
-
-    /// Makes the text bold.
-    pub const fn bold(mut self) -> Self {
-        self.bold = true;
-        self
-    }
-
-    /// Adds a white rim.
-    pub const fn rimmed(mut self) -> Self {
-        self.rimmed = true;
-        self
-    }
-
-    /// Makes the text read upwards.
-    pub const fn upwards(mut self) -> Self {
-        self.upwards = true;
-        self
-    }
 }
 
 impl Svg {

@@ -262,9 +262,9 @@ fn numbers(table: &Table, names: &[String]) -> Markup {
             tr { @for column in &used { th { (titles[*column]) } } }
             @for (index, row) in rows.iter().enumerate() {
                 @let is_first = row[0] != condition_above(index);
-                tr.first[is_first] {
+                tr class=[is_first.then_some("first")] {
                     @for column in &used {
-                        td.number[*column > 1] { @if *column > 0 || is_first { (row[*column]) } }
+                        td class=[(*column > 1).then_some("number")] { @if *column > 0 || is_first { (row[*column]) } }
                     }
                 }
             }

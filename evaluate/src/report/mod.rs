@@ -10,6 +10,7 @@ mod markdown;
 pub mod other_reports;
 mod summary;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -98,7 +99,7 @@ pub struct Section {
     /// The time that the trials took \[s\].
     pub wall_s: f64,
     /// The revisions of the programs that measured.
-    pub revisions: Vec<String>,
+    pub revisions: BTreeSet<String>,
 }
 
 impl Section {
@@ -218,11 +219,8 @@ impl Report {
 
     /// Returns the revisions of the programs that measured.
     fn revisions(&self) -> Vec<&str> {
-        let mut revisions: Vec<&str> =
-            self.sections.iter().flat_map(|section| &section.revisions).map(String::as_str).collect();
-        revisions.sort_unstable();
-        revisions.dedup();
-        revisions
+        let revisions = self.sections.iter().flat_map(|section| &section.revisions);
+        revisions.map(String::as_str).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
     /// Writes the page, `summary.json`, figures and tables into a folder.

@@ -44,20 +44,19 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
     let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
     // E12 compares estimates with the true state, so both are run.
-    let is_run = |settings: &Settings| settings.sensing == Sensing::True || args.sensing == Sensing::Estimated;
+    let on_sensors = (args.sensing == Sensing::Estimated).then_some(&on_sensors);
+    let experiments = protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name));
+    let ways = |experiment| [Some(&settings), on_sensors].into_iter().flatten().map(move |way| (experiment, way));
+    let runs: Vec<_> = experiments.flat_map(ways).collect();
 
     let mut progress = Progress::default();
-    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
-        for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
-            progress.expect(runner::remaining_work(experiment, &policies, settings)?);
-        }
+    for (experiment, settings) in &runs {
+        progress.expect(runner::remaining_work(*experiment, &policies, settings)?);
     }
-    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
-        for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
-            progress.begin(&experiment.info());
-            runner::measure(experiment, &policies, settings, &|work| progress.advance(work))?;
-            progress.end(&experiment.info(), settings.sensing);
-        }
+    for (experiment, settings) in &runs {
+        progress.begin(&experiment.info());
+        runner::measure(*experiment, &policies, settings, &|work| progress.advance(work))?;
+        progress.end(&experiment.info(), settings.sensing);
     }
     progress.finish();
 
