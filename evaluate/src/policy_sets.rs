@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use supple::policy::compliance::{ComplianceError, split_compliance};
-use supple::policy::{Agent, AgentError, shipped};
+use supple::policy::{Agent, AgentError, Provenance, shipped};
 use supple::robot::Losses;
 use supple::util::{files, paths};
 
@@ -36,7 +36,7 @@ pub enum PolicySetError {
         wanted: String,
     },
     /// Two files of one set have the same seed.
-    #[error("{} and {} are both seed {seed} of {set}, expected one policy for each seed: remove or rename one", first.display(), second.display())]
+    #[error("{} and {} are both seed {seed} of {set}, expected one policy per seed", first.display(), second.display())]
     Twice {
         /// The first file.
         first: PathBuf,
@@ -171,16 +171,18 @@ impl PolicySets {
                 let is_same = |other: &&SetMember| other.agent.sha256 == member.agent.sha256;
                 if let Some(twin) = set.members[..index].iter().find(is_same) {
                     let (name, [a, b]) = (&set.name, [twin.seed, member.seed]);
-                    notes.push(format!("{name}, seeds {a} and {b}, are one policy with identical weights: they are not independent samples"));
+                    notes.push(format!(
+                        "{name}, seeds {a} and {b}, are one policy: they count as two samples but are not"
+                    ));
                 }
-                let trained = member.agent.policy().map(|policy| policy.provenance.seed);
+                let trained = member.provenance().map(|provenance| provenance.seed);
                 if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
                     let (name, seed) = (&set.name, member.seed);
                     notes.push(format!("{name}, seed {seed}, was trained with seed {trained}"));
                 }
             }
         }
-        let keys = unlike(&sets);
+        let keys = differing_keys(&sets);
         if !keys.is_empty() {
             notes.push(format!(
                 "the policies were not trained alike: their configurations differ in {}",
@@ -207,9 +209,36 @@ impl PolicySets {
         ));
     }
 
+    /// Returns all policies with their sets.
+    pub fn members(&self) -> impl Iterator<Item = (&PolicySet, &SetMember)> {
+        self.sets.iter().flat_map(|set| set.members.iter().map(move |member| (set, member)))
+    }
+
     /// Returns the names of all sets.
     pub fn names(&self) -> Vec<String> {
         self.sets.iter().map(|set| set.name.clone()).collect()
+    }
+}
+
+impl SetMember {
+    /// Returns the provenance of the policy; none for an external policy.
+    fn provenance(&self) -> Option<&Provenance> {
+        self.agent.policy().map(|policy| &policy.provenance)
+    }
+
+    /// Returns the name of the configuration; `external` for an external policy.
+    pub fn config_name(&self) -> &str {
+        self.provenance().map_or("external", |provenance| &provenance.config_name)
+    }
+
+    /// Returns the number of training samples; none for an external policy.
+    pub fn samples(&self) -> Option<u64> {
+        self.provenance().map(|provenance| provenance.samples)
+    }
+
+    /// Returns the revision of the program that trained the policy; a dash for an external policy.
+    pub fn revision(&self) -> &str {
+        self.provenance().map_or("–", |provenance| &provenance.git_revision)
     }
 }
 
@@ -227,7 +256,7 @@ impl PolicySet {
         } else if path.is_dir() {
             policy_files(path)?
         } else {
-            match of_seeds(path) {
+            match seed_files(path) {
                 // The name of a policy inside the program.
                 files if files.is_empty() => vec![path.to_owned()],
                 files => files,
@@ -286,9 +315,9 @@ fn pair_single_policies(sets: &mut [PolicySet]) -> Vec<String> {
 }
 
 /// Returns the keys in which the configurations of Supple's policies differ, except the compared one, the recovery stage.
-fn unlike(sets: &[PolicySet]) -> Vec<String> {
+fn differing_keys(sets: &[PolicySet]) -> Vec<String> {
     let members = sets.iter().flat_map(|set| &set.members);
-    let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
+    let mut configs = members.filter_map(|member| Some(&member.provenance()?.config));
     let Some(first) = configs.next() else { return Vec::new() };
     let keys = configs.flat_map(|config| first.differences(config));
     let keys: BTreeSet<String> = keys.map(|(key, _)| key).collect();
@@ -301,7 +330,7 @@ fn name_of(file: &Path) -> String {
 }
 
 /// Returns the files `NAME-seedN` of a path `FOLDER/NAME` that is not a folder.
-fn of_seeds(path: &Path) -> Vec<PathBuf> {
+fn seed_files(path: &Path) -> Vec<PathBuf> {
     let (Some(folder), Some(name), false) = (path.parent(), path.file_name(), path.is_dir()) else { return Vec::new() };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let name = name.to_string_lossy();

@@ -6,7 +6,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::measurement_store::{self, MeasurementStore};
-use super::policy_sets::{PolicySets, SetMember};
+use super::policy_sets::{PolicySet, PolicySets, SetMember};
 use super::results::{PolicyResult, Results};
 use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
@@ -72,11 +72,11 @@ pub fn remaining_work(
 ) -> Result<f64, RunError> {
     let conditions = experiment.conditions()?;
     let of_policy = f64::from(experiment.info().trials) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
-    let missing = |member: &&SetMember| {
+    let missing = |(_, member): &(&PolicySet, &SetMember)| {
         let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         settings.again || settings.store.read(experiment, &key).is_none()
     };
-    let policies = policies.sets.iter().flat_map(|set| &set.members).filter(missing).count();
+    let policies = policies.members().filter(missing).count();
     Ok(of_policy * policies as f64)
 }
 
@@ -120,7 +120,7 @@ pub fn measure(
 ) -> Result<(), RunError> {
     let (name, conditions) = (experiment.info().name, experiment.conditions()?);
     let store = |source| RunError::Store { experiment: name, source };
-    for member in policies.sets.iter().flat_map(|set| &set.members) {
+    for (_, member) in policies.members() {
         let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         let is_there = || !settings.again && settings.store.read(experiment, &key).is_some();
         if is_there() {

@@ -61,8 +61,9 @@ impl SensingComparison {
             in_page,
         };
         let labelled = || {
-            let members = policies.sets.iter().flat_map(|set| set.members.iter().map(move |member| (set, member)));
-            members.map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()))
+            policies
+                .members()
+                .map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()))
         };
         // Without a network no trial on estimates can have been played.
         let network = ContactNetwork::shipped().ok();

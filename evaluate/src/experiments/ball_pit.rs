@@ -92,9 +92,9 @@ impl Experiment for BallPit {
         let crossing = metrics::crossing(trial.trace, pit.distance_m, pit.far_edge_m()).filter(|_| crossed);
         let among_balls = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
         vec![
-            truth(crossed),
+            indicator(crossed),
             trial.end.fell(),
-            truth(!crossed && trial.is_upright()),
+            indicator(!crossed && trial.is_upright()),
             crossing.map(|[from_s, to_s]| to_s - from_s),
             metrics::largest(among_balls.clone(), |frame| frame.peak_foot_force_n),
             metrics::mean(among_balls, |frame| frame.power_w),

@@ -186,7 +186,7 @@ impl Experiment for CommandedCompliance {
             let offset = metrics::offset_along_force(trial.trace, pull.force, from_s, until_s);
             values[0] = offset.map(|offset| offset / pull.force[0].hypot(pull.force[1]));
         }
-        if let Some(pushed) = push::of_upright(trial) {
+        if let Some(pushed) = push::upright_push(trial) {
             let [to_10, _, carried, _] = push::decay(trial.trace, pushed.time_s, pushed.push.linear);
             (values[1], values[2]) = (to_10, carried);
         }

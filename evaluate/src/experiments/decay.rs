@@ -66,7 +66,7 @@ impl Experiment for Decay {
         let before = metrics::window(trial.trace, pushed.time_s - 1.0, pushed.time_s);
         let before = metrics::mean(before, |frame| frame.velocity_in_heading[1]).filter(|_| upright);
         let [to_10, to_20, carried, undecayed] =
-            push::of_upright(trial).map_or([None; 4], |it| push::decay(trial.trace, it.time_s, it.push.linear));
+            push::upright_push(trial).map_or([None; 4], |it| push::decay(trial.trace, it.time_s, it.push.linear));
         let values = vec![to_10, to_20, carried, before, undecayed, trial.end.fell()];
         TrialValues { values, series: velocity::around(trial.trace, pushed.time_s) }
     }

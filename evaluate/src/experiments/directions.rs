@@ -52,7 +52,7 @@ impl Experiment for Directions {
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        let push = push::of_upright(trial);
+        let push = push::upright_push(trial);
         let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.time_s, push.push.linear));
         let briefly = push
             .filter(|_| trial.script.command == Command::default())

@@ -139,7 +139,7 @@ impl Experiment for FreeBox {
         let sideways = trace.frames.last().map(|frame| frame.position[1].abs()).filter(|_| trial.is_upright());
         let mut values: Vec<Option<f64>> = QUANTITIES[..5].iter().map(of_met).collect();
         let resumed = passed && self.has_resumed(trial.script, trace);
-        values.extend([truth(passed), truth(resumed), sideways, trial.end.fell()]);
+        values.extend([indicator(passed), indicator(resumed), sideways, trial.end.fell()]);
 
         let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
         let poses: Vec<Pose> = trace.frames.iter().filter_map(|frame| frame.goal).collect();

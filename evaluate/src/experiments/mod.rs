@@ -30,7 +30,7 @@ use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
-    pub(super) use super::{by_gait_and_direction, check_directions, gait, truth};
+    pub(super) use super::{by_gait_and_direction, check_directions, gait, indicator};
     pub use crate::section_builder::{Group, SectionBuilder};
     pub use crate::statistics::Expected;
     pub use crate::trial::Trial;
@@ -114,7 +114,7 @@ fn check_directions(count: u32) -> Result<(), ParameterError> {
 }
 
 /// Returns 1 for true and 0 for false.
-fn truth(is: bool) -> Option<f64> {
+fn indicator(is: bool) -> Option<f64> {
     Some(f64::from(u8::from(is)))
 }
 

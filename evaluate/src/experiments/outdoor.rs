@@ -48,7 +48,7 @@ impl Experiment for Outdoor {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         vec![
-            truth(trial.is_upright()),
+            indicator(trial.is_upright()),
             trial.velocity_error(),
             trial.upright_metric("power_w"),
             trial.upright_metric("steepest_met_percent").map(|percent| 0.01 * percent),

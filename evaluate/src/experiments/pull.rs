@@ -50,7 +50,7 @@ impl Experiment for Pull {
     }
 
     fn measure(&self, trial: &Trial) -> TrialValues {
-        vec![truth(trial.is_upright())].into()
+        vec![indicator(trial.is_upright())].into()
     }
 
     fn report(&self, section: &mut SectionBuilder) {

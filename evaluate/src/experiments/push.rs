@@ -39,11 +39,16 @@ pub(super) fn lasting(command_m_s: f64) -> impl Iterator<Item = (&'static str, &
 pub(super) fn decay(trace: &Trace, time_s: f64, push: [f64; 2]) -> [Option<f64>; 4] {
     let [to_10, to_20] = [0.1, 0.2].map(|to| metrics::decay(trace, time_s, push, to, STRIDE_S));
     let carried = metrics::carried(trace, time_s, push, CARRIED_S);
-    [to_10.map(|decay| decay.time_s), to_20.map(|decay| decay.time_s), carried, to_10.and_then(|it| truth(!it.is_over))]
+    [
+        to_10.map(|decay| decay.time_s),
+        to_20.map(|decay| decay.time_s),
+        carried,
+        to_10.and_then(|it| indicator(!it.is_over)),
+    ]
 }
 
 /// Returns the push of a trial in which the robot did not fall.
-pub(super) fn of_upright<'a>(trial: &Trial<'a>) -> Option<&'a TimedPush> {
+pub(super) fn upright_push<'a>(trial: &Trial<'a>) -> Option<&'a TimedPush> {
     trial.script.pushes.first().filter(|_| trial.is_upright())
 }
 

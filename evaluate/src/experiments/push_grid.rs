@@ -147,7 +147,7 @@ impl Experiment for PushGrid {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= self.until_s(trial.script));
-        vec![truth(!fell && trial.end != TrialEnd::Fault)].into()
+        vec![indicator(!fell && trial.end != TrialEnd::Fault)].into()
     }
 
     fn report(&self, section: &mut SectionBuilder) {

@@ -56,7 +56,7 @@ impl Experiment for Rubble {
         let crossing = crossing.filter(|_| crossed == Some(1.0));
         let on_rubble = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
         vec![
-            truth(trial.is_upright()),
+            indicator(trial.is_upright()),
             crossed,
             crossing.and_then(|[from_s, to_s]| metrics::velocity_error(trial.trace, from_s, to_s)),
             metrics::largest(on_rubble.clone(), |frame| frame.peak_foot_force_n),

@@ -56,7 +56,7 @@ impl Experiment for Terrain {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         vec![
-            truth(trial.is_upright()),
+            indicator(trial.is_upright()),
             trial.velocity_error(),
             trial.upright_metric("peak_foot_force_n"),
             trial.upright_metric("power_w"),

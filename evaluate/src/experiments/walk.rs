@@ -79,7 +79,7 @@ impl Walk {
 }
 
 /// Returns a note about the velocity error over all commands, which the paper does not report.
-fn over_all(results: &Results) -> String {
+fn mean_error_note(results: &Results) -> String {
     let quantity = results.quantity("velocity_error_m_s");
     let all: Vec<usize> = (0..results.conditions.len()).collect();
     let comparison = results.compare_over(&all, quantity.name);
@@ -162,6 +162,6 @@ impl Experiment for Walk {
             "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
              the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
-        section.notes(std::iter::once(over_all(results)).chain(self.warnings(results)));
+        section.notes(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
     }
 }

@@ -3,7 +3,7 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::{cells, claim_cells, claim_columns, columns, used_columns};
-use super::{Report, Section, duration, other_reports};
+use super::{Report, Section, duration, other_reports, samples_text};
 use crate::results::EndCounts;
 use crate::section_content::{Claim, Table};
 use crate::statistics::Verdict;
@@ -90,22 +90,11 @@ fn introduction(report: &Report) -> Markup {
             }
         }
         p {
-            "Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with " (trials) "trials \
-                                                                                                                in \
-                                                                                                                simulation. \
-                                                                                                                Trials \
-                                                                                                                are \
-                                                                                                                paired: \
-                                                                                                                trial \
-                                                                                                                " i { "k" } " of seed " i { "s" } "is the same for all sets. A \
-                                                                                     number is the mean over the \
-                                                                                     trials of a policy, then mean ± \
-                                                                                     standard deviation over policies \
-                                                                                     of different seeds (the fraction \
-                                                                                     of the push grid is that of the \
-                                                                                     map of all seeds together); \
-                                                                                     intervals are 95 % bootstrap \
-                                                                                     intervals over pairs of seeds."
+            "Experiments of section IV of “Deep Compliant Control for Legged Robots”, measured with " (trials)
+            " trials in simulation. Trials are paired: trial " i { "k" } " of seed " i { "s" } " is the same for all sets. "
+            "A number is the mean over the trials of a policy, then mean ± standard deviation over policies of different \
+             seeds (the fraction of the push grid is that of the map of all seeds together); intervals are 95 % bootstrap \
+             intervals over pairs of seeds."
         }
         (notes(&report.notes))
         dl {
@@ -175,14 +164,14 @@ fn policies(report: &Report) -> Markup {
             tr {
                 th { "set" } th { "seed" } th { "configuration" } th { "samples" } th { "trained by" } th { "SHA-256" }
             }
-            @for policy in &report.policies {
+            @for (set, member) in report.policies.members() {
                 tr {
-                    td { (policy.set) }
-                    td.number { (policy.seed) }
-                    td { (policy.config) }
-                    td.number { (policy.samples()) }
-                    td { (policy.revision) }
-                    td { code { (policy.sha256) } }
+                    td { (set.name) }
+                    td.number { (member.seed) }
+                    td { (member.config_name()) }
+                    td.number { (samples_text(member)) }
+                    td { (member.revision()) }
+                    td { code { (member.agent.sha256) } }
                 }
             }
         }
@@ -281,7 +270,7 @@ fn provenance(section: &Section, report: &Report) -> Markup {
             summary { "How it was run" }
             dl {
                 dt { "conditions × trials × policies" }
-                dd { (section.conditions) " × " (info.trials) " × " (report.policies.len()) }
+                dd { (section.conditions) " × " (info.trials) " × " (report.policies.members().count()) }
                 dt { "falls" } dd { (falls.join("; ")) }
                 @for (key, value) in section.parameters.as_object().into_iter().flatten() {
                     dt { (key) } dd { (value.to_string()) }

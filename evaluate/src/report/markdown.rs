@@ -1,6 +1,6 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::{Report, duration, other_reports};
+use super::{Report, duration, other_reports, samples_text};
 use crate::section_content::{Claim, Row, Table, difference, percent, spread};
 
 /// Returns the cells of a row: condition, quantity, the paper's numbers, the numbers of each set, difference, relative change.
@@ -15,7 +15,7 @@ pub fn cells(row: &Row) -> Vec<String> {
 
 /// Returns the column titles of [`cells`].
 pub fn columns(names: &[String]) -> Vec<String> {
-    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [%]"]);
+    let [difference, relative] = with_pair_names(names, ["difference [95 % interval]", "relative [%]"]);
     titled(["condition", "quantity", "paper (compliant / baseline)"], names, [difference, relative])
 }
 
@@ -35,13 +35,13 @@ pub fn claim_cells(claim: &Claim) -> Vec<String> {
 
 /// Returns the column titles of [`claim_cells`].
 pub fn claim_columns(names: &[String]) -> Vec<String> {
-    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [95 % interval]"]);
+    let [difference, relative] = with_pair_names(names, ["difference [95 % interval]", "relative [95 % interval]"]);
     let paper = ["the paper's claim", "its numbers (compliant / baseline)"];
     titled(paper, names, [difference, relative, "verdict".into()])
 }
 
 /// Adds the names of the two compared sets to titles if there are more than two sets.
-fn of_pair<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
+fn with_pair_names<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
     titles.map(|title| match names {
         [a, b, _, ..] => format!("{title}, {a} and {b}"),
         _ => title.to_owned(),
@@ -126,13 +126,13 @@ pub fn document(report: &Report) -> String {
         }
     }
     text.push_str("\n## Policies\n\n");
-    let rows = report.policies.iter().map(|policy| {
+    let rows = report.policies.members().map(|(set, member)| {
         vec![
-            policy.set.clone(),
-            policy.seed.to_string(),
-            policy.config.clone(),
-            policy.samples(),
-            format!("`{}`", &policy.sha256[..16.min(policy.sha256.len())]),
+            set.name.clone(),
+            member.seed.to_string(),
+            member.config_name().to_owned(),
+            samples_text(member),
+            format!("`{}`", &member.agent.sha256[..16.min(member.agent.sha256.len())]),
         ]
     });
     let columns = ["set", "seed", "configuration", "samples", "sha256"].map(ToOwned::to_owned);

@@ -17,13 +17,12 @@ use std::path::{Path, PathBuf};
 
 use self::other_reports::OtherReport;
 use super::plot::png::{RenderError, Renderer};
-use super::policy_sets::PolicySets;
+use super::policy_sets::{PolicySets, SetMember};
 use super::results::EndCounts;
 use super::runner::Measurement;
 use super::section_content::{Figure, SectionContent, Table};
 use super::sensing::SensingComparison;
 use super::{Experiment, Info};
-use supple::policy::Provenance;
 use supple::util::files;
 
 /// The reason why a report was not written.
@@ -47,27 +46,10 @@ pub enum ReportError {
     },
 }
 
-/// A row of the report's table of policies.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PolicyLine {
-    /// The name of the policy's set.
-    pub set: String,
-    /// The seed, by which policies of different sets are paired.
-    pub seed: u64,
-    /// The hash of the policy's file.
-    pub sha256: String,
-    /// The name of the configuration; `external` for an external policy.
-    pub config: String,
-    /// The number of training samples; none for an external policy.
-    pub samples: Option<u64>,
-    /// The revision of the program that trained the policy.
-    pub revision: String,
-}
-
 /// The command line that makes a report.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Command {
-    /// The experiments asked for; empty for all.
+    /// The requested experiments; empty for all.
     pub experiments: Vec<String>,
     /// All other arguments, each quoted for a shell.
     pub options: Vec<String>,
@@ -83,7 +65,7 @@ impl Command {
     }
 }
 
-/// One experiment in the report.
+/// The section of one experiment in the report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
     /// The experiment's name, title and quantities.
@@ -92,7 +74,7 @@ pub struct Section {
     pub parameters: serde_json::Value,
     /// The number of conditions.
     pub conditions: usize,
-    /// How the trials of each set ended.
+    /// The number of trials of each set by how they ended.
     pub ends: Vec<EndCounts>,
     /// The claims, tables and figures.
     pub content: SectionContent,
@@ -143,12 +125,12 @@ impl Section {
 }
 
 /// The content of a report.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Report {
+#[derive(Debug)]
+pub struct Report<'a> {
     /// The names of all sets; claims and differences compare the first two.
     pub names: Vec<String>,
-    /// All policies.
-    pub policies: Vec<PolicyLine>,
+    /// The policies that were evaluated.
+    pub policies: &'a PolicySets,
     /// The protocol: `full`, `quick` or a file name.
     pub protocol: String,
     /// The command line that makes this report.
@@ -165,35 +147,17 @@ pub struct Report {
     pub other_reports: Vec<OtherReport>,
 }
 
-/// Reads a value from the provenance of a policy; none for an external policy.
-fn origin<T>(member: &super::policy_sets::SetMember, of: impl Fn(&Provenance) -> T) -> Option<T> {
-    member.agent.policy().map(|policy| of(&policy.provenance))
+/// Returns the number of training samples of a policy as text.
+fn samples_text(member: &SetMember) -> String {
+    member.samples().map_or("–".to_owned(), |samples| format!("{:.1} M", samples as f64 / 1e6))
 }
 
-impl PolicyLine {
-    /// Returns the number of training samples as text.
-    fn samples(&self) -> String {
-        self.samples.map_or_else(|| "–".into(), |samples| format!("{:.1} M", samples as f64 / 1e6))
-    }
-}
-
-impl Report {
+impl<'a> Report<'a> {
     /// Creates a report without experiments.
-    pub fn new(policies: &PolicySets, protocol: String, command: Command) -> Self {
-        let line = |set: &str, member: &super::policy_sets::SetMember| PolicyLine {
-            set: set.to_owned(),
-            seed: member.seed,
-            sha256: member.agent.sha256.clone(),
-            config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "external".into()),
-            samples: origin(member, |origin| origin.samples),
-            revision: origin(member, |origin| origin.git_revision.clone()).unwrap_or_else(|| "–".into()),
-        };
-        let of_set = |set: &super::policy_sets::PolicySet| {
-            set.members.iter().map(|member| line(&set.name, member)).collect::<Vec<_>>()
-        };
+    pub fn new(policies: &'a PolicySets, protocol: String, command: Command) -> Self {
         Report {
             names: policies.names(),
-            policies: policies.sets.iter().flat_map(of_set).collect(),
+            policies,
             protocol,
             command,
             notes: policies.notes.clone(),
@@ -236,7 +200,7 @@ impl Report {
         let no_sensing = self.sensing.experiments.is_empty().then_some("sensing");
         for name in self.missing.iter().map(|info| info.name).chain(no_sensing) {
             for folder in [&figures, &tables] {
-                remove_of(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+                remove_outdated(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
             }
         }
         let renderer = Renderer::default();
@@ -298,7 +262,7 @@ fn write_table(folder: &Path, table: &Table, names: &[String]) -> Result<(), Rep
 }
 
 /// Removes the figures or tables of an experiment that an earlier report of other policies wrote.
-fn remove_of(experiment: &str, folder: &Path) -> io::Result<()> {
+fn remove_outdated(experiment: &str, folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();

@@ -4,21 +4,19 @@ use serde_json::{Map, Value, json};
 
 use super::{Report, Section};
 use crate::Quantity;
+use crate::policy_sets::{PolicySet, SetMember};
 use crate::section_content::Table;
 use crate::statistics::{Comparison, Numbers};
 
 /// Returns the summary of a report as JSON.
 pub fn json(report: &Report) -> String {
-    let policies: Vec<Value> = report
-        .policies
-        .iter()
-        .map(|policy| {
-            json!({
-                "set": policy.set, "seed": policy.seed, "sha256": policy.sha256, "config": policy.config,
-                "samples": policy.samples, "trained_by": policy.revision,
-            })
+    let policy = |(set, member): (&PolicySet, &SetMember)| {
+        json!({
+            "set": set.name, "seed": member.seed, "sha256": member.agent.sha256, "config": member.config_name(),
+            "samples": member.samples(), "trained_by": member.revision(),
         })
-        .collect();
+    };
+    let policies: Vec<Value> = report.policies.members().map(policy).collect();
     let experiments: Vec<Value> = report.sections.iter().map(|section| experiment(section, &report.names)).collect();
     let missing: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
     let mut whole = json!({
