@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_their_quantitys_digits_and_a_real_minus() {
+    fn numbers_have_digits_of_their_quantity() {
         let metres = Quantity::new("x", "x", "m", 2);
         assert_eq!(number(-1.234, metres), "−1.23");
         assert_eq!(number(-0.001, metres), "0.00");

@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_saddle_keeps_its_high_corners_apart_if_its_middle_is_low() {
+    fn saddle_with_low_middle_separates_high_corners() {
         let grid = SquareGrid { coordinates: vec![0.0, 1.0], values: vec![1.0, 0.0, 0.0, 1.0] };
         for level in [0.4, 0.6] {
             let segments = grid.contour(level);

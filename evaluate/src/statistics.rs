@@ -292,14 +292,14 @@ mod tests {
         values.iter().enumerate().map(|(seed, value)| (seed as u64, *value)).collect()
     }
 
-    /// Two sets, all of whose policies have a number.
-    fn of(a: PerSeed, b: PerSeed) -> Comparison {
+    /// Compares two sets in which every policy has a number.
+    fn compared(a: PerSeed, b: PerSeed) -> Comparison {
         Comparison::new([a, b].map(|set| Numbers::new(set.clone(), set.len())).into())
     }
 
-    /// Two sets without missing numbers.
+    /// Compares two sets without missing numbers.
     fn comparison(a: &[f64], b: &[f64]) -> Comparison {
-        of(per_seed(a), per_seed(b))
+        compared(per_seed(a), per_seed(b))
     }
 
     #[test]
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_shift_has_an_interval_of_no_width() {
+    fn constant_shift_has_interval_of_no_width() {
         let comparison = comparison(&[1.5, 2.5, 3.5, 4.5, 5.5], &[1.0, 2.0, 3.0, 4.0, 5.0]);
         let difference = comparison.difference.unwrap();
         assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
@@ -348,7 +348,7 @@ mod tests {
         assert!((tail(10_000).unwrap() - 0.025).abs() < 1e-4);
     }
 
-    /// Fraction of 200 draws of five pairs without any effect whose interval does not include zero.
+    /// Returns the fraction of 200 draws of five pairs without any effect whose interval does not include zero.
     fn false_alarms(tail: f64) -> f64 {
         let mut rng = stream(0, Purpose::Bootstrap, 1, 0);
         let mut alarm = || {
@@ -367,20 +367,20 @@ mod tests {
     }
 
     #[test]
-    fn only_common_seeds_are_paired_and_one_pair_has_no_interval() {
+    fn only_common_seeds_are_paired() {
         let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
         let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
-        let comparison = of(a, b);
+        let comparison = compared(a, b);
         assert_eq!(comparison.difference, Some(IntervalEstimate { value: 3.0, interval: None, pairs: 1 }));
         assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::TooFew);
-        let none = of(per_seed(&[1.0]), PerSeed::new());
+        let none = compared(per_seed(&[1.0]), PerSeed::new());
         assert_eq!(Verdict::new(&none, Expected::Higher), Verdict::Undefined);
-        let apart = of([(0, 1.0)].into(), [(1, 2.0)].into());
+        let apart = compared([(0, 1.0)].into(), [(1, 2.0)].into());
         assert_eq!(Verdict::new(&apart, Expected::Higher), Verdict::Unpaired);
     }
 
     #[test]
-    fn a_third_set_has_numbers_and_changes_nothing_of_the_first_two() {
+    fn third_set_does_not_change_the_first_two() {
         let two = comparison(&[2.0, 4.0], &[1.0, 2.0]);
         let sets = [two.sets.clone(), vec![Numbers::new(per_seed(&[9.0, 8.0]), 2)]].concat();
         let three = Comparison::new(sets);
@@ -390,7 +390,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bound_is_kept_by_all_policies_in_all_trials_or_not_at_all() {
+    fn bound_must_hold_for_all_policies() {
         let kept = comparison(&[0.02, 0.04], &[0.03, 0.04]);
         assert_eq!(Verdict::from_bound(0.05, &kept), Verdict::Holds);
         assert_eq!(Verdict::from_bound(0.035, &kept), Verdict::Fails);
@@ -398,11 +398,11 @@ mod tests {
         let one_fell =
             Comparison::new(vec![Numbers::new(per_seed(&[0.02]), 2), Numbers::new(per_seed(&[0.02, 0.03]), 2)]);
         assert_eq!(Verdict::from_bound(0.05, &one_fell), Verdict::Fails);
-        assert_eq!(Verdict::from_bound(0.05, &of(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
+        assert_eq!(Verdict::from_bound(0.05, &compared(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
     }
 
     #[test]
-    fn a_ratio_that_some_resamples_leave_undefined_has_no_interval() {
+    fn ratio_undefined_for_a_resample_has_no_interval() {
         let comparison = comparison(&[1.0, 2.0, 3.0, 3.0, 3.0], &[-1.0, 2.0, 2.0, 3.0, 3.0]);
         let relative = comparison.relative.unwrap();
         // 12 / 9 − 1

@@ -1,7 +1,7 @@
 //! E7: crossing a field of loose balls (Fig. 7a).
 
 use super::prelude::*;
-use supple::scenario::catalog::BallPit as Pit;
+use supple::scenario::catalog::BallPit as BallPitScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("crossed", "got across", "%", 0),
@@ -40,11 +40,15 @@ impl Balls {
     }
 
     /// Returns a pit of these balls with about the size of `base` and the same gaps between balls.
-    fn pit(&self, base: &Pit) -> Pit {
+    fn pit(&self, base: &BallPitScenario) -> BallPitScenario {
         let pitch = |radius_m: f64| 2.0 * radius_m + base.gap_m;
         let side = (f64::from(base.balls).sqrt() * pitch(base.radius_m) / pitch(self.radius_m)).round();
-        let mut pit =
-            Pit { balls: (side * side) as u32, mass_kg: self.mass_kg, radius_m: self.radius_m, ..base.clone() };
+        let mut pit = BallPitScenario {
+            balls: (side * side) as u32,
+            mass_kg: self.mass_kg,
+            radius_m: self.radius_m,
+            ..base.clone()
+        };
         pit.task.forward_m_s = self.forward_m_s;
         pit
     }
@@ -70,7 +74,7 @@ impl Experiment for BallPit {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Pit = defaults("ball-pit")?;
+        let base: BallPitScenario = defaults("ball-pit")?;
         // A single kind of pit needs no label.
         let label = |balls: &Balls| if self.pits.len() > 1 { balls.label() } else { String::new() };
         let condition =

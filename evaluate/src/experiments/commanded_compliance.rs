@@ -253,7 +253,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_has_its_slope_intercept_and_a_fit_of_one() {
+    fn exact_line_has_a_fit_of_one() {
         let [slope, intercept, r_squared] = line(&[[0.0, 1.0], [1.0, 3.0], [2.0, 5.0]]).unwrap();
         assert!((slope - 2.0).abs() < 1e-12 && (intercept - 1.0).abs() < 1e-12 && (r_squared - 1.0).abs() < 1e-12);
         // Deviations of ±1 about a line of slope 1 through 0, 2, 4, 6 (x 0 to 6 by 2, y 1, 1, 5, 5): xx = 20, xy = 16, yy = 16.

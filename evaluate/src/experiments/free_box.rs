@@ -6,7 +6,7 @@ use crate::results::Results;
 use crate::section_content::{Line, Lines};
 use crate::trial::{Sample, TrialEnd};
 use supple::scenario::Script;
-use supple::scenario::catalog::FreeBox as Cube;
+use supple::scenario::catalog::FreeBox as BoxScenario;
 use supple::scenario::trace::{Frame, Pose, Trace};
 
 const QUANTITIES: &[Quantity] = &[
@@ -118,10 +118,10 @@ impl Experiment for FreeBox {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Cube = defaults("box")?;
+        let base: BoxScenario = defaults("box")?;
         let condition = |friction: &f64| Condition {
             label: format!("friction {friction}"),
-            scenario: Scenario::Box(Cube { friction: *friction, ..base.clone() }),
+            scenario: Scenario::Box(BoxScenario { friction: *friction, ..base.clone() }),
         };
         Ok(self.frictions.iter().map(condition).collect())
     }

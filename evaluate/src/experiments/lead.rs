@@ -2,7 +2,7 @@
 
 use super::prelude::*;
 use crate::plot::polar::Scales;
-use supple::scenario::catalog::Lead as Led;
+use supple::scenario::catalog::Lead as LeadScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("mean_tension_n", "mean tension", "N", 1),
@@ -42,10 +42,10 @@ impl Experiment for Lead {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Led = defaults("lead")?;
+        let base: LeadScenario = defaults("lead")?;
         Ok(by_gait_and_direction(&self.commands_m_s, self.directions, |forward_m_s, direction_deg| {
             let task = Task { forward_m_s, ..base.task.clone() };
-            Scenario::Lead(Led { direction_deg, task, ..base })
+            Scenario::Lead(LeadScenario { direction_deg, task, ..base })
         }))
     }
 

@@ -2,7 +2,7 @@
 
 use super::prelude::*;
 use crate::plot::polar::{Scales, evenly};
-use supple::scenario::catalog::Leash as Pulled;
+use supple::scenario::catalog::Leash as LeashScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("offset_m_s", "velocity along the pull", "m/s", 3),
@@ -30,10 +30,10 @@ pub struct Leash {
 
 /// Returns constant pulls with each force \[N\] in each direction, which start at `at_s` and last `for_s` \[s\].
 pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) -> Result<Vec<Condition>, ConfigError> {
-    let base: Pulled = defaults("leash")?;
+    let base: LeashScenario = defaults("leash")?;
     let condition = |force_n: f64, direction_deg: f64| Condition {
         label: format!("{force_n} N, {direction_deg:.1}°"),
-        scenario: Scenario::Leash(Pulled {
+        scenario: Scenario::Leash(LeashScenario {
             force_n,
             direction_deg,
             at_s,

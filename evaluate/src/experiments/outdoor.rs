@@ -1,7 +1,7 @@
 //! E11: over hills of varied friction (Fig. 8d).
 
 use super::prelude::*;
-use supple::scenario::catalog::Outdoor as Hills;
+use supple::scenario::catalog::Outdoor as OutdoorScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall in 20 s", "%", 0),
@@ -38,10 +38,10 @@ impl Experiment for Outdoor {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Hills = defaults("outdoor")?;
+        let base: OutdoorScenario = defaults("outdoor")?;
         let condition = |steepest: &f64| Condition {
             label: format!("to {:.0} %", 100.0 * steepest),
-            scenario: Scenario::Outdoor(Hills { steepest: *steepest, ..base.clone() }),
+            scenario: Scenario::Outdoor(OutdoorScenario { steepest: *steepest, ..base.clone() }),
         };
         Ok(self.steepest.iter().map(condition).collect())
     }

@@ -3,7 +3,7 @@
 use super::prelude::*;
 use super::{push, velocity};
 use crate::trial::TrialEnd;
-use supple::scenario::catalog::Pendulum as Ball;
+use supple::scenario::catalog::Pendulum as PendulumScenario;
 
 const QUANTITIES: &[Quantity] = &[
     push::TO_10,
@@ -47,10 +47,10 @@ impl Experiment for Pendulum {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Ball = defaults("pendulum")?;
+        let base: PendulumScenario = defaults("pendulum")?;
         let condition = |command: f64, release_height_m: f64| Condition {
             label: format!("{}, {:.0} cm", gait(command), 100.0 * release_height_m),
-            scenario: Scenario::Pendulum(Ball {
+            scenario: Scenario::Pendulum(PendulumScenario {
                 release_height_m,
                 task: Task { forward_m_s: command, ..base.task.clone() },
                 ..base.clone()

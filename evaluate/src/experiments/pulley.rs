@@ -1,7 +1,7 @@
 //! E9: a weight over a pulley pulls the robot (Fig. 8a).
 
 use super::prelude::*;
-use supple::scenario::catalog::Pulley as Weight;
+use supple::scenario::catalog::Pulley as PulleyScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("displacement_m", "moved along the pull", "m", 2),
@@ -43,10 +43,10 @@ impl Experiment for Pulley {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Weight = defaults("pulley")?;
+        let base: PulleyScenario = defaults("pulley")?;
         let condition = |command: f64, direction_deg: f64| Condition {
             label: format!("{}, {direction_deg:.0}°", gait(command)),
-            scenario: Scenario::Pulley(Weight {
+            scenario: Scenario::Pulley(PulleyScenario {
                 direction_deg,
                 task: Task { forward_m_s: command, ..base.task.clone() },
                 ..base.clone()

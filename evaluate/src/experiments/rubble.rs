@@ -1,7 +1,7 @@
 //! E11: over wooden blocks and soft mats (Fig. 8c).
 
 use super::prelude::*;
-use supple::scenario::catalog::Rubble as Blocks;
+use supple::scenario::catalog::Rubble as RubbleScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall", "%", 0),
@@ -41,10 +41,10 @@ impl Experiment for Rubble {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Blocks = defaults("rubble")?;
+        let base: RubbleScenario = defaults("rubble")?;
         let condition = |block_height_m: &f64| Condition {
             label: format!("blocks to {:.0} cm", 100.0 * block_height_m),
-            scenario: Scenario::Rubble(Blocks { block_height_m: *block_height_m, ..base.clone() }),
+            scenario: Scenario::Rubble(RubbleScenario { block_height_m: *block_height_m, ..base.clone() }),
         };
         Ok(self.heights_m.iter().map(condition).collect())
     }

@@ -1,7 +1,7 @@
 //! E8: walking over Perlin terrain of several heights and frequencies (Fig. 7b).
 
 use super::prelude::*;
-use supple::scenario::catalog::{Terrain as Ground, TerrainKind};
+use supple::scenario::catalog::{Terrain as TerrainScenario, TerrainKind};
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall in 10 s", "%", 0),
@@ -39,10 +39,10 @@ impl Experiment for Terrain {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Ground = defaults("terrain")?;
+        let base: TerrainScenario = defaults("terrain")?;
         let condition = |height_m: f64, frequency_per_m: f64| Condition {
             label: format!("{:.0} cm, {frequency_per_m} /m", 100.0 * height_m),
-            scenario: Scenario::Terrain(Ground {
+            scenario: Scenario::Terrain(TerrainScenario {
                 kind: TerrainKind::Perlin,
                 height_m,
                 frequency_per_m,

@@ -6,7 +6,7 @@ use super::prelude::*;
 use crate::results::Results;
 use crate::section_content::{Claim, difference, spread};
 use crate::statistics::Verdict;
-use supple::scenario::catalog::Walk as Undisturbed;
+use supple::scenario::catalog::Walk as WalkScenario;
 
 const QUANTITIES: &[Quantity] = &[
     FELL,
@@ -118,11 +118,11 @@ impl Experiment for Walk {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Undisturbed = defaults("walk")?;
+        let base: WalkScenario = defaults("walk")?;
         let condition = |command: &[f64; 3]| {
             let [forward_m_s, left_m_s, yaw_rad_s] = *command;
             let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
-            Condition { label: label(*command), scenario: Scenario::Walk(Undisturbed { task }) }
+            Condition { label: label(*command), scenario: Scenario::Walk(WalkScenario { task }) }
         };
         Ok(self.commands.iter().map(condition).collect())
     }

@@ -1,7 +1,7 @@
 //! E14b: walking into a wall that gives.
 
 use super::prelude::*;
-use supple::scenario::catalog::Wall as Across;
+use supple::scenario::catalog::Wall as WallScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("peak_force_n", "peak force", "N", 0),
@@ -38,10 +38,13 @@ impl Experiment for Wall {
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Across = defaults("wall")?;
+        let base: WallScenario = defaults("wall")?;
         let condition = |command: &f64| Condition {
             label: format!("{command} m/s"),
-            scenario: Scenario::Wall(Across { task: Task { forward_m_s: *command, ..base.task.clone() }, ..base }),
+            scenario: Scenario::Wall(WallScenario {
+                task: Task { forward_m_s: *command, ..base.task.clone() },
+                ..base
+            }),
         };
         Ok(self.commands_m_s.iter().map(condition).collect())
     }

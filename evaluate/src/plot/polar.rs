@@ -84,7 +84,7 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
         let angle = TAU * f64::from(spoke) / 8.0;
         svg.line(scale.at(centre, angle, scale.low), scale.at(centre, angle, scale.high), Stroke::new(PALE, 1.0));
     }
-    let rings = ring_values(scale);
+    let rings = ticks([scale.low, scale.high], 5);
     let lowest = rings.first().copied().unwrap_or(0.0);
     for ring in rings.iter().filter(|ring| **ring > scale.low + 1e-9) {
         let radius = RADIUS * (ring - scale.low) / (scale.high - scale.low);
@@ -102,13 +102,9 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
     svg.text([centre[0], centre[1] + out + 26.0], axis, Text { colour: GREY, ..style(Anchor::Middle) });
 }
 
-fn ring_values(scale: Scale) -> Vec<f64> {
-    ticks([scale.low, scale.high], 5)
-}
-
 /// Draws the values of the rings, over everything else.
 fn draw_ring_labels(svg: &mut Svg, centre: [f64; 2], scale: Scale) {
-    let rings = ring_values(scale);
+    let rings = ticks([scale.low, scale.high], 5);
     // An angle between two directions.
     let angle = TAU / 16.0 + TAU / 64.0;
     for ring in rings.iter().filter(|ring| **ring > scale.low + 0.05 * (scale.high - scale.low)) {
