@@ -122,7 +122,7 @@ impl PolicySets {
         for file in all {
             match names.iter().enumerate().find_map(|(set, name)| Some((set, seed_of(name, &file)?))) {
                 Some((set, seed)) => files[set].push((Some(seed), file)),
-                None => notes.push(format!("{} was left out: its name is not that of either set", name_of(&file))),
+                None => notes.push(format!("{} was left out: its name belongs to neither set", name_of(&file))),
             }
         }
         let set = |(name, files): (&String, _)| {
@@ -172,7 +172,7 @@ impl PolicySets {
                 if let Some(twin) = set.members[..index].iter().find(is_same) {
                     let (name, [a, b]) = (&set.name, [twin.seed, member.seed]);
                     notes.push(format!(
-                        "{name}, seeds {a} and {b}, are one policy: they count as two samples but are not"
+                        "{name}, seeds {a} and {b}, are one policy: the two samples are not independent"
                     ));
                 }
                 let trained = member.provenance().map(|provenance| provenance.seed);

@@ -36,7 +36,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let mut report = Report { other_reports, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
-    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
     // Zero threads mean all cores.
     let threads = args.threads.map_or(0, usize::from);
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")?;
@@ -91,25 +91,23 @@ fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
 }
 
 fn policies(args: &Args) -> anyhow::Result<PolicySets> {
-    let names: [String; 2] = args
-        .names
-        .clone()
-        .try_into()
-        .map_err(|names: Vec<String>| anyhow::anyhow!("--names gives {} names, expected two: A,B", names.len()))?;
-    anyhow::ensure!(names[0] != names[1] && names.iter().all(|name| !name.is_empty()), "--names must be two names");
+    let [first, second] = &args.names[..] else {
+        anyhow::bail!("--names gives {} names, expected two: A,B", args.names.len())
+    };
+    let are_names = first != second && !first.is_empty() && !second.is_empty();
+    anyhow::ensure!(are_names, "--names gives {:?}, expected two different names: A,B", args.names);
     for (index, (name, _)) in args.also.iter().enumerate() {
-        let is_taken = names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
-        anyhow::ensure!(!is_taken, "--also {name}: another set has this name, choose a new one");
+        let is_taken = args.names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
+        anyhow::ensure!(!is_taken, "--also {name}: another set has this name; choose a new one");
     }
-    let [first, second] = &names;
     Ok(match (&args.a, &args.b) {
         (Some(a), Some(b)) => {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
             PolicySets::from_paths(&[&pair[..], &args.also].concat())?
         }
         _ => match args.folder() {
-            Some(folder) => PolicySets::from_folder(&folder, &names, &args.also)?,
-            None => PolicySets::from_shipped(&names, &args.also)?,
+            Some(folder) => PolicySets::from_folder(&folder, &args.names, &args.also)?,
+            None => PolicySets::from_shipped(&args.names, &args.also)?,
         },
     })
 }
