@@ -35,7 +35,7 @@ use trial::Trial;
 
 /// The name, title, measured quantities and number of trials of an experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Info {
+pub struct ExperimentInfo {
     /// The number in the report: `E0` to `E14c`.
     pub id: &'static str,
     /// A number that no other experiment has; it makes the seeds of the trials differ from those of other experiments.
@@ -116,7 +116,7 @@ erased_serde::serialize_trait_object!(Experiment);
 /// An experiment of the paper with its parameters, which are a section of the protocol and its serialized form.
 pub trait Experiment: erased_serde::Serialize + Sync {
     /// Returns the experiment's name, title, quantities and number of trials.
-    fn info(&self) -> Info;
+    fn info(&self) -> ExperimentInfo;
 
     /// Returns the conditions, one for each variation.
     ///

@@ -9,18 +9,21 @@ use super::statistics::{Expected, PerSeed, Spread};
 
 /// Conditions that are averaged, such as all directions at one command.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Group {
+pub struct ConditionGroup {
     /// The label in tables and figures.
     pub name: String,
     /// The indices of the conditions.
     pub conditions: Vec<usize>,
 }
 
-impl Group {
+impl ConditionGroup {
     /// Splits all conditions, in their order, into groups of equal size with these names.
-    pub fn from_names(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<Group> {
+    pub fn from_names(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<ConditionGroup> {
         let size = results.conditions.len() / names.len().max(1);
-        names.enumerate().map(|(k, name)| Group { name, conditions: (k * size..(k + 1) * size).collect() }).collect()
+        names
+            .enumerate()
+            .map(|(k, name)| ConditionGroup { name, conditions: (k * size..(k + 1) * size).collect() })
+            .collect()
     }
 }
 
@@ -90,17 +93,17 @@ impl<'a> SectionBuilder<'a> {
 
     /// Returns a row for each quantity in each condition.
     fn all_rows(&self) -> Vec<Row> {
-        self.rows(&Group::from_names(self.labels().into_iter(), self.results))
+        self.rows(&ConditionGroup::from_names(self.labels().into_iter(), self.results))
     }
 
     /// Returns a row for each group and quantity: the mean over the group.
-    pub fn rows(&self, groups: &[Group]) -> Vec<Row> {
+    pub fn rows(&self, groups: &[ConditionGroup]) -> Vec<Row> {
         let quantities = self.results.quantities;
         groups.iter().flat_map(|group| quantities.iter().map(|quantity| self.row(group, *quantity))).collect()
     }
 
     /// Returns the row of a quantity's mean over a group.
-    pub fn row(&self, group: &Group, quantity: Quantity) -> Row {
+    pub fn row(&self, group: &ConditionGroup, quantity: Quantity) -> Row {
         let comparison = self.results.compare_over(&group.conditions, quantity.name);
         Row { condition: group.name.clone(), quantity, paper: String::new(), comparison }
     }
@@ -112,14 +115,22 @@ impl<'a> SectionBuilder<'a> {
 
     /// Adds a figure of quantities by condition, with a panel for each quantity.
     pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], caption: &str) {
-        let conditions = Group::from_names(self.labels().into_iter(), self.results);
+        let conditions = ConditionGroup::from_names(self.labels().into_iter(), self.results);
         self.grouped_dots(part, title, &conditions, quantities, caption);
     }
 
     /// Adds a figure of quantities by group of conditions, with a panel for each quantity.
-    pub fn grouped_dots(&mut self, part: &str, title: &str, groups: &[Group], quantities: &[&str], caption: &str) {
+    pub fn grouped_dots(
+        &mut self,
+        part: &str,
+        title: &str,
+        groups: &[ConditionGroup],
+        quantities: &[&str],
+        caption: &str,
+    ) {
         let panel = |name: &&str| {
-            let row = |group: &Group| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
+            let row =
+                |group: &ConditionGroup| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
             Dots { quantity: self.results.quantity(name), rows: groups.iter().map(row).collect() }
         };
         let panels: Vec<Dots> = quantities.iter().map(panel).collect();
@@ -134,12 +145,12 @@ impl<'a> SectionBuilder<'a> {
         part: &str,
         title: &str,
         (quantity, axis): (&str, &str),
-        groups: &[Group],
+        groups: &[ConditionGroup],
         scales: Scales,
         caption: impl Into<String>,
     ) {
         let spread = |set, condition: &usize| Spread::from_values(&self.results.per_seed(set, *condition, quantity));
-        let panel = |group: &Group| Polar {
+        let panel = |group: &ConditionGroup| Polar {
             title: group.name.clone(),
             sets: self.by_set(|set| group.conditions.iter().map(|condition| spread(set, condition)).collect()),
         };

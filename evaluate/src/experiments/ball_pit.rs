@@ -55,8 +55,8 @@ impl Balls {
 }
 
 impl Experiment for BallPit {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E7",
             number: 7,
             name: "ball-pit",

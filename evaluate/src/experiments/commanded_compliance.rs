@@ -118,8 +118,8 @@ impl CommandedCompliance {
 }
 
 impl Experiment for CommandedCompliance {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E13",
             number: 14,
             name: "calibration",
@@ -229,9 +229,9 @@ impl Experiment for CommandedCompliance {
         let caption = "Lines fitted to the measured over the commanded compliance.".to_owned();
         section.content.tables.push(Table { name, caption, rows, in_page: true });
         let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
-        let pushes: Vec<Group> = pushed
+        let pushes: Vec<ConditionGroup> = pushed
             .iter()
-            .map(|index| Group { name: results.conditions[*index].label.clone(), conditions: vec![*index] })
+            .map(|index| ConditionGroup { name: results.conditions[*index].label.clone(), conditions: vec![*index] })
             .collect();
         let rows = pushes.iter().flat_map(|group| [push::TO_10, push::CARRIED].map(|it| section.row(group, it)));
         let rows: Vec<Row> = rows.collect();

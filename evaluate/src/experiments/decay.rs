@@ -38,8 +38,8 @@ fn marked(results: &Results, curve: Curve, set: usize) -> Curve {
 }
 
 impl Experiment for Decay {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E2",
             number: 2,
             name: "decay",

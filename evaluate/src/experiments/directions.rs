@@ -26,8 +26,8 @@ pub struct Directions {
 }
 
 impl Experiment for Directions {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E4",
             number: 4,
             name: "directions",
@@ -66,7 +66,7 @@ impl Experiment for Directions {
             0.0 => gait(0.0).to_owned(),
             command => format!("{} at {command} m/s", gait(*command)),
         });
-        let groups = Group::from_names(names, section.results);
+        let groups = ConditionGroup::from_names(names, section.results);
         let mut rows = Vec::new();
         for (group, command) in groups.iter().zip(&self.commands_m_s) {
             let (name, is_standing) = (&group.name, *command == 0.0);

@@ -99,8 +99,8 @@ fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
 }
 
 impl Experiment for FreeBox {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E6",
             number: 6,
             name: "box",

@@ -24,8 +24,8 @@ pub struct Lead {
 }
 
 impl Experiment for Lead {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E14c",
             number: 17,
             name: "lead",
@@ -54,9 +54,11 @@ impl Experiment for Lead {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let groups =
-            Group::from_names(self.commands_m_s.iter().map(|command| gait(*command).to_owned()), section.results);
-        for Group { name, conditions } in &groups {
+        let groups = ConditionGroup::from_names(
+            self.commands_m_s.iter().map(|command| gait(*command).to_owned()),
+            section.results,
+        );
+        for ConditionGroup { name, conditions } in &groups {
             for (quantity, words) in
                 [("mean_tension_n", "follow with a lower tension (mean over directions)"), ("fell", "fall less often")]
             {

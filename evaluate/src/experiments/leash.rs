@@ -45,8 +45,8 @@ pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) 
 }
 
 impl Experiment for Leash {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E5",
             number: 5,
             name: "leash",
@@ -82,8 +82,9 @@ impl Experiment for Leash {
     }
 
     fn report(&self, section: &mut SectionBuilder) {
-        let groups = Group::from_names(self.forces_n.iter().map(|force| format!("{force} N")), section.results);
-        for Group { name, conditions } in &groups {
+        let groups =
+            ConditionGroup::from_names(self.forces_n.iter().map(|force| format!("{force} N")), section.results);
+        for ConditionGroup { name, conditions } in &groups {
             let text = format!(
                 "Pulled with {name}, compliant policies yield more (mean over directions; larger in {})",
                 section.results.larger_in(conditions, "offset_m_s"),

@@ -31,10 +31,10 @@ mod prelude {
     pub use serde::{Deserialize, Serialize};
 
     pub(super) use super::{by_gait_and_direction, check_directions, gait, indicator};
-    pub use crate::section_builder::{Group, SectionBuilder};
+    pub use crate::section_builder::{ConditionGroup, SectionBuilder};
     pub use crate::statistics::Expected;
     pub use crate::trial::Trial;
-    pub use crate::{Condition, Experiment, FELL, Info, Quantity, TrialValues};
+    pub use crate::{Condition, Experiment, ExperimentInfo, FELL, Quantity, TrialValues};
     pub use supple::config::ConfigError;
     pub use supple::scenario::catalog::{ParameterError, Scenario, Task, defaults, in_range};
     pub use supple::scenario::metrics;

@@ -21,8 +21,8 @@ pub struct Outdoor {
 }
 
 impl Experiment for Outdoor {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E11b",
             number: 13,
             name: "outdoor",

@@ -30,8 +30,8 @@ pub struct Pendulum {
 }
 
 impl Experiment for Pendulum {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E10",
             number: 10,
             name: "pendulum",
@@ -95,8 +95,8 @@ impl Experiment for Pendulum {
         let words = ["Sideways velocity after the blow of a ball, one policy of each set", "time since the blow [s]"];
         velocity::figure(section, ["velocity", "pendulum-velocities"], words, last, |curve, _| curve, caption);
         let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        for (Group { name, conditions }, command) in
-            Group::from_names(names, section.results).iter().zip(&self.commands_m_s)
+        for (ConditionGroup { name, conditions }, command) in
+            ConditionGroup::from_names(names, section.results).iter().zip(&self.commands_m_s)
         {
             section.notes(push::undecayed(section.results, conditions).map(|note| format!("{name}: {note}")));
             for (quantity, words) in push::lasting(*command) {

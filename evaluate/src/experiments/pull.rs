@@ -25,8 +25,8 @@ pub struct Pull {
 }
 
 impl Experiment for Pull {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E14a",
             number: 15,
             name: "pull",
@@ -55,7 +55,7 @@ impl Experiment for Pull {
 
     fn report(&self, section: &mut SectionBuilder) {
         let names = self.forces_n.iter().map(|force| format!("{force} N"));
-        let forces = Group::from_names(names, section.results);
+        let forces = ConditionGroup::from_names(names, section.results);
         let text =
             format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
         section.claim(&text, "", SURVIVED.name, Expected::Higher, &section.all());

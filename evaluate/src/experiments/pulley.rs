@@ -25,8 +25,8 @@ pub struct Pulley {
 }
 
 impl Experiment for Pulley {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E9",
             number: 9,
             name: "pulley",
@@ -69,7 +69,7 @@ impl Experiment for Pulley {
              seeds, single seeds as hollow marks; trials with a fall count as falls only.",
         );
         let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        for Group { name, conditions } in Group::from_names(names, section.results) {
+        for ConditionGroup { name, conditions } in ConditionGroup::from_names(names, section.results) {
             let text = format!(
                 "Pulled by a weight while {name}, compliant policies move farther along the pull (mean over directions)"
             );

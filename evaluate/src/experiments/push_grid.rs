@@ -100,8 +100,8 @@ impl PushGrid {
 }
 
 impl Experiment for PushGrid {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E1",
             number: 1,
             name: "push-grid",

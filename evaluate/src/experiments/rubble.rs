@@ -22,8 +22,8 @@ pub struct Rubble {
 }
 
 impl Experiment for Rubble {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E11a",
             number: 11,
             name: "rubble",

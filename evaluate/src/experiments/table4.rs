@@ -41,8 +41,8 @@ pub struct Table4 {
 }
 
 impl Experiment for Table4 {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E3",
             number: 3,
             name: "table4",

@@ -23,8 +23,8 @@ pub struct Terrain {
 }
 
 impl Experiment for Terrain {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E8",
             number: 8,
             name: "terrain",

@@ -102,8 +102,8 @@ fn label([forward, left, turn]: [f64; 3]) -> String {
 }
 
 impl Experiment for Walk {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E0",
             number: 0,
             name: "walk",
@@ -146,7 +146,7 @@ impl Experiment for Walk {
     fn report(&self, section: &mut SectionBuilder) {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
         let (results, first) = (section.results, section.first_label());
-        let of_first = Group { name: first.to_owned(), conditions: vec![0] };
+        let of_first = ConditionGroup { name: first.to_owned(), conditions: vec![0] };
         let title = format!("Walking undisturbed at the command of the other experiments ({first}).");
         section.table_with_rows(&title, section.rows(&[of_first]));
         section.table_in_file("commands", caption);

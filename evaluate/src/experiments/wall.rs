@@ -22,8 +22,8 @@ pub struct Wall {
 }
 
 impl Experiment for Wall {
-    fn info(&self) -> Info {
-        Info {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
             id: "E14b",
             number: 16,
             name: "wall",

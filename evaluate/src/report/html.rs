@@ -98,7 +98,7 @@ fn introduction(report: &Report) -> Markup {
         }
         (notes(&report.notes))
         dl {
-            dt { "Command" } dd { code { (report.command.line(None)) } }
+            dt { "Command" } dd { code { (report.command.text(None)) } }
             dt { "Protocol" } dd { (report.protocol) }
             dt { "Time for all trials" } dd { (duration(report.wall_s())) }
             dt { "Measured by revision" } dd { (report.revisions().join(", ")) }
@@ -228,7 +228,7 @@ fn missing(report: &Report) -> Markup {
             @for info in &report.missing {
                 li {
                     (info.id) " " (info.title) " (" (info.paper) "): "
-                    code { (report.command.line(Some(info.name))) }
+                    code { (report.command.text(Some(info.name))) }
                 }
             }
         }
@@ -276,7 +276,7 @@ fn provenance(section: &Section, report: &Report) -> Markup {
                     dt { (key) } dd { (value.to_string()) }
                 }
                 dt { "time for all trials" } dd { (duration(section.wall_s)) }
-                dt { "command" } dd { code { (report.command.line(Some(info.name))) } }
+                dt { "command" } dd { code { (report.command.text(Some(info.name))) } }
             }
         }
     }

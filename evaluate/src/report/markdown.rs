@@ -85,7 +85,7 @@ pub fn document(report: &Report) -> String {
          Made by `{}`; not edited by hand. [experiments.md](../docs/experiments.md) defines every number. A cell is the mean ± \
          standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
          intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
-        report.command.line(None),
+        report.command.text(None),
         report.names.join(" and "),
         report.protocol,
         report.revisions().join(", "),

@@ -22,7 +22,7 @@ use super::results::EndCounts;
 use super::runner::Measurement;
 use super::section_content::{Figure, SectionContent, Table};
 use super::sensing::SensingComparison;
-use super::{Experiment, Info};
+use super::{Experiment, ExperimentInfo};
 use supple::util::files;
 
 /// The reason why a report was not written.
@@ -48,16 +48,16 @@ pub enum ReportError {
 
 /// The command line that makes a report.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Command {
+pub struct CommandLine {
     /// The requested experiments; empty for all.
     pub experiments: Vec<String>,
     /// All other arguments, each quoted for a shell.
     pub options: Vec<String>,
 }
 
-impl Command {
+impl CommandLine {
     /// Returns the command line for one experiment, or for the whole report.
-    pub fn line(&self, experiment: Option<&str>) -> String {
+    pub fn text(&self, experiment: Option<&str>) -> String {
         let program = std::iter::once("cargo run --release --bin evaluate --");
         let experiments = self.experiments.iter().map(String::as_str).filter(|_| experiment.is_none());
         let words = program.chain(experiments).chain(experiment).chain(self.options.iter().map(String::as_str));
@@ -69,7 +69,7 @@ impl Command {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
     /// The experiment's name, title and quantities.
-    pub info: Info,
+    pub info: ExperimentInfo,
     /// The experiment's parameters in the protocol.
     pub parameters: serde_json::Value,
     /// The number of conditions.
@@ -134,13 +134,13 @@ pub struct Report<'a> {
     /// The protocol: `full`, `quick` or a file name.
     pub protocol: String,
     /// The command line that makes this report.
-    pub command: Command,
+    pub command: CommandLine,
     /// Notes about the policies.
     pub notes: Vec<String>,
     /// The finished experiments in the order of the protocol.
     pub sections: Vec<Section>,
     /// The experiments that are not finished.
-    pub missing: Vec<Info>,
+    pub missing: Vec<ExperimentInfo>,
     /// E12: the experiments that were also run with estimated sensing.
     pub sensing: SensingComparison,
     /// Other reports whose claims are shown beside these.
@@ -154,7 +154,7 @@ fn samples_text(member: &SetMember) -> String {
 
 impl<'a> Report<'a> {
     /// Creates a report without experiments.
-    pub fn new(policies: &'a PolicySets, protocol: String, command: Command) -> Self {
+    pub fn new(policies: &'a PolicySets, protocol: String, command: CommandLine) -> Self {
         Report {
             names: policies.names(),
             policies,

@@ -119,7 +119,7 @@ fn experiments() -> impl TypedValueParser<Value = String> {
     // A test ensures that the protocol inside the program is valid.
     let protocol = Protocol::full().ok();
     let infos = protocol.iter().flat_map(|protocol| protocol.experiments()).map(|experiment| experiment.info());
-    let value = |info: supple_evaluate::Info| {
+    let value = |info: supple_evaluate::ExperimentInfo| {
         PossibleValue::new(info.name).help(format!("{}, {}: {}", info.id, info.paper, info.title))
     };
     PossibleValuesParser::new(infos.map(value).collect::<Vec<_>>())

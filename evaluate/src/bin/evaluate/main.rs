@@ -15,7 +15,7 @@ use supple_evaluate::measurement_store::MeasurementStore;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::other_reports::OtherReport;
-use supple_evaluate::report::{Command, Report, Section};
+use supple_evaluate::report::{CommandLine, Report, Section};
 use supple_evaluate::runner::{self, Settings};
 
 fn main() -> ExitCode {
@@ -32,7 +32,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     let other_reports =
         args.beside.iter().map(|(name, folder)| OtherReport::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
-    let command = Command { experiments: args.experiments.clone(), options: args.options() };
+    let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
     let mut report = Report { other_reports, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));

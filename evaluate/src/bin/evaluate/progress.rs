@@ -5,7 +5,7 @@ use std::time::Instant;
 use supple::scenario::Sensing;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
-use supple_evaluate::Info;
+use supple_evaluate::ExperimentInfo;
 
 /// The number of steps of the bar per second of simulated time.
 const STEPS: f64 = 10.0;
@@ -29,7 +29,7 @@ impl Progress {
     }
 
     /// Shows the name of the experiment that starts.
-    pub fn begin(&mut self, info: &Info) {
+    pub fn begin(&mut self, info: &ExperimentInfo) {
         self.bar.set_message(format!("{} {}", info.id, info.name));
         self.begun = Instant::now();
     }
@@ -40,7 +40,7 @@ impl Progress {
     }
 
     /// Prints the time of the finished experiment.
-    pub fn end(&mut self, info: &Info, sensing: Sensing) {
+    pub fn end(&mut self, info: &ExperimentInfo, sensing: Sensing) {
         let on = if sensing == Sensing::Estimated { " on sensors" } else { "" };
         let line = format!("{} {}{on}: {:.1} s", info.id, info.name, self.begun.elapsed().as_secs_f64());
         self.bar.suspend(|| terminal::note(line));
