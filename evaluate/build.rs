@@ -1,11 +1,14 @@
-//! Hashes the sources that decide what a measurement of this package comes out as.
+//! Hashes the sources that a measurement of this package depends on.
 
-mod measured;
+mod measurement_sources;
 
 fn main() {
-    let root = measured::root();
+    let root = measurement_sources::root();
     for path in ["src", "models", "configs", "mujoco-sys", "Cargo.lock", "evaluate"] {
         println!("cargo::rerun-if-changed={}", root.join(path).display());
     }
-    println!("cargo::rustc-env=SUPPLE_MEASUREMENT_SOURCES={:016x}", measured::hash_of(&measured::measured_files()));
+    println!(
+        "cargo::rustc-env=SUPPLE_MEASUREMENT_SOURCES={:016x}",
+        measurement_sources::hash_of(&measurement_sources::measured_files())
+    );
 }

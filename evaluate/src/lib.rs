@@ -1,154 +1,154 @@
 /*! Every figure and table of the paper's section IV, for any sets of policies.
 
-An [`Experiment`] says which conditions there are, plays nothing itself, and turns a trace into numbers; [`runner`] plays
-its trials in parallel, each with a seed that does not depend on the policy, and [`store`] keeps what came out, so that
-a finished experiment is not run again. From the kept numbers alone come [`findings`] (claims with intervals, tables,
-figures) and from those the [`report`]. `docs/experiments.md` has the definitions in words.
+An [`Experiment`] defines conditions, takes numbers from the trace of a trial, and reports them. [`runner`] plays the trials in
+parallel, each with a seed that does not depend on the policy, and [`measurement_store`] keeps their numbers, so that a finished
+experiment is not run again. [`section_content`] (claims with intervals, tables, figures) comes from the kept numbers alone,
+and the [`report`] from it. `docs/experiments.md` defines every number in words.
 
-Tables and figures show every set of policies; claims and differences are about the first set and the second.
+Tables and figures show every set of policies; claims and differences compare the first set with the second.
 */
 
 pub mod experiments;
-pub mod findings;
-pub mod grid;
+pub mod measurement_store;
 pub mod plot;
 pub mod policy_sets;
 pub mod protocol;
 pub mod report;
 pub mod results;
 pub mod runner;
+pub mod section_builder;
+pub mod section_content;
 pub mod sensing;
-pub mod show;
+pub mod square_grid;
 pub mod statistics;
-pub mod store;
 pub mod trial;
 
 use serde::Serialize;
 
-use findings::Findings;
 use results::Results;
-use show::Show;
+use section_builder::SectionBuilder;
+use section_content::SectionContent;
 use supple::config::ConfigError;
 use supple::scenario::Script;
 use supple::scenario::catalog::{ParameterError, Scenario};
 use trial::Trial;
 
-/// The name, title and measured quantities of an experiment.
+/// The name, title, measured quantities and number of trials of an experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Info {
-    /// `E0` to `E14c`.
+pub struct ExperimentInfo {
+    /// The number in the report: `E0` to `E14c`.
     pub id: &'static str,
-    /// Tells its trials' seeds apart from other experiments'.
+    /// A number that no other experiment has; it makes the seeds of the trials differ from those of other experiments.
     pub number: u32,
-    /// On the command line.
+    /// The name on the command line, in file names and in `summary.json`.
     pub name: &'static str,
     /// The title in the report.
     pub title: &'static str,
-    /// Where the paper shows it.
+    /// The paper's figure, table or section that shows it.
     pub paper: &'static str,
-    /// How it is measured, in words.
+    /// A description of how it is measured.
     pub method: &'static str,
     /// The numbers that each trial yields.
     pub quantities: &'static [Quantity],
+    /// The number of trials of each condition with each policy.
+    pub trials: u32,
 }
 
-/// A number that every trial of an experiment yields, if it is defined.
+/// A quantity that an experiment measures in each trial; a trial may leave it undefined.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Quantity {
-    /// Snake case, with the unit where it has one.
+    /// The name in snake case, which ends with the unit if there is one.
     pub name: &'static str,
     /// The label that people read.
     pub label: &'static str,
-    /// The unit; `%` for fractions, which are kept as 0 to 1.
+    /// The printed unit; `%` for fractions, whose kept values are 0 to 1.
     pub unit: &'static str,
-    /// Digits after the point.
+    /// The number of printed digits after the decimal point.
     pub digits: usize,
 }
 
 impl Quantity {
-    /// A quantity.
+    /// Creates a quantity.
     pub const fn new(name: &'static str, label: &'static str, unit: &'static str, digits: usize) -> Self {
         Quantity { name, label, unit, digits }
     }
 
-    /// Returns the factor from kept to printed values.
+    /// Returns the factor from kept to printed values: 100 for `%`, else 1.
     pub fn scale(&self) -> f64 {
         if self.unit == "%" { 100.0 } else { 1.0 }
     }
 
-    /// Label with unit, for axes.
+    /// Returns the label with the unit, for axes and table rows.
     pub fn axis(&self) -> String {
         if self.unit.is_empty() { self.label.to_owned() } else { format!("{} [{}]", self.label, self.unit) }
     }
 }
 
-/// Fraction of trials in which the robot fell.
+/// The fraction of trials in which the robot fell.
 pub const FELL: Quantity = Quantity::new("fell", "falls", "%", 0);
 
-/// One setting of what an experiment varies.
+/// One setting of the parameters that an experiment varies.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Condition {
-    /// The label in tables.
+    /// The label in tables and figures.
     pub label: String,
     /// The scenario; the trial's seed varies it.
     pub scenario: Scenario,
 }
 
-/// The numbers that an experiment takes from a trace.
+/// The numbers that an experiment takes from the trace of one trial.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Measured {
-    /// One for each of the experiment's quantities.
+pub struct TrialValues {
+    /// The value of each of the experiment's quantities, in their order; none if the trial leaves it undefined.
     pub values: Vec<Option<f64>>,
-    /// The series that the experiment's figures draw.
+    /// The time series that the experiment's figures draw; each experiment defines its own.
     pub series: Vec<Vec<f32>>,
 }
 
-impl From<Vec<Option<f64>>> for Measured {
+impl From<Vec<Option<f64>>> for TrialValues {
     fn from(values: Vec<Option<f64>>) -> Self {
-        Measured { values, series: Vec::new() }
+        TrialValues { values, series: Vec::new() }
     }
 }
 
 erased_serde::serialize_trait_object!(Experiment);
 
-/// A table or figure of the paper: its section of the protocol, what is played, measured and shown. It serializes as its
-/// parameters.
+/// An experiment of the paper with its parameters, which are a section of the protocol and its serialized form.
 pub trait Experiment: erased_serde::Serialize + Sync {
-    /// Returns the experiment's name, title and quantities.
-    fn info(&self) -> Info;
-
-    /// Returns the number of trials of each condition with each policy.
-    fn trials(&self) -> u32;
+    /// Returns the experiment's name, title, quantities and number of trials.
+    fn info(&self) -> ExperimentInfo;
 
     /// Returns the conditions, one for each variation.
     ///
     /// # Errors
-    /// None with the scenario files inside the program.
+    /// A scenario file inside the program is invalid, which a test rules out.
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError>;
 
-    /// Checks those of its numbers that no scenario checks when its script is made.
+    /// Checks the parameters that no scenario checks when it makes its script.
     ///
     /// # Errors
-    /// [`ParameterError`] with the key.
+    /// A parameter is outside its range; the error names its key.
     fn check(&self) -> Result<(), ParameterError> {
         Ok(())
     }
 
-    /// When there is nothing more to measure \[s\].
+    /// Returns the time at which a trial may end, because nothing later is measured \[s\].
     fn until_s(&self, script: &Script) -> f64 {
         script.duration_s
     }
 
-    /// Reads a trial.
-    fn measure(&self, trial: &Trial) -> Measured;
+    /// Takes the experiment's numbers from a trial; by default, the scenario's metrics of the same names.
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        trial.upright_metrics(self.info().quantities)
+    }
 
-    /// Shows claims, tables and figures.
-    fn show(&self, show: &mut Show);
+    /// Adds claims, tables and figures to the experiment's section of the report.
+    fn report(&self, section: &mut SectionBuilder);
 
-    /// Returns the claims, tables and figures of the experiment's results.
-    fn findings(&self, results: &Results) -> Findings {
-        let mut show = Show::new(self.info().name, results);
-        self.show(&mut show);
-        show.findings
+    /// Returns the claims, tables and figures of results of this experiment.
+    fn content(&self, results: &Results) -> SectionContent {
+        let mut section = SectionBuilder::new(self.info().name, results);
+        self.report(&mut section);
+        section.content
     }
 }

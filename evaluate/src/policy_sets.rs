@@ -1,24 +1,24 @@
 /*! The sets of policies that are compared, read from folders.
 
-The path of a set is a folder (all policies in it), a run's folder, a policy's file, or a folder and the name that is common to
-files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. `policies/baseline@0.03` sets
-their commanded compliance [m/s/N].
+The path of a set is a folder (all policies in it), the folder of a run, a policy's file, or a folder and the common name of
+files `NAME-seedN`: `policies/baseline` stands for `policies/baseline-seed0.safetensors` and so on. `policies/baseline@0.03`
+also sets the commanded compliance \[m/s/N\] of these policies.
 */
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use supple::policy::compliance::{ComplianceError, split_compliance};
-use supple::policy::{Agent, AgentError, shipped};
+use supple::policy::{Agent, AgentError, Provenance, shipped};
 use supple::robot::Losses;
 use supple::util::{files, paths};
 
-/// Keys of a configuration that trials are played with.
-const TRIED: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
+/// The configuration keys, or their beginnings, that affect the trials of a policy.
+const TRIAL_KEYS: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
 
-/// Why there is nothing to compare.
+/// The reason why sets of policies cannot be read.
 #[derive(Debug, thiserror::Error)]
-pub enum ContestantError {
+pub enum PolicySetError {
     /// The folder cannot be read.
     #[error("cannot read the policies in {}: {source}", path.display())]
     Read {
@@ -32,168 +32,171 @@ pub enum ContestantError {
     Missing {
         /// The folder.
         path: PathBuf,
-        /// File names that were looked for.
+        /// The expected file names.
         wanted: String,
     },
     /// Two files of one set have the same seed.
-    #[error("{} and {} are both seed {seed} of {set}: only one can be compared", first.display(), second.display())]
+    #[error("{} and {} are both seed {seed} of {set}, expected one policy per seed", first.display(), second.display())]
     Twice {
-        /// One file.
+        /// The first file.
         first: PathBuf,
-        /// The other.
+        /// The second file.
         second: PathBuf,
-        /// Their seed.
+        /// The seed of both files.
         seed: u64,
-        /// Name of the set.
+        /// The name of the set.
         set: String,
     },
-    /// A file is no good.
+    /// A policy file is invalid.
     #[error(transparent)]
     Agent(#[from] AgentError),
-    /// The commanded compliance is out of the policy's range.
+    /// A policy does not support the commanded compliance.
     #[error("{}: {source}", file.display())]
     Compliance {
-        /// The policy.
+        /// The file of the policy.
         file: PathBuf,
         /// The reason.
         source: ComplianceError,
     },
 }
 
-/// A policy that is measured.
+/// A policy of a set.
 #[derive(Debug)]
-pub struct Contestant {
-    /// Seed of its training: pairs it with the other sets', and seeds its trials.
+pub struct SetMember {
+    /// The seed of its training, which pairs it with policies of other sets and seeds its trials.
     pub seed: u64,
-    /// Where it was read from.
+    /// The file it was read from.
     pub file: PathBuf,
     /// The policy.
     pub agent: Agent,
 }
 
-/// One of the sets.
+/// A named set of policies.
 #[derive(Debug)]
-pub struct Side {
+pub struct PolicySet {
     /// The name in tables and legends.
     pub name: String,
-    /// By seed.
-    pub members: Vec<Contestant>,
+    /// The policies in the order of their seeds.
+    pub members: Vec<SetMember>,
 }
 
-/// All sets, and what a reader has to know about them.
+/// All sets of policies, with notes for the reader of the report.
 #[derive(Debug)]
-pub struct Contest {
-    /// First (compliant), second (baseline), with which it is compared, and whatever is shown beside them.
-    pub sides: Vec<Side>,
-    /// Files left out, seeds without a partner.
+pub struct PolicySets {
+    /// The sets: the first (compliant) is compared with the second (baseline); further sets are shown beside them.
+    pub sets: Vec<PolicySet>,
+    /// Notes about policies, such as files left out and seeds without a partner.
     pub notes: Vec<String>,
 }
 
-impl Contest {
-    /// Policies `NAME-seedN.safetensors`, or external ones `NAME-seedN.yaml`, of several names in one folder; and all
-    /// policies of further sets, by name and path.
+impl PolicySets {
+    /// Reads policies `NAME-seedN.safetensors` and external ones `NAME-seedN.yaml` of several names from one folder, and further
+    /// sets by name and path.
     ///
     /// # Errors
-    /// [`ContestantError`]
-    pub fn in_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
-        Self::of_files(folder, policy_files(folder)?, names, also)
+    /// A folder or policy cannot be read, a set has no policy or two of one seed, or a policy does not support the commanded
+    /// compliance.
+    pub fn from_folder(folder: &Path, names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
+        Self::from_files(folder, policy_files(folder)?, names, also)
     }
 
-    /// As [`Contest::in_folder`] of the policies inside the program.
+    /// Reads the policies inside the program by the names of their sets, and further sets by name and path.
     ///
     /// # Errors
-    /// [`ContestantError`]
-    pub fn shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
+    /// The same as those of [`PolicySets::from_folder`].
+    pub fn from_shipped(names: &[String], also: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
         let of_sets = shipped::EMBEDDED.iter().filter(|(name, _)| !name.contains('/'));
         let files = of_sets.map(|(name, _)| name.into()).collect();
-        Self::of_files(Path::new("the policies inside this program"), files, names, also)
+        Self::from_files(Path::new("the policies inside this program"), files, names, also)
     }
 
-    fn of_files(
+    fn from_files(
         folder: &Path,
         all: Vec<PathBuf>,
         names: &[String],
         also: &[(String, PathBuf)],
-    ) -> Result<Self, ContestantError> {
+    ) -> Result<Self, PolicySetError> {
         let (mut files, mut notes) = (vec![Vec::new(); names.len()], Vec::new());
         for file in all {
-            match names.iter().enumerate().find_map(|(side, name)| Some((side, seed_of(name, &file)?))) {
-                Some((side, seed)) => files[side].push((Some(seed), file)),
-                None => notes.push(format!("{} was left out: its name is not that of either set", name_of(&file))),
+            match names.iter().enumerate().find_map(|(set, name)| Some((set, seed_of(name, &file)?))) {
+                Some((set, seed)) => files[set].push((Some(seed), file)),
+                None => notes.push(format!("{} was left out: its name belongs to neither set", name_of(&file))),
             }
         }
-        let side = |(name, files): (&String, _)| {
-            Side::load(name, folder, files, None, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
+        let set = |(name, files): (&String, _)| {
+            PolicySet::load(name, folder, files, None, || format!("{name}-seedN.safetensors (or .yaml), N a number"))
         };
-        let further = also.iter().map(|(name, path)| Side::of_path(name, path));
-        Ok(Self::new(names.iter().zip(files).map(side).chain(further).collect::<Result<_, _>>()?, notes))
+        let further = also.iter().map(|(name, path)| PolicySet::from_path(name, path));
+        Ok(Self::new(names.iter().zip(files).map(set).chain(further).collect::<Result<_, _>>()?, notes))
     }
 
-    /// All policies of sets by name and path.
+    /// Reads sets by name and path.
     ///
     /// # Errors
-    /// [`ContestantError`]
-    pub fn of_paths(sets: &[(String, PathBuf)]) -> Result<Self, ContestantError> {
-        let sides = sets.iter().map(|(name, path)| Side::of_path(name, path));
-        let mut sides = sides.collect::<Result<Vec<_>, _>>()?;
-        let notes = pair_single_policies(&mut sides);
-        Ok(Self::new(sides, notes))
+    /// The same as those of [`PolicySets::from_folder`].
+    pub fn from_paths(sets: &[(String, PathBuf)]) -> Result<Self, PolicySetError> {
+        let sets = sets.iter().map(|(name, path)| PolicySet::from_path(name, path));
+        let mut sets = sets.collect::<Result<Vec<_>, _>>()?;
+        let notes = pair_single_policies(&mut sets);
+        Ok(Self::new(sets, notes))
     }
 
-    fn new(sides: Vec<Side>, mut notes: Vec<String>) -> Self {
-        for (side, other) in [(0, 1), (1, 0)] {
-            let (Some(own), Some(partner)) = (sides.get(side), sides.get(other)) else { continue };
-            let lacks = |contestant: &&Contestant| partner.members.iter().all(|other| other.seed != contestant.seed);
+    fn new(sets: Vec<PolicySet>, mut notes: Vec<String>) -> Self {
+        for (set, other) in [(0, 1), (1, 0)] {
+            let (Some(own), Some(partner)) = (sets.get(set), sets.get(other)) else { continue };
+            let lacks = |member: &&SetMember| partner.members.iter().all(|other| other.seed != member.seed);
             let alone: Vec<String> = own.members.iter().filter(lacks).map(|member| member.seed.to_string()).collect();
             if !alone.is_empty() {
                 notes.push(format!(
-                    "{} has no policy of seed {} as {} has: means are over all seeds that there are, differences over \
-                     the seeds that both have",
+                    "{} has no policy of seed {}, unlike {}: means are over all seeds of a set, differences over the \
+                     seeds of both",
                     partner.name,
                     alone.join(", "),
                     own.name
                 ));
             }
         }
-        for side in &sides {
-            if let Some(compliance) = side.members.iter().find_map(|member| member.agent.commanded_compliance) {
-                let name = &side.name;
+        for set in &sets {
+            if let Some(compliance) = set.members.iter().find_map(|member| member.agent.commanded_compliance) {
+                let name = &set.name;
                 notes.push(format!(
                     "{name} has a commanded compliance of {compliance} m/s/N in trials that command none"
                 ));
             }
-            for (index, member) in side.members.iter().enumerate() {
-                let is_same = |other: &&Contestant| other.agent.sha256 == member.agent.sha256;
-                if let Some(twin) = side.members[..index].iter().find(is_same) {
-                    let (name, [a, b]) = (&side.name, [twin.seed, member.seed]);
-                    notes.push(format!("{name}, seeds {a} and {b}, are one policy: they are no two samples of {name}"));
+            for (index, member) in set.members.iter().enumerate() {
+                let is_same = |other: &&SetMember| other.agent.sha256 == member.agent.sha256;
+                if let Some(twin) = set.members[..index].iter().find(is_same) {
+                    let (name, [a, b]) = (&set.name, [twin.seed, member.seed]);
+                    notes.push(format!(
+                        "{name}, seeds {a} and {b}, are one policy: the two samples are not independent"
+                    ));
                 }
-                let trained = member.agent.policy().map(|policy| policy.provenance.seed);
+                let trained = member.provenance().map(|provenance| provenance.seed);
                 if let Some(trained) = trained.filter(|trained| *trained != member.seed) {
-                    let (name, seed) = (&side.name, member.seed);
+                    let (name, seed) = (&set.name, member.seed);
                     notes.push(format!("{name}, seed {seed}, was trained with seed {trained}"));
                 }
             }
         }
-        let keys = unlike(&sides);
+        let keys = differing_keys(&sets);
         if !keys.is_empty() {
             notes.push(format!(
                 "the policies were not trained alike: their configurations differ in {}",
                 keys.join(", ")
             ));
-            // A policy runs with these, also here.
-            let is_tried = |key: &&String| TRIED.iter().any(|tried| key.starts_with(tried));
-            let tried: Vec<&str> = keys.iter().filter(is_tried).map(String::as_str).collect();
+            // Trials of a policy use its own values of these keys.
+            let affects_trials = |key: &&String| TRIAL_KEYS.iter().any(|known| key.starts_with(known));
+            let tried: Vec<&str> = keys.iter().filter(affects_trials).map(String::as_str).collect();
             if !tried.is_empty() {
-                notes.push(format!("each policy is tried with its own {}", tried.join(", ")));
+                notes.push(format!("each policy is evaluated with its own {}", tried.join(", ")));
             }
         }
-        Contest { sides, notes }
+        PolicySets { sets, notes }
     }
 
-    /// Tries all policies with joints that have these losses.
+    /// Sets the joint losses of all robots.
     pub fn set_losses(&mut self, losses: Losses) {
-        for member in self.sides.iter_mut().flat_map(|side| &mut side.members) {
+        for member in self.sets.iter_mut().flat_map(|set| &mut set.members) {
             member.agent.config.robot.set_losses(losses);
         }
         self.notes.push(format!(
@@ -202,34 +205,61 @@ impl Contest {
         ));
     }
 
-    /// Names of all sets.
+    /// Returns all policies with their sets.
+    pub fn members(&self) -> impl Iterator<Item = (&PolicySet, &SetMember)> {
+        self.sets.iter().flat_map(|set| set.members.iter().map(move |member| (set, member)))
+    }
+
+    /// Returns the names of all sets.
     pub fn names(&self) -> Vec<String> {
-        self.sides.iter().map(|side| side.name.clone()).collect()
+        self.sets.iter().map(|set| set.name.clone()).collect()
     }
 }
 
-impl Side {
-    /// All policies that a path stands for.
-    fn of_path(name: &str, path: &Path) -> Result<Self, ContestantError> {
+impl SetMember {
+    /// Returns the provenance of the policy; none for an external policy.
+    fn provenance(&self) -> Option<&Provenance> {
+        self.agent.policy().map(|policy| &policy.provenance)
+    }
+
+    /// Returns the name of the configuration; `external` for an external policy.
+    pub fn config_name(&self) -> &str {
+        self.provenance().map_or("external", |provenance| &provenance.config_name)
+    }
+
+    /// Returns the number of training samples; none for an external policy.
+    pub fn samples(&self) -> Option<u64> {
+        self.provenance().map(|provenance| provenance.samples)
+    }
+
+    /// Returns the revision of the program that trained the policy; a dash for an external policy.
+    pub fn revision(&self) -> &str {
+        self.provenance().map_or("–", |provenance| &provenance.git_revision)
+    }
+}
+
+impl PolicySet {
+    /// Reads all policies of a path.
+    fn from_path(name: &str, path: &Path) -> Result<Self, PolicySetError> {
         let text = paths::as_text(path);
         let (text, compliance) = split_compliance(&text);
         let path = &paths::as_path(text);
         let files = if path.is_file() {
             vec![path.to_owned()]
         } else if path.join("run.json").exists() {
-            // A run's folder: its checkpoint is not a policy.
+            // The folder of a run also holds a checkpoint, which is not a policy.
             vec![path.join("policy.safetensors")]
         } else if path.is_dir() {
             policy_files(path)?
         } else {
-            match of_seeds(path) {
+            match seed_files(path) {
                 // The name of a policy inside the program.
                 files if files.is_empty() => vec![path.to_owned()],
                 files => files,
             }
         };
         let files = files.into_iter().map(|file| (seed_in_name(&file), file)).collect();
-        Side::load(name, path, files, compliance, || "*.safetensors or *.yaml".into())
+        PolicySet::load(name, path, files, compliance, || "*.safetensors or *.yaml".into())
     }
 
     fn load(
@@ -238,41 +268,41 @@ impl Side {
         files: Vec<(Option<u64>, PathBuf)>,
         compliance: Option<f64>,
         wanted: impl Fn() -> String,
-    ) -> Result<Self, ContestantError> {
+    ) -> Result<Self, PolicySetError> {
         if files.is_empty() {
-            return Err(ContestantError::Missing { path: folder.to_owned(), wanted: wanted() });
+            return Err(PolicySetError::Missing { path: folder.to_owned(), wanted: wanted() });
         }
-        let mut members: Vec<Contestant> = Vec::new();
+        let mut members: Vec<SetMember> = Vec::new();
         for (seed, file) in files {
             let mut agent = shipped::find(&paths::as_text(&file))?;
             agent.commanded_compliance = compliance;
             if let Err(source) = agent.resolve_compliance(None, None) {
-                return Err(ContestantError::Compliance { file, source });
+                return Err(PolicySetError::Compliance { file, source });
             }
             let seed = seed.or_else(|| Some(agent.policy()?.provenance.seed)).unwrap_or(0);
             if let Some(first) = members.iter().find(|member| member.seed == seed) {
                 let (first, set) = (first.file.clone(), name.to_owned());
-                return Err(ContestantError::Twice { first, second: file, seed, set });
+                return Err(PolicySetError::Twice { first, second: file, seed, set });
             }
-            members.push(Contestant { seed, file, agent });
+            members.push(SetMember { seed, file, agent });
         }
         members.sort_by_key(|member| member.seed);
-        Ok(Side { name: name.to_owned(), members })
+        Ok(PolicySet { name: name.to_owned(), members })
     }
 }
 
-/// Gives single policies the seed of the first set's single policy, which pairs them; says so.
-fn pair_single_policies(sides: &mut [Side]) -> Vec<String> {
-    let is_pair = sides.len() == 2;
-    let Some((first, others)) = sides.split_first_mut() else { return Vec::new() };
+/// Pairs sets of a single policy: gives their policies the seed of the first set's single policy. Returns notes about it.
+fn pair_single_policies(sets: &mut [PolicySet]) -> Vec<String> {
+    let is_pair = sets.len() == 2;
+    let Some((first, others)) = sets.split_first_mut() else { return Vec::new() };
     let [a] = &first.members[..] else { return Vec::new() };
     let mut notes = Vec::new();
-    for side in others {
-        if let [b] = &mut side.members[..]
+    for set in others {
+        if let [b] = &mut set.members[..]
             && a.seed != b.seed
         {
             let which =
-                if is_pair { "two policies".into() } else { format!("policies of {} and {}", first.name, side.name) };
+                if is_pair { "two policies".into() } else { format!("policies of {} and {}", first.name, set.name) };
             notes.push(format!("the {which} are compared as a pair, though their seeds are {} and {}", a.seed, b.seed));
             b.seed = a.seed;
         }
@@ -280,23 +310,23 @@ fn pair_single_policies(sides: &mut [Side]) -> Vec<String> {
     notes
 }
 
-/// Keys beside the recovery stage's, which is what is compared, in which configurations of policies of ours differ.
-fn unlike(sides: &[Side]) -> Vec<String> {
-    let members = sides.iter().flat_map(|side| &side.members);
-    let mut configs = members.filter_map(|member| Some(&member.agent.policy()?.provenance.config));
+/// Returns the keys in which the configurations of Supple's policies differ, except the compared one, the recovery stage.
+fn differing_keys(sets: &[PolicySet]) -> Vec<String> {
+    let members = sets.iter().flat_map(|set| &set.members);
+    let mut configs = members.filter_map(|member| Some(&member.provenance()?.config));
     let Some(first) = configs.next() else { return Vec::new() };
     let keys = configs.flat_map(|config| first.differences(config));
     let keys: BTreeSet<String> = keys.map(|(key, _)| key).collect();
     keys.into_iter().filter(|key| key != "episode.recovery_stage").collect()
 }
 
-/// Without its folder: the same in every report of the same policies.
+/// Returns the name of a file without its folder.
 fn name_of(file: &Path) -> String {
     file.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// Files `NAME-seedN` of a path `FOLDER/NAME` that is no folder itself.
-fn of_seeds(path: &Path) -> Vec<PathBuf> {
+/// Returns the files `NAME-seedN` of a path `FOLDER/NAME` that is not a folder.
+fn seed_files(path: &Path) -> Vec<PathBuf> {
     let (Some(folder), Some(name), false) = (path.parent(), path.file_name(), path.is_dir()) else { return Vec::new() };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let name = name.to_string_lossy();
@@ -304,19 +334,19 @@ fn of_seeds(path: &Path) -> Vec<PathBuf> {
     files.into_iter().filter(|file| seed_of(&name, file).is_some()).collect()
 }
 
-/// The seed of a policy of that name: N in `NAME-seedN`.
+/// Returns the seed N of a file `NAME-seedN` of a given name; none for another file.
 fn seed_of(name: &str, file: &Path) -> Option<u64> {
     file.file_stem()?.to_string_lossy().strip_prefix(name)?.strip_prefix("-seed")?.parse().ok()
 }
 
-/// The number after the last `-seed` of a file's name.
+/// Returns the number after the last `-seed` of a file's name.
 fn seed_in_name(file: &Path) -> Option<u64> {
     file.file_stem()?.to_str()?.rsplit_once("-seed")?.1.parse().ok()
 }
 
-/// All policy files of a folder, by name.
-fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, ContestantError> {
-    let fail = |source| ContestantError::Read { path: folder.to_owned(), source };
+/// Returns all policy files of a folder, sorted by name.
+fn policy_files(folder: &Path) -> Result<Vec<PathBuf>, PolicySetError> {
+    let fail = |source| PolicySetError::Read { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(fail)?;
     let mut files =
         entries.map(|entry| entry.map(|entry| entry.path())).collect::<Result<Vec<_>, _>>().map_err(fail)?;
@@ -330,7 +360,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_seed_of_a_policy_follows_its_whole_name() {
+    fn seed_follows_the_whole_name() {
         let of = |name, file: &str| seed_of(name, Path::new(file));
         assert_eq!(of("soft", "policies/soft-seed12.safetensors"), Some(12));
         assert_eq!(of("soft", "policies/soft-seed3.yaml"), Some(3));

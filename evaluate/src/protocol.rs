@@ -1,4 +1,4 @@
-//! How much of everything is measured: grids, directions, trials. YAML in, checked experiments out.
+//! The protocol: the parameters of all experiments (grids, directions, trials), read from YAML and checked.
 
 use std::path::Path;
 
@@ -7,16 +7,16 @@ use supple::config::ConfigError;
 use supple::scenario::catalog::{ParameterError, in_range};
 use supple::util::yaml::{Text, YamlError, layered};
 
-/// The protocol of the whole report.
+/// The text of the full protocol.
 pub const FULL: &str = include_str!("../../configs/evaluation/full.yaml");
 
-/// The values that the quick protocol has in place of the full one's.
+/// The text of the quick protocol: the values that differ from the full one.
 pub const QUICK: &str = include_str!("../../configs/evaluation/quick.yaml");
 
-/// Why a protocol was refused.
+/// The reason why a protocol was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ProtocolError {
-    /// Reading failed.
+    /// The file cannot be read.
     #[error("cannot read protocol {path}: {source}")]
     Read {
         /// The file.
@@ -27,13 +27,13 @@ pub enum ProtocolError {
     /// The text is not YAML, a key is unknown or missing, or a value has another type.
     #[error("protocol {0}")]
     Parse(#[from] YamlError),
-    /// The parameters of a scenario inside the program.
+    /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
-    /// A number outside its range.
+    /// A value is outside its range.
     #[error("protocol key {key} is {found}, expected {expected}")]
     Value {
-        /// Dotted key.
+        /// The key, with dots between sections.
         key: String,
         /// The value found.
         found: String,
@@ -43,26 +43,26 @@ pub enum ProtocolError {
 }
 
 impl Protocol {
-    /// The protocol of the whole report.
+    /// Returns the full protocol.
     ///
     /// # Errors
-    /// None with the file inside the program.
+    /// The file inside the program is invalid, which a test rules out.
     pub fn full() -> Result<Self, ProtocolError> {
         Self::parse(&[Text::new("full", FULL)])
     }
 
-    /// A coarse version of everything.
+    /// Returns the quick protocol: fewer trials, grid points and directions.
     ///
     /// # Errors
-    /// None with the file inside the program.
+    /// A file inside the program is invalid, which a test rules out.
     pub fn quick() -> Result<Self, ProtocolError> {
         Self::parse(&[Text::new("full", FULL), Text::new("quick", QUICK)])
     }
 
-    /// A file that states what differs from the full protocol.
+    /// Reads a protocol from a file with the values that differ from the full protocol.
     ///
     /// # Errors
-    /// [`ProtocolError`] that names the key.
+    /// The file cannot be read or is not YAML, a key is unknown, or a value is outside its range; the error names the key.
     pub fn load(path: &Path) -> Result<Self, ProtocolError> {
         let text =
             Text::read(path).map_err(|source| ProtocolError::Read { path: path.display().to_string(), source })?;
@@ -78,14 +78,14 @@ impl Protocol {
     fn check(&self) -> Result<(), ProtocolError> {
         for experiment in self.experiments() {
             let section = experiment.info().name.replace('-', "_");
-            in_range("trials", f64::from(experiment.trials()), 1.0, 10_000.0, "1 to 10000")
+            in_range("trials", f64::from(experiment.info().trials), 1.0, 10_000.0, "1 to 10000")
                 .and_then(|()| experiment.check())
                 .map_err(|ParameterError { name, found, expected }| ProtocolError::Value {
                     key: format!("{section}.{name}"),
                     found,
                     expected,
                 })?;
-            // What is left is checked by the scenarios themselves, when their scripts are made.
+            // Scenarios check all other parameters when they make their scripts.
             if experiment.conditions()?.is_empty() {
                 let (found, expected) = ("empty".to_owned(), "at least one condition");
                 return Err(ProtocolError::Value { key: section, found, expected });
@@ -102,16 +102,17 @@ mod tests {
     use supple::scenario::catalog::Scenario;
 
     #[test]
-    fn both_protocols_are_valid_and_the_quick_one_is_smaller() {
+    fn both_protocols_are_valid() {
         let trials = |protocol: &Protocol| -> usize {
-            let count =
-                |experiment: &&dyn Experiment| experiment.conditions().unwrap().len() * experiment.trials() as usize;
+            let count = |experiment: &&dyn Experiment| {
+                experiment.conditions().unwrap().len() * experiment.info().trials as usize
+            };
             protocol.experiments().iter().map(count).sum()
         };
         assert!(trials(&Protocol::quick().unwrap()) * 5 < trials(&Protocol::full().unwrap()));
         let harder = include_str!("../../configs/evaluation/harder.yaml");
         let harder = Protocol::parse(&[Text::new("full", FULL), Text::new("harder", harder)]).unwrap();
-        // The field keeps its size, whatever the balls'.
+        // The pit keeps its size with larger balls.
         let Scenario::BallPit(pit) = &harder.ball_pit.conditions().unwrap()[0].scenario else {
             panic!("another scenario")
         };
@@ -119,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_protocol_states_what_differs_and_is_checked() {
+    fn protocol_with_invalid_value_is_refused() {
         let changed = |text| Protocol::parse(&[Text::new("full", FULL), Text::new("test", text)]);
         assert_eq!(changed("box: {trials: 3}").unwrap().r#box.trials, 3);
         for (text, expected) in [

@@ -1,4 +1,4 @@
-//! What an experiment measured for all sets of policies, and how it is read: always by seed.
+//! The results of an experiment for all sets of policies, and their means by seed.
 
 use std::collections::BTreeMap;
 
@@ -6,32 +6,32 @@ use super::statistics::{Comparison, Numbers, PerSeed, Trials, mean};
 use super::trial::{Sample, TrialEnd};
 use super::{Condition, Quantity};
 
-/// All trials of one policy, shape (conditions, trials).
+/// The samples of one policy, shape (conditions, trials).
 pub type PolicyResult = Vec<Vec<Sample>>;
 
-/// All trials of an experiment.
+/// The samples of an experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Results {
-    /// Names of the sets, two or more; the first two are those that are compared.
+    /// The names of the sets, two or more; the first two are compared.
     pub names: Vec<String>,
     /// The conditions that were varied.
     pub conditions: Vec<Condition>,
     /// The quantities that were measured.
     pub quantities: &'static [Quantity],
-    /// By set, by seed.
+    /// The samples by set, then by seed.
     pub sets: Vec<BTreeMap<u64, PolicyResult>>,
 }
 
-/// How the trials of a set ended.
+/// The number of trials of a set by how they ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
-pub struct Ends {
-    /// All that were played.
+pub struct EndCounts {
+    /// The number of trials that were played.
     pub trials: usize,
     /// The number of trials that ended in a fall.
     pub falls: usize,
     /// The number of trials in which the physics failed.
     pub faults: usize,
-    /// Not played, for their compliance is out of the policy's reach: beside the others.
+    /// The number of trials that were not played, because the policy does not support their commanded compliance.
     #[serde(skip_serializing_if = "is_zero")]
     pub out_of_reach: usize,
 }
@@ -42,17 +42,20 @@ fn is_zero(count: &usize) -> bool {
 }
 
 impl Results {
-    /// Index of a quantity by name; a name that the experiment lacks is a mistake of the caller.
+    /// Returns the index of a quantity by name.
     ///
     /// # Panics
-    /// If there is no such quantity.
+    /// The experiment has no quantity of that name.
     pub fn index(&self, quantity: &str) -> usize {
         let found = self.quantities.iter().position(|known| known.name == quantity);
-        // The experiments ask for what they themselves list; a test asks every one of them.
+        // Experiments use the names in their own lists; a test covers every experiment.
         found.unwrap_or_else(|| panic!("no quantity {quantity}"))
     }
 
-    /// The quantity of that name.
+    /// Returns a quantity by name.
+    ///
+    /// # Panics
+    /// The experiment has no quantity of that name.
     pub fn quantity(&self, name: &str) -> Quantity {
         self.quantities[self.index(name)]
     }
@@ -62,42 +65,12 @@ impl Results {
         self.per_seed_over(set, &[condition], quantity)
     }
 
-    /// The same, the mean over conditions.
+    /// Returns the mean over conditions of the mean over trials for each seed of a set. A trial that leaves the quantity
+    /// undefined for one policy of a pair is left out for both: otherwise a policy that falls in hard trials would be
+    /// averaged over easy ones. A policy whose partner has no number at all keeps its own. The first two sets are each
+    /// other's partners; the partner of every further set is the first.
     pub fn per_seed_over(&self, set: usize, conditions: &[usize], quantity: &str) -> PerSeed {
-        self.means(set, conditions, self.index(quantity))
-    }
-
-    /// All sets in one condition.
-    pub fn compare(&self, condition: usize, quantity: &str) -> Comparison {
-        self.compare_over(&[condition], quantity)
-    }
-
-    /// All sets, each policy by the mean over conditions of its mean over trials.
-    pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
-        let index = self.index(quantity);
-        let sets = (0..self.sets.len()).map(|set| self.numbers(set, self.means(set, conditions, index)));
-        Comparison::new(sets.collect()).with_trials(self.trials(conditions, index))
-    }
-
-    /// Says in how many of the directions the first set's number is larger (over pairs of seeds), of those in which
-    /// there are pairs.
-    pub fn larger_in(&self, directions: &[usize], quantity: &str) -> String {
-        let differences: Vec<f64> =
-            directions.iter().filter_map(|c| Some(self.compare(*c, quantity).difference?.value)).collect();
-        let larger = differences.iter().filter(|difference| **difference > 0.0).count();
-        format!("{larger} of {} directions", differences.len())
-    }
-
-    /// A number by seed of a set.
-    pub fn numbers(&self, set: usize, by_seed: PerSeed) -> Numbers {
-        Numbers::new(by_seed, self.sets[set].len())
-    }
-
-    /// For each seed of a set, the mean over conditions of the mean over trials. A trial that leaves the quantity
-    /// undefined for one of a pair is left out for both: else the one that falls where it is hard would be spared the
-    /// hard part. Only where the partner has no number at all does a policy keep all of its own. The first two sets are
-    /// each other's partners; that of every further set is the first.
-    fn means(&self, set: usize, conditions: &[usize], quantity: usize) -> PerSeed {
+        let quantity = self.index(quantity);
         let partners = self.sets.get(usize::from(set == 0));
         let of_seed = |(seed, policy): (&u64, &PolicyResult)| {
             let partner = partners.and_then(|set| set.get(seed));
@@ -108,7 +81,31 @@ impl Results {
         self.sets[set].iter().filter_map(of_seed).collect()
     }
 
-    /// Pairs of trials of the first two sets in which both policies have a number, of all over the seeds that both have.
+    /// Compares the sets in one condition.
+    pub fn compare(&self, condition: usize, quantity: &str) -> Comparison {
+        self.compare_over(&[condition], quantity)
+    }
+
+    /// Compares the sets by each policy's mean over conditions of the mean over trials.
+    pub fn compare_over(&self, conditions: &[usize], quantity: &str) -> Comparison {
+        let sets = (0..self.sets.len()).map(|set| self.numbers(set, self.per_seed_over(set, conditions, quantity)));
+        Comparison::new(sets.collect()).with_trials(self.trials(conditions, self.index(quantity)))
+    }
+
+    /// Returns "N of M directions": the first set's number is larger in N of the M directions that have pairs of seeds.
+    pub fn larger_in(&self, directions: &[usize], quantity: &str) -> String {
+        let differences: Vec<f64> =
+            directions.iter().filter_map(|c| Some(self.compare(*c, quantity).difference?.value)).collect();
+        let larger = differences.iter().filter(|difference| **difference > 0.0).count();
+        format!("{larger} of {} directions", differences.len())
+    }
+
+    /// Creates the numbers of a set from values by seed.
+    pub fn numbers(&self, set: usize, by_seed: PerSeed) -> Numbers {
+        Numbers::new(by_seed, self.sets[set].len())
+    }
+
+    /// Counts the pairs of trials of the first two sets, and those in which both policies have a number.
     fn trials(&self, conditions: &[usize], quantity: usize) -> Trials {
         let mut trials = Trials { used: 0, of: 0 };
         for seed in self.common_seeds() {
@@ -123,20 +120,20 @@ impl Results {
         trials
     }
 
-    /// Seeds that the first two sets have.
+    /// Returns the seeds that both of the first two sets have.
     pub fn common_seeds(&self) -> Vec<u64> {
         self.sets[0].keys().filter(|seed| self.sets[1].contains_key(seed)).copied().collect()
     }
 
-    /// The seed that figures of single policies show: the least of the first two sets' common ones, else the set's least.
+    /// Returns the seed that figures of single policies show: the least common seed of the first two sets, else the set's least.
     pub fn shown_seed(&self, set: usize) -> Option<u64> {
         let common = self.common_seeds();
         common.first().filter(|seed| self.sets[set].contains_key(seed)).or(self.sets[set].keys().next()).copied()
     }
 
-    /// How a set's trials ended.
-    pub fn ends(&self, set: usize) -> Ends {
-        let mut ends = Ends::default();
+    /// Counts how the trials of a set ended.
+    pub fn ends(&self, set: usize) -> EndCounts {
+        let mut ends = EndCounts::default();
         for sample in self.sets[set].values().flatten().flatten() {
             ends.trials += usize::from(sample.end != TrialEnd::OutOfReach);
             ends.out_of_reach += usize::from(sample.end == TrialEnd::OutOfReach);
@@ -147,7 +144,7 @@ impl Results {
     }
 }
 
-/// Mean over the trials of a condition that define a quantity, for the partner too if there is one.
+/// Returns the mean over the trials of a condition that define a quantity for the policy and for its partner, if it has one.
 fn mean_of(policy: &PolicyResult, partner: Option<&PolicyResult>, condition: usize, quantity: usize) -> Option<f64> {
     let others = partner.and_then(|partner| partner.get(condition));
     let counts = |trial: usize| {
@@ -163,7 +160,7 @@ mod tests {
     use crate::Experiment;
     use crate::protocol::Protocol;
 
-    /// Results of the decay experiment with one trial for each condition, by set and condition; none is a fall.
+    /// Returns results of the decay experiment with one trial for each condition; a missing value is a fall.
     fn results(sets: &[Vec<[Option<f64>; 2]>]) -> Results {
         let protocol = Protocol::quick().unwrap();
         let condition = protocol.decay.conditions().unwrap().remove(0);
@@ -186,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_condition_that_one_of_a_pair_lacks_is_left_out_for_both() {
+    fn condition_without_a_partner_is_left_out_for_both() {
         // Seed 0: b fell in condition 1, so that only condition 0 counts: 1 against 2, not (1 + 9) / 2 against 2.
         let results = results(&[
             vec![[Some(1.0), Some(9.0)], [Some(3.0), Some(5.0)]],
@@ -211,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trial_that_one_of_a_pair_lacks_is_left_out_for_both() {
+    fn trial_without_a_partner_is_left_out_for_both() {
         // Two trials of one condition: the first is easy, and a falls in the second.
         let mut results = results(&[vec![[Some(1.0), None]], vec![[Some(2.0), Some(8.0)]]]);
         for set in &mut results.sets {
@@ -224,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_keeps_its_mean_if_its_partner_has_none_at_all() {
+    fn policy_keeps_its_mean_if_its_partner_has_none() {
         let results = results(&[vec![[Some(1.0), Some(3.0)]], vec![[None, None]]]);
         let comparison = results.compare_over(&[0, 1], "decay_10_s");
         assert_eq!((comparison.sets[0].by_seed.get(&0), comparison.sets[1].by_seed.get(&0)), (Some(&2.0), None));
@@ -232,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn a_third_set_is_paired_with_the_first_and_changes_nothing_of_the_others() {
+    fn third_set_is_paired_with_the_first() {
         let both = [vec![[Some(1.0), Some(3.0)]], vec![[Some(2.0), None]]];
         let third = vec![[Some(5.0), Some(7.0)]];
         let (two, three) = (results(&both), results(&[&both[..], &[third]].concat()));

@@ -1,163 +1,159 @@
-//! Plays the trials of an experiment on the threads of rayon's global pool. What comes out does not depend on how many there are.
+//! Plays the trials of an experiment on rayon's global pool; results do not depend on the number of threads.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Instant;
 
 use rayon::prelude::*;
 
-use super::policy_sets::{Contest, Contestant, Side};
+use super::measurement_store::{self, MeasurementStore};
+use super::policy_sets::{PolicySet, PolicySets, SetMember};
 use super::results::{PolicyResult, Results};
-use super::store::{self, Store, Stored};
 use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
 use supple::config::ConfigError;
 use supple::scenario::Sensing;
 
-/// Why an experiment could not be finished.
+/// The reason why an experiment was not finished.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
-    /// A trial could not be played.
-    #[error("{experiment} with {policy}: {source}")]
+    /// A trial cannot be played.
+    #[error("experiment {experiment} with policy {policy}: {source}")]
     Trial {
-        /// Name of the experiment.
+        /// The name of the experiment.
         experiment: &'static str,
-        /// File of the policy.
+        /// The file of the policy.
         policy: String,
-        /// Why.
+        /// The reason.
         source: TrialError,
     },
-    /// The results cannot be kept.
-    #[error("cannot keep the results of {experiment}: {source}")]
+    /// The results cannot be written.
+    #[error("cannot write the results of experiment {experiment}: {source}")]
     Store {
-        /// Name of the experiment.
+        /// The name of the experiment.
         experiment: &'static str,
         /// The system's reason.
         source: std::io::Error,
     },
-    /// A scenario file inside the program.
+    /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
 }
 
-/// How to run.
+/// The settings of measurements.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Repeats measurements that exist already.
+    /// True to repeat finished measurements.
     pub again: bool,
     /// The state that the policies act on.
     pub sensing: Sensing,
-    /// Finished measurements.
-    pub store: Store,
+    /// The finished measurements.
+    pub store: MeasurementStore,
 }
 
-/// An experiment's results and where they come from.
+/// The results of an experiment, with the time they took and the programs that measured them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measurement {
-    /// All trials.
+    /// The results of all trials.
     pub results: Results,
-    /// Time that the trials took when they were played, now or earlier \[s\].
+    /// The time that the trials took when they were played, now or earlier \[s\].
     pub wall_s: f64,
-    /// Revisions of the programs that played them.
-    pub revisions: Vec<String>,
+    /// The revisions of the programs that played the trials.
+    pub revisions: BTreeSet<String>,
 }
 
-/// The work of an experiment that is still to be done.
+/// Returns the cost of the trials of an experiment that are not measured yet \[seconds of simulated time\].
 ///
 /// # Errors
-/// [`RunError::Config`]
-pub fn work(experiment: &dyn Experiment, contest: &Contest, settings: &Settings) -> Result<f64, RunError> {
+/// A scenario file inside the program is invalid, which a test rules out.
+pub fn remaining_work(
+    experiment: &dyn Experiment,
+    policies: &PolicySets,
+    settings: &Settings,
+) -> Result<f64, RunError> {
     let conditions = experiment.conditions()?;
-    let of_policy = f64::from(experiment.trials()) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
-    let missing = |contestant: &&Contestant| {
-        let key = store::key(experiment, &conditions, contestant, settings.sensing);
+    let of_policy = f64::from(experiment.info().trials) * conditions.iter().map(|c| c.scenario.cost()).sum::<f64>();
+    let missing = |(_, member): &(&PolicySet, &SetMember)| {
+        let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         settings.again || settings.store.read(experiment, &key).is_none()
     };
-    let policies = contest.sides.iter().flat_map(|side| &side.members).filter(missing).count();
+    let policies = policies.members().filter(missing).count();
     Ok(of_policy * policies as f64)
 }
 
-/// The experiment's results, if all of them are there already.
+/// Returns the results of an experiment; none if some are not measured yet.
 ///
 /// # Errors
-/// [`RunError::Config`]
+/// A scenario file inside the program is invalid, which a test rules out.
 pub fn finished(
     experiment: &dyn Experiment,
-    contest: &Contest,
-    store: &Store,
+    policies: &PolicySets,
+    store: &MeasurementStore,
     sensing: Sensing,
 ) -> Result<Option<Measurement>, RunError> {
     let conditions = experiment.conditions()?;
-    let key = |contestant: &Contestant| store::key(experiment, &conditions, contestant, sensing);
-    let read = |contestant: &Contestant| store.read(experiment, &key(contestant));
-    let of_side = |side: &Side| side.members.iter().map(read).collect::<Option<Vec<Stored>>>();
-    let stored = contest.sides.iter().map(of_side).collect::<Option<Vec<_>>>();
-    Ok(stored.map(|stored| Measurement::new(experiment, conditions, contest, stored)))
+    let (mut sets, mut wall_s, mut revisions) = (Vec::new(), 0.0, BTreeSet::new());
+    for set in &policies.sets {
+        let mut by_seed = BTreeMap::new();
+        for member in &set.members {
+            let key = measurement_store::key(experiment, &conditions, member, sensing);
+            let Some(stored) = store.read(experiment, &key) else { return Ok(None) };
+            wall_s += stored.wall_s;
+            revisions.insert(stored.revision);
+            by_seed.insert(stored.seed, stored.samples);
+        }
+        sets.push(by_seed);
+    }
+    let results = Results { names: policies.names(), conditions, quantities: experiment.info().quantities, sets };
+    Ok(Some(Measurement { results, wall_s, revisions }))
 }
 
-/// Measures an experiment with every policy with which that has not been done. `progress` is told the work of every trial
-/// played.
+/// Measures an experiment with each policy for which the store has no measurement. `progress` receives the cost of each
+/// trial when it has been played.
 ///
 /// # Errors
-/// [`RunError`]
+/// A trial cannot be played, or the results cannot be written.
 pub fn measure(
     experiment: &dyn Experiment,
-    contest: &Contest,
+    policies: &PolicySets,
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<(), RunError> {
     let (name, conditions) = (experiment.info().name, experiment.conditions()?);
     let store = |source| RunError::Store { experiment: name, source };
-    for contestant in contest.sides.iter().flat_map(|side| &side.members) {
-        let key = store::key(experiment, &conditions, contestant, settings.sensing);
+    for (_, member) in policies.members() {
+        let key = measurement_store::key(experiment, &conditions, member, settings.sensing);
         let is_there = || !settings.again && settings.store.read(experiment, &key).is_some();
         if is_there() {
             continue;
         }
-        let _claim = settings.store.claim(experiment).map_err(store)?;
-        // The process that had claimed it may have measured it.
+        let _lock = settings.store.lock_experiment(experiment).map_err(store)?;
+        // Another process may have measured it meanwhile.
         if is_there() {
             continue;
         }
         let start = Instant::now();
-        let samples = play_all(experiment, &conditions, contestant, settings, progress).map_err(|source| {
-            RunError::Trial { experiment: name, policy: contestant.file.display().to_string(), source }
+        let samples = play_all(experiment, &conditions, member, settings, progress).map_err(|source| {
+            RunError::Trial { experiment: name, policy: member.file.display().to_string(), source }
         })?;
         let wall_s = start.elapsed().as_secs_f64();
-        settings.store.write(experiment, &key, contestant, wall_s, samples).map_err(store)?;
+        settings.store.write(experiment, &key, member, wall_s, samples).map_err(store)?;
     }
     Ok(())
 }
 
-impl Measurement {
-    fn new(
-        experiment: &dyn Experiment,
-        conditions: Vec<Condition>,
-        contest: &Contest,
-        stored: Vec<Vec<Stored>>,
-    ) -> Self {
-        let wall_s = stored.iter().flatten().map(|stored| stored.wall_s).sum();
-        let mut revisions: Vec<String> = stored.iter().flatten().map(|stored| stored.revision.clone()).collect();
-        revisions.sort();
-        revisions.dedup();
-        let by_seed = |of_side: Vec<Stored>| of_side.into_iter().map(|s| (s.seed, s.samples)).collect();
-        let sets = stored.into_iter().map(by_seed).collect();
-        let results = Results { names: contest.names(), conditions, quantities: experiment.info().quantities, sets };
-        Measurement { results, wall_s, revisions }
-    }
-}
-
-/// Plays all trials of one policy, shape (conditions, trials); of several failures the first one is returned.
+/// Plays all trials of one policy, shape (conditions, trials). If several fail, it returns the first error.
 fn play_all(
     experiment: &dyn Experiment,
     conditions: &[Condition],
-    contestant: &Contestant,
+    member: &SetMember,
     settings: &Settings,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<PolicyResult, TrialError> {
-    let (number, trials) = (experiment.info().number, experiment.trials() as usize);
+    let (number, trials) = (experiment.info().number, experiment.info().trials as usize);
     let play = |index: usize| {
         let condition = &conditions[index / trials];
-        let seed = trial::trial_seed(contestant.seed, number, index / trials, (index % trials) as u32);
-        let sample = trial::play(experiment, condition, seed, &contestant.agent, settings.sensing)?;
+        let seed = trial::trial_seed(member.seed, number, index / trials, (index % trials) as u32);
+        let sample = trial::play(experiment, condition, seed, &member.agent, settings.sensing)?;
         progress(condition.scenario.cost());
         Ok(sample)
     };

@@ -1,118 +1,119 @@
 /*! E12: every experiment with the robot acting on its sensors, each number beside the one with the true state.
 
-An experiment's own tables are made once more, with the trials that acted on estimates as the first set and those that
-acted on the true state as the second, for each set of policies. Trials are paired as everywhere: trial *k* of a seed
-differs in nothing but what the policy sees. A second table says how good the estimates were.
+For each set of policies, an experiment's tables are made again with the trials on estimates as the first set and the trials on
+the true state as the second. Trials are paired as everywhere: trial *k* of a seed differs only in what the policy sees. A
+further table has the errors of the estimates.
 */
 
 use std::collections::BTreeMap;
 
-use super::findings::{Row, Table};
-use super::policy_sets::Contest;
-use super::results::{Ends, PolicyResult, Results};
+use super::policy_sets::PolicySets;
+use super::results::{EndCounts, PolicyResult, Results};
 use super::runner::Measurement;
+use super::section_content::{Row, Table};
 use super::statistics::{Comparison, Numbers, PerSeed, mean};
 use super::{Experiment, FELL, Quantity};
 use supple::estimate::contact::ContactNetwork;
 use supple::scenario::estimation::Estimation;
 
-/// Names of the two sets that are compared.
+/// The names of the two sets that are compared.
 pub const NAMES: [&str; 2] = ["estimated", "true state"];
 
-/// A number of the estimates of a rollout.
-type OfEstimation = (Quantity, fn(&Estimation) -> Option<f64>);
+/// An error of the estimates of a trial: its quantity and how to read it.
+type EstimateError = (Quantity, fn(&Estimation) -> Option<f64>);
 
 /// The errors of the estimates that are reported.
-const ERRORS: [OfEstimation; 4] = [
+const ERRORS: [EstimateError; 4] = [
     (Quantity::new("estimate_velocity_rmse_m_s", "velocity, RMSE", "m/s", 3), |e| Some(e.velocity_rmse_m_s)),
     (Quantity::new("estimate_height_rmse_m", "height, RMSE", "m", 4), |e| Some(e.height_rmse_m)),
     (Quantity::new("estimate_drift_m", "drift at the end", "m", 3), |e| Some(e.drift_m)),
     (Quantity::new("contact_f1", "contacts, F1", "", 3), |e| e.contact_f1),
 ];
 
-/// The effect of acting on sensors, over all experiments that were run with it.
+/// The effect of acting on sensors, over all experiments that were run with estimated sensing.
 #[derive(Debug, Clone, PartialEq)]
-pub struct SensingFindings {
-    /// Names of the sets of policies.
-    policies: Vec<String>,
-    /// The quantities of the claims, and falls; estimated first.
+pub struct SensingComparison {
+    /// The names of the sets of policies.
+    set_names: Vec<String>,
+    /// The table of the claims' quantities and of falls; the estimated set comes first.
     pub main: Table,
-    /// All quantities, in files alone.
+    /// The table of all quantities, which is written to files only.
     pub all: Table,
-    /// Errors of the estimates, by set of policies.
+    /// The table of the errors of the estimates, by set of policies.
     pub errors: Table,
     /// Notes about the numbers.
     pub notes: Vec<String>,
     /// The experiments that were run.
     pub experiments: Vec<&'static str>,
-    /// Identity of the contact network.
+    /// The checksum of the contact network.
     pub network: String,
-    /// Time that the trials with estimates took \[s\].
+    /// The time that the trials on estimates took \[s\].
     pub wall_s: f64,
 }
 
-impl SensingFindings {
-    /// Creates findings without any experiment.
-    pub fn new(contest: &Contest) -> Self {
+impl SensingComparison {
+    /// Creates a comparison without experiments.
+    pub fn new(policies: &PolicySets) -> Self {
         let table = |name: &str, caption: &str, in_page| Table {
             name: name.to_owned(),
             caption: caption.to_owned(),
             rows: Vec::new(),
             in_page,
         };
-        let policies = || {
-            let members = contest.sides.iter().flat_map(|side| side.members.iter().map(move |member| (side, member)));
-            members.map(|(side, member)| (format!("{}-seed{}", side.name, member.seed), member.agent.sha256.as_str()))
+        let labelled = || {
+            policies
+                .members()
+                .map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()))
         };
-        // Trials have been played with it, or there is nothing to tell.
+        // Without a network no trial on estimates can have been played.
         let network = ContactNetwork::shipped().ok();
-        SensingFindings {
-            policies: contest.names(),
+        SensingComparison {
+            set_names: policies.names(),
             main: table(
                 "sensing",
-                "What acting on sensors changes: falls, and the quantities that the paper's claims are about.",
+                "The effect of acting on sensors: falls, and the quantities of the paper's claims.",
                 true,
             ),
-            all: table("sensing-all", "What acting on sensors changes: all quantities.", false),
+            all: table("sensing-all", "The effect of acting on sensors: all quantities.", false),
             errors: table(
                 "sensing-errors",
-                "Errors of the estimates until the first fall, mean over all conditions and trials: velocity as a vector in \
-                 the base frame, height of the base, horizontal position at the end, contacts of all feet.",
+                "Errors of the estimates until the first fall, mean over all conditions and trials: velocity as a \
+                 vector in the base frame, height of the base, horizontal position at the end, contacts of all feet.",
                 true,
             ),
-            notes: network.iter().filter_map(|network| network.unfamiliar(policies())).collect(),
+            notes: network.iter().filter_map(|network| network.unfamiliar(labelled())).collect(),
             experiments: Vec::new(),
             network: network.as_ref().map_or(String::new(), ContactNetwork::checksum),
             wall_s: 0.0,
         }
     }
 
-    /// Adds an experiment that was run both ways.
+    /// Adds an experiment that was run on the true state and on estimates.
     pub fn add(&mut self, experiment: &dyn Experiment, truth: &Measurement, estimated: &Measurement) {
         let info = experiment.info();
         self.experiments.push(info.name);
         self.wall_s += estimated.wall_s;
-        for (set, name) in self.policies.iter().enumerate() {
+        for (set, name) in self.set_names.iter().enumerate() {
             let results = Results {
                 names: NAMES.map(ToOwned::to_owned).into(),
                 conditions: truth.results.conditions.clone(),
                 quantities: truth.results.quantities,
                 sets: vec![estimated.results.sets[set].clone(), truth.results.sets[set].clone()],
             };
-            let findings = experiment.findings(&results);
+            let content = experiment.content(&results);
             let of = format!("{} {}, {name}", info.id, info.name);
             let ends = results.ends(0);
             if ends.faults > 0 {
-                let Ends { faults, trials, .. } = ends;
+                let EndCounts { faults, trials, .. } = ends;
                 self.notes.push(format!(
                     "{of}: sensors or physics failed in {faults} of {trials} trials on estimates; they have no numbers."
                 ));
             }
-            self.notes.extend(findings.notes.iter().map(|note| format!("{of}: {note}")));
+            self.notes.extend(content.notes.iter().map(|note| format!("{of}: {note}")));
             let is_main = |quantity: Quantity| {
-                quantity == FELL || findings.claims.iter().any(|claim| claim.quantity.name == quantity.name)
+                quantity == FELL || content.claims.iter().any(|claim| claim.quantity.name == quantity.name)
             };
-            for table in &findings.tables {
+            for table in &content.tables {
                 for row in &table.rows {
                     let place = if row.condition.is_empty() { String::new() } else { format!(", {}", row.condition) };
                     let condition = format!("{} {}{place}, {name}", info.id, info.name);
@@ -120,7 +121,7 @@ impl SensingFindings {
                     if table.in_page && is_main(row.quantity) {
                         self.main.rows.push(row.clone());
                     }
-                    // Some experiments show a part of a table in the page, and all of it in a file.
+                    // Some experiments have a part of a table in the page and all of it in a file.
                     if !self.all.rows.contains(&row) {
                         self.all.rows.push(row);
                     }
@@ -135,14 +136,14 @@ impl SensingFindings {
         }
     }
 
-    /// The tables, each with the names of its columns.
+    /// Returns the tables, each with the names of its sets.
     pub fn tables(&self) -> [(&Table, Vec<String>); 3] {
         let ways = || NAMES.map(ToOwned::to_owned).to_vec();
-        [(&self.main, ways()), (&self.errors, self.policies.clone()), (&self.all, ways())]
+        [(&self.main, ways()), (&self.errors, self.set_names.clone()), (&self.all, ways())]
     }
 }
 
-/// Mean over all trials of each policy.
+/// Returns the mean of an error over all trials of each policy.
 fn errors(set: &BTreeMap<u64, PolicyResult>, of: fn(&Estimation) -> Option<f64>) -> PerSeed {
     let of_policy = |policy: &PolicyResult| mean(policy.iter().flatten().filter_map(|s| of(s.estimation.as_ref()?)));
     set.iter().filter_map(|(seed, policy)| Some((*seed, of_policy(policy)?))).collect()
@@ -151,16 +152,17 @@ fn errors(set: &BTreeMap<u64, PolicyResult>, of: fn(&Estimation) -> Option<f64>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy_sets::Side;
+    use crate::policy_sets::PolicySet;
     use crate::protocol::Protocol;
     use crate::trial::{Sample, TrialEnd};
 
-    fn contest() -> Contest {
-        let side = |name: &str| Side { name: name.into(), members: Vec::new() };
-        Contest { sides: vec![side("compliant"), side("baseline")], notes: Vec::new() }
+    fn policy_sets() -> PolicySets {
+        let set = |name: &str| PolicySet { name: name.into(), members: Vec::new() };
+        PolicySets { sets: vec![set("compliant"), set("baseline")], notes: Vec::new() }
     }
 
-    /// Every trial of set s and seed k gives `value + s + k`, and an estimate that is off by a hundredth of it.
+    /// Returns results in which each trial of set s and seed k has the value `value + s + k`, and an estimate with an error of a
+    /// hundredth of it.
     fn measurement(experiment: &dyn Experiment, value: f64, is_estimated: bool) -> Measurement {
         let conditions = experiment.conditions().unwrap();
         let sample = |value: f64| Sample {
@@ -174,21 +176,21 @@ mod tests {
                 contact_f1: None,
             }),
         };
-        let policy = |value| vec![vec![sample(value); experiment.trials() as usize]; conditions.len()];
+        let policy = |value| vec![vec![sample(value); experiment.info().trials as usize]; conditions.len()];
         let set = |set: f64| BTreeMap::from([(0, policy(value + set)), (1, policy(value + set + 1.0))]);
         let results = Results {
-            names: contest().names(),
+            names: policy_sets().names(),
             quantities: experiment.info().quantities,
             sets: vec![set(0.0), set(10.0)],
             conditions,
         };
-        Measurement { results, wall_s: 1.0, revisions: Vec::new() }
+        Measurement { results, wall_s: 1.0, revisions: Default::default() }
     }
 
     #[test]
-    fn each_number_stands_beside_the_one_with_the_true_state() {
+    fn estimated_numbers_are_paired_with_true_ones() {
         let protocol = Protocol::quick().unwrap();
-        let mut found = SensingFindings::new(&contest());
+        let mut found = SensingComparison::new(&policy_sets());
         found.add(&protocol.walk, &measurement(&protocol.walk, 2.0, false), &measurement(&protocol.walk, 3.0, true));
         let row = |condition: &str| {
             let is_row = |row: &&Row| row.condition == condition && row.quantity.name == "velocity_error_m_s";
@@ -211,7 +213,7 @@ mod tests {
     fn every_experiment_has_falls_or_claims_in_the_table() {
         let protocol = Protocol::quick().unwrap();
         for experiment in protocol.experiments() {
-            let mut found = SensingFindings::new(&contest());
+            let mut found = SensingComparison::new(&policy_sets());
             found.add(experiment, &measurement(experiment, 0.5, false), &measurement(experiment, 0.5, true));
             assert!(!found.main.rows.is_empty(), "{}", experiment.info().name);
             assert!(found.main.rows.len() <= found.all.rows.len());

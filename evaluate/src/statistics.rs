@@ -1,11 +1,11 @@
-/*! Means over seeds, paired differences, and what may be said about them.
+/*! Means over seeds, paired differences with intervals, and verdicts on claims.
 
 A cell of a table is the mean ± standard deviation over seeds, as in the paper. Both methods saw the same trials, so a
-difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. Over few pairs a percentile bootstrap
-is too narrow, so that its percentiles are moved outwards to where they would give the interval of Student's t for numbers
-that are normally distributed (the *expanded* percentile interval of T. C. Hesterberg, What Teachers Should Know About the
-Bootstrap, The American Statistician 69, 2015). With fewer than five pairs not even that helps: there is no percentile far
-enough out, they have the same sign too often by chance, and so there is no interval and nothing is decided.
+difference is formed seed by seed; its 95 % interval is a bootstrap over these pairs. With few pairs the interval of a percentile
+bootstrap is too narrow, so its percentiles are moved outwards until normally distributed numbers would give the interval of
+Student's t (the *expanded* percentile interval of T. C. Hesterberg, What Teachers Should Know About the
+Bootstrap, The American Statistician 69, 2015). With fewer than five pairs no percentile is far
+enough out, and all pairs have the same sign too often by chance: there is no interval and no verdict.
 */
 
 use std::collections::BTreeMap;
@@ -16,32 +16,32 @@ use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use supple::util::random::{Purpose, stream};
 
-/// Resamples of a bootstrap.
+/// The number of resamples of a bootstrap.
 const RESAMPLES: usize = 10_000;
 
-/// Chance that what is estimated lies beyond the interval, on either side.
+/// The probability that the true value lies beyond the interval, on either side.
 const TAIL: f64 = 0.025;
 
-/// Pairs from which on there is an interval: four of the same sign are one chance in eight, five one in sixteen.
+/// The least number of pairs with an interval: four have the same sign by chance once in eight times, five once in sixteen.
 const ENOUGH_PAIRS: usize = 5;
 
-/// One number for each seed that has one.
+/// The numbers by seed; a seed without a number is absent.
 pub type PerSeed = BTreeMap<u64, f64>;
 
-/// Mean and standard deviation over seeds.
+/// The mean and standard deviation over seeds.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// Mean.
+    /// The mean.
     pub mean: f64,
-    /// Sample standard deviation; none with a single seed.
+    /// The sample standard deviation; none with a single seed.
     pub sd: Option<f64>,
-    /// Seeds.
+    /// The number of seeds.
     pub seeds: usize,
 }
 
 impl Spread {
     /// Creates the spread of numbers by seed; none if there are no numbers.
-    pub fn of(values: &PerSeed) -> Option<Self> {
+    pub fn from_values(values: &PerSeed) -> Option<Self> {
         let seeds = values.len();
         let mean = mean(values.values().copied())?;
         let sd = (seeds > 1).then(|| {
@@ -51,47 +51,48 @@ impl Spread {
         Some(Spread { mean, sd, seeds })
     }
 
-    /// Converts to another unit.
+    /// Returns the spread in another unit.
     pub fn times(self, factor: f64) -> Self {
         Spread { mean: factor * self.mean, sd: self.sd.map(|sd| factor * sd), ..self }
     }
 }
 
-/// A number and its 95 % interval.
+/// An estimated number and its 95 % interval.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct IntervalEstimate {
     /// The value over all pairs of seeds.
     pub value: f64,
-    /// Expanded percentile bootstrap; none with fewer than five pairs, or if the number is undefined for a resample.
+    /// The expanded percentile bootstrap interval; none with fewer than five pairs, or if a resample leaves the number
+    /// undefined.
     pub interval: Option<[f64; 2]>,
-    /// Pairs of seeds.
+    /// The number of pairs of seeds.
     pub pairs: usize,
 }
 
-/// How many pairs of trials are in a comparison.
+/// The number of pairs of trials in a comparison.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Trials {
-    /// Those in which both policies have the number.
+    /// The pairs in which both policies have the number.
     pub used: usize,
-    /// All that were played.
+    /// All pairs that were played.
     pub of: usize,
 }
 
-/// One quantity of one set of policies.
+/// The numbers of one set of policies in one quantity.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Numbers {
     /// The numbers of the policies that have one; empty for a number of all policies together.
     pub by_seed: PerSeed,
-    /// Over them.
+    /// The mean and standard deviation of the numbers.
     pub spread: Option<Spread>,
-    /// Policies of the set, with a number or without.
+    /// The number of policies of the set, with or without a number.
     pub members: usize,
 }
 
 impl Numbers {
     /// Creates the numbers of a set of `members` policies, by seed.
     pub fn new(by_seed: PerSeed, members: usize) -> Self {
-        Numbers { spread: Spread::of(&by_seed), by_seed, members }
+        Numbers { spread: Spread::from_values(&by_seed), by_seed, members }
     }
 
     fn scaled(&self, factor: f64) -> Self {
@@ -108,16 +109,16 @@ impl Numbers {
     }
 }
 
-/// One quantity of all sets of policies, and how the first lies to the second.
+/// The numbers of all sets of policies in one quantity, and the difference of the first two sets.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
-    /// By set.
+    /// The numbers by set.
     pub sets: Vec<Numbers>,
-    /// First minus second, over the seeds that both have.
+    /// The first set minus the second, over the seeds that both have.
     pub difference: Option<IntervalEstimate>,
-    /// First over second, minus one, over the same seeds; none unless both are positive.
+    /// The first set over the second, minus one, over the same seeds; none unless both means are positive.
     pub relative: Option<IntervalEstimate>,
-    /// Over the same seeds; none of what is not a mean over trials.
+    /// The pairs of trials over the same seeds; none for numbers that are not means over trials.
     pub trials: Option<Trials>,
 }
 
@@ -140,18 +141,18 @@ impl Comparison {
         Comparison { sets, difference, relative, trials: None }
     }
 
-    /// The two sets that are compared.
+    /// Returns the two sets that are compared.
     pub fn pair(&self) -> &[Numbers] {
         &self.sets[..self.sets.len().min(2)]
     }
 
-    /// Says how many trials the numbers are means of.
+    /// Sets the number of trials that the numbers are means of.
     pub fn with_trials(mut self, trials: Trials) -> Self {
         self.trials = (trials.of > 0).then_some(trials);
         self
     }
 
-    /// The same in another unit; the relative change stays.
+    /// Returns the comparison in another unit; the relative change stays the same.
     pub fn scaled(&self, factor: f64) -> Self {
         Comparison {
             sets: self.sets.iter().map(|set| set.scaled(factor)).collect(),
@@ -165,7 +166,7 @@ impl Comparison {
     }
 }
 
-/// A statistic of pairs and its bootstrap interval. `statistic` is given indices of pairs, with repetitions.
+/// Returns a statistic of pairs with its bootstrap interval. `statistic` receives indices of pairs, with repetitions.
 pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<IntervalEstimate> {
     let all: Vec<usize> = (0..pairs).collect();
     let value = statistic(&all)?;
@@ -174,17 +175,17 @@ pub fn estimate(pairs: usize, statistic: impl Fn(&[usize]) -> Option<f64>) -> Op
     Some(IntervalEstimate { value, interval, pairs })
 }
 
-/// Fraction of resamples on either side of the interval of a mean over `pairs`: Φ(−t √(n / (n − 1))) with the quantile t of
-/// Student's distribution of n − 1 degrees of freedom. None for a single pair.
+/// Returns the fraction of resamples on either side of the interval of a mean over n pairs: Φ(−t √(n / (n − 1))) with the
+/// quantile t of Student's distribution of n − 1 degrees of freedom. None for a single pair.
 fn tail(pairs: usize) -> Option<f64> {
     let freedom = pairs as f64 - 1.0;
     let t = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - TAIL);
     Some(Normal::standard().cdf(-t * (pairs as f64 / freedom).sqrt()))
 }
 
-/// Interval of a statistic over resampled pairs, with a fraction `tail` of the resamples on either side of it.
+/// Returns the interval of a statistic over resampled pairs, with a fraction `tail` of the resamples on either side of it.
 fn interval(pairs: usize, tail: f64, statistic: impl Fn(&[usize]) -> Option<f64>) -> Option<[f64; 2]> {
-    // The same resamples for every quantity: intervals then differ only because the numbers do.
+    // All quantities use the same resamples, so that intervals differ only because the numbers differ.
     let mut rng = stream(0, Purpose::Bootstrap, pairs as u64, 0);
     let mut chosen = vec![0; pairs];
     let mut resample = || {
@@ -197,19 +198,19 @@ fn interval(pairs: usize, tail: f64, statistic: impl Fn(&[usize]) -> Option<f64>
     Some([found[rank], found[RESAMPLES - 1 - rank]])
 }
 
-/// Mean, if there is anything to average.
+/// Returns the mean; none if there are no values.
 pub fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, count) = values.fold((0.0, 0_u32), |(sum, count), value| (sum + value, count + 1));
     (count > 0).then(|| sum / f64::from(count))
 }
 
-/// Which way the first set's number should lie from the second's: as the paper says, where it says something.
+/// The expected side of the first set's number, seen from the second's: that of the paper, where it has the experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Expected {
-    /// Above.
+    /// The first set's number is higher.
     Higher,
-    /// Below.
+    /// The first set's number is lower.
     Lower,
 }
 
@@ -221,7 +222,7 @@ pub enum Verdict {
     AsExpected,
     /// The interval includes zero.
     NoEffect,
-    /// No pair of seeds differs at all, as where everybody succeeds.
+    /// No pair of seeds differs at all, for example because all trials succeed.
     Alike,
     /// The interval lies on the other side of zero.
     Opposite,
@@ -231,15 +232,15 @@ pub enum Verdict {
     Unpaired,
     /// A number is missing on one side or both.
     Undefined,
-    /// A bound that both sets keep.
+    /// Both sets keep a bound.
     Holds,
-    /// A bound that a set breaks.
+    /// A set breaks a bound.
     Fails,
 }
 
 impl Verdict {
     /// Judges the difference of a comparison.
-    pub fn of(comparison: &Comparison, expected: Expected) -> Self {
+    pub fn new(comparison: &Comparison, expected: Expected) -> Self {
         let Some(estimate) = comparison.difference else {
             let both = comparison.pair().iter().all(|set| set.spread.is_some());
             return if both { Verdict::Unpaired } else { Verdict::Undefined };
@@ -255,9 +256,9 @@ impl Verdict {
         }
     }
 
-    /// Of a bound that the means of the first two sets have to keep. A policy without the number, most often because it fell,
-    /// does not keep it.
-    pub fn below(bound: f64, comparison: &Comparison) -> Self {
+    /// Judges whether the means of the first two sets are below a bound. A policy without the number, most often because it
+    /// fell, breaks the bound.
+    pub fn from_bound(bound: f64, comparison: &Comparison) -> Self {
         let is_whole = comparison.trials.is_none_or(|trials| trials.used == trials.of);
         let keeps = |set: &Numbers| set.is_whole() && set.spread.is_some_and(|spread| spread.mean < bound);
         match comparison.pair() {
@@ -291,32 +292,32 @@ mod tests {
         values.iter().enumerate().map(|(seed, value)| (seed as u64, *value)).collect()
     }
 
-    /// Two sets, all of whose policies have a number.
-    fn of(a: PerSeed, b: PerSeed) -> Comparison {
+    /// Compares two sets in which every policy has a number.
+    fn compared(a: PerSeed, b: PerSeed) -> Comparison {
         Comparison::new([a, b].map(|set| Numbers::new(set.clone(), set.len())).into())
     }
 
-    /// Two sets without missing numbers.
+    /// Compares two sets without missing numbers.
     fn comparison(a: &[f64], b: &[f64]) -> Comparison {
-        of(per_seed(a), per_seed(b))
+        compared(per_seed(a), per_seed(b))
     }
 
     #[test]
     fn mean_and_sample_standard_deviation() {
         // mean 4; squares (2² + 0 + 2²) / (3 − 1) = 4
-        let spread = Spread::of(&per_seed(&[2.0, 4.0, 6.0])).unwrap();
+        let spread = Spread::from_values(&per_seed(&[2.0, 4.0, 6.0])).unwrap();
         assert_eq!((spread.mean, spread.sd, spread.seeds), (4.0, Some(2.0), 3));
-        assert_eq!(Spread::of(&per_seed(&[3.0])).unwrap().sd, None);
-        assert_eq!(Spread::of(&PerSeed::new()), None);
+        assert_eq!(Spread::from_values(&per_seed(&[3.0])).unwrap().sd, None);
+        assert_eq!(Spread::from_values(&PerSeed::new()), None);
     }
 
     #[test]
-    fn a_constant_shift_has_an_interval_of_no_width() {
+    fn constant_shift_has_interval_of_no_width() {
         let comparison = comparison(&[1.5, 2.5, 3.5, 4.5, 5.5], &[1.0, 2.0, 3.0, 4.0, 5.0]);
         let difference = comparison.difference.unwrap();
         assert_eq!((difference.value, difference.interval), (0.5, Some([0.5, 0.5])));
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsExpected);
-        assert_eq!(Verdict::of(&comparison, Expected::Lower), Verdict::Opposite);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::AsExpected);
+        assert_eq!(Verdict::new(&comparison, Expected::Lower), Verdict::Opposite);
         // 17.5 / 15 − 1
         assert!((comparison.relative.unwrap().value - 1.0 / 6.0).abs() < 1e-12);
         let percent = comparison.scaled(100.0);
@@ -325,29 +326,29 @@ mod tests {
     }
 
     #[test]
-    fn where_everybody_succeeds_nothing_is_said_to_be_missing() {
-        assert_eq!(Verdict::of(&comparison(&[1.0; 5], &[1.0; 5]), Expected::Higher), Verdict::Alike);
+    fn equal_pairs_are_alike() {
+        assert_eq!(Verdict::new(&comparison(&[1.0; 5], &[1.0; 5]), Expected::Higher), Verdict::Alike);
         let (a, b) = ([1.0, 0.9, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 0.9, 1.0]);
-        assert_eq!(Verdict::of(&comparison(&a, &b), Expected::Higher), Verdict::NoEffect);
+        assert_eq!(Verdict::new(&comparison(&a, &b), Expected::Higher), Verdict::NoEffect);
     }
 
     #[test]
-    fn four_pairs_have_no_interval_and_decide_nothing_and_five_do() {
+    fn intervals_need_five_pairs() {
         let comparison = comparison(&[2.0, 4.0, 3.0, 3.0], &[1.0; 4]);
         assert_eq!(comparison.difference.unwrap(), IntervalEstimate { value: 2.0, interval: None, pairs: 4 });
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::TooFew);
         let comparison = self::comparison(&[2.0, 4.0, 3.0, 3.0, 3.0], &[1.0; 5]);
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::AsExpected);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::AsExpected);
     }
 
     #[test]
-    fn percentiles_of_few_pairs_are_moved_outwards_as_students_t_is() {
+    fn percentiles_of_few_pairs_are_moved_outwards() {
         // t = 2.776 with 4 degrees of freedom, times √(5/4): Φ(−3.104) = 9.5e-4. Of many pairs they are 2.5 %.
         assert!((tail(5).unwrap() - 9.5e-4).abs() < 1e-5, "{:?}", tail(5));
         assert!((tail(10_000).unwrap() - 0.025).abs() < 1e-4);
     }
 
-    /// Fraction of 200 draws of five pairs without any effect whose interval does not include zero.
+    /// Returns the fraction of 200 draws of five pairs without any effect whose interval does not include zero.
     fn false_alarms(tail: f64) -> f64 {
         let mut rng = stream(0, Purpose::Bootstrap, 1, 0);
         let mut alarm = || {
@@ -366,42 +367,42 @@ mod tests {
     }
 
     #[test]
-    fn only_common_seeds_are_paired_and_one_pair_has_no_interval() {
+    fn only_common_seeds_are_paired() {
         let a: PerSeed = [(0, 1.0), (7, 5.0)].into();
         let b: PerSeed = [(7, 2.0), (9, 100.0)].into();
-        let comparison = of(a, b);
+        let comparison = compared(a, b);
         assert_eq!(comparison.difference, Some(IntervalEstimate { value: 3.0, interval: None, pairs: 1 }));
-        assert_eq!(Verdict::of(&comparison, Expected::Higher), Verdict::TooFew);
-        let none = of(per_seed(&[1.0]), PerSeed::new());
-        assert_eq!(Verdict::of(&none, Expected::Higher), Verdict::Undefined);
-        let apart = of([(0, 1.0)].into(), [(1, 2.0)].into());
-        assert_eq!(Verdict::of(&apart, Expected::Higher), Verdict::Unpaired);
+        assert_eq!(Verdict::new(&comparison, Expected::Higher), Verdict::TooFew);
+        let none = compared(per_seed(&[1.0]), PerSeed::new());
+        assert_eq!(Verdict::new(&none, Expected::Higher), Verdict::Undefined);
+        let apart = compared([(0, 1.0)].into(), [(1, 2.0)].into());
+        assert_eq!(Verdict::new(&apart, Expected::Higher), Verdict::Unpaired);
     }
 
     #[test]
-    fn a_third_set_has_numbers_and_changes_nothing_of_the_first_two() {
+    fn third_set_does_not_change_the_first_two() {
         let two = comparison(&[2.0, 4.0], &[1.0, 2.0]);
         let sets = [two.sets.clone(), vec![Numbers::new(per_seed(&[9.0, 8.0]), 2)]].concat();
         let three = Comparison::new(sets);
         assert_eq!((three.difference, three.relative), (two.difference, two.relative));
         assert_eq!(three.sets[2].spread.unwrap().mean, 8.5);
-        assert_eq!(Verdict::below(5.0, &three), Verdict::Holds);
+        assert_eq!(Verdict::from_bound(5.0, &three), Verdict::Holds);
     }
 
     #[test]
-    fn a_bound_is_kept_by_all_policies_in_all_trials_or_not_at_all() {
+    fn bound_must_hold_for_all_policies() {
         let kept = comparison(&[0.02, 0.04], &[0.03, 0.04]);
-        assert_eq!(Verdict::below(0.05, &kept), Verdict::Holds);
-        assert_eq!(Verdict::below(0.035, &kept), Verdict::Fails);
-        assert_eq!(Verdict::below(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &kept), Verdict::Holds);
+        assert_eq!(Verdict::from_bound(0.035, &kept), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &kept.clone().with_trials(Trials { used: 3, of: 4 })), Verdict::Fails);
         let one_fell =
             Comparison::new(vec![Numbers::new(per_seed(&[0.02]), 2), Numbers::new(per_seed(&[0.02, 0.03]), 2)]);
-        assert_eq!(Verdict::below(0.05, &one_fell), Verdict::Fails);
-        assert_eq!(Verdict::below(0.05, &of(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
+        assert_eq!(Verdict::from_bound(0.05, &one_fell), Verdict::Fails);
+        assert_eq!(Verdict::from_bound(0.05, &compared(PerSeed::new(), PerSeed::new())), Verdict::Undefined);
     }
 
     #[test]
-    fn a_ratio_that_some_resamples_leave_undefined_has_no_interval() {
+    fn ratio_undefined_for_a_resample_has_no_interval() {
         let comparison = comparison(&[1.0, 2.0, 3.0, 3.0, 3.0], &[-1.0, 2.0, 2.0, 3.0, 3.0]);
         let relative = comparison.relative.unwrap();
         // 12 / 9 − 1

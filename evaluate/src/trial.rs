@@ -1,11 +1,11 @@
-//! One trial: a scenario, its seed, a policy, and the numbers that come out.
+//! One trial: plays a scenario of a seed with a policy and measures it.
 
 use std::cell::OnceCell;
 
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{Condition, Experiment, FELL, Measured, Quantity};
+use super::{Condition, Experiment, FELL, Quantity, TrialValues};
 use supple::mujoco;
 use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
@@ -15,37 +15,37 @@ use supple::scenario::trace::{EventKind, Trace};
 use supple::scenario::{Playback, Script, Sensing, SensingError};
 use supple::util::random::{Purpose, stream};
 
-/// Why a trial could not be played.
+/// The reason why a trial cannot be played.
 #[derive(Debug, thiserror::Error)]
 pub enum TrialError {
-    /// A parameter of the protocol, or the robot.
+    /// A parameter of the protocol, or the robot, is invalid.
     #[error("a scenario of the protocol cannot be played: {0}")]
     Script(#[from] ScriptError),
     /// The scene does not compile.
     #[error(transparent)]
     Mujoco(#[from] mujoco::Error),
-    /// The robot cannot act on its sensors.
+    /// The robot cannot be played with estimated sensing.
     #[error(transparent)]
     Sensing(#[from] SensingError),
 }
 
-/// How a trial ended.
+/// The end of a trial.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TrialEnd {
-    /// The trial was over.
+    /// The robot stayed on its feet.
     Upright,
     /// The robot fell.
     Fell,
-    /// The physics or the sensors failed; counted apart, and as no success.
+    /// The physics or the sensors failed; the trial counts as neither a fall nor a success.
     Fault,
-    /// It was not played: its condition commands a compliance that the policy cannot give.
+    /// The trial was not played, because the policy does not support the compliance that the condition commands.
     OutOfReach,
 }
 
 impl TrialEnd {
-    /// Returns how a trace ended.
-    pub fn of(trace: &Trace) -> Self {
+    /// Reads the end of a trial from its trace.
+    pub fn from_trace(trace: &Trace) -> Self {
         let happened = |kind| trace.events.iter().any(|event| event.kind == kind);
         match (happened(EventKind::Fall), happened(EventKind::Fault)) {
             (true, _) => TrialEnd::Fell,
@@ -54,7 +54,7 @@ impl TrialEnd {
         }
     }
 
-    /// 1 for a fall, 0 for none; a failure is neither, nor is what was not played.
+    /// Returns 1 for a fall and 0 for a robot that stayed on its feet; none for a failure or a trial that was not played.
     pub fn fell(self) -> Option<f64> {
         match self {
             TrialEnd::Fell => Some(1.0),
@@ -67,19 +67,19 @@ impl TrialEnd {
 /// The numbers kept of one trial.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
-    /// How it ended.
+    /// The end of the trial.
     pub end: TrialEnd,
-    /// The experiment's quantities in their order; none where the trial does not define one.
+    /// The values of the experiment's quantities, in their order; none where the trial leaves one undefined.
     pub values: Vec<Option<f64>>,
-    /// The series that the experiment's figures draw, in the experiment's order.
+    /// The time series that the experiment's figures draw, in the experiment's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub series: Vec<Vec<f32>>,
-    /// Errors of the estimates, if the policy acted on them.
+    /// The errors of the state estimates; none if the policy acted on the true state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimation: Option<Estimation>,
 }
 
-/// A trial that was played, for an experiment to read.
+/// A trial that was played, from which an experiment takes its numbers.
 #[derive(Debug)]
 pub struct Trial<'a> {
     /// The scenario.
@@ -88,7 +88,7 @@ pub struct Trial<'a> {
     pub script: &'a Script,
     /// The trace of the trial.
     pub trace: &'a Trace,
-    /// How it ended.
+    /// The end of the trial.
     pub end: TrialEnd,
     metrics: OnceCell<Vec<Metric>>,
 }
@@ -96,7 +96,7 @@ pub struct Trial<'a> {
 impl<'a> Trial<'a> {
     /// Creates a trial from a scenario, its script for a seed and the trace of a policy.
     pub fn new(scenario: &'a Scenario, script: &'a Script, trace: &'a Trace) -> Self {
-        Trial { scenario, script, trace, end: TrialEnd::of(trace), metrics: OnceCell::new() }
+        Trial { scenario, script, trace, end: TrialEnd::from_trace(trace), metrics: OnceCell::new() }
     }
 
     /// Returns true if the robot stayed on its feet to the end.
@@ -104,19 +104,19 @@ impl<'a> Trial<'a> {
         self.end == TrialEnd::Upright
     }
 
-    /// A number that the scenario is about, by name.
+    /// Returns a metric of the scenario by name.
     pub fn metric(&self, name: &str) -> Option<f64> {
         let metrics = self.metrics.get_or_init(|| self.scenario.metrics(self.script, self.trace));
         metrics.iter().find(|metric| metric.name == name)?.value
     }
 
-    /// The same; none if the robot fell.
+    /// Returns a metric of the scenario by name; none if the robot fell.
     pub fn upright_metric(&self, name: &str) -> Option<f64> {
         self.is_upright().then(|| self.metric(name))?
     }
 
-    /// Quantities by name, as [`Trial::upright_metric`], and whether the robot fell.
-    pub fn upright_metrics(&self, quantities: &[Quantity]) -> Measured {
+    /// Returns the metrics of the quantities' names, none if the robot fell; the quantity [`FELL`] is always defined.
+    pub fn upright_metrics(&self, quantities: &[Quantity]) -> TrialValues {
         let value = |quantity: &Quantity| match *quantity {
             FELL => self.end.fell(),
             quantity => self.upright_metric(quantity.name),
@@ -124,24 +124,24 @@ impl<'a> Trial<'a> {
         quantities.iter().map(value).collect::<Vec<_>>().into()
     }
 
-    /// Length of mean velocity minus command in the horizontal plane, from 2 s to the end; none if the robot fell
-    /// \[m/s\].
+    /// Returns the length of mean velocity minus command in the horizontal plane, from 2 s to the end \[m/s\]; none if the
+    /// robot fell.
     pub fn velocity_error(&self) -> Option<f64> {
         let error = metrics::velocity_error(self.trace, metrics::SETTLE_S, self.script.duration_s);
         error.filter(|_| self.is_upright())
     }
 }
 
-/// The seed of a trial, the same for every policy of a seed: trials of two methods are paired.
+/// Returns the seed of a trial. It does not depend on the policy, so that the trials of two policies of one `seed` are paired.
 ///
-/// `experiment` tells experiments apart, `condition` what is varied within one.
+/// `experiment` is the number of the experiment, `condition` the index of the condition.
 pub fn trial_seed(seed: u64, experiment: u32, condition: usize, trial: u32) -> u64 {
     // Counter 0 is the scenarios' own.
     let condition = u64::from(experiment) << 32 | (1 + condition as u64);
     stream(seed, Purpose::Scenario, condition, 1 + u64::from(trial)).random()
 }
 
-/// A trial's scenario: its disturbance comes at any phase of the gait.
+/// Returns the scenario with its disturbance delayed by a random time, so that it comes at any phase of the gait.
 pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
@@ -149,7 +149,7 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
 /// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.
 ///
 /// # Errors
-/// [`TrialError`]
+/// A parameter of the scenario or the robot is invalid, the scene does not compile, or sensing cannot be simulated.
 pub fn play(
     experiment: &dyn Experiment,
     condition: &Condition,
@@ -170,7 +170,7 @@ pub fn play(
     let rollout = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
     let trace = rollout.trace();
     let trial = Trial::new(&scenario, &script, &trace);
-    let Measured { values, series } = experiment.measure(&trial);
+    let TrialValues { values, series } = experiment.measure(&trial);
     Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
 }
 
@@ -209,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_trial_of_the_push_grid_is_over_when_nothing_more_is_watched() {
+    fn push_grid_trial_ends_after_the_watch() {
         let grid = Protocol::quick().unwrap().push_grid;
         let config = supple::config::Config::load("compliant").unwrap();
         for (seed, condition) in grid.conditions().unwrap().iter().enumerate().take(20) {
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn a_pull_begins_at_any_phase_and_lasts_as_long_as_ever() {
+    fn pull_starts_at_any_phase() {
         let leash: Leash = defaults("leash").unwrap();
         let config = supple::config::Config::load("compliant").unwrap();
         let starts: Vec<f64> = (0..50)

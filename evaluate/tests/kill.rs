@@ -1,4 +1,4 @@
-//! Evaluations that are killed at any moment, also while the disk is full, and begun again: the same summary, to the byte.
+//! Evaluations that are killed at any moment, also while the disk is full, and restarted give the same summary to the byte.
 
 #[path = "../../tests/it/killing.rs"]
 mod killing;
@@ -34,7 +34,7 @@ fn resume_after_kill_gives_same_report() {
         let report = killer.folder().join("report");
         let threads = killer.one_of(&["1", "2", "3"]);
         killer.kill("evaluate", &[&arguments[..], &[threads]].concat(), length, &report);
-        // As if it had always been within a write.
+        // As if each kill had interrupted a write.
         for folder in [report.clone(), report.join("results")] {
             std::fs::create_dir_all(&folder).unwrap();
             std::fs::write(folder.join(".supple-killed.tmp"), "half").unwrap();

@@ -54,7 +54,7 @@ pub fn evaluate<'py>(
         let work = Work { experiment, conditions: &conditions, policy, seed, sensing };
         let samples = apart(py, || work.play(threads))?;
         let info = experiment.info();
-        let shape = [conditions.len(), experiment.trials() as usize];
+        let shape = [conditions.len(), experiment.info().trials as usize];
         let values = samples.iter().flat_map(|sample| sample.values.iter().map(|value| value.unwrap_or(f64::NAN)));
         let values = values.collect::<Vec<_>>().into_pyarray(py);
         let ends = samples.iter().map(|sample| match sample.end {
@@ -86,7 +86,7 @@ struct Work<'a> {
 impl Work<'_> {
     /// Plays all trials and returns them by condition and trial. Policy functions run on the calling thread. Ctrl-C ends it.
     fn play(&self, threads: usize) -> PyResult<Vec<Sample>> {
-        let trials = self.experiment.trials() as usize;
+        let trials = self.experiment.info().trials as usize;
         let count = self.conditions.len() * trials;
         let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
         let played: Mutex<Vec<(usize, PyResult<Sample>)>> = Mutex::new(Vec::with_capacity(count));

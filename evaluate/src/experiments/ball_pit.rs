@@ -1,7 +1,7 @@
 //! E7: crossing a field of loose balls (Fig. 7a).
 
 use super::prelude::*;
-use supple::scenario::catalog::BallPit as Pit;
+use supple::scenario::catalog::BallPit as BallPitScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("crossed", "got across", "%", 0),
@@ -12,41 +12,25 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power among the balls", "W", 1),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E7",
-    number: 7,
-    name: "ball-pit",
-    title: "Ball pit",
-    paper: "Fig. 7a",
-    method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart, or across a field of the same size of the \
-             balls that the protocol names. The robot is across \
-             when its trunk passes the last row (a second later the trial ends), and stuck if it neither gets \
-             there nor falls in the time it \
-             has. Time, peak foot force and power are from the first row to past the last; a trial that does not get \
-             across has none, nor has one that leaves the balls at their side. \
-             Each trial starts at another distance, so that the gait meets the balls at another phase.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BallPit {
-    /// Kinds of pits.
+    /// The kinds of balls; each fills a pit of its own.
     pub pits: Vec<Balls>,
-    /// Runs of each policy in each of them.
+    /// The number of trials of each policy in each pit.
     pub trials: u32,
 }
 
-/// A pit of balls and the speed at which the robot crosses it.
+/// The balls of a pit and the speed at which the robot crosses it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Balls {
-    /// Mass of a ball \[kg\].
+    /// The mass of a ball \[kg\].
     pub mass_kg: f64,
-    /// Radius of a ball \[m\].
+    /// The radius of a ball \[m\].
     pub radius_m: f64,
-    /// Command \[m/s\].
+    /// The forward command \[m/s\].
     pub forward_m_s: f64,
 }
 
@@ -55,29 +39,43 @@ impl Balls {
         format!("{} kg, {:.0} cm, {} m/s", self.mass_kg, 100.0 * self.radius_m, self.forward_m_s)
     }
 
-    /// A field of about the same size, and as far apart.
-    fn pit(&self, base: &Pit) -> Pit {
+    /// Returns a pit of these balls with about the size of `base` and the same gaps between balls.
+    fn pit(&self, base: &BallPitScenario) -> BallPitScenario {
         let pitch = |radius_m: f64| 2.0 * radius_m + base.gap_m;
         let side = (f64::from(base.balls).sqrt() * pitch(base.radius_m) / pitch(self.radius_m)).round();
-        let mut pit =
-            Pit { balls: (side * side) as u32, mass_kg: self.mass_kg, radius_m: self.radius_m, ..base.clone() };
+        let mut pit = BallPitScenario {
+            balls: (side * side) as u32,
+            mass_kg: self.mass_kg,
+            radius_m: self.radius_m,
+            ..base.clone()
+        };
         pit.task.forward_m_s = self.forward_m_s;
         pit
     }
 }
 
 impl Experiment for BallPit {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E7",
+            number: 7,
+            name: "ball-pit",
+            title: "Ball pit",
+            paper: "Fig. 7a",
+            method: "At 0.4 m/s across 20 by 20 rigid balls of 0.5 kg and 5 cm radius, 3 cm apart, or across a field \
+                     of the same size of the balls that the protocol names. The robot is across when its trunk passes \
+                     the last row (a second later the trial ends), and stuck if it neither gets there nor falls in \
+                     the time it has. Time, peak foot force and power are from the first row to past the last; a \
+                     trial that does not get across has none, nor has one that leaves the balls at their side. Each \
+                     trial starts at another distance, so that the gait meets the balls at another phase.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Pit = defaults("ball-pit")?;
-        // A single one goes without saying.
+        let base: BallPitScenario = defaults("ball-pit")?;
+        // A single kind of pit needs no label.
         let label = |balls: &Balls| if self.pits.len() > 1 { balls.label() } else { String::new() };
         let condition =
             |balls: &Balls| Condition { label: label(balls), scenario: Scenario::BallPit(balls.pit(&base)) };
@@ -92,15 +90,15 @@ impl Experiment for BallPit {
         })
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        let Scenario::BallPit(pit) = trial.scenario else { return Measured::default() };
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let Scenario::BallPit(pit) = trial.scenario else { return TrialValues::default() };
         let crossed = trial.metric("crossed") == Some(1.0);
         let crossing = metrics::crossing(trial.trace, pit.distance_m, pit.far_edge_m()).filter(|_| crossed);
         let among_balls = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
         vec![
-            truth(crossed),
+            indicator(crossed),
             trial.end.fell(),
-            truth(!crossed && trial.is_upright()),
+            indicator(!crossed && trial.is_upright()),
             crossing.map(|[from_s, to_s]| to_s - from_s),
             metrics::largest(among_balls.clone(), |frame| frame.peak_foot_force_n),
             metrics::mean(among_balls, |frame| frame.power_w),
@@ -108,17 +106,18 @@ impl Experiment for BallPit {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Crossing a field of loose balls.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Crossing a field of loose balls.");
+        section.dots(
             "",
             "Crossing a ball pit",
             &["crossed", "fell", "stuck", "peak_foot_force_n"],
             "Crossing a field of loose balls: mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
-        let (text, force) = ("Compliant policies get across the ball pit", "The largest force on a foot is lower");
-        let all = show.all();
-        show.claim(text, "more often", "crossed", Expected::Higher, &all);
-        show.claim(force, "lower", "peak_foot_force_n", Expected::Lower, &all);
+        let all = section.all();
+        let text = "Compliant policies get across the ball pit more often";
+        section.claim(text, "more often", "crossed", Expected::Higher, &all);
+        let text = "Compliant policies have a lower peak foot force in the ball pit";
+        section.claim(text, "lower", "peak_foot_force_n", Expected::Lower, &all);
     }
 }

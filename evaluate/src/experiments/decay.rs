@@ -15,29 +15,15 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E2",
-    number: 2,
-    name: "decay",
-    title: "Decay of a sideways push",
-    paper: "Fig. 3",
-    method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
-             push minus its mean over the last second before, smoothed by a centred moving average of \
-             0.4 s, about a stride. Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) of \
-             the push; a fall has none, and what lasts to the end counts as lasting until there. Beside it, without threshold and average: how far the push carries \
-             the robot, the integral of e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Decay {
-    /// Runs of each policy.
+    /// The number of trials of each policy.
     pub trials: u32,
 }
 
-/// A set's curve with the shown policy's decay time and the velocity that its runs decay to.
+/// Adds the decay time of the shown policy and the velocity that its runs decay to to a set's curve.
 fn marked(results: &Results, curve: Curve, set: usize) -> Curve {
     let of_seed = |quantity: &str| results.per_seed(set, 0, quantity).get(&results.shown_seed(set)?).copied();
     let push_m_s = match &results.conditions[0].scenario {
@@ -52,47 +38,58 @@ fn marked(results: &Results, curve: Curve, set: usize) -> Curve {
 }
 
 impl Experiment for Decay {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E2",
+            number: 2,
+            name: "decay",
+            title: "Decay of a sideways push",
+            paper: "Fig. 3",
+            method: "Walking at 0.5 m/s, the robot is pushed to the left by 0.5 m/s. e(t) is the velocity along the \
+                     push minus its mean over the last second before, smoothed by a centred moving average of 0.4 s, \
+                     about a stride. Decay time is the last time after the push at which |e| exceeds 10 % (and 20 %) \
+                     of the push; a trial with a fall has none, and a push that lasts to the end counts as lasting \
+                     until there. Without threshold and average: how far the push carries the robot, the integral of \
+                     e(t) over 2 s. The figure shows the unsmoothed velocity of one policy's runs.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         push::sideways()
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let Some(pushed) = trial.script.pushes.first() else { return vec![None; QUANTITIES.len()].into() };
         let upright = trial.is_upright();
         let before = metrics::window(trial.trace, pushed.time_s - 1.0, pushed.time_s);
         let before = metrics::mean(before, |frame| frame.velocity_in_heading[1]).filter(|_| upright);
         let [to_10, to_20, carried, undecayed] =
-            push::of_upright(trial).map_or([None; 4], |it| push::decay(trial.trace, it.time_s, it.push.linear));
+            push::upright_push(trial).map_or([None; 4], |it| push::decay(trial.trace, it.time_s, it.push.linear));
         let values = vec![to_10, to_20, carried, before, undecayed, trial.end.fell()];
-        Measured { values, series: velocity::around(trial.trace, pushed.time_s) }
+        TrialValues { values, series: velocity::around(trial.trace, pushed.time_s) }
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Decay of a sideways push of 0.5 m/s.").state("decay_10_s", "+85 %");
-        let results = show.results;
-        let means = show.per_seed(0, "decay_10_s").into_iter().map(|seeds| Spread::of(&seeds).map(|it| it.mean));
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Decay of a sideways push of 0.5 m/s.").set_paper("decay_10_s", "+85 %");
+        let results = section.results;
+        let means =
+            section.per_seed(0, "decay_10_s").into_iter().map(|seeds| Spread::from_values(&seeds).map(|it| it.mean));
         let words = means.map(|mean| mean.map_or("none".to_owned(), |mean| format!("{mean:.2} s")));
         let words: Vec<String> = words.zip(&results.names).map(|(mean, name)| format!("{mean} ({name})")).collect();
         let caption = format!(
-            "Sideways velocity after a push of 0.5 m/s to the left while walking at 0.5 m/s: mean and min–max band over \
-             the runs of one policy, each until it falls. Dotted: ±10 % of the push around the velocity before; \
+            "Sideways velocity after a push of 0.5 m/s to the left while walking at 0.5 m/s: mean and min–max band \
+             over the runs of one policy, each until it falls. Dotted: ±10 % of the push around the velocity before; \
              dashed: this policy's mean decay time. Over all seeds it is {}.",
             words.join(" and ")
         );
         let words = ["Sideways velocity after a push, one policy of each set", "time since the push [s]"];
-        velocity::figure(show, ["", "decay-curves"], words, 0, |curve, set| marked(results, curve, set), caption);
+        velocity::figure(section, ["", "decay-curves"], words, 0, |curve, set| marked(results, curve, set), caption);
         for (quantity, words) in push::LASTING {
             let text = format!("After a sideways push, compliant policies {words}");
-            show.claim(&text, "+85 % in time", quantity, Expected::Higher, &[0]);
+            section.claim(&text, "+85 % in time", quantity, Expected::Higher, &[0]);
         }
-        show.notes(push::undecayed(results, &[0]));
+        section.notes(push::undecayed(results, &[0]));
     }
 }

@@ -7,41 +7,36 @@ use supple::scenario::catalog::PushAway;
 use supple::scenario::metrics::BRIEF_S;
 use supple::task::Command;
 
-/// Decay time of a push at a robot that stands, with a shorter average than elsewhere.
+/// The decay time of a push to a standing robot, with a shorter moving average than elsewhere.
 const BRIEFLY_AVERAGED: Quantity =
     Quantity::new("decay_10_averaged_0_1_s", "decay to 10 %, averaged over 0.1 s", "s", 2);
 
 const QUANTITIES: &[Quantity] = &[push::TO_10, push::TO_20, push::CARRIED, push::UNDECAYED, FELL, BRIEFLY_AVERAGED];
 
-pub(super) const INFO: Info = Info {
-    id: "E4",
-    number: 4,
-    name: "directions",
-    title: "Decay of pushes from all sides",
-    paper: "Fig. 4",
-    method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Directions {
-    /// Directions that divide the circle evenly.
+    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// Runs of each policy in each direction.
+    /// The number of trials of each policy in each direction.
     pub trials: u32,
-    /// Forward commands \[m/s\]; 0 is standing.
+    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
 }
 
 impl Experiment for Directions {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E4",
+            number: 4,
+            name: "directions",
+            title: "Decay of pushes from all sides",
+            paper: "Fig. 4",
+            method: "A push of 0.5 m/s in directions all around, standing and walking at 0.5 m/s. Decay time as in E2.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -56,8 +51,8 @@ impl Experiment for Directions {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        let push = push::of_upright(trial);
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let push = push::upright_push(trial);
         let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.time_s, push.push.linear));
         let briefly = push
             .filter(|_| trial.script.command == Command::default())
@@ -66,30 +61,29 @@ impl Experiment for Directions {
         [&decay[..], &[trial.end.fell(), briefly]].concat().into()
     }
 
-    fn show(&self, show: &mut Show) {
+    fn report(&self, section: &mut SectionBuilder) {
         let names = self.commands_m_s.iter().map(|command| match command {
             0.0 => gait(0.0).to_owned(),
             command => format!("{} at {command} m/s", gait(*command)),
         });
-        let groups = Group::all(names, show.results);
+        let groups = ConditionGroup::from_names(names, section.results);
         let mut rows = Vec::new();
         for (group, command) in groups.iter().zip(&self.commands_m_s) {
             let (name, is_standing) = (&group.name, *command == 0.0);
-            let briefly = (BRIEFLY_AVERAGED.name, "take longer to stabilise (to 10 %, averaged over 0.1 s)");
+            let briefly = (BRIEFLY_AVERAGED.name, "take longer to stabilise to 10 %, averaged over 0.1 s");
             for (quantity, words) in is_standing.then_some(briefly).into_iter().chain(push::lasting(*command)) {
                 let text = format!(
-                    "Pushed from any side while {name}, compliant policies {words}; the numbers are means over directions, \
-                     and it is so in {}",
-                    show.results.larger_in(&group.conditions, quantity)
+                    "Pushed from any side while {name}, compliant policies {words} (mean over directions; larger in {})",
+                    section.results.larger_in(&group.conditions, quantity)
                 );
-                show.claim(&text, "longer", quantity, Expected::Higher, &group.conditions);
+                section.claim(&text, "longer", quantity, Expected::Higher, &group.conditions);
             }
-            show.notes(push::undecayed(show.results, &group.conditions).map(|note| format!("{name}: {note}")));
+            section.notes(push::undecayed(section.results, &group.conditions).map(|note| format!("{name}: {note}")));
             let shown = QUANTITIES.iter().filter(|quantity| is_standing || **quantity != BRIEFLY_AVERAGED);
-            rows.extend(shown.map(|quantity| show.row(group, *quantity)));
+            rows.extend(shown.map(|quantity| section.row(group, *quantity)));
         }
-        show.table_of("Decay time of a push of 0.5 m/s, mean over all directions.", rows);
-        show.table_in_file("all", "Decay time of a push by direction.");
+        section.table_with_rows("Decay time of a push of 0.5 m/s, mean over all directions.", rows);
+        section.table_in_file("all", "Decay time of a push by direction.");
         for (part, title, axis, what) in [
             (
                 "",
@@ -105,10 +99,10 @@ impl Experiment for Directions {
             ),
         ] {
             let caption = format!(
-                "{what} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. Trials \
-                 with a fall have none. The two plots differ in scale."
+                "{what} a push of 0.5 m/s, by the direction it pushes to: mean and ± standard deviation over seeds. \
+                 Trials with a fall have none. The two plots differ in scale."
             );
-            show.polar(part, title, axis, &groups, Scales::Own, caption);
+            section.polar(part, title, axis, &groups, Scales::Own, caption);
         }
     }
 }

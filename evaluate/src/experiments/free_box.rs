@@ -1,12 +1,12 @@
 //! E6: walking into a free box (Fig. 6).
 
 use super::prelude::*;
-use crate::findings::{Line, Lines};
 use crate::plot::top_view::{self, Run, View};
 use crate::results::Results;
+use crate::section_content::{Line, Lines};
 use crate::trial::{Sample, TrialEnd};
 use supple::scenario::Script;
-use supple::scenario::catalog::FreeBox as Cube;
+use supple::scenario::catalog::FreeBox as BoxScenario;
 use supple::scenario::trace::{Frame, Pose, Trace};
 
 const QUANTITIES: &[Quantity] = &[
@@ -16,39 +16,25 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("contact_impulse_n_s", "impulse", "N·s", 1),
     Quantity::new("contact_time_s", "time in contact", "s", 2),
     Quantity::new("passed", "got past the box", "%", 0),
-    Quantity::new("resumed", "and resumed its course", "%", 0),
-    Quantity::new("sideways_m", "sideways of its line at the end", "m", 2),
+    Quantity::new("resumed", "resumed its course", "%", 0),
+    Quantity::new("sideways_m", "sideways distance from its line at the end", "m", 2),
     FELL,
 ];
 
-/// Steps between points of a path that is kept.
+/// The number of policy steps between the kept points of a path.
 const PATH_STEPS: usize = 6;
 
-pub(super) const INFO: Info = Info {
-    id: "E6",
-    number: 6,
-    name: "box",
-    title: "Collision with a box",
-    paper: "Fig. 6",
-    method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, which the \
-             paper does not state. The cube is offset sideways by an amount drawn for each trial. Contact forces are \
-             the sum over all contacts between robot and box at 240 Hz; the mean is over the time in contact. The robot has got past when \
-             it ends beyond the box's far side, and has resumed its course when it then walks at its command in the \
-             direction in which it started. Displacement and forces are of trials in which it met the box.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FreeBox {
-    /// Runs of each policy at each friction.
+    /// The number of trials of each policy at each friction.
     pub trials: u32,
-    /// Sliding friction of the box.
+    /// The sliding friction coefficients of the box.
     pub frictions: Vec<f64>,
-    /// A robot has resumed its course if over this time at the end \[s\] …
+    /// The time at the end of a trial over which a robot must be back on its course \[s\].
     pub resumed_s: f64,
-    /// … its mean velocity is this close to the command \[m/s\].
+    /// The largest distance of the mean velocity over that time from the command \[m/s\].
     pub resumed_m_s: f64,
 }
 
@@ -67,6 +53,7 @@ impl FreeBox {
             .is_some_and(|(ahead, left)| (ahead - command.forward).hypot(left - command.left) < self.resumed_m_s)
     }
 
+    /// Returns the runs of a set at the first friction, for the figure.
     fn view(&self, results: &Results, set: usize) -> View {
         let seed = results.shown_seed(set);
         let samples = seed.and_then(|seed| results.sets[set].get(&seed)?.first());
@@ -77,7 +64,7 @@ impl FreeBox {
     }
 }
 
-/// Series of a trial: the path's x and y, the box's first and last pose.
+/// Reads a run from the series of a trial: the path's x and y, the box's first and last pose.
 fn run(sample: &Sample) -> Option<Run> {
     let [x, y, first, last] = sample.series.as_slice() else { return None };
     let pose = |series: &[f32]| <[f32; 3]>::try_from(series).ok().map(|pose| pose.map(f64::from));
@@ -89,14 +76,14 @@ fn run(sample: &Sample) -> Option<Run> {
     })
 }
 
-/// x \[m\], y \[m\], yaw \[rad\].
+/// Returns x \[m\], y \[m\] and yaw \[rad\] of a pose.
 fn flat_pose(pose: &Pose) -> Vec<f32> {
     let [w, x, y, z] = pose.quaternion;
     let yaw = (2.0 * (w * z + x * y)).atan2(1.0 - 2.0 * (y * y + z * z));
     vec![pose.position[0], pose.position[1], yaw]
 }
 
-/// Points of what is seen from above: the robot's paths, and the box before and after.
+/// Returns the points of the figure: the robot's paths, and the poses of the box before and after.
 fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
     let lines = |of: fn(&Run) -> Vec<Vec<f64>>| {
         let runs =
@@ -112,19 +99,29 @@ fn paths_and_boxes(views: &[View]) -> [Lines; 2] {
 }
 
 impl Experiment for FreeBox {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E6",
+            number: 6,
+            name: "box",
+            title: "Collision with a box",
+            paper: "Fig. 6",
+            method: "At 0.4 m/s the robot walks into a free cube of 2 kg and 0.5 m edge length, by its friction, \
+                     which the paper does not state. The cube is offset sideways by an amount drawn for each trial. \
+                     Contact forces are the sum over all contacts between robot and box at 240 Hz; the mean is over \
+                     the time in contact. The robot has got past when it ends beyond the box's far side, and has \
+                     resumed its course when it then walks at its command in the direction in which it started. \
+                     Displacement and forces are of trials in which it met the box.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Cube = defaults("box")?;
+        let base: BoxScenario = defaults("box")?;
         let condition = |friction: &f64| Condition {
             label: format!("friction {friction}"),
-            scenario: Scenario::Box(Cube { friction: *friction, ..base.clone() }),
+            scenario: Scenario::Box(BoxScenario { friction: *friction, ..base.clone() }),
         };
         Ok(self.frictions.iter().map(condition).collect())
     }
@@ -133,16 +130,16 @@ impl Experiment for FreeBox {
         in_range("resumed_s", self.resumed_s, 0.1, 60.0, "0.1 to 60 s")
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let trace = trial.trace;
         let passed = trial.upright_metric("passed") == Some(1.0);
-        // Who never touches the box has not spared it.
+        // A robot that never touches the box has not handled it gently.
         let was_met = trial.metric("contact_time_s").is_some_and(|time_s| time_s > 0.0);
         let of_met = |quantity: &Quantity| trial.upright_metric(quantity.name).filter(|_| was_met);
         let sideways = trace.frames.last().map(|frame| frame.position[1].abs()).filter(|_| trial.is_upright());
         let mut values: Vec<Option<f64>> = QUANTITIES[..5].iter().map(of_met).collect();
         let resumed = passed && self.has_resumed(trial.script, trace);
-        values.extend([truth(passed), truth(resumed), sideways, trial.end.fell()]);
+        values.extend([indicator(passed), indicator(resumed), sideways, trial.end.fell()]);
 
         let path = |axis: usize| trace.frames.iter().step_by(PATH_STEPS).map(|f| f.position[axis] as f32).collect();
         let poses: Vec<Pose> = trace.frames.iter().filter_map(|frame| frame.goal).collect();
@@ -150,40 +147,50 @@ impl Experiment for FreeBox {
             (Some(first), Some(last)) => vec![path(0), path(1), flat_pose(first), flat_pose(last)],
             _ => Vec::new(),
         };
-        Measured { values, series }
+        TrialValues { values, series }
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Collision with a free box of 2 kg, by its friction.");
-        let size_m = match &show.results.conditions[0].scenario {
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Collision with a free box of 2 kg, by its friction.");
+        let size_m = match &section.results.conditions[0].scenario {
             Scenario::Box(free_box) => free_box.size_m,
             _ => 0.0,
         };
-        let views = show.by_set(|set| self.view(show.results, set));
-        show.lines(paths_and_boxes(&views));
+        let views = section.by_set(|set| self.view(section.results, set));
+        section.lines(paths_and_boxes(&views));
         let caption = format!(
             "Walking into a free box ({}), seen from above; the robot starts at (0, 0) and walks to the right. In \
              full: one trial with the robot's path, the box before (dashed) and after (filled). Faint: the other \
              trials of the same policy with the box after. A cross is a fall.",
-            show.first_label()
+            section.first_label()
         );
         let title = "Paths of the robot and the box, seen from above";
-        show.figure("", caption, top_view::draw(title, &views, size_m));
-        show.dots(
+        section.figure("", caption, top_view::draw(title, &views, size_m));
+        section.dots(
             "forces",
             "Displacement and forces of the box",
             &["box_displacement_m", "peak_contact_force_n", "mean_contact_force_n", "passed"],
-            "What the box suffers, by its friction: mean ± standard deviation over seeds, single seeds as hollow marks.",
+            "Displacement of the box and forces on it, by its friction: mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
         for (text, paper, quantity, expected) in [
-            ("Compliant policies move a box in their way less", "less", "box_displacement_m", Expected::Lower),
-            ("Compliant policies push a box with a milder force", "milder", "mean_contact_force_n", Expected::Lower),
-            ("… and hit it less hard (peak force)", "milder", "peak_contact_force_n", Expected::Lower),
-            ("Compliant policies are deflected past the box", "past", "passed", Expected::Higher),
-            ("… and resume their course", "resume", "resumed", Expected::Higher),
+            ("Compliant policies displace a box in their way less", "less", "box_displacement_m", Expected::Lower),
+            (
+                "Compliant policies push the box with a lower mean force",
+                "milder",
+                "mean_contact_force_n",
+                Expected::Lower,
+            ),
+            (
+                "Compliant policies hit the box with a lower peak force",
+                "milder",
+                "peak_contact_force_n",
+                Expected::Lower,
+            ),
+            ("Compliant policies get past the box more often", "past", "passed", Expected::Higher),
+            ("Compliant policies resume their course past the box more often", "resume", "resumed", Expected::Higher),
         ] {
-            for (index, label) in show.labels().into_iter().enumerate() {
-                show.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
+            for (index, label) in section.labels().into_iter().enumerate() {
+                section.claim(&format!("{text} ({label})"), paper, quantity, expected, &[index]);
             }
         }
     }

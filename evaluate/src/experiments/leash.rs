@@ -2,7 +2,7 @@
 
 use super::prelude::*;
 use crate::plot::polar::{Scales, evenly};
-use supple::scenario::catalog::Leash as Pulled;
+use supple::scenario::catalog::Leash as LeashScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("offset_m_s", "velocity along the pull", "m/s", 3),
@@ -10,42 +10,30 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E5",
-    number: 5,
-    name: "leash",
-    title: "On a leash",
-    paper: "Fig. 5",
-    method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in directions \
-             all around; the force keeps its direction in the world. The offset is the mean velocity minus the \
-             command, along the force, over the last seconds of the pull. E0 has the undisturbed error.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Leash {
-    /// Directions that divide the circle evenly.
+    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// Runs of each policy in each direction.
+    /// The number of trials of each policy in each direction.
     pub trials: u32,
-    /// Pulling forces \[N\].
+    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// Length of the pull \[s\].
+    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// Length of the average at its end \[s\].
+    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 
-/// Constant pulls with each of the forces \[N\] in so many directions all around, from when on and for how long \[s\].
+/// Returns constant pulls with each force \[N\] in each direction, which start at `at_s` and last `for_s` \[s\].
 pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) -> Result<Vec<Condition>, ConfigError> {
-    let base: Pulled = defaults("leash")?;
+    let base: LeashScenario = defaults("leash")?;
     let condition = |force_n: f64, direction_deg: f64| Condition {
         label: format!("{force_n} N, {direction_deg:.1}°"),
-        scenario: Scenario::Leash(Pulled {
+        scenario: Scenario::Leash(LeashScenario {
             force_n,
             direction_deg,
             at_s,
@@ -57,12 +45,20 @@ pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) 
 }
 
 impl Experiment for Leash {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E5",
+            number: 5,
+            name: "leash",
+            title: "On a leash",
+            paper: "Fig. 5",
+            method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk in \
+                     directions all around; the force keeps its direction in the world. The offset is the mean \
+                     velocity minus the command, along the force, over the last seconds of the pull. E0 has the \
+                     undisturbed error.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -75,7 +71,7 @@ impl Experiment for Leash {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let mut values = vec![None, trial.end.fell(), None];
         if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
@@ -85,18 +81,20 @@ impl Experiment for Leash {
         values.into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let groups = Group::all(self.forces_n.iter().map(|force| format!("{force} N")), show.results);
-        for Group { name, conditions } in &groups {
+    fn report(&self, section: &mut SectionBuilder) {
+        let groups =
+            ConditionGroup::from_names(self.forces_n.iter().map(|force| format!("{force} N")), section.results);
+        for ConditionGroup { name, conditions } in &groups {
             let text = format!(
-                "Pulled with {name}, compliant policies yield more (here: in {}; the numbers are means over directions)",
-                show.results.larger_in(conditions, "offset_m_s"),
+                "Pulled with {name}, compliant policies yield more (mean over directions; larger in {})",
+                section.results.larger_in(conditions, "offset_m_s"),
             );
-            show.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
+            section.claim(&text, "yields more", "offset_m_s", Expected::Higher, conditions);
         }
-        show.table_of("Velocity offset along a constant pull, mean over all directions.", show.rows(&groups));
-        show.table_in_file("all", "Velocity offset along the pull by direction.");
-        show.polar(
+        section
+            .table_with_rows("Velocity offset along a constant pull, mean over all directions.", section.rows(&groups));
+        section.table_in_file("all", "Velocity offset along the pull by direction.");
+        section.polar(
             "",
             "Velocity offset along a pull, by direction",
             ("offset_m_s", "velocity offset along the pull [m/s]"),

@@ -1,24 +1,24 @@
-//! The experiments E0 to E14, one file each: what is varied, what is measured, what is shown.
+//! The experiments E0 to E14, one file each: its conditions, its quantities, and its section of the report.
 
-mod ball_pit;
-mod calibration;
-mod decay;
-mod directions;
-mod free_box;
-mod lead;
-mod leash;
-mod outdoor;
-mod pendulum;
-mod pull;
-mod pulley;
+pub mod ball_pit;
+pub mod commanded_compliance;
+pub mod decay;
+pub mod directions;
+pub mod free_box;
+pub mod lead;
+pub mod leash;
+pub mod outdoor;
+pub mod pendulum;
+pub mod pull;
+pub mod pulley;
 mod push;
-mod push_grid;
-mod rubble;
-mod table4;
-mod terrain;
+pub mod push_grid;
+pub mod rubble;
+pub mod table4;
+pub mod terrain;
 mod velocity;
-mod walk;
-mod wall;
+pub mod walk;
+pub mod wall;
 
 use serde::{Deserialize, Serialize};
 
@@ -26,33 +26,15 @@ use super::{Condition, Experiment};
 use crate::plot::polar::evenly;
 use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 
-pub use ball_pit::BallPit;
-pub use calibration::Calibration;
-pub use decay::Decay;
-pub use directions::Directions;
-pub use free_box::FreeBox;
-pub use lead::Lead;
-pub use leash::Leash;
-pub use outdoor::Outdoor;
-pub use pendulum::Pendulum;
-pub use pull::Pull;
-pub use pulley::Pulley;
-pub use push_grid::PushGrid;
-pub use rubble::Rubble;
-pub use table4::Table4;
-pub use terrain::Terrain;
-pub use walk::Walk;
-pub use wall::Wall;
-
 /// The imports that every experiment needs.
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
-    pub(super) use super::{by_gait_and_direction, check_directions, gait, truth};
-    pub use crate::show::{Group, Show};
+    pub(super) use super::{by_gait_and_direction, check_directions, gait, indicator};
+    pub use crate::section_builder::{ConditionGroup, SectionBuilder};
     pub use crate::statistics::Expected;
     pub use crate::trial::Trial;
-    pub use crate::{Condition, Experiment, FELL, Info, Measured, Quantity};
+    pub use crate::{Condition, Experiment, ExperimentInfo, FELL, Quantity, TrialValues};
     pub use supple::config::ConfigError;
     pub use supple::scenario::catalog::{ParameterError, Scenario, Task, defaults, in_range};
     pub use supple::scenario::metrics;
@@ -63,23 +45,23 @@ mod prelude {
 #[serde(deny_unknown_fields)]
 #[allow(missing_docs)]
 pub struct Protocol {
-    pub walk: Walk,
-    pub push_grid: PushGrid,
-    pub decay: Decay,
-    pub table4: Table4,
-    pub directions: Directions,
-    pub leash: Leash,
-    pub r#box: FreeBox,
-    pub ball_pit: BallPit,
-    pub terrain: Terrain,
-    pub pulley: Pulley,
-    pub pendulum: Pendulum,
-    pub rubble: Rubble,
-    pub outdoor: Outdoor,
-    pub calibration: Calibration,
-    pub pull: Pull,
-    pub wall: Wall,
-    pub lead: Lead,
+    pub walk: walk::Walk,
+    pub push_grid: push_grid::PushGrid,
+    pub decay: decay::Decay,
+    pub table4: table4::Table4,
+    pub directions: directions::Directions,
+    pub leash: leash::Leash,
+    pub r#box: free_box::FreeBox,
+    pub ball_pit: ball_pit::BallPit,
+    pub terrain: terrain::Terrain,
+    pub pulley: pulley::Pulley,
+    pub pendulum: pendulum::Pendulum,
+    pub rubble: rubble::Rubble,
+    pub outdoor: outdoor::Outdoor,
+    pub calibration: commanded_compliance::CommandedCompliance,
+    pub pull: pull::Pull,
+    pub wall: wall::Wall,
+    pub lead: lead::Lead,
 }
 
 impl Protocol {
@@ -112,7 +94,7 @@ fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
 }
 
-/// A condition for each command, standing or walking, and each direction.
+/// Returns a condition for each forward command \[m/s\] and each of `directions` directions \[deg\] that divide the circle evenly.
 fn by_gait_and_direction(
     commands_m_s: &[f64],
     directions: u32,
@@ -126,13 +108,13 @@ fn by_gait_and_direction(
     .collect()
 }
 
-/// Checks directions that divide the circle evenly: enough to tell sides apart.
+/// Checks the number of directions: at least three, so that sides can be told apart.
 fn check_directions(count: u32) -> Result<(), ParameterError> {
     in_range("directions", f64::from(count), 3.0, 360.0, "3 to 360")
 }
 
-/// 1 for yes, 0 for no.
-fn truth(is: bool) -> Option<f64> {
+/// Returns 1 for true and 0 for false.
+fn indicator(is: bool) -> Option<f64> {
     Some(f64::from(u8::from(is)))
 }
 
@@ -141,17 +123,17 @@ mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
-    use crate::Measured;
-    use crate::findings::Row;
+    use crate::TrialValues;
     use crate::plot::png::Renderer;
     use crate::results::Results;
+    use crate::section_content::Row;
     use crate::trial::{Sample, Trial, TrialEnd};
     use supple::config::Config;
     use supple::scenario::Script;
     use supple::scenario::catalog::Scenario;
     use supple::scenario::trace::{Event, EventKind, Frame, Pose, Trace};
 
-    /// A trace at 60 Hz of a robot whose heading velocity stays the same.
+    /// Returns a trace at 60 Hz of a robot with a constant velocity in the heading frame.
     fn steady(duration_s: f64, velocity_in_heading: [f64; 3]) -> Trace {
         let period_s = 1.0 / 60.0;
         let steps = 1..=(duration_s / period_s).round() as usize;
@@ -159,10 +141,10 @@ mod tests {
         Trace { period_s, weight_n: 128.5, frames: steps.map(frame).collect(), events: Vec::new() }
     }
 
-    /// Results of some sets of two seeds in which every trial gave the same.
+    /// Returns results of sets of two seeds in which every trial gave the same sample.
     fn results(experiment: &dyn Experiment, sample: &Sample, sets: usize) -> Results {
         let conditions = experiment.conditions().unwrap();
-        let policy = vec![vec![sample.clone(); experiment.trials() as usize]; conditions.len()];
+        let policy = vec![vec![sample.clone(); experiment.info().trials as usize]; conditions.len()];
         let set = || BTreeMap::from([(0, policy.clone()), (1, policy.clone())]);
         let names = ["a", "b", "c", "d", "e"][..sets].iter().map(ToString::to_string).collect();
         let quantities = experiment.info().quantities;
@@ -170,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn experiments_share_no_number_and_so_no_seed() {
+    fn experiments_share_no_number() {
         let protocol = Protocol::full().unwrap();
         let mut numbers: Vec<u64> =
             protocol.experiments().iter().map(|experiment| experiment.info().number.into()).collect();
@@ -179,31 +161,31 @@ mod tests {
     }
 
     #[test]
-    fn every_experiment_shows_claims_and_figures_also_without_a_single_value() {
+    fn every_experiment_reports_claims_and_figures_without_values() {
         let protocol = Protocol::quick().unwrap();
         let renderer = Renderer::default();
         for experiment in protocol.experiments() {
             for (value, sets) in [(None, 2), (Some(0.5), 2), (Some(0.5), 5)] {
                 let values = vec![value; experiment.info().quantities.len()];
                 let sample = Sample { end: TrialEnd::Upright, values, series: Vec::new(), estimation: None };
-                let findings = experiment.findings(&results(experiment, &sample, sets));
+                let content = experiment.content(&results(experiment, &sample, sets));
                 let name = experiment.info().name;
-                assert!(!findings.claims.is_empty() && !findings.tables.is_empty(), "{name}");
-                // A report takes away by name what is not of its policies.
-                let figures = findings.figures.iter().map(|figure| &figure.name);
-                let tables = findings.tables.iter().map(|table| &table.name);
-                let lines = findings.lines.iter().map(|lines| &lines.name);
+                assert!(!content.claims.is_empty() && !content.tables.is_empty(), "{name}");
+                // A report removes outdated files by the experiment's name.
+                let figures = content.figures.iter().map(|figure| &figure.name);
+                let tables = content.tables.iter().map(|table| &table.name);
+                let lines = content.lines.iter().map(|lines| &lines.name);
                 assert!(figures.chain(tables).chain(lines).all(|file| file.starts_with(name)));
                 // `summary.json` has every number, for it has every table.
                 let conditions = experiment.conditions().unwrap();
                 let quantities = experiment.info().quantities;
                 for (condition, quantity) in conditions.iter().flat_map(|c| quantities.iter().map(move |q| (c, q))) {
                     let has = |row: &Row| row.condition == condition.label && row.quantity.name == quantity.name;
-                    let tables = &findings.tables;
+                    let tables = &content.tables;
                     assert!(tables.iter().flat_map(|table| &table.rows).any(has), "{name}: {}", quantity.name);
                     assert!(tables.iter().flat_map(|table| &table.rows).all(|row| row.comparison.sets.len() == sets));
                 }
-                for figure in &findings.figures {
+                for figure in &content.figures {
                     assert!(!figure.svg.contains("NaN") && !figure.svg.contains("inf"), "{}", figure.name);
                     // Rendering is slow.
                     if sets == 2 {
@@ -221,13 +203,13 @@ mod tests {
         (scenario, script)
     }
 
-    fn measured(experiment: &dyn Experiment, trace: &Trace) -> Measured {
+    fn measured(experiment: &dyn Experiment, trace: &Trace) -> TrialValues {
         let (scenario, script) = script(experiment);
         experiment.measure(&Trial::new(&scenario, &script, trace))
     }
 
     #[test]
-    fn every_experiment_measures_each_of_its_quantities_in_a_bare_trace() {
+    fn every_experiment_measures_all_its_quantities() {
         let mut trace = steady(12.0, [0.4, 0.0, 0.0]);
         for fell in [false, true] {
             if fell {
@@ -265,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn a_course_is_resumed_in_the_direction_of_the_start_only() {
+    fn course_is_resumed_in_the_starting_direction_only() {
         let protocol = Protocol::full().unwrap();
         let resumed = |yaw: f64| {
             let mut trace = steady(20.0, [0.4, 0.0, 0.0]);
@@ -308,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fall_after_the_second_changes_neither_power_nor_torque() {
+    fn fall_after_the_window_changes_no_power() {
         let protocol = Protocol::full().unwrap();
         let push_s = script(&protocol.table4).1.pushes[0].time_s;
         let power = |fall_s: f64| {
@@ -326,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fall_after_the_watch_is_a_success_of_the_push_grid() {
+    fn fall_after_the_watch_counts_as_success() {
         let protocol = Protocol::full().unwrap();
         let push_s = script(&protocol.push_grid).1.pushes[0].time_s;
         let success = |fall_s: f64| {

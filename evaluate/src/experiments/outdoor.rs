@@ -1,7 +1,7 @@
 //! E11: over hills of varied friction (Fig. 8d).
 
 use super::prelude::*;
-use supple::scenario::catalog::Outdoor as Hills;
+use supple::scenario::catalog::Outdoor as OutdoorScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall in 20 s", "%", 0),
@@ -10,50 +10,45 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("steepest_met", "steepest slope on the way", "%", 0),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E11b",
-    number: 13,
-    name: "outdoor",
-    title: "Hills of varied friction",
-    paper: "Fig. 8d",
-    method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each square \
-             metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for each foot on it. \
-             The velocity error is the length of mean velocity minus command in the horizontal plane; numbers but \
-             success are of trials without a fall.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Outdoor {
-    /// Steepest slopes, rise over run.
+    /// The steepest slopes of the hills, rise over run.
     pub steepest: Vec<f64>,
-    /// Runs of each policy for each of them.
+    /// The number of trials of each policy for each slope.
     pub trials: u32,
 }
 
 impl Experiment for Outdoor {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E11b",
+            number: 13,
+            name: "outdoor",
+            title: "Hills of varied friction",
+            paper: "Fig. 8d",
+            method: "At 0.5 m/s for 20 s over smooth hills, other ones in every trial, by their steepest slope; each \
+                     square metre of ground has a friction of its own, drawn between 0.4 and 1.0, which holds for \
+                     each foot on it. The velocity error is the length of mean velocity minus command in the \
+                     horizontal plane; numbers but success are of trials without a fall.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Hills = defaults("outdoor")?;
+        let base: OutdoorScenario = defaults("outdoor")?;
         let condition = |steepest: &f64| Condition {
             label: format!("to {:.0} %", 100.0 * steepest),
-            scenario: Scenario::Outdoor(Hills { steepest: *steepest, ..base.clone() }),
+            scenario: Scenario::Outdoor(OutdoorScenario { steepest: *steepest, ..base.clone() }),
         };
         Ok(self.steepest.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         vec![
-            truth(trial.is_upright()),
+            indicator(trial.is_upright()),
             trial.velocity_error(),
             trial.upright_metric("power_w"),
             trial.upright_metric("steepest_met_percent").map(|percent| 0.01 * percent),
@@ -61,16 +56,16 @@ impl Experiment for Outdoor {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Over hills of varied friction, by their steepest slope.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Over hills of varied friction, by their steepest slope.");
+        section.dots(
             "",
             "Success, velocity error and power on hills",
             &["success", "velocity_error_m_s", "power_w"],
-            "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single seeds as \
-             hollow marks. Velocity error and power are of trials without a fall.",
+            "Over hills of varied friction, by their steepest slope: mean ± standard deviation over seeds, single \
+             seeds as hollow marks. Velocity error and power are of trials without a fall.",
         );
-        let (all, text) = (show.all(), "On hills of varied friction, compliant policies fall less often");
-        show.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);
+        let (all, text) = (section.all(), "On hills of varied friction, compliant policies fall less often");
+        section.claim(text, "manages; no baseline shown", "success", Expected::Higher, &all);
     }
 }

@@ -3,7 +3,7 @@
 use super::prelude::*;
 use super::{push, velocity};
 use crate::trial::TrialEnd;
-use supple::scenario::catalog::Pendulum as Ball;
+use supple::scenario::catalog::Pendulum as PendulumScenario;
 
 const QUANTITIES: &[Quantity] = &[
     push::TO_10,
@@ -17,45 +17,40 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E10",
-    number: 10,
-    name: "pendulum",
-    title: "A swinging ball",
-    paper: "Fig. 8b",
-    method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets the \
-             right side of the trunk. The push is the largest change of the trunk's velocity along the blow within \
-             0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
-             which hardly rebounds and may touch again; the impulse is that of the first second.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pendulum {
-    /// Forward commands \[m/s\]; 0 is standing.
+    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// Heights of the release above the lowest point \[m\].
+    /// The release heights of the ball above its lowest point \[m\].
     pub heights_m: Vec<f64>,
-    /// Runs of each policy from each height at each command.
+    /// The number of trials of each policy from each height at each command.
     pub trials: u32,
 }
 
 impl Experiment for Pendulum {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E10",
+            number: 10,
+            name: "pendulum",
+            title: "A swinging ball",
+            paper: "Fig. 8b",
+            method: "A ball of 3 kg on a string of 1 m is let go at a height above its lowest point, where it meets \
+                     the right side of the trunk. The push is the largest change of the trunk's velocity along the \
+                     blow within 0.2 s; it decays as in E2. The peak force is that of all contacts with the ball, \
+                     which hardly rebounds and may touch again; the impulse is that of the first second.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Ball = defaults("pendulum")?;
+        let base: PendulumScenario = defaults("pendulum")?;
         let condition = |command: f64, release_height_m: f64| Condition {
             label: format!("{}, {:.0} cm", gait(command), 100.0 * release_height_m),
-            scenario: Scenario::Pendulum(Ball {
+            scenario: Scenario::Pendulum(PendulumScenario {
                 release_height_m,
                 task: Task { forward_m_s: command, ..base.task.clone() },
                 ..base.clone()
@@ -65,10 +60,10 @@ impl Experiment for Pendulum {
         Ok(commands.flat_map(|command| self.heights_m.iter().map(|height| condition(*command, *height))).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        let Scenario::Pendulum(pendulum) = trial.scenario else { return Measured::default() };
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let Scenario::Pendulum(pendulum) = trial.scenario else { return TrialValues::default() };
         let impact = pendulum.impact(trial.trace);
-        // Fallen or not, the ball has hit as hard as it has; decay times know of falls themselves.
+        // The numbers of the blow also count if the robot falls; decay times exclude falls themselves.
         let is_valid = trial.end != TrialEnd::Fault;
         let [to_10, to_20, carried, undecayed] = impact
             .filter(|_| is_valid)
@@ -76,36 +71,38 @@ impl Experiment for Pendulum {
         let of_blow = |quantity: &Quantity| trial.metric(quantity.name).filter(|_| is_valid);
         let mut values = vec![to_10, to_20, carried];
         values.extend(QUANTITIES[3..6].iter().map(of_blow));
-        values.extend([truth(impact.is_some()), undecayed, trial.end.fell()]);
+        values.extend([indicator(impact.is_some()), undecayed, trial.end.fell()]);
         let series = impact.map(|impact| velocity::around(trial.trace, impact.time_s));
-        Measured { values, series: series.unwrap_or_default() }
+        TrialValues { values, series: series.unwrap_or_default() }
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Hit by a ball of 3 kg on a string of 1 m, by command and release height.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Hit by a ball of 3 kg on a string of 1 m, by command and release height.");
+        section.dots(
             "",
-            "What a swinging ball does, by release height",
+            "Effect of a swinging ball, by release height",
             &["decay_20_s", "carried_m", "peak_contact_force_n"],
-            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, peak \
-             force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have no decay \
-             time and no distance.",
+            "Hit by a ball of 3 kg on a string of 1 m, by command and release height: decay time, distance carried, \
+             peak force. Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have \
+             no decay time and no distance.",
         );
-        let last = show.results.conditions.len() - 1;
+        let last = section.results.conditions.len() - 1;
         let caption = format!(
-            "Sideways velocity around the blow of the ball ({}): mean and min–max band over the runs of one policy, each \
-             until it falls.",
-            show.results.conditions[last].label
+            "Sideways velocity around the blow of the ball ({}): mean and min–max band over the runs of one policy, \
+             each until it falls.",
+            section.results.conditions[last].label
         );
         let words = ["Sideways velocity after the blow of a ball, one policy of each set", "time since the blow [s]"];
-        velocity::figure(show, ["velocity", "pendulum-velocities"], words, last, |curve, _| curve, caption);
+        velocity::figure(section, ["velocity", "pendulum-velocities"], words, last, |curve, _| curve, caption);
         let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        for (Group { name, conditions }, command) in Group::all(names, show.results).iter().zip(&self.commands_m_s) {
-            show.notes(push::undecayed(show.results, conditions).map(|note| format!("{name}: {note}")));
+        for (ConditionGroup { name, conditions }, command) in
+            ConditionGroup::from_names(names, section.results).iter().zip(&self.commands_m_s)
+        {
+            section.notes(push::undecayed(section.results, conditions).map(|note| format!("{name}: {note}")));
             for (quantity, words) in push::lasting(*command) {
                 let text =
-                    format!("Hit by a swinging ball while {name}, compliant policies {words}; mean over heights");
-                show.claim(&text, "more gradual", quantity, Expected::Higher, conditions);
+                    format!("Hit by a swinging ball while {name}, compliant policies {words} (mean over heights)");
+                section.claim(&text, "more gradual", quantity, Expected::Higher, conditions);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! E14a: which sustained pulls the robot stays on its feet under.
+//! E14a: the sustained pulls under which the robot does not fall.
 
 use super::leash::pulls;
 use super::prelude::*;
@@ -8,41 +8,36 @@ use crate::statistics::Spread;
 const SURVIVED: Quantity = Quantity::new("survived", "survived", "%", 0);
 const QUANTITIES: &[Quantity] = &[SURVIVED];
 
-pub(super) const INFO: Info = Info {
-    id: "E14a",
-    number: 15,
-    name: "pull",
-    title: "Sustained pulls",
-    paper: "not in the paper",
-    method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk for some seconds, in \
-             directions all around; the force keeps its direction in the world. It survives if it has not fallen by the \
-             end of the pull.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pull {
-    /// Directions that divide the circle evenly.
+    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// Runs of each policy in each direction with each force.
+    /// The number of trials of each policy in each direction with each force.
     pub trials: u32,
-    /// Pulling forces \[N\].
+    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// Length of the pull \[s\].
+    /// The length of the pull \[s\].
     pub for_s: f64,
 }
 
 impl Experiment for Pull {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E14a",
+            number: 15,
+            name: "pull",
+            title: "Sustained pulls",
+            paper: "not in the paper",
+            method: "Walking at 0.5 m/s, the robot is pulled by a constant horizontal force on its trunk for some \
+                     seconds, in directions all around; the force keeps its direction in the world. It survives if it \
+                     has not fallen by the end of the pull.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -54,40 +49,41 @@ impl Experiment for Pull {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        vec![truth(trial.is_upright())].into()
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        vec![indicator(trial.is_upright())].into()
     }
 
-    fn show(&self, show: &mut Show) {
+    fn report(&self, section: &mut SectionBuilder) {
         let names = self.forces_n.iter().map(|force| format!("{force} N"));
-        let forces = Group::all(names, show.results);
+        let forces = ConditionGroup::from_names(names, section.results);
         let text =
             format!("Pulled from any side for {} s, compliant policies stay on their feet more often", self.for_s);
-        show.claim(&text, "", SURVIVED.name, Expected::Higher, &show.all());
-        show.table_of("Sustained pulls survived, by force: mean over all directions.", show.rows(&forces));
-        show.table_in_file("all", "Sustained pulls survived, by force and direction.");
-        show.dots_of(
+        section.claim(&text, "", SURVIVED.name, Expected::Higher, &section.all());
+        section.table_with_rows("Sustained pulls survived, by force: mean over all directions.", section.rows(&forces));
+        section.table_in_file("all", "Sustained pulls survived, by force and direction.");
+        section.grouped_dots(
             "",
             "Sustained pulls survived, by force",
             &forces,
             &[SURVIVED.name],
-            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions: mean ± standard deviation \
-             over seeds, single seeds as hollow marks.",
+            "Sustained pulls survived while walking at 0.5 m/s, by force, over all directions: mean ± standard \
+             deviation over seeds, single seeds as hollow marks.",
         );
         let directions = self.directions as usize;
         let spread = |set: usize, direction: usize| {
             let conditions: Vec<usize> = forces.iter().map(|force| force.conditions[direction]).collect();
-            Spread::of(&show.results.per_seed_over(set, &conditions, SURVIVED.name))
+            Spread::from_values(&section.results.per_seed_over(set, &conditions, SURVIVED.name))
                 .map(|spread| spread.times(SURVIVED.scale()))
         };
         let panel = Polar {
             title: String::new(),
-            sets: show.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
+            sets: section.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect()),
         };
         let title = "Sustained pulls survived, by direction";
-        let svg = polar::draw(title, &[panel], &show.results.names, "survived [%], mean over all forces", Scales::Own);
-        let caption = "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to, over all forces: mean \
-                       and ± standard deviation over seeds.";
-        show.figure("directions", caption, svg);
+        let svg =
+            polar::draw(title, &[panel], &section.results.names, "survived [%], mean over all forces", Scales::Own);
+        let caption = "Sustained pulls survived while walking at 0.5 m/s, by the direction they pull to, over all \
+                       forces: mean and ± standard deviation over seeds.";
+        section.figure("directions", caption, svg);
     }
 }

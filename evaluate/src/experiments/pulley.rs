@@ -1,7 +1,7 @@
 //! E9: a weight over a pulley pulls the robot (Fig. 8a).
 
 use super::prelude::*;
-use supple::scenario::catalog::Pulley as Weight;
+use supple::scenario::catalog::Pulley as PulleyScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("displacement_m", "moved along the pull", "m", 2),
@@ -12,46 +12,41 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E9",
-    number: 9,
-    name: "pulley",
-    title: "A weight over a pulley",
-    paper: "Fig. 8a",
-    method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the rope just \
-             taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its end beyond \
-             what the command asks for, the offset the mean velocity along it minus the command from 1 s after \
-             the start to the end. The rope's force is the weight's m (g + a), from 1 s after the start. A fall \
-             leaves all but the falls undefined.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pulley {
-    /// Forward commands \[m/s\]; 0 is standing.
+    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// Where the pull goes, from the heading: 0 ahead, 90 left, 180 back, 270 right \[deg\].
+    /// The directions of the pull in the heading frame: 0 ahead, 90 left, 180 back, 270 right \[deg\].
     pub directions_deg: Vec<f64>,
-    /// Runs of each policy in each direction at each command.
+    /// The number of trials of each policy in each direction at each command.
     pub trials: u32,
 }
 
 impl Experiment for Pulley {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E9",
+            number: 9,
+            name: "pulley",
+            title: "A weight over a pulley",
+            paper: "Fig. 8a",
+            method: "A weight of 1 kg hangs on a rope that leads over pulleys to the trunk; it is let go with the \
+                     rope just taut, pulls for 4 s, and is taken off. The displacement is that along the pull at its \
+                     end beyond what the command asks for, the offset the mean velocity along it minus the command \
+                     from 1 s after the start to the end. The rope's force is the weight's m (g + a), from 1 s after \
+                     the start. A fall leaves all but the falls undefined.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Weight = defaults("pulley")?;
+        let base: PulleyScenario = defaults("pulley")?;
         let condition = |command: f64, direction_deg: f64| Condition {
             label: format!("{}, {direction_deg:.0}°", gait(command)),
-            scenario: Scenario::Pulley(Weight {
+            scenario: Scenario::Pulley(PulleyScenario {
                 direction_deg,
                 task: Task { forward_m_s: command, ..base.task.clone() },
                 ..base.clone()
@@ -61,28 +56,26 @@ impl Experiment for Pulley {
         Ok(commands.flat_map(|command| self.directions_deg.iter().map(|d| condition(*command, *d))).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        trial.upright_metrics(QUANTITIES)
-    }
-
-    fn show(&self, show: &mut Show) {
-        show.table(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table(
             "Pulled by 1 kg over a pulley, by command and direction (0° ahead, 90° left, 180° back, 270° right).",
         );
-        show.dots(
+        section.dots(
             "",
             "Displacement, velocity and falls under a pull",
             &["displacement_m", "offset_m_s", "fell"],
-            "Pulled by a weight of 1 kg over a pulley for 4 s: displacement along the pull, velocity along it, falls, by \
-             direction of the pull (0° ahead, 90° left, 180° back, 270° right). Mean ± standard deviation over seeds, single \
-             seeds as hollow marks; trials with a fall count as falls only.",
+            "Pulled by a weight of 1 kg over a pulley for 4 s: displacement along the pull, velocity along it, falls, \
+             by direction of the pull (0° ahead, 90° left, 180° back, 270° right). Mean ± standard deviation over \
+             seeds, single seeds as hollow marks; trials with a fall count as falls only.",
         );
         let names = self.commands_m_s.iter().map(|command| gait(*command).to_owned());
-        for Group { name, conditions } in Group::all(names, show.results) {
-            let text = format!("Pulled by a weight while {name}, compliant policies go with it (mean over directions)");
-            show.claim(&text, "goes with it", "displacement_m", Expected::Higher, &conditions);
+        for ConditionGroup { name, conditions } in ConditionGroup::from_names(names, section.results) {
+            let text = format!(
+                "Pulled by a weight while {name}, compliant policies move farther along the pull (mean over directions)"
+            );
+            section.claim(&text, "moves with the pull", "displacement_m", Expected::Higher, &conditions);
         }
-        let (all, text) = (show.all(), "Pulled by a weight, compliant policies topple less often");
-        show.claim(text, "less prone", "fell", Expected::Lower, &all);
+        let (all, text) = (section.all(), "Pulled by a weight, compliant policies fall less often");
+        section.claim(text, "less prone", "fell", Expected::Lower, &all);
     }
 }

@@ -1,10 +1,10 @@
 //! E1: how large a push the robot withstands, over a grid of pushes (Fig. 2).
 
 use super::prelude::*;
-use crate::findings::{Claim, Row};
-use crate::grid::{self, Grid};
 use crate::plot::heatmap::{self, Map};
 use crate::results::Results;
+use crate::section_content::{Claim, Row};
+use crate::square_grid::{self, SquareGrid};
 use crate::statistics::{Comparison, Numbers, PerSeed, Spread, estimate, mean};
 use crate::trial::TrialEnd;
 use supple::scenario::Script;
@@ -13,48 +13,36 @@ use supple::scenario::metrics::PHASE_S;
 
 const SUCCESS: Quantity = Quantity::new("success", "success rate", "%", 0);
 const FRACTION: Quantity = Quantity::new("share_of_grid", "grid points with enough success", "%", 1);
-const FRACTION_BY_SEED: Quantity = Quantity::new("share_of_grid_by_seed", "the same for each seed alone", "%", 1);
+const FRACTION_BY_SEED: Quantity =
+    Quantity::new("share_of_grid_by_seed", "grid points with enough success, for each seed alone", "%", 1);
 const MEAN_SUCCESS: Quantity = Quantity::new("mean_success", "success rate over the whole grid", "%", 1);
 const QUANTITIES: &[Quantity] = &[SUCCESS];
 
-pub(super) const INFO: Info = Info {
-    id: "E1",
-    number: 1,
-    name: "push-grid",
-    title: "Push recovery",
-    paper: "Fig. 2",
-    method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
-             left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. \
-             The success rate is that over the trials of all seeds; the fraction counts grid points at or \
-             above the contour's level.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PushGrid {
-    /// Largest push along either axis \[m/s\].
+    /// The largest push along either axis \[m/s\].
     pub limit_m_s: f64,
-    /// Grid points along either axis.
+    /// The number of grid points along either axis.
     pub points_per_side: usize,
-    /// Trials of each grid point.
+    /// The number of trials of each policy at each grid point.
     pub trials: u32,
-    /// Earliest time of the push; it comes up to 0.65 s later \[s\].
+    /// The earliest time of the push \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// How long the robot must not fall \[s\].
+    /// The time after the push in which the robot must not fall \[s\].
     pub watch_s: f64,
-    /// The contour's level, 0 to 1.
+    /// The success rate of the contour, 0 to 1.
     pub level: f64,
 }
 
 impl PushGrid {
-    fn grid(&self, values: Vec<f64>) -> Grid {
-        Grid { coordinates: grid::coordinates(self.limit_m_s, self.points_per_side), values }
+    fn grid(&self, values: Vec<f64>) -> SquareGrid {
+        SquareGrid { coordinates: square_grid::coordinates(self.limit_m_s, self.points_per_side), values }
     }
 
-    /// Success rate over some seeds of a set, by grid point.
-    fn success(&self, results: &Results, set: usize, seeds: &[u64]) -> Grid {
+    /// Returns the success rate of each grid point over some seeds of a set.
+    fn success(&self, results: &Results, set: usize, seeds: &[u64]) -> SquareGrid {
         let of_point = |point: usize| {
             let of_seed = |seed: &u64| {
                 let trials = results.sets[set].get(seed)?.get(point)?;
@@ -65,13 +53,13 @@ impl PushGrid {
         self.grid((0..results.conditions.len()).map(of_point).collect())
     }
 
-    /// The same over all seeds of a set.
-    fn map(&self, results: &Results, set: usize) -> Grid {
+    /// Returns the success rate of each grid point over all seeds of a set.
+    fn map(&self, results: &Results, set: usize) -> SquareGrid {
         self.success(results, set, &results.sets[set].keys().copied().collect::<Vec<u64>>())
     }
 
-    /// A number of the success map: of all seeds together, with the interval of the difference over pairs of seeds.
-    fn compare(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
+    /// Compares a number of the map of all seeds together; the interval of its difference is over pairs of seeds.
+    fn compare(&self, results: &Results, number: impl Fn(&SquareGrid) -> f64) -> Comparison {
         let pooled = |set: usize| {
             let seeds = results.sets[set].len();
             let mean = number(&self.map(results, set));
@@ -80,7 +68,7 @@ impl PushGrid {
                 ..results.numbers(set, PerSeed::new())
             }
         };
-        // Resampling re-reads the maps often: keep every seed's own.
+        // Resampling reads the map of each seed many times.
         let common = results.common_seeds();
         let maps: Vec<[Vec<f64>; 2]> = common
             .iter()
@@ -100,8 +88,8 @@ impl PushGrid {
         }
     }
 
-    /// The same number for each seed alone.
-    fn compare_by_seed(&self, results: &Results, number: impl Fn(&Grid) -> f64) -> Comparison {
+    /// Compares a number of each seed's own map.
+    fn compare_by_seed(&self, results: &Results, number: impl Fn(&SquareGrid) -> f64) -> Comparison {
         let by_seed = |set: usize| {
             let seeds = results.sets[set].keys();
             let of_seed = seeds.map(|seed| (*seed, number(&self.success(results, set, &[*seed]))));
@@ -112,17 +100,25 @@ impl PushGrid {
 }
 
 impl Experiment for PushGrid {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E1",
+            number: 1,
+            name: "push-grid",
+            title: "Push recovery",
+            paper: "Fig. 2",
+            method: "Walking at 0.5 m/s, the robot is pushed once: a velocity offset on a square grid of (forward, \
+                     left) is added to its trunk. A trial succeeds if it has not fallen until some seconds after. The \
+                     success rate is that over the trials of all seeds; the fraction counts grid points at or above \
+                     the contour's level.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: PushAway = defaults("push")?;
-        let coordinates = grid::coordinates(self.limit_m_s, self.points_per_side);
+        let coordinates = square_grid::coordinates(self.limit_m_s, self.points_per_side);
         let condition = |forward: f64, left: f64| Condition {
             label: format!("{forward:+.3}, {left:+.3} m/s").replace('-', "−"),
             scenario: Scenario::Push(PushAway {
@@ -149,15 +145,15 @@ impl Experiment for PushGrid {
         script.pushes.first().map_or(script.duration_s, |push| push.time_s + self.watch_s)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let fell = trial.trace.fall().is_some_and(|fall| fall.time_s <= self.until_s(trial.script));
-        vec![truth(!fell && trial.end != TrialEnd::Fault)].into()
+        vec![indicator(!fell && trial.end != TrialEnd::Fault)].into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let results = show.results;
-        let fraction = |grid: &Grid| grid.fraction_at_least(self.level);
-        let overall = |grid: &Grid| mean(grid.values.iter().copied()).unwrap_or(0.0);
+    fn report(&self, section: &mut SectionBuilder) {
+        let results = section.results;
+        let fraction = |grid: &SquareGrid| grid.fraction_at_least(self.level);
+        let overall = |grid: &SquareGrid| mean(grid.values.iter().copied()).unwrap_or(0.0);
         let pooled = self.compare(results, fraction);
         let row = |quantity, paper: &str, comparison| Row {
             condition: String::new(),
@@ -172,10 +168,10 @@ impl Experiment for PushGrid {
         ];
         let level = 100.0 * self.level;
         let title = format!("Push recovery: fraction of grid points with a success rate of at least {level:.0} %.");
-        show.table_of(&title, rows);
-        show.table_in_file("points", "Success rate at every grid point (forward, left).");
+        section.table_with_rows(&title, rows);
+        section.table_in_file("points", "Success rate at every grid point (forward, left).");
 
-        let maps = show.by_set(|set| self.map(results, set));
+        let maps = section.by_set(|set| self.map(results, set));
         let titled = maps
             .iter()
             .zip(&results.names)
@@ -187,13 +183,13 @@ impl Experiment for PushGrid {
             ["forward push [m/s]", "push to the left [m/s]", "success rate [%]"],
         );
         let caption = format!(
-            "Success rate after a push of given forward and left velocity while walking at 0.5 m/s, over all \
-             seeds and trials. The line is the {level:.0} % contour; above each map, the fraction of grid points at or \
+            "Success rate after a push of given forward and left velocity while walking at 0.5 m/s, over all seeds \
+             and trials. The line is the {level:.0} % contour; above each map, the fraction of grid points at or \
              above {level:.0} %."
         );
-        show.figure("", caption, svg);
+        section.figure("", caption, svg);
         let text =
             format!("The {level:.0} % contour of push recovery encloses more of the grid for compliant policies");
-        show.findings.claims.push(Claim::direction(&text, "78 / 73 %", FRACTION, Expected::Higher, pooled));
+        section.content.claims.push(Claim::new(&text, "78 / 73 %", FRACTION, Expected::Higher, pooled));
     }
 }

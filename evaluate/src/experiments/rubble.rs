@@ -1,7 +1,7 @@
 //! E11: over wooden blocks and soft mats (Fig. 8c).
 
 use super::prelude::*;
-use supple::scenario::catalog::Rubble as Blocks;
+use supple::scenario::catalog::Rubble as RubbleScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall", "%", 0),
@@ -11,57 +11,52 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E11a",
-    number: 11,
-    name: "rubble",
-    title: "Wooden blocks and soft mats",
-    paper: "Fig. 8c",
-    method: "At 0.5 m/s for 15 s at most over 4 m of loose wooden blocks and soft mats, other ones in every trial, by the \
-             largest height of the blocks. Height counts from the floor, and only the floor is ground: a leg that \
-             brushes a block has not fallen. The robot is across when its trunk has passed the end, and not the side; the trial \
-             is over a second later. The velocity \
-             error is the length of mean velocity minus command in the horizontal plane; it, the peak foot force and the power are those \
-             of the crossing, from the first edge to the last.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Rubble {
-    /// Largest heights of the blocks \[m\].
+    /// The largest heights of the blocks \[m\].
     pub heights_m: Vec<f64>,
-    /// Runs of each policy for each height.
+    /// The number of trials of each policy for each height.
     pub trials: u32,
 }
 
 impl Experiment for Rubble {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E11a",
+            number: 11,
+            name: "rubble",
+            title: "Wooden blocks and soft mats",
+            paper: "Fig. 8c",
+            method: "At 0.5 m/s for 15 s at most over 4 m of loose wooden blocks and soft mats, other ones in every \
+                     trial, by the largest height of the blocks. Height counts from the floor, and only the floor is \
+                     ground: a leg that brushes a block has not fallen. The robot is across when its trunk has passed \
+                     the end, and not the side; the trial is over a second later. The velocity error is the length of \
+                     mean velocity minus command in the horizontal plane; it, the peak foot force and the power are \
+                     those of the crossing, from the first edge to the last.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Blocks = defaults("rubble")?;
+        let base: RubbleScenario = defaults("rubble")?;
         let condition = |block_height_m: &f64| Condition {
             label: format!("blocks to {:.0} cm", 100.0 * block_height_m),
-            scenario: Scenario::Rubble(Blocks { block_height_m: *block_height_m, ..base.clone() }),
+            scenario: Scenario::Rubble(RubbleScenario { block_height_m: *block_height_m, ..base.clone() }),
         };
         Ok(self.heights_m.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        let Scenario::Rubble(rubble) = trial.scenario else { return Measured::default() };
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let Scenario::Rubble(rubble) = trial.scenario else { return TrialValues::default() };
         let crossed = trial.metric("crossed");
         let crossing = metrics::crossing(trial.trace, rubble.distance_m, rubble.far_edge_m());
         let crossing = crossing.filter(|_| crossed == Some(1.0));
         let on_rubble = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
         vec![
-            truth(trial.is_upright()),
+            indicator(trial.is_upright()),
             crossed,
             crossing.and_then(|[from_s, to_s]| metrics::velocity_error(trial.trace, from_s, to_s)),
             metrics::largest(on_rubble.clone(), |frame| frame.peak_foot_force_n),
@@ -70,17 +65,23 @@ impl Experiment for Rubble {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Over wooden blocks and soft mats, by the largest height of the blocks.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Over wooden blocks and soft mats, by the largest height of the blocks.");
+        section.dots(
             "",
             "Success and velocity error among blocks and mats",
             &["success", "crossed", "velocity_error_m_s"],
-            "Over wooden blocks and soft mats, by the largest height of the blocks: mean ± standard deviation over seeds, \
-             single seeds as hollow marks. The velocity error is of trials that got across.",
+            "Over wooden blocks and soft mats, by the largest height of the blocks: mean ± standard deviation over \
+             seeds, single seeds as hollow marks. The velocity error is of trials that got across.",
         );
-        let (all, text) = (show.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
-        show.claim(text, "superior", "success", Expected::Higher, &all);
-        show.claim("… and get across more often", "superior", "crossed", Expected::Higher, &all);
+        let (all, text) = (section.all(), "Among wooden blocks and soft mats, compliant policies fall less often");
+        section.claim(text, "superior", "success", Expected::Higher, &all);
+        section.claim(
+            "Among wooden blocks and soft mats, compliant policies get across more often",
+            "superior",
+            "crossed",
+            Expected::Higher,
+            &all,
+        );
     }
 }

@@ -19,7 +19,8 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The paper's Table IV, compliant / baseline, and its differences. What torque is, it leaves open: the sum is as large.
+/// The numbers of the paper's Table IV, compliant / baseline, and their differences. The paper does not define torque; the sum
+/// over the joints has the size of its numbers.
 const PAPER: [(&str, &str); 6] = [
     ("power_before_w", "78.5 ± 2.0 / 80.1 ± 1.4"),
     ("power_after_w", "140.9 ± 17.0 / 166.9 ± 25.8"),
@@ -29,37 +30,31 @@ const PAPER: [(&str, &str); 6] = [
     ("torque_sum_increase_n_m", "0.3 / 0.5"),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E3",
-    number: 3,
-    name: "table4",
-    title: "Power and torque of a sideways push",
-    paper: "Table IV",
-    method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
-             torque actually applied, averaged over as long before and after the push; the sum over the joints is Σ|τ|, at 60 Hz. \
-             The increase is the \
-             second minus the first: what the push adds to the walk. A time that a fall cuts short has no \
-             average.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Table4 {
-    /// Runs of each policy.
+    /// The number of trials of each policy.
     pub trials: u32,
-    /// Length of the averages before and after the push \[s\].
+    /// The length of the averaging windows before and after the push \[s\].
     pub window_s: f64,
 }
 
 impl Experiment for Table4 {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E3",
+            number: 3,
+            name: "table4",
+            title: "Power and torque of a sideways push",
+            paper: "Table IV",
+            method: "The push of E2. Power is Σ|τ·q̇| over the twelve joints, torque is ‖τ‖₂, both at 240 Hz with the \
+                     torque actually applied, averaged over as long before and after the push; the sum over the \
+                     joints is Σ|τ|, at 60 Hz. The increase is the second minus the first: what the push adds to the \
+                     walk. A time that a fall cuts short has no average.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -71,10 +66,10 @@ impl Experiment for Table4 {
         in_range("window_s", self.window_s, 0.1, until_push_s, "0.1 s to the time before the push")
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let Some(push) = trial.script.pushes.first() else { return vec![None; QUANTITIES.len()].into() };
         let trace = trial.trace;
-        // A trace ends with a fall.
+        // The trace of a fallen robot ends with the fall.
         let reaches = |time_s: f64| trace.frames.last().is_some_and(|f| f.time_s + 0.5 * trace.period_s > time_s);
         let window = |from_s: f64| {
             let until_s = from_s + self.window_s;
@@ -90,14 +85,14 @@ impl Experiment for Table4 {
         [&power[..], &torque, &sum, &[trial.end.fell()]].concat().into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let table = show.table("Power and torque around a sideways push.");
+    fn report(&self, section: &mut SectionBuilder) {
+        let table = section.table("Power and torque around a sideways push.");
         for (quantity, paper) in PAPER {
-            table.state(quantity, paper);
+            table.set_paper(quantity, paper);
         }
         let panel = |label, unit, rows: [&str; 2]| Dots {
             quantity: Quantity::new("", label, unit, 1),
-            rows: rows.map(|name| show.per_seed(0, name)).into(),
+            rows: rows.map(|name| section.per_seed(0, name)).into(),
         };
         let panels = [
             panel("mechanical power", "W", ["power_before_w", "power_after_w"]),
@@ -105,10 +100,10 @@ impl Experiment for Table4 {
         ];
         let labels = ["before", "after"].map(|when| format!("{} s {when}", self.window_s));
         let title = "Power and torque before and after a push";
-        let svg = dots::draw(title, &panels, &labels, &show.results.names);
+        let svg = dots::draw(title, &panels, &labels, &section.results.names);
         let caption = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s: mean ± standard \
                        deviation over seeds, single seeds as hollow marks.";
-        show.figure("", caption, svg);
+        section.figure("", caption, svg);
         for (text, paper, quantity) in [
             ("After a push, compliant policies use less power", "140.9 / 166.9 W (−15 %)", "power_after_w"),
             ("After a push, compliant policies use less torque", "25.8 / 27.4 N·m (−6 %)", "torque_sum_after_n_m"),
@@ -118,10 +113,14 @@ impl Experiment for Table4 {
                 "25.5 / 26.9 N·m (−5 %)",
                 "torque_sum_before_n_m",
             ),
-            ("A push adds less power to the walk", "62.4 / 86.8 W (−28 %)", "power_increase_w"),
-            ("… and less torque", "0.3 / 0.5 N·m (−40 %)", "torque_sum_increase_n_m"),
+            ("A push increases the power of compliant policies less", "62.4 / 86.8 W (−28 %)", "power_increase_w"),
+            (
+                "A push increases the torque of compliant policies less",
+                "0.3 / 0.5 N·m (−40 %)",
+                "torque_sum_increase_n_m",
+            ),
         ] {
-            show.claim(text, paper, quantity, Expected::Lower, &[0]);
+            section.claim(text, paper, quantity, Expected::Lower, &[0]);
         }
     }
 }

@@ -1,7 +1,7 @@
 //! E8: walking over Perlin terrain of several heights and frequencies (Fig. 7b).
 
 use super::prelude::*;
-use supple::scenario::catalog::{Terrain as Ground, TerrainKind};
+use supple::scenario::catalog::{Terrain as TerrainScenario, TerrainKind};
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("success", "no fall in 10 s", "%", 0),
@@ -10,44 +10,39 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("power_w", "power", "W", 1),
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E8",
-    number: 8,
-    name: "terrain",
-    title: "Uneven terrain",
-    paper: "Fig. 7b",
-    method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
-             peak to peak and its frequency (cells per metre). A success is a trial without a fall. The velocity \
-             error is the length of mean velocity minus command in the horizontal plane.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Terrain {
-    /// Heights, peak to peak \[m\].
+    /// The heights of the terrain, peak to peak \[m\].
     pub heights_m: Vec<f64>,
-    /// Lattice cells per metre \[1/m\].
+    /// The frequencies of the terrain: lattice cells per metre \[1/m\].
     pub frequencies_per_m: Vec<f64>,
-    /// Runs of each policy on each terrain.
+    /// The number of trials of each policy on each terrain.
     pub trials: u32,
 }
 
 impl Experiment for Terrain {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E8",
+            number: 8,
+            name: "terrain",
+            title: "Uneven terrain",
+            paper: "Fig. 7b",
+            method: "At 0.5 m/s for 10 s over terrain of Perlin noise, another one in every trial, by its height from \
+                     peak to peak and its frequency (cells per metre). A success is a trial without a fall. The \
+                     velocity error is the length of mean velocity minus command in the horizontal plane.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Ground = defaults("terrain")?;
+        let base: TerrainScenario = defaults("terrain")?;
         let condition = |height_m: f64, frequency_per_m: f64| Condition {
             label: format!("{:.0} cm, {frequency_per_m} /m", 100.0 * height_m),
-            scenario: Scenario::Terrain(Ground {
+            scenario: Scenario::Terrain(TerrainScenario {
                 kind: TerrainKind::Perlin,
                 height_m,
                 frequency_per_m,
@@ -59,9 +54,9 @@ impl Experiment for Terrain {
         Ok(heights.flat_map(|height| frequencies.iter().map(|frequency| condition(*height, *frequency))).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         vec![
-            truth(trial.is_upright()),
+            indicator(trial.is_upright()),
             trial.velocity_error(),
             trial.upright_metric("peak_foot_force_n"),
             trial.upright_metric("power_w"),
@@ -69,23 +64,23 @@ impl Experiment for Terrain {
         .into()
     }
 
-    fn show(&self, show: &mut Show) {
-        show.table("Walking over Perlin terrain, by height (peak to peak) and frequency.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Walking over Perlin terrain, by height (peak to peak) and frequency.");
+        section.dots(
             "",
             "Success, velocity error and peak foot force by terrain",
             &["success", "velocity_error_m_s", "peak_foot_force_n"],
-            "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds as \
-             hollow marks. Numbers but success are of trials without a fall.",
+            "Walking over Perlin terrain by height and frequency: mean ± standard deviation over seeds, single seeds \
+             as hollow marks. Numbers but success are of trials without a fall.",
         );
-        let (all, first) = (show.all(), show.first_label());
+        let (all, first) = (section.all(), section.first_label());
         for (text, over) in [
             (format!("On terrain of {first}, compliant policies fall less often"), &[0][..]),
             ("Over all terrains, compliant policies fall less often".to_owned(), &all),
         ] {
-            show.claim(&text, "less often", "success", Expected::Higher, over);
+            section.claim(&text, "less often", "success", Expected::Higher, over);
         }
-        let text = "The largest force on a foot is lower";
-        show.claim(text, "lower", "peak_foot_force_n", Expected::Lower, &all);
+        let text = "Over all terrains, compliant policies have a lower peak foot force";
+        section.claim(text, "lower", "peak_foot_force_n", Expected::Lower, &all);
     }
 }

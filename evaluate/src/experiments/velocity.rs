@@ -1,20 +1,20 @@
-//! Sideways velocity around a push, run by run: what the figures of E2 and E10 draw.
+//! The sideways velocity around a push in each run, for the figures of E2 and E10.
 
-use crate::findings::{Line, Lines};
 use crate::plot::axes::range;
 use crate::plot::curves::{self, Curve};
 use crate::results::Results;
-use crate::show::Show;
+use crate::section_builder::SectionBuilder;
+use crate::section_content::{Line, Lines};
 use supple::scenario::trace::Trace;
 
 /// The time shown before and after the push \[s\].
 const SHOWN_S: [f64; 2] = [1.0, 3.0];
 
-/// Columns of [`lines`].
+/// The columns of [`lines`].
 const COLUMNS: [&str; 4] = ["time_s", "mean_m_s", "least_m_s", "largest_m_s"];
 
-/// Series of a trial: time since the push \[s\], velocity to the left \[m/s\]. Times are in steps from the one that the push
-/// is applied before, so that runs can be averaged step by step.
+/// Returns the series of a trial: time since the push \[s\] and velocity to the left \[m/s\]. Times are whole steps from the
+/// first step after the push, so that runs can be averaged step by step.
 pub(super) fn around(trace: &Trace, push_s: f64) -> Vec<Vec<f32>> {
     let half_s = 0.5 * trace.period_s;
     let Some(pushed) = trace.frames.iter().position(|frame| frame.time_s > push_s + half_s) else { return Vec::new() };
@@ -28,22 +28,22 @@ pub(super) fn around(trace: &Trace, push_s: f64) -> Vec<Vec<f32>> {
     ]
 }
 
-/// A figure of a condition with a curve for each set, and a file with the points of all conditions' curves. `marked` adds
-/// to the curve of a set.
+/// Adds a figure of a condition with a curve for each set, and a file with the points of all conditions' curves. `marked`
+/// completes the curve of a set.
 pub(super) fn figure(
-    show: &mut Show,
+    section: &mut SectionBuilder,
     [part, lines]: [&str; 2],
     [title, x_label]: [&str; 2],
     condition: usize,
     marked: impl Fn(Curve, usize) -> Curve,
     caption: String,
 ) {
-    let curves = show.by_set(|set| marked(curve(show.results, set, condition), set));
-    show.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
-    show.lines([self::lines(lines, show.results)]);
+    let curves = section.by_set(|set| marked(curve(section.results, set, condition), set));
+    section.figure(part, caption, curves::draw(title, &curves, x_label, "sideways velocity [m/s]"));
+    section.lines([self::lines(lines, section.results)]);
 }
 
-/// Mean and extremes over the runs of a condition with the policy that figures show.
+/// Returns mean and extremes over the runs of the shown policy in a condition.
 fn curve(results: &Results, set: usize, condition: usize) -> Curve {
     let seed = results.shown_seed(set);
     let runs = seed.and_then(|seed| results.sets[set].get(&seed)?.get(condition));
@@ -60,7 +60,7 @@ fn curve(results: &Results, set: usize, condition: usize) -> Curve {
     curve
 }
 
-/// The points of all conditions' curves.
+/// Returns the points of all conditions' curves.
 fn lines(name: &str, results: &Results) -> Lines {
     let line = |(condition, set): (usize, usize)| {
         let curve = curve(results, set, condition);

@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use super::prelude::*;
-use crate::findings::{Claim, difference, spread};
 use crate::results::Results;
+use crate::section_content::{Claim, difference, spread};
 use crate::statistics::Verdict;
-use supple::scenario::catalog::Walk as Undisturbed;
+use supple::scenario::catalog::Walk as WalkScenario;
 
 const QUANTITIES: &[Quantity] = &[
     FELL,
@@ -23,35 +23,23 @@ const QUANTITIES: &[Quantity] = &[
     Quantity::new("peak_foot_force_n", "peak foot force", "N", 0),
 ];
 
-/// Time in flight from which on a gait is called hopping; a trot at this speed has next to none.
+/// The fraction of time in flight from which a gait counts as hopping; a trot at this speed has almost none.
 const HOPPING_FRACTION: f64 = 0.3;
 
-pub(super) const INFO: Info = Info {
-    id: "E0",
-    number: 0,
-    name: "walk",
-    title: "Walking undisturbed",
-    paper: "Fig. 5, caption",
-    method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
-             2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
-             drawn at random but the sensors' noise, where there are sensors.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Walk {
-    /// Runs of each policy at each command.
+    /// The number of trials of each policy at each command.
     pub trials: u32,
-    /// Forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
+    /// The commands: forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
     pub commands: Vec<[f64; 3]>,
     /// The paper's bound on the velocity error \[m/s\].
     pub error_bound_m_s: f64,
 }
 
 impl Walk {
-    /// Policies that do not do what all the other experiments ask of them.
+    /// Returns warnings about policies that do not walk as all other experiments require.
     fn warnings(&self, results: &Results) -> Vec<String> {
         let Some([forward, left, _]) = self.commands.first() else { return Vec::new() };
         let mut notes = Vec::new();
@@ -82,7 +70,7 @@ impl Walk {
             let bound = self.error_bound_m_s;
             for (seed, error) in errors.iter().filter(|(_, error)| **error > bound && **error <= 0.5 * speed) {
                 notes.push(format!(
-                    "{name}, seed {seed}, by itself does not keep its velocity error below {bound} m/s: {error:.3} m/s."
+                    "{name}, seed {seed}, exceeds the velocity error of {bound} m/s by itself: {error:.3} m/s."
                 ));
             }
         }
@@ -90,8 +78,8 @@ impl Walk {
     }
 }
 
-/// How well all commands are followed, which the paper does not say.
-fn over_all(results: &Results) -> String {
+/// Returns a note about the velocity error over all commands, which the paper does not report.
+fn mean_error_note(results: &Results) -> String {
     let quantity = results.quantity("velocity_error_m_s");
     let all: Vec<usize> = (0..results.conditions.len()).collect();
     let comparison = results.compare_over(&all, quantity.name);
@@ -105,7 +93,7 @@ fn over_all(results: &Results) -> String {
     )
 }
 
-/// A command in words.
+/// Returns a command in words.
 fn label([forward, left, turn]: [f64; 3]) -> String {
     let parts = [("forward", forward), ("left", left), ("turn", turn)];
     let words: Vec<String> =
@@ -114,25 +102,32 @@ fn label([forward, left, turn]: [f64; 3]) -> String {
 }
 
 impl Experiment for Walk {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E0",
+            number: 0,
+            name: "walk",
+            title: "Walking undisturbed",
+            paper: "Fig. 5, caption",
+            method: "The policy walks on flat ground without disturbance. Errors are mean velocity minus command from \
+                     2 s on, in the heading frame; the velocity error is the length of the horizontal one. Nothing is \
+                     drawn at random but the sensors' noise, where there are sensors.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Undisturbed = defaults("walk")?;
+        let base: WalkScenario = defaults("walk")?;
         let condition = |command: &[f64; 3]| {
             let [forward_m_s, left_m_s, yaw_rad_s] = *command;
             let task = Task { forward_m_s, left_m_s, yaw_rad_s, ..base.task.clone() };
-            Condition { label: label(*command), scenario: Scenario::Walk(Undisturbed { task }) }
+            Condition { label: label(*command), scenario: Scenario::Walk(WalkScenario { task }) }
         };
         Ok(self.commands.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         if !trial.is_upright() {
             let undefined = QUANTITIES[1..].iter().map(|_| None);
             return std::iter::once(trial.end.fell()).chain(undefined).collect::<Vec<_>>().into();
@@ -148,25 +143,25 @@ impl Experiment for Walk {
         values.into()
     }
 
-    fn show(&self, show: &mut Show) {
+    fn report(&self, section: &mut SectionBuilder) {
         let caption = "Walking undisturbed, by command: forward and left in m/s, turn (to the left) in rad/s.";
-        let (results, first) = (show.results, show.first_label());
-        let of_first = Group { name: first.to_owned(), conditions: vec![0] };
+        let (results, first) = (section.results, section.first_label());
+        let of_first = ConditionGroup { name: first.to_owned(), conditions: vec![0] };
         let title = format!("Walking undisturbed at the command of the other experiments ({first}).");
-        show.table_of(&title, show.rows(&[of_first]));
-        show.table_in_file("commands", caption);
+        section.table_with_rows(&title, section.rows(&[of_first]));
+        section.table_in_file("commands", caption);
         let (quantity, bound) = ("velocity_error_m_s", self.error_bound_m_s);
-        let text = format!("Walking undisturbed ({first}), both keep the velocity error below {bound} m/s in the mean");
+        let text = format!("Walking undisturbed ({first}), both sets keep the mean velocity error below {bound} m/s");
         let (comparison, quantity) = (results.compare(0, quantity), results.quantity(quantity));
-        let verdict = Verdict::below(bound, &comparison);
-        show.findings.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });
-        show.dots(
+        let verdict = Verdict::from_bound(bound, &comparison);
+        section.content.claims.push(Claim { text, paper: "< 0.05 / < 0.05 m/s".into(), quantity, comparison, verdict });
+        section.dots(
             "",
             "Velocity error and power by command",
             &["velocity_error_m_s", "power_w"],
             "Velocity error and mechanical power without disturbance, by command (forward and left in m/s, turn to \
              the left in rad/s): mean ± standard deviation over seeds, single seeds as hollow marks.",
         );
-        show.notes(std::iter::once(over_all(results)).chain(self.warnings(results)));
+        section.notes(std::iter::once(mean_error_note(results)).chain(self.warnings(results)));
     }
 }

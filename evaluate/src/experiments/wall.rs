@@ -1,7 +1,7 @@
 //! E14b: walking into a wall that gives.
 
 use super::prelude::*;
-use supple::scenario::catalog::Wall as Across;
+use supple::scenario::catalog::Wall as WallScenario;
 
 const QUANTITIES: &[Quantity] = &[
     Quantity::new("peak_force_n", "peak force", "N", 0),
@@ -11,67 +11,62 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-pub(super) const INFO: Info = Info {
-    id: "E14b",
-    number: 16,
-    name: "wall",
-    title: "A wall that gives",
-    paper: "not in the paper",
-    method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, and presses on \
-             until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves all but the falls undefined.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wall {
-    /// Forward commands \[m/s\].
+    /// The forward commands \[m/s\].
     pub commands_m_s: Vec<f64>,
-    /// Runs of each policy at each command.
+    /// The number of trials of each policy at each command.
     pub trials: u32,
 }
 
 impl Experiment for Wall {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E14b",
+            number: 16,
+            name: "wall",
+            title: "A wall that gives",
+            paper: "not in the paper",
+            method: "The robot walks into a wall of 700 N/m and 4 N·s/m that presses its trunk's centre of mass back, \
+                     and presses on until the end, some 5 s. Peak force and depth are the largest ones. A fall leaves \
+                     all but the falls undefined.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
-        let base: Across = defaults("wall")?;
+        let base: WallScenario = defaults("wall")?;
         let condition = |command: &f64| Condition {
             label: format!("{command} m/s"),
-            scenario: Scenario::Wall(Across { task: Task { forward_m_s: *command, ..base.task.clone() }, ..base }),
+            scenario: Scenario::Wall(WallScenario {
+                task: Task { forward_m_s: *command, ..base.task.clone() },
+                ..base
+            }),
         };
         Ok(self.commands_m_s.iter().map(condition).collect())
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
-        trial.upright_metrics(QUANTITIES)
-    }
-
-    fn show(&self, show: &mut Show) {
-        show.table("Walking into a wall of 700 N/m and 4 N·s/m, by command.");
-        show.dots(
+    fn report(&self, section: &mut SectionBuilder) {
+        section.table("Walking into a wall of 700 N/m and 4 N·s/m, by command.");
+        section.dots(
             "",
             "Force, impulse and depth at a wall that gives",
             &["peak_force_n", "blow_n_s", "depth_m"],
-            "Walking into a wall of 700 N/m and 4 N·s/m: largest force, impulse in the first second, largest depth. Mean ± \
-             standard deviation over seeds, single seeds as hollow marks; trials with a fall have none.",
+            "Walking into a wall of 700 N/m and 4 N·s/m: largest force, impulse in the first second, largest depth. \
+             Mean ± standard deviation over seeds, single seeds as hollow marks; trials with a fall have none.",
         );
-        let all = show.all();
+        let all = section.all();
         for (quantity, words) in [
-            ("peak_force_n", "press less hard at the most"),
-            ("blow_n_s", "press less in the first second"),
-            ("impulse_n_s", "press less to the end"),
+            ("peak_force_n", "have a lower peak force"),
+            ("blow_n_s", "have a smaller impulse in the first second"),
+            ("impulse_n_s", "have a smaller impulse until the end"),
             ("fell", "fall less often"),
         ] {
             let text = format!("Walking into a wall that gives, compliant policies {words}");
-            show.claim(&text, "", quantity, Expected::Lower, &all);
+            section.claim(&text, "", quantity, Expected::Lower, &all);
         }
     }
 }

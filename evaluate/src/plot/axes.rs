@@ -1,23 +1,23 @@
-//! A rectangular panel: data to pixels, grid lines, ticks and labels.
+//! Rectangular panels (data to pixels, grid lines, ticks, labels), legends and marks.
 
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{GREY, INK, LARGE, PALE, SMALL, colour, line};
 
-/// A panel.
+/// A rectangle of a figure with data coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Panel {
-    /// Upper left corner \[px\].
+    /// The upper left corner \[px\].
     pub corner: [f64; 2],
-    /// Width and height \[px\].
+    /// The width and height \[px\].
     pub size: [f64; 2],
-    /// Data range along x.
+    /// The data range along x.
     pub x: [f64; 2],
-    /// Data range along y, upwards.
+    /// The data range along y, upwards.
     pub y: [f64; 2],
 }
 
 impl Panel {
-    /// Pixels of a point of data.
+    /// Converts a point from data coordinates to pixels.
     pub fn at(&self, point: [f64; 2]) -> [f64; 2] {
         let part = |value: f64, [low, high]: [f64; 2]| (value - low) / (high - low);
         [
@@ -26,7 +26,7 @@ impl Panel {
         ]
     }
 
-    /// Frame, grid lines, ticks, labels. Without `y_label` the numbers along y are left out too: a neighbour has them.
+    /// Draws frame, grid lines, ticks and labels. Without `y_label` it omits the numbers along y, which a neighbour has.
     pub fn draw_axes(&self, svg: &mut Svg, x_label: &str, y_label: Option<&str>) {
         let [left, top] = self.corner;
         let [right, bottom] = [left + self.size[0], top + self.size[1]];
@@ -46,25 +46,29 @@ impl Panel {
         self.draw_frame(svg);
         svg.text([0.5 * (left + right), bottom + 35.0], x_label, Text::new(SMALL, Anchor::Middle));
         if let Some(label) = y_label {
-            svg.text([left - 42.0, 0.5 * (top + bottom)], label, Text::new(SMALL, Anchor::Middle).upwards());
+            svg.text(
+                [left - 42.0, 0.5 * (top + bottom)],
+                label,
+                Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) },
+            );
         }
     }
 
-    /// The panel's border.
+    /// Draws the panel's border.
     pub fn draw_frame(&self, svg: &mut Svg) {
         let [left, top] = self.corner;
         let [right, bottom] = [left + self.size[0], top + self.size[1]];
         svg.outline(&[[left, top], [right, top], [right, bottom], [left, bottom]], Stroke::new(GREY, 1.0));
     }
 
-    /// A title above the panel.
+    /// Draws a title above the panel.
     pub fn draw_title(&self, svg: &mut Svg, title: &str) {
         let centre = self.corner[0] + 0.5 * self.size[0];
-        svg.text([centre, self.corner[1] - 9.0], title, Text::new(LARGE, Anchor::Middle).bold());
+        svg.text([centre, self.corner[1] - 9.0], title, Text { bold: true, ..Text::new(LARGE, Anchor::Middle) });
     }
 }
 
-/// Names of the sets with their lines, centred at a point.
+/// Draws the names of the sets with their lines and marks, centred at a point.
 pub fn draw_legend(svg: &mut Svg, at: [f64; 2], names: &[String]) {
     let width = |name: &String| 34.0 + 0.6 * LARGE * name.chars().count() as f64 + 28.0;
     let mut x = at[0] - 0.5 * (names.iter().map(width).sum::<f64>() - 28.0);
@@ -76,7 +80,7 @@ pub fn draw_legend(svg: &mut Svg, at: [f64; 2], names: &[String]) {
     }
 }
 
-/// A set's mark: circles for the first, squares for the second, then triangles and diamonds.
+/// Draws a set's mark: circles for the first, squares for the second, then triangles and diamonds.
 pub fn draw_mark(svg: &mut Svg, [x, y]: [f64; 2], set: usize, radius: f64, filled: bool) {
     let fill = if filled { colour(set) } else { "white" };
     let stroke = Stroke::new(colour(set), 1.2);
@@ -91,7 +95,7 @@ pub fn draw_mark(svg: &mut Svg, [x, y]: [f64; 2], set: usize, radius: f64, fille
     svg.outline(corners, stroke);
 }
 
-/// A cross where something is marked.
+/// Draws a cross.
 pub fn draw_cross(svg: &mut Svg, centre: [f64; 2], radius: f64) {
     let [x, y] = centre;
     for sign in [-1.0, 1.0] {
@@ -99,7 +103,7 @@ pub fn draw_cross(svg: &mut Svg, centre: [f64; 2], radius: f64) {
     }
 }
 
-/// Round numbers within a range, about `count` of them.
+/// Returns about `count` round numbers within a range.
 pub fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
     let [low, high] = range;
     let span = high - low;
@@ -115,7 +119,7 @@ pub fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// A tick's number with as many digits as its neighbours need.
+/// Returns the text of a tick with as many digits as all ticks need.
 pub fn tick_text(tick: f64, all: &[f64]) -> String {
     let needs = |value: f64| {
         (0..=6).find(|digits| {
@@ -133,7 +137,7 @@ pub fn range(values: impl Iterator<Item = f64>) -> [f64; 2] {
     values.fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)])
 }
 
-/// A range that begins at zero, if all is positive, and ends a little above the largest value.
+/// Returns a range from zero, or a little below the least value if it is negative, to a little above the largest value.
 pub fn range_from_zero(values: impl Iterator<Item = f64>) -> [f64; 2] {
     let (low, high) = values.filter(|v| v.is_finite()).fold((0.0_f64, 0.0_f64), |(l, h), v| (l.min(v), h.max(v)));
     if high - low <= 0.0 { [0.0, 1.0] } else { [1.08 * low, 1.08 * high] }
@@ -153,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_panels_corners_are_its_ranges() {
+    fn panel_corners_are_its_ranges() {
         let panel = Panel { corner: [10.0, 20.0], size: [100.0, 50.0], x: [0.0, 2.0], y: [-1.0, 1.0] };
         assert_eq!(panel.at([0.0, -1.0]), [10.0, 70.0]);
         assert_eq!(panel.at([2.0, 1.0]), [110.0, 20.0]);

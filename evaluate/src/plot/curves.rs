@@ -1,30 +1,30 @@
-//! A quantity over time with mean and band, one panel for each set, on the same scale (Fig. 3).
+//! Curves with mean and band, one panel for each, all on the same scale (Fig. 3).
 
 use super::axes::{Panel, range};
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, GREY, INK, SMALL, WIDTH, colour};
 
-/// Mean and extremes of several runs.
+/// The mean and the extremes of several runs, with the annotations of their panel.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Curve {
-    /// Whose it is: decides its colour.
+    /// The index of the set, which decides the colour.
     pub set: usize,
-    /// Above it.
+    /// The title of the panel.
     pub title: String,
-    /// (time, mean, least, largest) in order of time.
+    /// The points (x, mean, least, largest) in order of x.
     pub points: Vec<[f64; 4]>,
-    /// A time to mark, with its label.
+    /// A value of x to mark, with its label.
     pub mark: Option<(f64, String)>,
-    /// A band to draw around a level: level, half-width.
+    /// A level and the half-width of a band around it; both edges are drawn.
     pub tolerance: Option<[f64; 2]>,
-    /// Draws the line on which both axes have the same value.
+    /// True to draw the line on which both axes have the same value.
     pub diagonal: bool,
 }
 
-/// Height of a row of panels \[px\].
+/// The height of a row of panels \[px\].
 const ROW: f64 = 300.0;
 
-/// Draws all curves, two side by side.
+/// Draws all curves, two panels in a row.
 pub fn draw(title: &str, curves: &[Curve], x_label: &str, y_label: &str) -> String {
     let mut svg = Svg::new(WIDTH, ROW * curves.len().div_ceil(2) as f64);
     let points = || curves.iter().flat_map(|curve| &curve.points);

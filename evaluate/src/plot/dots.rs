@@ -1,4 +1,4 @@
-//! Quantities by condition: mean and ± standard deviation of all sets, and every seed as a small mark.
+//! Quantities by condition: mean ± standard deviation of each set, and each seed as a small hollow mark.
 
 use super::axes::{Panel, draw_legend, draw_mark, range_from_zero};
 use super::svg::{Anchor, Stroke, Svg, Text};
@@ -6,26 +6,26 @@ use super::{GREY, PALE, SMALL, WIDTH, colour};
 use crate::Quantity;
 use crate::statistics::{PerSeed, Spread};
 
-/// Height of a set's part of a condition's line \[px\].
+/// The height of a set within the row of a condition \[px\].
 const SET: f64 = 14.0;
 
-/// Height of a condition's line \[px\].
-fn line_of(sets: usize) -> f64 {
+/// Returns the height of the row of a condition \[px\].
+fn row_height(sets: usize) -> f64 {
     SET * sets as f64 + 6.0
 }
 
-/// A panel: one quantity.
+/// A panel with one quantity.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dots {
-    /// Along x.
+    /// The quantity along x.
     pub quantity: Quantity,
-    /// By condition, by set.
+    /// The values by condition, then by set.
     pub rows: Vec<Vec<PerSeed>>,
 }
 
-/// Draws panels side by side with the conditions in lines. `labels` has one text for each line.
+/// Draws panels side by side with a row for each condition. `labels` has one text for each row.
 pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String]) -> String {
-    let line = line_of(names.len());
+    let line = row_height(names.len());
     let height = line * labels.len() as f64;
     let mut svg = Svg::new(WIDTH, height + 92.0);
     let longest = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0) as f64;
@@ -38,7 +38,7 @@ pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String]) -
     }
     for (index, dots) in panels.iter().enumerate() {
         let scale = dots.quantity.scale();
-        let reach = |values: &PerSeed| Spread::of(values).map(|spread| spread.mean + spread.sd.unwrap_or(0.0));
+        let reach = |values: &PerSeed| Spread::from_values(values).map(|spread| spread.mean + spread.sd.unwrap_or(0.0));
         let rows = || dots.rows.iter().flatten();
         let values = rows().flat_map(|values| values.values().copied()).chain(rows().filter_map(reach));
         let values = values.map(|value| scale * value);
@@ -65,16 +65,16 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
     for (row, sets) in dots.rows.iter().enumerate() {
         for (set, values) in sets.iter().enumerate() {
             let from_middle = SET * (set as f64 - 0.5 * (sets.len() as f64 - 1.0));
-            let y = top + line_of(sets.len()) * (row as f64 + 0.5) + from_middle;
-            // A standard deviation may reach beyond what is possible, and then beyond the panel.
+            let y = top + row_height(sets.len()) * (row as f64 + 0.5) + from_middle;
+            // A standard deviation may reach beyond possible values and so beyond the panel.
             let at = |value: f64| [panel.at([scale * value, 0.0])[0].clamp(left, left + panel.size[0]), y];
             if values.len() > 1 {
                 for value in values.values() {
                     draw_mark(svg, at(*value), set, 2.2, false);
                 }
             }
-            let Some(spread) = Spread::of(values) else {
-                svg.text([left + 5.0, y + 4.0], "no value", Text::new(SMALL, Anchor::Start).coloured(GREY));
+            let Some(spread) = Spread::from_values(values) else {
+                svg.text([left + 5.0, y + 4.0], "no value", Text { colour: GREY, ..Text::new(SMALL, Anchor::Start) });
                 continue;
             };
             let sd = spread.sd.unwrap_or(0.0);

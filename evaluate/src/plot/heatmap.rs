@@ -1,11 +1,11 @@
-//! Heat maps, two side by side, with the contour of a level (Fig. 2).
+//! Heat maps, two in a row, with the contour of a level (Fig. 2).
 
 use super::axes::Panel;
 use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{GREY, INK, SMALL, WIDTH};
-use crate::grid::Grid;
+use crate::square_grid::SquareGrid;
 
-/// Viridis at equal steps: of equal lightness differences, also without colour.
+/// The colour map Viridis at equal steps, whose lightness differences are equal, also in grey (red, green, blue).
 const COLOURS: [[f64; 3]; 9] = [
     [68.0, 1.0, 84.0],
     [71.0, 45.0, 123.0],
@@ -18,19 +18,19 @@ const COLOURS: [[f64; 3]; 9] = [
     [253.0, 231.0, 37.0],
 ];
 
-/// A map with its title.
+/// A heat map with its title.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Map<'a> {
-    /// Above it.
+    /// The title above the map.
     pub title: String,
-    /// Fractions, 0 to 1.
-    pub grid: &'a Grid,
+    /// The fractions, 0 to 1.
+    pub grid: &'a SquareGrid,
 }
 
-/// Height of a row of maps \[px\].
+/// The height of a row of maps \[px\].
 const ROW: f64 = 366.0;
 
-/// Draws all maps; the grid's first coordinate runs to the right, its second up.
+/// Draws all maps. The grid's first coordinate runs to the right, its second up; `labels` are those of x, y and the scale.
 pub fn draw(title: &str, maps: &[Map], level: f64, labels: [&str; 3]) -> String {
     let mut svg = Svg::new(WIDTH, ROW * maps.len().div_ceil(2) as f64);
     let side = 278.0;
@@ -47,15 +47,15 @@ pub fn draw(title: &str, maps: &[Map], level: f64, labels: [&str; 3]) -> String 
     svg.finish(title)
 }
 
-/// Cells are centred on their grid points, so that the panel reaches half a cell beyond the grid.
-fn panel(corner: [f64; 2], side: f64, grid: &Grid) -> Panel {
+/// Returns the panel of a grid. Cells are centred on their grid points, so it reaches half a cell beyond the grid.
+fn panel(corner: [f64; 2], side: f64, grid: &SquareGrid) -> Panel {
     let last = grid.coordinates.len() - 1;
     let half = 0.5 * (grid.coordinates[1] - grid.coordinates[0]);
     let range = [grid.coordinates[0] - half, grid.coordinates[last] + half];
     Panel { corner, size: [side, side], x: range, y: range }
 }
 
-fn draw_map(svg: &mut Svg, panel: &Panel, grid: &Grid, level: f64) {
+fn draw_map(svg: &mut Svg, panel: &Panel, grid: &SquareGrid, level: f64) {
     let half = 0.5 * (grid.coordinates[1] - grid.coordinates[0]);
     let side = grid.coordinates.len();
     for (index, value) in grid.values.iter().enumerate() {
@@ -68,7 +68,7 @@ fn draw_map(svg: &mut Svg, panel: &Panel, grid: &Grid, level: f64) {
         let height = opposite[1] - corner[1] + under(index % side > 0);
         svg.rectangle(corner, [width, height], &colour(*value));
     }
-    // White under black is seen on every colour.
+    // White under black is visible on every colour.
     let segments = grid.contour(level);
     for stroke in [Stroke::new("#ffffff", 4.5), Stroke::new(INK, 2.0)] {
         for [from, to] in &segments {
@@ -94,7 +94,7 @@ fn draw_labels(svg: &mut Svg, panel: &Panel, x_label: &str, y_label: Option<&str
     svg.text([centre, bottom + 36.0], x_label, Text::new(SMALL, Anchor::Middle));
     if let Some(label) = y_label {
         let middle = panel.corner[1] + 0.5 * panel.size[1];
-        svg.text([panel.corner[0] - 42.0, middle], label, Text::new(SMALL, Anchor::Middle).upwards());
+        svg.text([panel.corner[0] - 42.0, middle], label, Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) });
     }
 }
 
@@ -114,7 +114,7 @@ fn draw_scale(svg: &mut Svg, corner: [f64; 2], height: f64, level: f64, label: &
         svg.line([corner[0], y], [corner[0] + width, y], stroke);
     }
     let at = [corner[0] + width + 44.0, corner[1] + 0.5 * height];
-    svg.text(at, label, Text::new(SMALL, Anchor::Middle).upwards());
+    svg.text(at, label, Text { upwards: true, ..Text::new(SMALL, Anchor::Middle) });
 }
 
 fn colour(fraction: f64) -> String {

@@ -1,13 +1,32 @@
-//! PNG from the figures' SVG, with a font of our own, so that it is the same on every machine.
+//! PNG files from SVG figures, with an embedded font, so that they are the same on every machine.
 
 use std::sync::Arc;
 
 use resvg::{tiny_skia, usvg};
 
-/// Pixels of the PNG per pixel of the drawing: about 300 per inch at 7 inches.
+/// The number of pixels of the PNG per pixel of the figure: about 300 per inch at a width of 7 inches.
 const SCALE: f32 = 2.75;
 
-/// Renders drawings.
+/// The reason why a figure cannot be rendered as PNG.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// The text is not an SVG document.
+    #[error("the figure is not valid SVG: {0}")]
+    Svg(#[from] usvg::Error),
+    /// The picture is empty or too large for memory.
+    #[error("the figure cannot be rendered: {width} by {height} pixels")]
+    Size {
+        /// The width of the PNG \[px\].
+        width: u32,
+        /// The height of the PNG \[px\].
+        height: u32,
+    },
+    /// The picture cannot be encoded.
+    #[error("the figure cannot be rendered: {0}")]
+    Encode(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// Renders SVG figures as PNG.
 pub struct Renderer {
     options: usvg::Options<'static>,
 }
@@ -23,18 +42,16 @@ impl Default for Renderer {
 }
 
 impl Renderer {
-    /// The bytes of a PNG file.
+    /// Returns the bytes of a PNG file.
     ///
     /// # Errors
-    /// In words: it is not SVG, is larger than a picture can be, or does not encode.
-    pub fn png(&self, svg: &str) -> Result<Vec<u8>, String> {
-        let tree = usvg::Tree::from_str(svg, &self.options);
-        let tree = tree.map_err(|error| format!("the figure is not valid SVG: {error}"))?;
+    /// The text is not SVG, or the picture is too large or cannot be encoded.
+    pub fn png(&self, svg: &str) -> Result<Vec<u8>, RenderError> {
+        let tree = usvg::Tree::from_str(svg, &self.options)?;
         let size = tree.size();
         let (width, height) = ((SCALE * size.width()).round() as u32, (SCALE * size.height()).round() as u32);
-        let mut picture = tiny_skia::Pixmap::new(width, height)
-            .ok_or_else(|| format!("the figure cannot be rendered: {width} by {height} pixels"))?;
+        let mut picture = tiny_skia::Pixmap::new(width, height).ok_or(RenderError::Size { width, height })?;
         resvg::render(&tree, tiny_skia::Transform::from_scale(SCALE, SCALE), &mut picture.as_mut());
-        picture.encode_png().map_err(|error| format!("the figure cannot be rendered: {error}"))
+        picture.encode_png().map_err(|error| RenderError::Encode(error.into()))
     }
 }

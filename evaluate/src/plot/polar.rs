@@ -1,4 +1,4 @@
-//! A quantity by direction, all sets over one another, mean and ± standard deviation (Figs. 4 and 5).
+//! A quantity by direction: mean ± standard deviation of all sets in one panel (Figs. 4 and 5).
 
 use std::f64::consts::TAU;
 
@@ -7,28 +7,28 @@ use super::svg::{Anchor, Stroke, Svg, Text};
 use super::{BAND, GREY, LARGE, PALE, SMALL, WIDTH, colour, line};
 use crate::statistics::Spread;
 
-/// Radius of a panel \[px\].
+/// The radius of a panel \[px\].
 const RADIUS: f64 = 134.0;
 
-/// A panel: for each set, the quantity in directions that divide the circle evenly, counter-clockwise from forward.
+/// A panel with a quantity in directions that divide the circle evenly, counter-clockwise from forward.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Polar {
-    /// Above it.
+    /// The title above the panel.
     pub title: String,
-    /// By set, by direction; none where it is not defined.
+    /// The values by set, then by direction; none where a value is undefined.
     pub sets: Vec<Vec<Option<Spread>>>,
 }
 
-/// Which panels have the same scale. All sets always have.
+/// The scales of the panels; all sets of a panel share one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scales {
-    /// All of them.
+    /// All panels have the same scale.
     Shared,
-    /// Each has its own.
+    /// Each panel has its own scale.
     Own,
 }
 
-/// Directions that divide the circle evenly, counter-clockwise from forward \[deg\].
+/// Returns directions that divide the circle evenly, counter-clockwise from forward \[deg\].
 pub fn evenly(count: u32) -> impl Iterator<Item = f64> {
     (0..count).map(move |k| 360.0 * f64::from(k) / f64::from(count))
 }
@@ -38,8 +38,8 @@ pub fn draw(title: &str, panels: &[Polar], names: &[String], axis: &str, scales:
     let mut svg = Svg::new(WIDTH, 410.0);
     for (index, panel) in panels.iter().enumerate() {
         let scale = match scales {
-            Scales::Shared => Scale::of(panels),
-            Scales::Own => Scale::of(std::slice::from_ref(panel)),
+            Scales::Shared => Scale::new(panels),
+            Scales::Own => Scale::new(std::slice::from_ref(panel)),
         };
         let centre = [WIDTH * (index as f64 + 0.5) / panels.len() as f64 - 6.0, 188.0];
         draw_rings(&mut svg, centre, scale, axis);
@@ -47,7 +47,7 @@ pub fn draw(title: &str, panels: &[Polar], names: &[String], axis: &str, scales:
             draw_set(&mut svg, centre, scale, values, set);
         }
         draw_ring_labels(&mut svg, centre, scale);
-        svg.text([centre[0], 20.0], &panel.title, Text::new(LARGE, Anchor::Middle).bold());
+        svg.text([centre[0], 20.0], &panel.title, Text { bold: true, ..Text::new(LARGE, Anchor::Middle) });
     }
     draw_legend(&mut svg, [WIDTH * 0.5, 400.0], names);
     svg.finish(title)
@@ -61,9 +61,9 @@ struct Scale {
 }
 
 impl Scale {
-    fn of(panels: &[Polar]) -> Self {
+    fn new(panels: &[Polar]) -> Self {
         let spreads = panels.iter().flat_map(|panel| panel.sets.iter().flatten().flatten());
-        // A band reaches below zero only where means do: a time that varies much is not negative for that.
+        // A band reaches below zero only if a mean does: times that vary much are not negative.
         let is_signed = spreads.clone().any(|spread| spread.mean < 0.0);
         let ends = spreads.flat_map(|spread| {
             let sd = spread.sd.unwrap_or(0.0);
@@ -84,11 +84,11 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
         let angle = TAU * f64::from(spoke) / 8.0;
         svg.line(scale.at(centre, angle, scale.low), scale.at(centre, angle, scale.high), Stroke::new(PALE, 1.0));
     }
-    let rings = ring_values(scale);
+    let rings = ticks([scale.low, scale.high], 5);
     let lowest = rings.first().copied().unwrap_or(0.0);
     for ring in rings.iter().filter(|ring| **ring > scale.low + 1e-9) {
         let radius = RADIUS * (ring - scale.low) / (scale.high - scale.low);
-        // Zero stands out when there is something inside it.
+        // The ring of zero is darker if there are negative values inside it.
         let colour = if *ring == 0.0 && lowest < 0.0 { GREY } else { PALE };
         svg.circle(centre, radius, "none", Stroke::new(colour, 1.0));
     }
@@ -99,21 +99,17 @@ fn draw_rings(svg: &mut Svg, centre: [f64; 2], scale: Scale, axis: &str) {
     svg.text([centre[0], centre[1] - out], "left", style(Anchor::Middle));
     svg.text([centre[0] - out, centre[1] + 4.0], "back", style(Anchor::End));
     svg.text([centre[0], centre[1] + out + 9.0], "right", style(Anchor::Middle));
-    svg.text([centre[0], centre[1] + out + 26.0], axis, style(Anchor::Middle).coloured(GREY));
+    svg.text([centre[0], centre[1] + out + 26.0], axis, Text { colour: GREY, ..style(Anchor::Middle) });
 }
 
-fn ring_values(scale: Scale) -> Vec<f64> {
-    ticks([scale.low, scale.high], 5)
-}
-
-/// Values of the rings, over everything else.
+/// Draws the values of the rings, over everything else.
 fn draw_ring_labels(svg: &mut Svg, centre: [f64; 2], scale: Scale) {
-    let rings = ring_values(scale);
-    // Not where a direction is drawn.
+    let rings = ticks([scale.low, scale.high], 5);
+    // An angle between two directions.
     let angle = TAU / 16.0 + TAU / 64.0;
     for ring in rings.iter().filter(|ring| **ring > scale.low + 0.05 * (scale.high - scale.low)) {
         let [x, y] = scale.at(centre, angle, *ring);
-        svg.text([x, y + 4.0], &tick_text(*ring, &rings), Text::new(SMALL, Anchor::Middle).rimmed());
+        svg.text([x, y + 4.0], &tick_text(*ring, &rings), Text { rimmed: true, ..Text::new(SMALL, Anchor::Middle) });
     }
 }
 

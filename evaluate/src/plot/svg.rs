@@ -1,8 +1,8 @@
-//! A small writer of SVG: just what the figures need, with attributes that every viewer and rasteriser knows.
+//! A small SVG writer for the figures, with attributes that every viewer and rasteriser supports.
 
 use std::fmt::Write as _;
 
-/// A drawing that is being written. Lengths in pixels, y down.
+/// An SVG drawing under construction. Lengths are in pixels, y points down.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Svg {
     width: f64,
@@ -10,32 +10,32 @@ pub struct Svg {
     body: String,
 }
 
-/// How a line looks.
+/// The style of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stroke {
     /// The colour as `#rrggbb`.
     pub colour: &'static str,
-    /// \[px\]
+    /// The width of the line \[px\].
     pub width: f64,
-    /// `stroke-dasharray`, empty for a full line.
+    /// The `stroke-dasharray`, empty for a solid line.
     pub dash: &'static str,
-    /// 0 to 1.
+    /// The opacity, 0 to 1.
     pub opacity: f64,
 }
 
 impl Stroke {
-    /// A full line.
+    /// Creates a solid, opaque line.
     pub const fn new(colour: &'static str, width: f64) -> Self {
         Stroke { colour, width, dash: "", opacity: 1.0 }
     }
 
-    /// The same, dashed.
+    /// Sets the dashes.
     pub const fn dashed(mut self, dash: &'static str) -> Self {
         self.dash = dash;
         self
     }
 
-    /// The same, see-through.
+    /// Sets the opacity, 0 to 1.
     pub const fn faint(mut self, opacity: f64) -> Self {
         self.opacity = opacity;
         self
@@ -53,67 +53,43 @@ impl Stroke {
     }
 }
 
-/// Where a text's given point is.
+/// The place of a text's given point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Anchor {
-    /// At its left end.
+    /// The left end of the text.
     Start,
     /// The middle of the text.
     Middle,
-    /// At its right end.
+    /// The right end of the text.
     End,
 }
 
-/// How a text looks.
+/// The style of a text.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Text {
-    /// \[px\]
+    /// The font size \[px\].
     pub size: f64,
     /// The colour as `#rrggbb`.
     pub colour: &'static str,
-    /// Heavier.
+    /// True for bold text.
     pub bold: bool,
-    /// Where the point is.
+    /// The place of the given point in the text.
     pub anchor: Anchor,
-    /// Reads upwards.
+    /// True for text that reads upwards.
     pub upwards: bool,
-    /// Draws a white rim, so that the text can be read over lines.
+    /// True for a white rim, which keeps text readable over lines.
     pub rimmed: bool,
 }
 
 impl Text {
-    /// Dark, regular, level.
+    /// Creates a dark, regular, horizontal text style.
     pub const fn new(size: f64, anchor: Anchor) -> Self {
         Text { size, colour: super::INK, bold: false, anchor, upwards: false, rimmed: false }
-    }
-
-    /// Sets the colour.
-    pub const fn coloured(mut self, colour: &'static str) -> Self {
-        self.colour = colour;
-        self
-    }
-
-    /// Heavier.
-    pub const fn bold(mut self) -> Self {
-        self.bold = true;
-        self
-    }
-
-    /// Adds a white rim.
-    pub const fn rimmed(mut self) -> Self {
-        self.rimmed = true;
-        self
-    }
-
-    /// Reads upwards.
-    pub const fn upwards(mut self) -> Self {
-        self.upwards = true;
-        self
     }
 }
 
 impl Svg {
-    /// An empty white drawing.
+    /// Creates an empty white drawing.
     pub fn new(width: f64, height: f64) -> Self {
         Svg { width, height, body: String::new() }
     }
@@ -124,7 +100,7 @@ impl Svg {
         self.body.push('\n');
     }
 
-    /// A line from one point to another.
+    /// Adds a line from one point to another.
     pub fn line(&mut self, from: [f64; 2], to: [f64; 2], stroke: Stroke) {
         let ([x1, y1], [x2, y2]) = (from, to);
         self.add(format_args!(
@@ -133,17 +109,17 @@ impl Svg {
         ));
     }
 
-    /// A line through points.
+    /// Adds a line through points.
     pub fn polyline(&mut self, points: &[[f64; 2]], stroke: Stroke) {
         self.add(format_args!(r#"<polyline points="{}" fill="none" {}/>"#, list(points), stroke.attributes()));
     }
 
-    /// A closed line through points.
+    /// Adds a closed line through points.
     pub fn outline(&mut self, points: &[[f64; 2]], stroke: Stroke) {
         self.add(format_args!(r#"<polygon points="{}" fill="none" {}/>"#, list(points), stroke.attributes()));
     }
 
-    /// A filled area within closed lines; where two overlap, it is empty.
+    /// Adds a filled area within closed lines; where two lines overlap, it is empty.
     pub fn area(&mut self, loops: &[&[[f64; 2]]], colour: &str, opacity: f64) {
         let path: String =
             loops.iter().filter(|points| !points.is_empty()).map(|points| format!("M{}Z", list(points))).collect();
@@ -152,7 +128,7 @@ impl Svg {
         ));
     }
 
-    /// A filled rectangle. Its edges are not smoothed, so that neighbours meet without a seam.
+    /// Adds a filled rectangle. Its edges are not smoothed, so that neighbours meet without a seam.
     pub fn rectangle(&mut self, corner: [f64; 2], size: [f64; 2], colour: &str) {
         self.add(format_args!(
             r#"<rect x="{:.2}" y="{:.2}" width="{:.2}" height="{:.2}" fill="{colour}" shape-rendering="crispEdges"/>"#,
@@ -160,7 +136,7 @@ impl Svg {
         ));
     }
 
-    /// A circle; `fill` may be `none`.
+    /// Adds a circle; `fill` may be `none`.
     pub fn circle(&mut self, centre: [f64; 2], radius: f64, fill: &str, stroke: Stroke) {
         self.add(format_args!(
             r#"<circle cx="{:.2}" cy="{:.2}" r="{radius:.2}" fill="{fill}" {}/>"#,
@@ -170,7 +146,7 @@ impl Svg {
         ));
     }
 
-    /// A text on the line through its point.
+    /// Adds a text whose baseline goes through its point.
     pub fn text(&mut self, at: [f64; 2], text: &str, style: Text) {
         let [x, y] = at;
         let anchor = match style.anchor {
@@ -193,7 +169,7 @@ impl Svg {
         ));
     }
 
-    /// The finished drawing; `title` is read out instead of it.
+    /// Returns the SVG document; screen readers read `title`.
     pub fn finish(self, title: &str) -> String {
         let Svg { width, height, body } = self;
         format!(
@@ -211,7 +187,7 @@ fn list(points: &[[f64; 2]]) -> String {
     points.iter().map(|[x, y]| format!("{x:.2},{y:.2}")).collect::<Vec<_>>().join(" ")
 }
 
-/// Text as it may stand in XML and HTML.
-pub fn escaped(text: &str) -> String {
+/// Returns a text with the characters replaced that XML reserves.
+fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,31 +1,31 @@
-//! Paths of the robot past a box, seen from above, one panel for each set (Fig. 6).
+//! The paths of the robot past a box, seen from above, one panel for each set (Fig. 6).
 
 use super::axes::Panel;
 use super::svg::{Stroke, Svg};
 use super::{GREY, INK, WIDTH, colour};
 
-/// Where a box stands: x \[m\], y \[m\], yaw \[rad\].
+/// The pose of a box: x \[m\], y \[m\], yaw \[rad\].
 pub type BoxPose = [f64; 3];
 
-/// One run.
+/// The path of the robot and the poses of the box in one trial.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Run {
-    /// The trunk's path \[m\].
+    /// The trunk's path (x, y) \[m\].
     pub path: Vec<[f64; 2]>,
-    /// The box before.
+    /// The pose of the box at the start.
     pub first: BoxPose,
-    /// The box after.
+    /// The pose of the box at the end.
     pub last: BoxPose,
     /// True if the robot fell at the end of the path.
     pub fell: bool,
 }
 
-/// Runs of one set; the first is drawn in full, the others faintly.
+/// The runs of one set. The first is drawn in full, the others faintly.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {
-    /// Above it.
+    /// The title above the panel.
     pub title: String,
-    /// The paths in the order of trials.
+    /// The runs in the order of trials.
     pub runs: Vec<Run>,
 }
 
@@ -36,7 +36,7 @@ pub fn draw(title: &str, views: &[View], box_size_m: f64) -> String {
         points().map(|point| point[axis]).fold([-0.4_f64, 0.4], |[low, high], v| [low.min(v - 0.1), high.max(v + 0.1)])
     };
     let (x, y) = (range(0), range(1));
-    // Not higher than a page.
+    // The figure must fit a page.
     let (left, most) = (62.0, [WIDTH - 62.0 - 14.0, 330.0]);
     let scale = (most[0] / (x[1] - x[0])).min(most[1] / (y[1] - y[0]));
     let [width, height] = [scale * (x[1] - x[0]), scale * (y[1] - y[0])];
@@ -88,7 +88,7 @@ fn draw_run(svg: &mut Svg, panel: &Panel, run: &Run, set: usize, size_m: f64, in
     }
 }
 
-/// Pixels of a point, kept inside the panel.
+/// Returns the pixels of a point, clamped to the panel.
 fn clipped(panel: &Panel, point: [f64; 2]) -> [f64; 2] {
     let inside = |value: f64, [low, high]: [f64; 2]| value.clamp(low, high);
     panel.at([inside(point[0], panel.x), inside(point[1], panel.y)])

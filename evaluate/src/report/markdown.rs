@@ -1,9 +1,9 @@
 //! Tables as Markdown, and the document of all claims.
 
-use super::{Report, beside, duration};
-use crate::findings::{Claim, Row, Table, difference, percent, spread};
+use super::{Report, duration, other_reports, samples_text};
+use crate::section_content::{Claim, Row, Table, difference, percent, spread};
 
-/// Cells of a row: condition, quantity, the paper's numbers, ours of each set, difference, relative change.
+/// Returns the cells of a row: condition, quantity, the paper's numbers, the numbers of each set, difference, relative change.
 pub fn cells(row: &Row) -> Vec<String> {
     let c = &row.comparison;
     let mut cells = vec![row.condition.clone(), row.quantity.axis(), row.paper.clone()];
@@ -13,13 +13,13 @@ pub fn cells(row: &Row) -> Vec<String> {
     cells
 }
 
-/// Titles of these columns.
+/// Returns the column titles of [`cells`].
 pub fn columns(names: &[String]) -> Vec<String> {
-    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [%]"]);
+    let [difference, relative] = with_pair_names(names, ["difference [95 % interval]", "relative [%]"]);
     titled(["condition", "quantity", "paper (compliant / baseline)"], names, [difference, relative])
 }
 
-/// Cells of a claim: what the paper says, its numbers, ours of each set, difference, relative change, the verdict.
+/// Returns the cells of a claim: its text, the paper's numbers, the numbers of each set, difference, relative change, verdict.
 pub fn claim_cells(claim: &Claim) -> Vec<String> {
     let (c, quantity) = (&claim.comparison, claim.quantity);
     let unit = if quantity.unit.is_empty() { String::new() } else { format!(" {}", quantity.unit) };
@@ -33,15 +33,15 @@ pub fn claim_cells(claim: &Claim) -> Vec<String> {
     cells
 }
 
-/// Titles of these columns.
+/// Returns the column titles of [`claim_cells`].
 pub fn claim_columns(names: &[String]) -> Vec<String> {
-    let [difference, relative] = of_pair(names, ["difference [95 % interval]", "relative [95 % interval]"]);
+    let [difference, relative] = with_pair_names(names, ["difference [95 % interval]", "relative [95 % interval]"]);
     let paper = ["the paper's claim", "its numbers (compliant / baseline)"];
     titled(paper, names, [difference, relative, "verdict".into()])
 }
 
-/// Replaces the set names in titles when more than two sets are compared.
-fn of_pair<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
+/// Adds the names of the two compared sets to titles if there are more than two sets.
+fn with_pair_names<const N: usize>(names: &[String], titles: [&str; N]) -> [String; N] {
     titles.map(|title| match names {
         [a, b, _, ..] => format!("{title}, {a} and {b}"),
         _ => title.to_owned(),
@@ -52,16 +52,16 @@ fn titled<const N: usize>(first: [&str; N], names: &[String], last: impl IntoIte
     first.map(ToOwned::to_owned).into_iter().chain(names.iter().cloned()).chain(last).collect()
 }
 
-/// A table with its caption.
+/// Returns a table with its caption.
 pub fn table(table: &Table, names: &[String]) -> String {
     let rows = table.rows.iter().map(cells);
     format!("{}\n\n{}", table.caption, grid(&columns(names), rows))
 }
 
-/// The claims of all experiments.
+/// Returns the table of the claims of all experiments.
 pub fn claims(report: &Report) -> String {
     let rows = report.sections.iter().flat_map(|section| {
-        section.findings.claims.iter().map(|claim| {
+        section.content.claims.iter().map(|claim| {
             let mut cells = claim_cells(claim);
             cells.insert(0, format!("{} {}", section.info.id, section.info.paper));
             cells
@@ -72,20 +72,20 @@ pub fn claims(report: &Report) -> String {
     grid(&columns, rows)
 }
 
-/// The claims here and in other reports.
-pub fn beside_table(report: &Report) -> String {
-    let (columns, rows) = beside::table(report);
+/// Returns the table of the claims here and in other reports.
+pub fn other_reports_table(report: &Report) -> String {
+    let (columns, rows) = other_reports::table(report);
     grid(&columns, rows.into_iter())
 }
 
-/// `research/results.md`, which looks for its figures in `images/`.
+/// Returns the document of all claims (`research/results.md`), whose figures are in `images/`.
 pub fn document(report: &Report) -> String {
     let mut text = format!(
         "# The paper's claims and our numbers\n\n\
          Made by `{}`; not edited by hand. [experiments.md](../docs/experiments.md) defines every number. A cell is the mean ± \
          standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
          intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
-        report.command.of(None),
+        report.command.text(None),
         report.names.join(" and "),
         report.protocol,
         report.revisions().join(", "),
@@ -93,7 +93,7 @@ pub fn document(report: &Report) -> String {
         claims(report)
     );
     let of_section = |section: &super::Section| {
-        section.findings.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
+        section.content.notes.iter().map(|note| format!("- {}: {note}\n", section.info.id)).collect::<String>()
     };
     let mut notes: String = report.sections.iter().map(of_section).collect();
     notes.extend(report.notes.iter().map(|note| format!("- {note}\n")));
@@ -104,8 +104,13 @@ pub fn document(report: &Report) -> String {
     if !notes.is_empty() {
         text.push_str(&format!("\n{notes}"));
     }
-    if !report.beside.is_empty() {
-        text.push_str(&format!("\n## {}\n\n{}\n\n{}", beside::TITLE, beside::CAPTION, beside_table(report)));
+    if !report.other_reports.is_empty() {
+        text.push_str(&format!(
+            "\n## {}\n\n{}\n\n{}",
+            other_reports::TITLE,
+            other_reports::CAPTION,
+            other_reports_table(report)
+        ));
     }
     for figure in report.figures_of_document() {
         text.push_str(&format!("\n![{0}](images/{0}.png)\n\n{1}\n", figure.name, figure.caption));
@@ -121,13 +126,13 @@ pub fn document(report: &Report) -> String {
         }
     }
     text.push_str("\n## Policies\n\n");
-    let rows = report.policies.iter().map(|policy| {
+    let rows = report.policies.members().map(|(set, member)| {
         vec![
-            policy.set.clone(),
-            policy.seed.to_string(),
-            policy.config.clone(),
-            policy.samples(),
-            format!("`{}`", &policy.sha256[..16.min(policy.sha256.len())]),
+            set.name.clone(),
+            member.seed.to_string(),
+            member.config_name().to_owned(),
+            samples_text(member),
+            format!("`{}`", &member.agent.sha256[..16.min(member.agent.sha256.len())]),
         ]
     });
     let columns = ["set", "seed", "configuration", "samples", "sha256"].map(ToOwned::to_owned);
@@ -137,7 +142,7 @@ pub fn document(report: &Report) -> String {
         let counts = [
             format!("{} {}", section.info.id, section.info.title),
             section.conditions.to_string(),
-            section.trials.to_string(),
+            section.info.trials.to_string(),
         ];
         let falls = section.ends.iter().map(|ends| format!("{} of {}", ends.falls, ends.trials));
         counts.into_iter().chain(falls).collect()
@@ -148,15 +153,19 @@ pub fn document(report: &Report) -> String {
     text
 }
 
-/// A Markdown table. Columns that are empty throughout are left out.
+/// Returns a Markdown table without the columns that are empty throughout.
 fn grid(columns: &[String], rows: impl Iterator<Item = Vec<String>>) -> String {
     let rows: Vec<Vec<String>> = rows.collect();
-    let used: Vec<usize> =
-        (0..columns.len()).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect();
+    let used = used_columns(columns.len(), &rows);
     let line = |cells: &[String]| {
         let cells: Vec<String> = used.iter().map(|column| cells[*column].replace('|', "\\|")).collect();
         format!("| {} |\n", cells.join(" | "))
     };
     let ruler = format!("|{}\n", "---|".repeat(used.len()));
     format!("{}{ruler}{}", line(columns), rows.iter().map(|row| line(row)).collect::<String>())
+}
+
+/// Returns the indices of the columns in which a row has text.
+pub fn used_columns(columns: usize, rows: &[Vec<String>]) -> Vec<usize> {
+    (0..columns).filter(|column| rows.iter().any(|row| !row[*column].is_empty())).collect()
 }

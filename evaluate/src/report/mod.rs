@@ -1,34 +1,34 @@
 /*! The report: one page that opens offline, every figure and table as files, and every number as JSON.
 
-`summary.json` holds nothing that differs between two runs of the same evaluation: no times, no paths, maps in order,
-numbers to six digits. Durations and the command stand in the page only.
+`summary.json` is the same for two runs of the same evaluation: it has no times and no paths, maps are in order, and numbers
+have six digits. Durations and the command are in the page only.
 */
 
-pub mod beside;
+mod csv_tables;
 mod html;
 mod markdown;
+pub mod other_reports;
 mod summary;
-mod tables;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use self::beside::Beside;
-use super::findings::{Figure, Findings, Table};
-use super::plot::png::Renderer;
-use super::policy_sets::Contest;
-use super::results::Ends;
+use self::other_reports::OtherReport;
+use super::plot::png::{RenderError, Renderer};
+use super::policy_sets::{PolicySets, SetMember};
+use super::results::EndCounts;
 use super::runner::Measurement;
-use super::sensing::SensingFindings;
-use super::{Experiment, Info};
-use supple::policy::Provenance;
+use super::section_content::{Figure, SectionContent, Table};
+use super::sensing::SensingComparison;
+use super::{Experiment, ExperimentInfo};
 use supple::util::files;
 
-/// Why the report was not written.
+/// The reason why a report was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
-    /// Writing failed.
+    /// A file cannot be written.
     #[error("cannot write {}: {source}", path.display())]
     Write {
         /// The file.
@@ -36,45 +36,28 @@ pub enum ReportError {
         /// The system's reason.
         source: io::Error,
     },
-    /// A figure could not be rendered.
-    #[error("figure {name}: {problem}")]
+    /// A figure cannot be rendered as PNG.
+    #[error("figure {name}: {source}")]
     Figure {
-        /// The policy's name.
+        /// The figure's name.
         name: String,
-        /// Why.
-        problem: String,
+        /// The reason.
+        source: RenderError,
     },
-}
-
-/// A policy as the report names it.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct PolicyLine {
-    /// Name of its set.
-    pub set: String,
-    /// By which it is paired.
-    pub seed: u64,
-    /// Identity.
-    pub sha256: String,
-    /// Name of its configuration.
-    pub config: String,
-    /// Samples it has seen; none of an external policy.
-    pub samples: Option<u64>,
-    /// Revision of the program that trained it.
-    pub revision: String,
 }
 
 /// The command line that makes a report.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Command {
-    /// The experiments asked for; empty for all.
+pub struct CommandLine {
+    /// The requested experiments; empty for all.
     pub experiments: Vec<String>,
     /// All other arguments, each quoted for a shell.
     pub options: Vec<String>,
 }
 
-impl Command {
+impl CommandLine {
     /// Returns the command line for one experiment, or for the whole report.
-    pub fn of(&self, experiment: Option<&str>) -> String {
+    pub fn text(&self, experiment: Option<&str>) -> String {
         let program = std::iter::once("cargo run --release --bin evaluate --");
         let experiments = self.experiments.iter().map(String::as_str).filter(|_| experiment.is_none());
         let words = program.chain(experiments).chain(experiment).chain(self.options.iter().map(String::as_str));
@@ -82,50 +65,48 @@ impl Command {
     }
 }
 
-/// One experiment in the report.
+/// The section of one experiment in the report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Section {
     /// The experiment's name, title and quantities.
-    pub info: Info,
+    pub info: ExperimentInfo,
     /// The experiment's parameters in the protocol.
     pub parameters: serde_json::Value,
-    /// Number of conditions.
+    /// The number of conditions.
     pub conditions: usize,
-    /// Trials of each condition with each policy.
-    pub trials: u32,
-    /// How the trials of each set ended.
-    pub ends: Vec<Ends>,
+    /// The number of trials of each set by how they ended.
+    pub ends: Vec<EndCounts>,
     /// The claims, tables and figures.
-    pub findings: Findings,
-    /// Time that its trials took \[s\].
+    pub content: SectionContent,
+    /// The time that the trials took \[s\].
     pub wall_s: f64,
-    /// Revisions of the programs that measured.
-    pub revisions: Vec<String>,
+    /// The revisions of the programs that measured.
+    pub revisions: BTreeSet<String>,
 }
 
 impl Section {
     /// Creates the section of an experiment from its measurement.
     pub fn new(experiment: &dyn Experiment, measurement: &Measurement) -> Self {
         let results = &measurement.results;
-        let mut findings = experiment.findings(results);
-        let ends: Vec<Ends> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
+        let mut content = experiment.content(results);
+        let ends: Vec<EndCounts> = (0..results.sets.len()).map(|set| results.ends(set)).collect();
         for (name, ends) in results.names.iter().zip(&ends) {
             if ends.trials > 0 && ends.falls == ends.trials {
-                findings
-                    .notes
-                    .push(format!("{name} fell in every trial: quantities that a fall leaves undefined are –."));
+                content.notes.push(format!(
+                    "{name} fell in every trial: quantities that a fall leaves undefined are shown as –."
+                ));
             }
             if ends.out_of_reach > 0 {
-                findings.notes.push(format!(
-                    "{} of {} trials of {name} were not played: not all of its policies can yield as far as they ask for.",
+                content.notes.push(format!(
+                    "{} of {} trials of {name} were not played: some of its policies do not support the commanded compliance.",
                     ends.out_of_reach,
                     ends.out_of_reach + ends.trials
                 ));
             }
             if ends.faults > 0 {
-                findings.notes.push(format!(
-                    "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no other \
-                     numbers.",
+                content.notes.push(format!(
+                    "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no \
+                     other numbers.",
                     ends.faults, ends.trials
                 ));
             }
@@ -135,103 +116,81 @@ impl Section {
             // Plain structs of numbers and lists.
             parameters: serde_json::to_value(experiment).unwrap_or_default(),
             conditions: results.conditions.len(),
-            trials: experiment.trials(),
             ends,
-            findings,
+            content,
             wall_s: measurement.wall_s,
             revisions: measurement.revisions.clone(),
         }
     }
 }
 
-/// The whole report.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Report {
-    /// Names of all sets; claims and differences are about the first two.
+/// The content of a report.
+#[derive(Debug)]
+pub struct Report<'a> {
+    /// The names of all sets; claims and differences compare the first two.
     pub names: Vec<String>,
-    /// All policies.
-    pub policies: Vec<PolicyLine>,
-    /// `full`, `quick` or a file.
+    /// The policies that were evaluated.
+    pub policies: &'a PolicySets,
+    /// The protocol: `full`, `quick` or a file name.
     pub protocol: String,
     /// The command line that makes this report.
-    pub command: Command,
+    pub command: CommandLine,
     /// Notes about the policies.
     pub notes: Vec<String>,
-    /// Finished experiments, in order.
+    /// The finished experiments in the order of the protocol.
     pub sections: Vec<Section>,
-    /// Experiments that are not finished.
-    pub missing: Vec<Info>,
+    /// The experiments that are not finished.
+    pub missing: Vec<ExperimentInfo>,
     /// E12: the experiments that were also run with estimated sensing.
-    pub sensing: SensingFindings,
-    /// Other reports whose numbers are shown beside these.
-    pub beside: Vec<Beside>,
+    pub sensing: SensingComparison,
+    /// Other reports whose claims are shown beside these.
+    pub other_reports: Vec<OtherReport>,
 }
 
-/// Reads a fact from the provenance of a policy file of Supple.
-fn origin<T>(member: &super::policy_sets::Contestant, of: impl Fn(&Provenance) -> T) -> Option<T> {
-    member.agent.policy().map(|policy| of(&policy.provenance))
+/// Returns the number of training samples of a policy as text.
+fn samples_text(member: &SetMember) -> String {
+    member.samples().map_or("–".to_owned(), |samples| format!("{:.1} M", samples as f64 / 1e6))
 }
 
-impl PolicyLine {
-    /// Returns the number of training samples as text.
-    fn samples(&self) -> String {
-        self.samples.map_or_else(|| "–".into(), |samples| format!("{:.1} M", samples as f64 / 1e6))
-    }
-}
-
-impl Report {
-    /// A report without experiments yet.
-    pub fn new(contest: &Contest, protocol: String, command: Command) -> Self {
-        let line = |set: &str, member: &super::policy_sets::Contestant| PolicyLine {
-            set: set.to_owned(),
-            seed: member.seed,
-            sha256: member.agent.sha256.clone(),
-            config: origin(member, |origin| origin.config_name.clone()).unwrap_or_else(|| "external".into()),
-            samples: origin(member, |origin| origin.samples),
-            revision: origin(member, |origin| origin.git_revision.clone()).unwrap_or_else(|| "–".into()),
-        };
-        let of_side = |side: &super::policy_sets::Side| {
-            side.members.iter().map(|member| line(&side.name, member)).collect::<Vec<_>>()
-        };
+impl<'a> Report<'a> {
+    /// Creates a report without experiments.
+    pub fn new(policies: &'a PolicySets, protocol: String, command: CommandLine) -> Self {
         Report {
-            names: contest.names(),
-            policies: contest.sides.iter().flat_map(of_side).collect(),
+            names: policies.names(),
+            policies,
             protocol,
             command,
-            notes: contest.notes.clone(),
+            notes: policies.notes.clone(),
             sections: Vec::new(),
             missing: Vec::new(),
-            sensing: SensingFindings::new(contest),
-            beside: Vec::new(),
+            sensing: SensingComparison::new(policies),
+            other_reports: Vec::new(),
         }
     }
 
-    /// Adds a finished experiment. What undisturbed walking tells of the policies is to be known of all the others, too.
+    /// Adds a finished experiment. Notes about undisturbed walking (E0) concern all experiments and become notes of the report.
     pub fn add(&mut self, mut section: Section) {
         if section.info.number == 0 {
-            self.notes.append(&mut section.findings.notes);
+            self.notes.append(&mut section.content.notes);
         }
         self.sections.push(section);
     }
 
-    /// Time that all trials took, with those of E12 \[s\].
+    /// Returns the time that all trials took, including those of E12 \[s\].
     fn wall_s(&self) -> f64 {
         self.sections.iter().map(|section| section.wall_s).sum::<f64>() + self.sensing.wall_s
     }
 
-    /// Revisions of the programs that measured.
+    /// Returns the revisions of the programs that measured.
     fn revisions(&self) -> Vec<&str> {
-        let mut revisions: Vec<&str> =
-            self.sections.iter().flat_map(|section| &section.revisions).map(String::as_str).collect();
-        revisions.sort_unstable();
-        revisions.dedup();
-        revisions
+        let revisions = self.sections.iter().flat_map(|section| &section.revisions);
+        revisions.map(String::as_str).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// Writes everything into a folder.
+    /// Writes the page, `summary.json`, figures and tables into a folder.
     ///
     /// # Errors
-    /// [`ReportError`]
+    /// A file cannot be written, or a figure cannot be rendered.
     pub fn write(&self, out: &Path) -> Result<(), ReportError> {
         let (figures, tables) = (out.join("figures"), out.join("tables"));
         for folder in [&*figures, &*tables, out] {
@@ -241,20 +200,20 @@ impl Report {
         let no_sensing = self.sensing.experiments.is_empty().then_some("sensing");
         for name in self.missing.iter().map(|info| info.name).chain(no_sensing) {
             for folder in [&figures, &tables] {
-                remove_of(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
+                remove_outdated(name, folder).map_err(|source| ReportError::Write { path: folder.clone(), source })?;
             }
         }
         let renderer = Renderer::default();
         for section in &self.sections {
-            for figure in &section.findings.figures {
+            for figure in &section.content.figures {
                 write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
                 write_png(&renderer, figure, &figures)?;
             }
-            for table in &section.findings.tables {
+            for table in &section.content.tables {
                 write_table(&tables, table, &self.names)?;
             }
-            for lines in &section.findings.lines {
-                write(&tables.join(format!("{}.csv", lines.name)), tables::points_csv(lines).as_bytes())?;
+            for lines in &section.content.lines {
+                write(&tables.join(format!("{}.csv", lines.name)), csv_tables::points_csv(lines).as_bytes())?;
             }
         }
         if !self.sensing.experiments.is_empty() {
@@ -262,19 +221,19 @@ impl Report {
                 write_table(&tables, table, &names)?;
             }
         }
-        write(&tables.join("claims.csv"), tables::claims_csv(self).as_bytes())?;
+        write(&tables.join("claims.csv"), csv_tables::claims_csv(self).as_bytes())?;
         write(&tables.join("claims.md"), markdown::claims(self).as_bytes())?;
-        if !self.beside.is_empty() {
-            write(&tables.join("beside.md"), markdown::beside_table(self).as_bytes())?;
+        if !self.other_reports.is_empty() {
+            write(&tables.join("beside.md"), markdown::other_reports_table(self).as_bytes())?;
         }
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
         write(&out.join("report.html"), html::page(self).as_bytes())
     }
 
-    /// Writes the table of claims as a document of its own, with the figures it shows in the folder `images` beside it.
+    /// Writes the table of claims as a Markdown document, and its figures into the folder `images` beside it.
     ///
     /// # Errors
-    /// [`ReportError`]
+    /// A file cannot be written, or a figure cannot be rendered.
     pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
         let images = path.with_file_name("images");
         let renderer = Renderer::default();
@@ -285,26 +244,25 @@ impl Report {
         write(path, markdown::document(self).as_bytes())
     }
 
-    /// What the document of claims shows: how a push decays, which pushes are recovered from.
+    /// Returns the figures of the document: the decay of a push, and the map of push recovery.
     fn figures_of_document(&self) -> impl Iterator<Item = &Figure> {
-        let all = || self.sections.iter().flat_map(|section| &section.findings.figures);
+        let all = || self.sections.iter().flat_map(|section| &section.content.figures);
         ["decay", "push-grid"].into_iter().filter_map(move |name| all().find(|figure| figure.name == name))
     }
 }
 
 fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), ReportError> {
-    let png =
-        renderer.png(&figure.svg).map_err(|problem| ReportError::Figure { name: figure.name.clone(), problem })?;
+    let png = renderer.png(&figure.svg).map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
     write(&folder.join(format!("{}.png", figure.name)), &png)
 }
 
 fn write_table(folder: &Path, table: &Table, names: &[String]) -> Result<(), ReportError> {
-    write(&folder.join(format!("{}.csv", table.name)), tables::csv(table, names).as_bytes())?;
+    write(&folder.join(format!("{}.csv", table.name)), csv_tables::csv(table, names).as_bytes())?;
     write(&folder.join(format!("{}.md", table.name)), markdown::table(table, names).as_bytes())
 }
 
-/// Removes an experiment's figures or tables of an earlier report, of other policies: their names begin with its own.
-fn remove_of(experiment: &str, folder: &Path) -> io::Result<()> {
+/// Removes the figures or tables of an experiment that an earlier report of other policies wrote.
+fn remove_outdated(experiment: &str, folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
@@ -321,7 +279,7 @@ fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     files::write_atomically(path, bytes).map_err(|source| ReportError::Write { path: path.to_owned(), source })
 }
 
-/// A duration for people.
+/// Returns a duration in words.
 fn duration(seconds: f64) -> String {
     match seconds.round() as u64 {
         seconds @ 0..60 => format!("{seconds} s"),

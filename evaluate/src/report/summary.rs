@@ -1,24 +1,22 @@
-//! Every number as JSON, the same bytes for the same evaluation.
+//! `summary.json`: every number of the report, the same bytes for the same evaluation.
 
 use serde_json::{Map, Value, json};
 
 use super::{Report, Section};
 use crate::Quantity;
-use crate::findings::Table;
+use crate::policy_sets::{PolicySet, SetMember};
+use crate::section_content::Table;
 use crate::statistics::{Comparison, Numbers};
 
-/// The whole summary.
+/// Returns the summary of a report as JSON.
 pub fn json(report: &Report) -> String {
-    let policies: Vec<Value> = report
-        .policies
-        .iter()
-        .map(|policy| {
-            json!({
-                "set": policy.set, "seed": policy.seed, "sha256": policy.sha256, "config": policy.config,
-                "samples": policy.samples, "trained_by": policy.revision,
-            })
+    let policy = |(set, member): (&PolicySet, &SetMember)| {
+        json!({
+            "set": set.name, "seed": member.seed, "sha256": member.agent.sha256, "config": member.config_name(),
+            "samples": member.samples(), "trained_by": member.revision(),
         })
-        .collect();
+    };
+    let policies: Vec<Value> = report.policies.members().map(policy).collect();
     let experiments: Vec<Value> = report.sections.iter().map(|section| experiment(section, &report.names)).collect();
     let missing: Vec<&str> = report.missing.iter().map(|info| info.name).collect();
     let mut whole = json!({
@@ -38,7 +36,7 @@ pub fn json(report: &Report) -> String {
     text
 }
 
-/// E12: all numbers both ways, and the errors of the estimates.
+/// Returns E12: all numbers with estimates and with the true state, and the errors of the estimates.
 fn sensing(report: &Report) -> Value {
     let found = &report.sensing;
     let tables = found.tables();
@@ -50,9 +48,9 @@ fn sensing(report: &Report) -> Value {
     })
 }
 
-/// A table's name and rows.
+/// Returns a table's name and rows.
 fn table(table: &Table, names: &[String]) -> (String, Value) {
-    let row = |row: &crate::findings::Row| {
+    let row = |row: &crate::section_content::Row| {
         json!({
             "condition": row.condition, "quantity": row.quantity.name, "unit": row.quantity.unit, "paper": row.paper,
             "ours": comparison(names, &row.comparison, row.quantity),
@@ -64,7 +62,7 @@ fn table(table: &Table, names: &[String]) -> (String, Value) {
 fn experiment(section: &Section, names: &[String]) -> Value {
     let ends: Map<String, Value> = names.iter().cloned().zip(section.ends.iter().map(|ends| json!(ends))).collect();
     let claims: Vec<Value> = section
-        .findings
+        .content
         .claims
         .iter()
         .map(|claim| {
@@ -80,16 +78,16 @@ fn experiment(section: &Section, names: &[String]) -> Value {
         "name": section.info.name,
         "paper": section.info.paper,
         "parameters": section.parameters,
-        "trials_of_each_condition_and_policy": section.trials,
+        "trials_of_each_condition_and_policy": section.info.trials,
         "trials": ends,
         "claims": claims,
-        "notes": section.findings.notes,
-        "tables": section.findings.tables.iter().map(|table| self::table(table, names)).collect::<Map<_, _>>(),
-        "lines": section.findings.lines,
+        "notes": section.content.notes,
+        "tables": section.content.tables.iter().map(|table| self::table(table, names)).collect::<Map<_, _>>(),
+        "lines": section.content.lines,
     })
 }
 
-/// In the quantity's unit; a relative change is 0.1 for 10 %.
+/// Returns a comparison in the quantity's unit; a relative change of 10 % is 0.1.
 fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> Value {
     let comparison = comparison.scaled(quantity.scale());
     let mut sets = Map::new();
@@ -106,7 +104,7 @@ fn comparison(names: &[String], comparison: &Comparison, quantity: Quantity) -> 
     })
 }
 
-/// Numbers to six significant digits: the rest is not knowledge.
+/// Rounds all numbers of a value to six significant digits.
 pub fn rounded(value: Value) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => {

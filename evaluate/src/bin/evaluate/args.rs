@@ -14,51 +14,51 @@ use supple_evaluate::protocol::Protocol;
 /// Compare sets of policies under disturbance, and write a report.
 ///
 /// Runs the paper's experiments with every policy of all sets, on all cores, and writes report.html, figures, tables and
-/// summary.json. What is finished is not run again: a second call with the same policies only writes the report.
+/// summary.json. Finished experiments are not repeated: a second call with the same policies only writes the report.
 #[derive(Parser, Debug)]
 #[command(version)]
 pub struct Args {
     /// Experiments to run [default: all]
     #[arg(value_name = "EXPERIMENT", value_parser = experiments())]
     pub experiments: Vec<String>,
-    /// Folder with policies NAME-seedN.safetensors of both sets [default: policies, or those that ship where there is none]
+    /// Folder with policies NAME-seedN.safetensors of both sets [default: policies, else the shipped policies]
     #[arg(long, value_name = "DIR")]
     pub policies: Option<PathBuf>,
     /// First set, instead of --policies: a folder, a file, FOLDER/NAME for its files NAME-seedN, or a shipped policy's name;
-    /// with @C behind it, every trial commands it the compliance C (m/s/N)
+    /// @C sets its commanded compliance in every trial (m/s/N)
     #[arg(long, value_name = "PATH[@C]", requires = "b", conflicts_with = "policies")]
     pub a: Option<PathBuf>,
-    /// Second set, likewise
+    /// Second set, in the form of --a
     #[arg(long, value_name = "PATH[@C]", requires = "a")]
     pub b: Option<PathBuf>,
     /// Names of the two sets; the paper's claims are about the first
     #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1, default_value = "compliant,baseline")]
     pub names: Vec<String>,
-    /// A further set, shown beside the two that are compared: its name, and where it is; may be repeated
+    /// Name and path of a further set, shown beside the two that are compared; may be repeated
     #[arg(long, value_name = "NAME=PATH[@C]", value_parser = path_as_text().try_map(name_and_path))]
     pub also: Vec<(String, PathBuf)>,
-    /// The folder of another report, whose numbers are shown beside these: what it is called, and where it is; may be repeated
+    /// Name and folder of another report, whose claims are shown beside these; may be repeated
     #[arg(long, value_name = "NAME=DIR", value_parser = path_as_text().try_map(name_and_path))]
     pub beside: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]
     pub out: PathBuf,
-    /// A coarse version of everything: fewer trials, grid points and directions
+    /// Use the quick protocol: fewer trials, grid points and directions
     #[arg(long, conflicts_with = "protocol")]
     pub quick: bool,
-    /// YAML file with what differs from configs/evaluation/full.yaml
+    /// YAML file with the values that differ from configs/evaluation/full.yaml
     #[arg(long, value_name = "FILE")]
     pub protocol: Option<PathBuf>,
-    /// Losses in the joints of all robots [default: as each policy was trained]
+    /// Joint losses of all robots [default: as each policy was trained]
     #[arg(long, value_enum)]
     pub joints: Option<JointLosses>,
-    /// `estimated` runs the experiments a second time on noisy sensors, for E12
+    /// State that the policies act on; `estimated` also runs all experiments on noisy sensors, for E12
     #[arg(long, value_enum, default_value_t)]
     pub sensing: Sensing,
-    /// Run finished experiments again
+    /// Repeat finished experiments
     #[arg(long)]
     pub again: bool,
-    /// Threads [default: all cores]
+    /// Number of threads [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub threads: Option<u16>,
     /// Also write the table of claims to this file, and figures to the folder `images` beside it
@@ -66,16 +66,16 @@ pub struct Args {
     pub results: Option<PathBuf>,
 }
 
-/// The folder of policies, if none is given.
+/// The default folder of policies.
 const POLICIES: &str = "policies";
 
 impl Args {
-    /// The folder with policies of both sets; none if it is those that ship.
+    /// Returns the folder with policies of both sets; none for the shipped policies.
     pub fn folder(&self) -> Option<PathBuf> {
         self.policies.clone().or_else(|| Some(PathBuf::from(POLICIES)).filter(|folder| folder.is_dir()))
     }
 
-    /// The arguments that decide what a report shows, each quoted for a shell; without the experiments.
+    /// Returns the arguments that affect the report, except the experiments, each quoted for a shell.
     pub fn options(&self) -> Vec<String> {
         let path = |path: &PathBuf| shell_word(path);
         let sets = match (&self.a, &self.b) {
@@ -106,7 +106,7 @@ impl Args {
     }
 }
 
-/// `NAME=PATH`.
+/// Parses `NAME=PATH`.
 fn name_and_path(text: String) -> Result<(String, PathBuf), String> {
     match text.split_once('=') {
         Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), paths::as_path(path))),
@@ -114,12 +114,12 @@ fn name_and_path(text: String) -> Result<(String, PathBuf), String> {
     }
 }
 
-/// The experiments by name, with what they are.
+/// Returns a parser of experiment names, with their titles for the help.
 fn experiments() -> impl TypedValueParser<Value = String> {
-    // The protocol inside the program is valid: a test reads it.
+    // A test ensures that the protocol inside the program is valid.
     let protocol = Protocol::full().ok();
     let infos = protocol.iter().flat_map(|protocol| protocol.experiments()).map(|experiment| experiment.info());
-    let value = |info: supple_evaluate::Info| {
+    let value = |info: supple_evaluate::ExperimentInfo| {
         PossibleValue::new(info.name).help(format!("{}, {}: {}", info.id, info.paper, info.title))
     };
     PossibleValuesParser::new(infos.map(value).collect::<Vec<_>>())
@@ -130,7 +130,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_report_tells_the_arguments_that_decide_what_it_shows() {
+    fn options_are_those_that_affect_the_report() {
         let options = |arguments: &[&str]| Args::parse_from([&["evaluate"], arguments].concat()).options().join(" ");
         assert_eq!(options(&["walk", "--again", "--threads", "2", "--policies", "p"]), "--policies p --out report");
         assert_eq!(

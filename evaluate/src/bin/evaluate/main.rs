@@ -1,4 +1,4 @@
-//! `evaluate`: every figure and table of the paper for sets of policies.
+//! The program `evaluate`: every figure and table of the paper for sets of policies.
 
 mod args;
 mod progress;
@@ -11,12 +11,12 @@ use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
 use supple::util::terminal;
-use supple_evaluate::policy_sets::Contest;
+use supple_evaluate::measurement_store::MeasurementStore;
+use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
-use supple_evaluate::report::beside::Beside;
-use supple_evaluate::report::{Command, Report, Section};
+use supple_evaluate::report::other_reports::OtherReport;
+use supple_evaluate::report::{CommandLine, Report, Section};
 use supple_evaluate::runner::{self, Settings};
-use supple_evaluate::store::Store;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
@@ -26,44 +26,44 @@ fn main() -> ExitCode {
 
 fn run(args: &Args) -> anyhow::Result<()> {
     let (name, protocol) = protocol(args)?;
-    let mut contest = contest(args)?;
+    let mut policies = policies(args)?;
     if let Some(joints) = args.joints {
-        contest.set_losses(joints.into());
+        policies.set_losses(joints.into());
     }
-    let beside = args.beside.iter().map(|(name, folder)| Beside::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
-    let command = Command { experiments: args.experiments.clone(), options: args.options() };
-    let mut report = Report { beside, ..Report::new(&contest, name, command) };
+    let other_reports =
+        args.beside.iter().map(|(name, folder)| OtherReport::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
+    let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
+    let mut report = Report { other_reports, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
-    contest.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
-    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot make {}", args.out.display()))?;
-    // Zero stands for all cores.
+    policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    // Zero threads mean all cores.
     let threads = args.threads.map_or(0, usize::from);
     rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")?;
-    let settings = Settings { again: args.again, sensing: Sensing::True, store: Store::new(&args.out) };
+    let settings = Settings { again: args.again, sensing: Sensing::True, store: MeasurementStore::new(&args.out) };
     let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
     let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
-    // E12 compares with the true state: estimated sensing is run besides.
-    let is_run = |settings: &Settings| settings.sensing == Sensing::True || args.sensing == Sensing::Estimated;
+    // E12 compares estimates with the true state, so both are run.
+    let on_sensors = (args.sensing == Sensing::Estimated).then_some(&on_sensors);
+    let experiments = protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name));
+    let ways = |experiment| [Some(&settings), on_sensors].into_iter().flatten().map(move |way| (experiment, way));
+    let runs: Vec<_> = experiments.flat_map(ways).collect();
 
     let mut progress = Progress::default();
-    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
-        for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
-            progress.expect(runner::work(experiment, &contest, settings)?);
-        }
+    for (experiment, settings) in &runs {
+        progress.expect(runner::remaining_work(*experiment, &policies, settings)?);
     }
-    for experiment in protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name)) {
-        for settings in [&settings, &on_sensors].into_iter().filter(|settings| is_run(settings)) {
-            progress.begin(&experiment.info());
-            runner::measure(experiment, &contest, settings, &|work| progress.advance(work))?;
-            progress.end(&experiment.info(), settings.sensing);
-        }
+    for (experiment, settings) in &runs {
+        progress.begin(&experiment.info());
+        runner::measure(*experiment, &policies, settings, &|work| progress.advance(work))?;
+        progress.end(&experiment.info(), settings.sensing);
     }
     progress.finish();
 
-    // What other processes have measured meanwhile belongs to the report, too; the last of them finds everything.
-    let _claim = settings.store.claim_report()?;
+    // The report includes what other processes have measured meanwhile; the last process reports everything.
+    let _lock = settings.store.lock_report()?;
     for experiment in protocol.experiments() {
-        let finished = |sensing| runner::finished(experiment, &contest, &settings.store, sensing);
+        let finished = |sensing| runner::finished(experiment, &policies, &settings.store, sensing);
         let (truth, estimated) = (finished(Sensing::True)?, finished(Sensing::Estimated)?);
         if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
             report.sensing.add(experiment, truth, estimated);
@@ -81,7 +81,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The protocol and its name in the report.
+/// Returns the protocol and its name in the report.
 fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
     Ok(match &args.protocol {
         Some(path) => (path.file_name().unwrap_or_default().to_string_lossy().into_owned(), Protocol::load(path)?),
@@ -90,26 +90,24 @@ fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
     })
 }
 
-fn contest(args: &Args) -> anyhow::Result<Contest> {
-    let names: [String; 2] = args
-        .names
-        .clone()
-        .try_into()
-        .map_err(|names: Vec<String>| anyhow::anyhow!("--names gives {} names, expected two: A,B", names.len()))?;
-    anyhow::ensure!(names[0] != names[1] && names.iter().all(|name| !name.is_empty()), "--names must be two names");
+fn policies(args: &Args) -> anyhow::Result<PolicySets> {
+    let [first, second] = &args.names[..] else {
+        anyhow::bail!("--names gives {} names, expected two: A,B", args.names.len())
+    };
+    let are_names = first != second && !first.is_empty() && !second.is_empty();
+    anyhow::ensure!(are_names, "--names gives {:?}, expected two different names: A,B", args.names);
     for (index, (name, _)) in args.also.iter().enumerate() {
-        let is_taken = names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
-        anyhow::ensure!(!is_taken, "--also {name}: another set has this name, choose a new one");
+        let is_taken = args.names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
+        anyhow::ensure!(!is_taken, "--also {name}: another set has this name; choose a new one");
     }
-    let [first, second] = &names;
     Ok(match (&args.a, &args.b) {
         (Some(a), Some(b)) => {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
-            Contest::of_paths(&[&pair[..], &args.also].concat())?
+            PolicySets::from_paths(&[&pair[..], &args.also].concat())?
         }
         _ => match args.folder() {
-            Some(folder) => Contest::in_folder(&folder, &names, &args.also)?,
-            None => Contest::shipped(&names, &args.also)?,
+            Some(folder) => PolicySets::from_folder(&folder, &args.names, &args.also)?,
+            None => PolicySets::from_shipped(&args.names, &args.also)?,
         },
     })
 }

@@ -1,16 +1,16 @@
-//! One bar over all experiments, by the work that their trials are.
+//! One progress bar over all experiments, in simulated time.
 
 use std::time::Instant;
 
 use supple::scenario::Sensing;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
-use supple_evaluate::Info;
+use supple_evaluate::ExperimentInfo;
 
-/// Steps of the bar per second of simulated work.
+/// The number of steps of the bar per second of simulated time.
 const STEPS: f64 = 10.0;
 
-/// A progress bar, and a line for each finished experiment.
+/// A progress bar that prints a line for each finished experiment.
 pub struct Progress {
     bar: ProgressBar,
     begun: Instant,
@@ -23,30 +23,30 @@ impl Default for Progress {
 }
 
 impl Progress {
-    /// Adds work that is to be done.
+    /// Adds remaining work \[s\].
     pub fn expect(&mut self, work: f64) {
         self.bar.inc_length((STEPS * work) as u64);
     }
 
-    /// Names the experiment under way.
-    pub fn begin(&mut self, info: &Info) {
+    /// Shows the name of the experiment that starts.
+    pub fn begin(&mut self, info: &ExperimentInfo) {
         self.bar.set_message(format!("{} {}", info.id, info.name));
         self.begun = Instant::now();
     }
 
-    /// Some work is done.
+    /// Advances the bar by finished work \[s\].
     pub fn advance(&self, work: f64) {
         self.bar.inc((STEPS * work) as u64);
     }
 
-    /// A line that stays.
-    pub fn end(&mut self, info: &Info, sensing: Sensing) {
+    /// Prints the time of the finished experiment.
+    pub fn end(&mut self, info: &ExperimentInfo, sensing: Sensing) {
         let on = if sensing == Sensing::Estimated { " on sensors" } else { "" };
         let line = format!("{} {}{on}: {:.1} s", info.id, info.name, self.begun.elapsed().as_secs_f64());
         self.bar.suspend(|| terminal::note(line));
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }

@@ -1,4 +1,4 @@
-//! Claims beside those of other reports: on another robot, with other joints, after more samples.
+//! The claims of this report beside those of other reports: on another robot, with other joints, after more samples.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -8,93 +8,102 @@ use serde_json::Value;
 
 use super::{Report, summary};
 use crate::Quantity;
-use crate::findings::{NOTHING, difference, number, percent};
+use crate::section_content::{NOTHING, difference, number, percent};
 use crate::statistics::{Comparison, IntervalEstimate, Numbers, PerSeed, Spread};
 use supple::util::files;
 
 /// The title of the table.
 pub const TITLE: &str = "Beside other reports";
 
-/// Above the table.
-pub const CAPTION: &str = "Means of both sets, and the first against the second: relative, in points of a fraction, or absolute where a mean \
-     is not above zero, with the 95 % interval; where there are fewer than five pairs, in how many of them it lies on that side. \
-     –: not measured there, or otherwise.";
+/// The text above the table.
+pub const CAPTION: &str = "Means of both sets, and the difference of the first from the second: relative, in points \
+                           for fractions, or absolute where a mean is not above zero, with the 95 % interval; with \
+                           fewer than five pairs, the number of pairs that differ that way. –: not measured there, or \
+                           with another protocol.";
 
-/// Larger files are not ours.
+/// The largest summary that is read \[bytes\].
 const MAX_BYTES: u64 = 1 << 28;
 
-/// Why another report cannot be shown.
+/// The reason why another report cannot be shown.
 #[derive(Debug, thiserror::Error)]
-pub enum BesideError {
-    /// There is no summary.
+pub enum OtherReportError {
+    /// The summary cannot be read.
     #[error("cannot read {}: {source}; expected the folder of a finished report", path.display())]
     Read {
-        /// Where it should be.
+        /// The expected path of the summary.
         path: PathBuf,
         /// The system's reason.
         source: std::io::Error,
     },
-    /// It is something else.
-    #[error("{} is not the summary of a report: {problem}; make the report again with this program", path.display())]
-    Content {
+    /// The file is not a summary, or one of another version of this program.
+    #[error("{} is not the summary of a report: {source}; make the report again with this program", path.display())]
+    Parse {
         /// The file.
         path: PathBuf,
-        /// The problem with the file.
-        problem: String,
+        /// The position in the file and what is wrong there.
+        source: serde_json::Error,
+    },
+    /// The report does not compare two sets of policies.
+    #[error("{} has {found} sets of policies, expected two or more; make the report again with this program", path.display())]
+    Sets {
+        /// The file.
+        path: PathBuf,
+        /// The number of sets found.
+        found: usize,
     },
 }
 
-/// Another report, by what it says of the claims.
+/// The claims of another report.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Beside {
-    /// The name of that report in this one.
+pub struct OtherReport {
+    /// The name of the other report in this one.
     pub name: String,
-    /// By name.
-    experiments: BTreeMap<String, Measured>,
+    /// The experiments by name.
+    experiments: BTreeMap<String, MeasuredClaims>,
 }
 
-/// An experiment there.
+/// The claims of an experiment in another report.
 #[derive(Debug, Clone, PartialEq)]
-struct Measured {
+struct MeasuredClaims {
     parameters: Value,
-    /// Quantity and numbers of each claim, as the summary has them: in the quantity's unit.
+    /// The name of the quantity and the numbers of each claim, in the quantity's printed unit.
     claims: Vec<(String, Comparison)>,
 }
 
 #[derive(Deserialize)]
-struct Summary {
+struct SummaryRecord {
     sets: Vec<String>,
-    experiments: Vec<Experiment>,
+    experiments: Vec<ExperimentRecord>,
 }
 
 #[derive(Deserialize)]
-struct Experiment {
+struct ExperimentRecord {
     name: String,
     parameters: Value,
-    claims: Vec<Claim>,
+    claims: Vec<ClaimRecord>,
 }
 
 #[derive(Deserialize)]
-struct Claim {
+struct ClaimRecord {
     quantity: String,
-    ours: Ours,
+    ours: NumbersRecord,
 }
 
 #[derive(Deserialize)]
-struct Ours {
-    sets: BTreeMap<String, Set>,
+struct NumbersRecord {
+    sets: BTreeMap<String, SetRecord>,
     difference: Option<IntervalEstimate>,
     relative: Option<IntervalEstimate>,
 }
 
 #[derive(Deserialize)]
-struct Set {
+struct SetRecord {
     mean: Option<f64>,
     sd: Option<f64>,
     by_seed: PerSeed,
 }
 
-impl Set {
+impl SetRecord {
     fn numbers(self) -> Numbers {
         let seeds = self.by_seed.len();
         let spread = self.mean.map(|mean| Spread { mean, sd: self.sd, seeds });
@@ -102,29 +111,32 @@ impl Set {
     }
 }
 
-impl Beside {
+impl OtherReport {
     /// Reads the summary in the folder of a report.
     ///
     /// # Errors
-    /// [`BesideError`]
-    pub fn read(name: &str, folder: &Path) -> Result<Self, BesideError> {
+    /// The summary cannot be read, has another form, or has fewer than two sets.
+    pub fn read(name: &str, folder: &Path) -> Result<Self, OtherReportError> {
         let path = folder.join("summary.json");
-        let bytes =
-            files::read_bounded(&path, MAX_BYTES).map_err(|source| BesideError::Read { path: path.clone(), source })?;
-        let content = |problem: String| BesideError::Content { path: path.clone(), problem };
-        let summary: Summary = serde_json::from_slice(&bytes).map_err(|error| content(error.to_string()))?;
-        let [first, second, ..] = &summary.sets[..] else { return Err(content("it has no two sets".to_owned())) };
-        let numbers = |Claim { quantity, ours: Ours { mut sets, difference, relative } }: Claim| {
-            let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
-            (quantity, Comparison { sets: pair, difference, relative, trials: None })
+        let bytes = files::read_bounded(&path, MAX_BYTES)
+            .map_err(|source| OtherReportError::Read { path: path.clone(), source })?;
+        let summary: SummaryRecord =
+            serde_json::from_slice(&bytes).map_err(|source| OtherReportError::Parse { path: path.clone(), source })?;
+        let [first, second, ..] = &summary.sets[..] else {
+            return Err(OtherReportError::Sets { path, found: summary.sets.len() });
         };
-        let measured = |Experiment { name, parameters, claims }: Experiment| {
-            (name, Measured { parameters, claims: claims.into_iter().map(numbers).collect() })
+        let numbers =
+            |ClaimRecord { quantity, ours: NumbersRecord { mut sets, difference, relative } }: ClaimRecord| {
+                let pair = [first, second].into_iter().filter_map(|name| Some(sets.remove(name)?.numbers())).collect();
+                (quantity, Comparison { sets: pair, difference, relative, trials: None })
+            };
+        let measured = |ExperimentRecord { name, parameters, claims }: ExperimentRecord| {
+            (name, MeasuredClaims { parameters, claims: claims.into_iter().map(numbers).collect() })
         };
-        Ok(Beside { name: name.to_owned(), experiments: summary.experiments.into_iter().map(measured).collect() })
+        Ok(OtherReport { name: name.to_owned(), experiments: summary.experiments.into_iter().map(measured).collect() })
     }
 
-    /// A claim of an experiment, if it was measured alike there.
+    /// Returns the cell of a claim, or a dash if the other report measured it with other parameters or not at all.
     fn cell(&self, experiment: &str, parameters: &Value, index: usize, quantity: Quantity) -> String {
         let alike = self.experiments.get(experiment).filter(|there| there.parameters == *parameters);
         let same = alike.and_then(|there| there.claims.get(index)).filter(|(name, _)| name == quantity.name);
@@ -132,24 +144,24 @@ impl Beside {
     }
 }
 
-/// Titles and rows of the table: each claim, here and in the reports beside this one.
+/// Returns the column titles and rows of the table: each claim, here and in the other reports.
 pub fn table(report: &Report) -> (Vec<String>, Vec<Vec<String>>) {
-    let columns = ["experiment", "claim, with what was found here", "here"]
-        .into_iter()
-        .chain(report.beside.iter().map(|it| &*it.name));
+    let columns =
+        ["experiment", "claim", "here"].into_iter().chain(report.other_reports.iter().map(|other| &*other.name));
     let of_section = |section: &super::Section| {
         let (info, parameters) = (section.info, summary::rounded(section.parameters.clone()));
-        let row = move |(index, claim): (usize, &crate::findings::Claim)| {
-            let there = report.beside.iter().map(|beside| beside.cell(info.name, &parameters, index, claim.quantity));
+        let row = move |(index, claim): (usize, &crate::section_content::Claim)| {
+            let there =
+                report.other_reports.iter().map(|other| other.cell(info.name, &parameters, index, claim.quantity));
             let here = [info.id.to_owned(), claim.text.clone(), cell(&claim.comparison, claim.quantity)];
             here.into_iter().chain(there).collect()
         };
-        section.findings.claims.iter().enumerate().map(row).collect::<Vec<_>>()
+        section.content.claims.iter().enumerate().map(row).collect::<Vec<_>>()
     };
     (columns.map(ToOwned::to_owned).collect(), report.sections.iter().flat_map(of_section).collect())
 }
 
-/// Means of both sets, how the first lies to the second, and, where there are too few pairs for an interval, how many agree.
+/// Returns means of both sets, the difference first − second, and, with too few pairs for an interval, how many agree with it.
 fn cell(comparison: &Comparison, quantity: Quantity) -> String {
     let mean = |set: &Numbers| set.spread.map_or(NOTHING.to_owned(), |spread| number(spread.mean, quantity));
     let means = comparison.pair().iter().map(mean).collect::<Vec<_>>().join(" / ");
@@ -181,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_has_means_and_the_relative_difference_and_counts_few_pairs() {
+    fn cell_has_means_and_relative_difference() {
         let few = Comparison::new(vec![numbers(&[0.6, 0.5, 0.4]), numbers(&[0.4, 0.4, 0.5])]);
         // (1.5 − 1.3) / 1.3 = 15 %; the third pair differs the other way.
         assert_eq!(cell(&few, TIME), "0.50 / 0.43 s: +15 % (2 of 3 pairs)");
@@ -202,14 +214,14 @@ mod tests {
              "difference": {"value": 0.2, "interval": null, "pairs": 1},
              "relative": {"value": 0.5, "interval": [0.4, 0.6], "pairs": 1}}}]}]}"#;
         std::fs::write(folder.path().join("summary.json"), summary).unwrap();
-        let beside = Beside::read("go2", folder.path()).unwrap();
-        let cell = |trials: u32, index, quantity| beside.cell("decay", &json!({ "trials": trials }), index, quantity);
+        let other = OtherReport::read("go2", folder.path()).unwrap();
+        let cell = |trials: u32, index, quantity| other.cell("decay", &json!({ "trials": trials }), index, quantity);
         assert_eq!(cell(20, 0, TIME), "0.60 / 0.40 s: +50 [+40, +60] %");
         assert_eq!(cell(20, 1, TIME), NOTHING);
         assert_eq!(cell(20, 0, Quantity { name: "decay_20_s", ..TIME }), NOTHING);
         assert_eq!(cell(5, 0, TIME), NOTHING, "another protocol");
-        assert!(matches!(Beside::read("x", &folder.path().join("none")), Err(BesideError::Read { .. })));
+        assert!(matches!(OtherReport::read("x", &folder.path().join("none")), Err(OtherReportError::Read { .. })));
         std::fs::write(folder.path().join("summary.json"), "{}").unwrap();
-        assert!(matches!(Beside::read("x", folder.path()), Err(BesideError::Content { .. })));
+        assert!(matches!(OtherReport::read("x", folder.path()), Err(OtherReportError::Parse { .. })));
     }
 }

@@ -1,24 +1,23 @@
-/*! Success over a square grid of pushes: how much of it lies above a level, and the contour of that level (Fig. 2).
-*/
+//! Values on a square grid, such as the success rate over pushes: the fraction above a level and its contour (Fig. 2).
 
 /// Values on a square grid with the same coordinates along both axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Grid {
-    /// Coordinates along either axis, ascending.
+pub struct SquareGrid {
+    /// The coordinates along either axis, ascending.
     pub coordinates: Vec<f64>,
-    /// Shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).
+    /// The values, shape (n, n), row-major: the row is the first coordinate (forward), the column the second (left).
     pub values: Vec<f64>,
 }
 
-/// Tolerance of the level: means of tenths that differ from it by rounding only count as above it.
+/// The tolerance of a level: values that differ from it by rounding only count as above it.
 const ROUNDING: f64 = 1e-9;
 
-/// Coordinates from `-limit` to `limit`.
+/// Returns evenly spaced coordinates from `-limit` to `limit`.
 pub fn coordinates(limit: f64, points: usize) -> Vec<f64> {
     (0..points).map(|k| limit * (2.0 * k as f64 / (points - 1) as f64 - 1.0)).collect()
 }
 
-impl Grid {
+impl SquareGrid {
     fn side(&self) -> usize {
         self.coordinates.len()
     }
@@ -27,13 +26,13 @@ impl Grid {
         self.values[row * self.side() + column]
     }
 
-    /// Fraction of grid points at or above a level: what the paper counts inside its contour.
+    /// Returns the fraction of grid points at or above a level, which the paper counts inside its contour.
     pub fn fraction_at_least(&self, level: f64) -> f64 {
         let inside = self.values.iter().filter(|value| **value >= level - ROUNDING).count();
         inside as f64 / self.values.len().max(1) as f64
     }
 
-    /// Line segments of the contour at a level, by marching squares; each end is (first, second) coordinate.
+    /// Returns the line segments of the contour at a level, by marching squares; each end is (first, second) coordinate.
     pub fn contour(&self, level: f64) -> Vec<[[f64; 2]; 2]> {
         let mut segments = Vec::new();
         for row in 0..self.side().saturating_sub(1) {
@@ -44,7 +43,7 @@ impl Grid {
         segments
     }
 
-    /// Segments within the cell whose least corner is given.
+    /// Returns the segments within the cell whose corner with the least coordinates is given.
     fn cell(&self, row: usize, column: usize, level: f64) -> Vec<[[f64; 2]; 2]> {
         // Around the cell: corners 0..4 and the edge that follows each.
         let corners = [(row, column), (row + 1, column), (row + 1, column + 1), (row, column + 1)];
@@ -75,10 +74,10 @@ impl Grid {
 mod tests {
     use super::*;
 
-    fn surface(points: usize, of: impl Fn(f64, f64) -> f64) -> Grid {
+    fn surface(points: usize, of: impl Fn(f64, f64) -> f64) -> SquareGrid {
         let coordinates = coordinates(1.5, points);
         let values = coordinates.iter().flat_map(|x| coordinates.iter().map(|y| of(*x, *y))).collect();
-        Grid { coordinates, values }
+        SquareGrid { coordinates, values }
     }
 
     #[test]
@@ -88,7 +87,7 @@ mod tests {
         assert_eq!(grid.fraction_at_least(0.8), 49.0 / 169.0);
         assert_eq!(grid.fraction_at_least(0.0), 1.0);
         // Eight of ten trials are 80 %, whatever the rounding.
-        let tenths = Grid { coordinates: vec![0.0, 1.0], values: vec![0.1 * 8.0, 0.7 + 0.1, 0.8 - 1e-12, 0.79] };
+        let tenths = SquareGrid { coordinates: vec![0.0, 1.0], values: vec![0.1 * 8.0, 0.7 + 0.1, 0.8 - 1e-12, 0.79] };
         assert_eq!(tenths.fraction_at_least(0.8), 0.75);
     }
 
@@ -103,8 +102,8 @@ mod tests {
     }
 
     #[test]
-    fn a_saddle_keeps_its_high_corners_apart_if_its_middle_is_low() {
-        let grid = Grid { coordinates: vec![0.0, 1.0], values: vec![1.0, 0.0, 0.0, 1.0] };
+    fn saddle_with_low_middle_separates_high_corners() {
+        let grid = SquareGrid { coordinates: vec![0.0, 1.0], values: vec![1.0, 0.0, 0.0, 1.0] };
         for level in [0.4, 0.6] {
             let segments = grid.contour(level);
             assert_eq!(segments.len(), 2);

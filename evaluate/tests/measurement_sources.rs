@@ -1,12 +1,12 @@
-//! What a kept measurement of `evaluate` depends on: code that decides its numbers, and nothing else.
+//! The sources that a kept measurement of `evaluate` depends on.
 
-#[path = "../measured.rs"]
-mod measured;
+#[path = "../measurement_sources.rs"]
+mod measurement_sources;
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use measured::{files_in, hash_of, measured_files};
+use measurement_sources::{files_in, hash_of, measured_files};
 
 #[test]
 fn measurement_depends_on_imports_only() {
@@ -24,7 +24,7 @@ fn measurement_depends_on_imports_only() {
 }
 
 #[test]
-fn comments_blank_lines_and_unit_tests_are_no_code() {
+fn hash_ignores_comments_and_unit_tests() {
     let folder = tempfile::tempdir().unwrap();
     let hash = |text: &str| {
         std::fs::write(folder.path().join("file.rs"), text).unwrap();

@@ -2,19 +2,19 @@
 
 use super::prelude::*;
 use super::push;
-use crate::findings::{Claim, Row, Table};
 use crate::plot::curves::{self, Curve};
 use crate::plot::polar::evenly;
 use crate::results::Results;
+use crate::section_content::{Claim, Row, Table};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
 use supple::scenario::catalog::{Leash, PushAway};
 
-/// The measured compliance; the commanded one is in the condition.
+/// The measured compliance; a condition has the commanded one.
 const MEASURED: Quantity = Quantity::new("compliance_m_s_per_n", "compliance", "m/s/N", 4);
 
 const QUANTITIES: &[Quantity] = &[MEASURED, push::TO_10, push::CARRIED, FELL];
 
-/// The line fitted to the measured over the commanded compliance.
+/// The numbers of the line that is fitted to the measured over the commanded compliance.
 const LINE: [Quantity; 4] = [
     Quantity::new("slope", "slope", "", 2),
     Quantity::new("intercept_m_s_per_n", "intercept", "m/s/N", 4),
@@ -22,48 +22,34 @@ const LINE: [Quantity; 4] = [
     Quantity::new(SLOPE_ERROR, "slope, distance from 1", "", 2),
 ];
 
-/// The quantity that the claims compare.
+/// The name of the quantity in the claims: the distance of the slope from 1.
 const SLOPE_ERROR: &str = "slope_error";
 
-/// A slope this far from one is still called calibrated.
+/// The largest distance of the slope from 1 at which a policy yields as commanded.
 const SLOPE_BOUND: f64 = 0.1;
 
-/// Faster than this, a robot is not led: pulls that would do so test the bound, not the calibration [m/s].
+/// The largest velocity that a pull may cause \[m/s\]; stronger pulls would test the robot's speed, not its compliance.
 const LARGEST_ERROR_M_S: f64 = 0.5;
 
-pub(super) const INFO: Info = Info {
-    id: "E13",
-    number: 14,
-    name: "calibration",
-    title: "Compliance as commanded",
-    paper: "not in the paper",
-    method: "The robot is commanded a compliance, standing and walking at 0.5 m/s, and is pulled by constant \
-             horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last seconds of \
-             the pull. Lines are fitted to each policy's means over all directions, over the commanded compliance c and the \
-             forces F, as far as c·F is at most 0.5 m/s: no robot is pulled faster than it can walk. With the same commands, it is also pushed to the \
-             left by 0.5 m/s: an ideal one takes 2.3·m·c until a tenth is left.",
-    quantities: QUANTITIES,
-};
-
-/// The parameters of the experiment in the protocol.
+/// The experiment's section of the protocol.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Calibration {
-    /// Commanded compliances [m/s/N].
+pub struct CommandedCompliance {
+    /// The commanded compliances \[m/s/N\].
     pub compliances: Vec<f64>,
-    /// Forward commands \[m/s\]; 0 is standing.
+    /// The forward commands \[m/s\]; 0 is standing.
     pub commands_m_s: Vec<f64>,
-    /// Directions that divide the circle evenly.
+    /// The number of directions, which divide the circle evenly.
     pub directions: u32,
-    /// Pulling forces \[N\].
+    /// The pulling forces \[N\].
     pub forces_n: Vec<f64>,
-    /// Runs of each policy in each condition.
+    /// The number of trials of each policy in each condition.
     pub trials: u32,
-    /// Earliest start of the pull; it comes up to 0.65 s later \[s\].
+    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
     pub at_s: f64,
-    /// Length of the pull \[s\].
+    /// The length of the pull \[s\].
     pub for_s: f64,
-    /// Length of the average at its end \[s\].
+    /// The length of the averaging window at the end of the pull \[s\].
     pub average_s: f64,
 }
 
@@ -76,7 +62,7 @@ fn commanded(condition: &Condition) -> (Option<f64>, Option<f64>) {
     (condition.scenario.task().compliance, force)
 }
 
-/// (slope, intercept, R²) of the least-squares line.
+/// Returns (slope, intercept, R²) of the least-squares line through points (x, y).
 fn line(points: &[[f64; 2]]) -> Option<[f64; 3]> {
     let of = |axis: usize| mean(points.iter().map(|point| point[axis]));
     let [x, y] = [of(0)?, of(1)?];
@@ -86,14 +72,14 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 3]> {
     (xx > 0.0 && yy > 0.0).then(|| [xy / xx, y - xy / xx * x, xy * xy / (xx * yy)])
 }
 
-impl Calibration {
-    /// The pulls at one command, in the order of the conditions.
+impl CommandedCompliance {
+    /// Returns the indices of the conditions with a pull at one forward command.
     fn pulls(&self, command: usize) -> std::ops::Range<usize> {
         let count = self.compliances.len() * self.forces_n.len() * self.directions as usize;
         command * count..(command + 1) * count
     }
 
-    /// Of a set's policies at one command, by seed: the line's numbers.
+    /// Returns each number of [`LINE`] by seed, for the policies of a set at one forward command.
     fn lines(&self, results: &Results, set: usize, command: usize) -> Vec<PerSeed> {
         let mut lines = vec![PerSeed::new(); LINE.len()];
         for seed in results.sets[set].keys() {
@@ -114,14 +100,15 @@ impl Calibration {
         lines
     }
 
-    /// A set's measured compliance over what it was told: mean over policies, least and largest over directions and forces.
+    /// Returns the measured over the commanded compliance of a set: (commanded, mean over policies, least and largest over
+    /// directions and forces).
     fn curve(&self, results: &Results, set: usize, command: usize) -> Vec<[f64; 4]> {
         let of = |c: &f64| {
             let at = self.pulls(command).filter(|condition| {
                 let (compliance, force) = commanded(&results.conditions[*condition]);
                 compliance == Some(*c) && force.is_some_and(|force| c * force <= LARGEST_ERROR_M_S + 1e-9)
             });
-            let spread = |condition| Spread::of(&results.per_seed(set, condition, MEASURED.name));
+            let spread = |condition| Spread::from_values(&results.per_seed(set, condition, MEASURED.name));
             let means: Vec<f64> = at.filter_map(spread).map(|spread| spread.mean).collect();
             let least = means.iter().copied().reduce(f64::min)?;
             let largest = means.iter().copied().reduce(f64::max)?;
@@ -131,13 +118,23 @@ impl Calibration {
     }
 }
 
-impl Experiment for Calibration {
-    fn info(&self) -> Info {
-        INFO
-    }
-
-    fn trials(&self) -> u32 {
-        self.trials
+impl Experiment for CommandedCompliance {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E13",
+            number: 14,
+            name: "calibration",
+            title: "Compliance as commanded",
+            paper: "not in the paper",
+            method: "The robot has a commanded compliance, standing and walking at 0.5 m/s, and is pulled by constant \
+                     horizontal forces from all around. The compliance is the mean of (v − v*)·F/|F|² over the last \
+                     seconds of the pull. Lines are fitted to each policy's means over all directions, over the \
+                     commanded compliance c and the forces F, as far as c·F is at most 0.5 m/s: no robot is pulled \
+                     faster than it can walk. With the same commands, it is also pushed to the left by 0.5 m/s: an \
+                     ideal robot takes 2.3·m·c until a tenth of the push is left.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
     }
 
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
@@ -183,41 +180,41 @@ impl Experiment for Calibration {
         check_directions(self.directions)
     }
 
-    fn measure(&self, trial: &Trial) -> Measured {
+    fn measure(&self, trial: &Trial) -> TrialValues {
         let mut values = vec![None, None, None, trial.end.fell()];
         if let (true, Some(pull)) = (trial.is_upright(), trial.script.pull) {
             let (from_s, until_s) = (pull.until_s - self.average_s, pull.until_s);
             let offset = metrics::offset_along_force(trial.trace, pull.force, from_s, until_s);
             values[0] = offset.map(|offset| offset / pull.force[0].hypot(pull.force[1]));
         }
-        if let Some(pushed) = push::of_upright(trial) {
+        if let Some(pushed) = push::upright_push(trial) {
             let [to_10, _, carried, _] = push::decay(trial.trace, pushed.time_s, pushed.push.linear);
             (values[1], values[2]) = (to_10, carried);
         }
         values.into()
     }
 
-    fn show(&self, show: &mut Show) {
-        let results = show.results;
+    fn report(&self, section: &mut SectionBuilder) {
+        let results = section.results;
         let (mut rows, mut panels) = (Vec::new(), Vec::new());
         for (command, speed) in self.commands_m_s.iter().enumerate() {
-            let lines = show.by_set(|set| self.lines(results, set, command));
+            let lines = section.by_set(|set| self.lines(results, set, command));
             for (k, quantity) in LINE.iter().enumerate() {
                 let numbers = |set: usize| results.numbers(set, lines[set][k].clone());
-                let comparison = Comparison::new(show.by_set(numbers));
+                let comparison = Comparison::new(section.by_set(numbers));
                 let (condition, paper) = (gait(*speed).to_owned(), String::new());
                 rows.push(Row { condition, quantity: *quantity, paper, comparison: comparison.clone() });
                 if quantity.name != SLOPE_ERROR {
                     continue;
                 }
                 let text = format!(
-                    "Told how far to yield, {}, policies do: distance from 1 of the slope of measured over commanded \
-                     compliance",
+                    "With a commanded compliance while {}, both sets yield as commanded: the slope of measured over \
+                     commanded compliance is within {SLOPE_BOUND} of 1",
                     gait(*speed)
                 );
-                let verdict = Verdict::below(SLOPE_BOUND, &comparison);
+                let verdict = Verdict::from_bound(SLOPE_BOUND, &comparison);
                 let (paper, quantity) = (format!("none; ours: < {SLOPE_BOUND}"), *quantity);
-                show.findings.claims.push(Claim { text, paper, quantity, comparison, verdict });
+                section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
             }
             for (set, name) in results.names.iter().enumerate() {
                 panels.push(Curve {
@@ -229,24 +226,24 @@ impl Experiment for Calibration {
                 });
             }
         }
-        let name = format!("{}-lines", INFO.name);
-        let caption = "Lines through the measured compliance over the commanded one.".to_owned();
-        show.findings.tables.push(Table { name, caption, rows, in_page: true });
+        let name = format!("{}-lines", self.info().name);
+        let caption = "Lines fitted to the measured over the commanded compliance.".to_owned();
+        section.content.tables.push(Table { name, caption, rows, in_page: true });
         let pushed: Vec<usize> = (self.pulls(self.commands_m_s.len()).start..results.conditions.len()).collect();
-        let pushes: Vec<Group> = pushed
+        let pushes: Vec<ConditionGroup> = pushed
             .iter()
-            .map(|index| Group { name: results.conditions[*index].label.clone(), conditions: vec![*index] })
+            .map(|index| ConditionGroup { name: results.conditions[*index].label.clone(), conditions: vec![*index] })
             .collect();
-        let rows = pushes.iter().flat_map(|group| [push::TO_10, push::CARRIED].map(|it| show.row(group, it)));
+        let rows = pushes.iter().flat_map(|group| [push::TO_10, push::CARRIED].map(|it| section.row(group, it)));
         let rows: Vec<Row> = rows.collect();
-        show.table_of("A sideways push of 0.5 m/s, by commanded compliance.", rows);
-        show.table_in_file("all", "Compliance by command, commanded compliance, force and direction.");
+        section.table_with_rows("A sideways push of 0.5 m/s, by commanded compliance.", rows);
+        section.table_in_file("all", "Compliance by command, commanded compliance, force and direction.");
         let words = ["commanded compliance [m/s/N]", "measured [m/s/N]"];
         let svg = curves::draw("Measured over commanded compliance", &panels, words[0], words[1]);
-        show.figure(
+        section.figure(
             "",
             "Measured over commanded compliance: mean over policies, directions and forces, and the band between the \
-             direction and force with the least and that with the largest. Dashed: what is asked for.",
+             direction and force with the least and that with the largest. Dashed: the commanded compliance.",
             svg,
         );
     }
@@ -257,7 +254,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_has_its_slope_intercept_and_a_fit_of_one() {
+    fn exact_line_has_a_fit_of_one() {
         let [slope, intercept, r_squared] = line(&[[0.0, 1.0], [1.0, 3.0], [2.0, 5.0]]).unwrap();
         assert!((slope - 2.0).abs() < 1e-12 && (intercept - 1.0).abs() < 1e-12 && (r_squared - 1.0).abs() < 1e-12);
         // Deviations of ±1 about a line of slope 1 through 0, 2, 4, 6 (x 0 to 6 by 2, y 1, 1, 5, 5): xx = 20, xy = 16, yy = 16.

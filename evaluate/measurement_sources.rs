@@ -1,22 +1,21 @@
-//! What a kept measurement of `evaluate` depends on: code that decides its numbers, and nothing else.
+//! The sources that a kept measurement of `evaluate` depends on, and their hash.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// A measurement of `evaluate` is a trial of an experiment. What else it depends on is what these import of `supple`.
+/// The sources of a trial. The other sources that a measurement depends on are those that these import from `supple`.
 const MEASUREMENT: [&str; 3] = ["evaluate/src/lib.rs", "evaluate/src/trial.rs", "evaluate/src/experiments"];
 
-/// What no import shows: the physics, and the versions of libraries.
+/// The dependencies that no import shows: the physics, and the versions of libraries.
 const BELOW: [&str; 2] = ["mujoco-sys", "Cargo.lock"];
 
-/// Returns the folder of the workspace, in which the paths here are.
+/// Returns the folder of the workspace, to which all paths here are relative.
 pub fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
 
-/// The files that a measurement depends on: its own, the modules that they import, those that these import, and so on,
-/// with the texts that any of them includes. What is included as bytes (policies, the contact network) goes by hashes of
-/// its own.
+/// Returns the files that a measurement depends on: the sources of a trial, the modules that they import, directly or not, and
+/// the texts that these include. Policies and the contact network, which are included as bytes, have hashes of their own.
 pub fn measured_files() -> BTreeSet<PathBuf> {
     let mut files: BTreeSet<PathBuf> = BELOW.iter().flat_map(|path| files_in(Path::new(path))).collect();
     let mut ahead: Vec<PathBuf> = MEASUREMENT.iter().flat_map(|path| files_in(Path::new(path))).collect();
@@ -25,7 +24,7 @@ pub fn measured_files() -> BTreeSet<PathBuf> {
             continue;
         }
         let code = code_of(&file);
-        // What `evaluate` imports from itself only shows.
+        // Imports of `evaluate` from itself affect the report only.
         let library = if file.starts_with("evaluate") { "supple::" } else { "crate::" };
         for module in words_after(&code, library) {
             ahead.extend(files_in(&Path::new("src").join(module)));
@@ -37,13 +36,13 @@ pub fn measured_files() -> BTreeSet<PathBuf> {
     files
 }
 
-/// What follows each mark, up to a character that is in no path.
+/// Returns the path or module name after each occurrence of `mark`.
 fn words_after<'a>(code: &'a str, mark: &'a str) -> impl Iterator<Item = &'a str> {
     let is_path = |character: char| character.is_alphanumeric() || "_-./".contains(character);
     code.split(mark).skip(1).map(move |rest| &rest[..rest.find(|c| !is_path(c)).unwrap_or(rest.len())])
 }
 
-/// FNV-1a over paths and code.
+/// Returns the FNV-1a hash over paths and code.
 pub fn hash_of(files: &BTreeSet<PathBuf>) -> u64 {
     let mut hash = 0xcbf2_9ce4_8422_2325_u64;
     for file in files {
@@ -54,7 +53,7 @@ pub fn hash_of(files: &BTreeSet<PathBuf>) -> u64 {
     hash
 }
 
-/// A file's text; of Rust, without comments, blank lines and the unit tests at its end.
+/// Returns the text of a file; of Rust, without comments, blank lines and the unit tests at its end.
 fn code_of(file: &Path) -> String {
     let text =
         std::fs::read(root().join(file)).map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default();
@@ -66,7 +65,7 @@ fn code_of(file: &Path) -> String {
     let text = &text[..tests.map(|(start, _)| start).next().unwrap_or(text.len())];
     let (mut code, mut in_header) = (String::new(), false);
     for line in text.lines().map(str::trim_start) {
-        // A comment in the house's style has lines of its own, or is a header.
+        // Comments are whole lines or a header.
         in_header |= line.starts_with("/*");
         if !in_header && !line.is_empty() && !line.starts_with("//") {
             code.push_str(line);
@@ -77,7 +76,7 @@ fn code_of(file: &Path) -> String {
     code
 }
 
-/// A file, or all of a folder and of the folders in it.
+/// Returns a file, or all files of a folder and of its subfolders.
 pub fn files_in(path: &Path) -> Vec<PathBuf> {
     let folder = root().join(path);
     if !folder.is_dir() {

@@ -1,51 +1,54 @@
-//! How an experiment puts together what it shows: claims, tables and figures of its results, under its name.
+//! Builds an experiment's section of the report: claims, tables and figures of its results, under its name.
 
 use super::Quantity;
-use super::findings::{Claim, Figure, Findings, Lines, Row, Table};
 use super::plot::dots::{self, Dots};
 use super::plot::polar::{self, Polar, Scales};
 use super::results::Results;
+use super::section_content::{Claim, Figure, Lines, Row, SectionContent, Table};
 use super::statistics::{Expected, PerSeed, Spread};
 
-/// Conditions that belong together, such as all directions at one command.
+/// Conditions that are averaged, such as all directions at one command.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Group {
-    /// The name that the group's quantities share.
+pub struct ConditionGroup {
+    /// The label in tables and figures.
     pub name: String,
-    /// Their indices.
+    /// The indices of the conditions.
     pub conditions: Vec<usize>,
 }
 
-impl Group {
-    /// Conditions in the order of their groups, which are all of one size.
-    pub fn all(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<Group> {
+impl ConditionGroup {
+    /// Splits all conditions, in their order, into groups of equal size with these names.
+    pub fn from_names(names: impl ExactSizeIterator<Item = String>, results: &Results) -> Vec<ConditionGroup> {
         let size = results.conditions.len() / names.len().max(1);
-        names.enumerate().map(|(k, name)| Group { name, conditions: (k * size..(k + 1) * size).collect() }).collect()
+        names
+            .enumerate()
+            .map(|(k, name)| ConditionGroup { name, conditions: (k * size..(k + 1) * size).collect() })
+            .collect()
     }
 }
 
-/// The findings of an experiment, being put together.
+/// The section of an experiment under construction.
 #[derive(Debug)]
-pub struct Show<'a> {
+pub struct SectionBuilder<'a> {
     name: &'static str,
     /// The results of the experiment.
     pub results: &'a Results,
-    /// The findings added so far.
-    pub findings: Findings,
+    /// The content added so far.
+    pub content: SectionContent,
 }
 
-impl<'a> Show<'a> {
-    /// Nothing yet.
+impl<'a> SectionBuilder<'a> {
+    /// Creates an empty section.
     pub fn new(name: &'static str, results: &'a Results) -> Self {
-        Show { name, results, findings: Findings::default() }
+        SectionBuilder { name, results, content: SectionContent::default() }
     }
 
-    /// The experiment's name, or `NAME-part`.
+    /// Returns the experiment's name, or `NAME-part` if the part is not empty.
     fn named(&self, part: &str) -> String {
         if part.is_empty() { self.name.to_owned() } else { format!("{}-{part}", self.name) }
     }
 
-    /// Indices of all conditions.
+    /// Returns the indices of all conditions.
     pub fn all(&self) -> Vec<usize> {
         (0..self.results.conditions.len()).collect()
     }
@@ -60,66 +63,74 @@ impl<'a> Show<'a> {
         self.results.conditions.first().map_or("", |condition| &condition.label)
     }
 
-    /// Claims that the first set lies above or below the second in a quantity, in the mean over some conditions.
+    /// Adds the claim that the first set's mean of a quantity over some conditions is higher or lower than the second's.
     pub fn claim(&mut self, text: &str, paper: &str, quantity: &str, expected: Expected, over: &[usize]) {
         let comparison = self.results.compare_over(over, quantity);
-        let claim = Claim::direction(text, paper, self.results.quantity(quantity), expected, comparison);
-        self.findings.claims.push(claim);
+        let claim = Claim::new(text, paper, self.results.quantity(quantity), expected, comparison);
+        self.content.claims.push(claim);
     }
 
-    /// A table of all quantities in all conditions.
+    /// Adds a table of all quantities in all conditions to the page.
     pub fn table(&mut self, caption: &str) -> &mut Table {
         self.add_table("", caption, self.all_rows(), true)
     }
 
-    /// The same in a file of its own, not in the page.
+    /// Adds a table of all quantities in all conditions, as a file only.
     pub fn table_in_file(&mut self, part: &str, caption: &str) {
         self.add_table(part, caption, self.all_rows(), false);
     }
 
-    /// A table of these rows.
-    pub fn table_of(&mut self, caption: &str, rows: Vec<Row>) {
+    /// Adds a table of these rows to the page.
+    pub fn table_with_rows(&mut self, caption: &str, rows: Vec<Row>) {
         self.add_table("", caption, rows, true);
     }
 
     fn add_table(&mut self, part: &str, caption: &str, rows: Vec<Row>, in_page: bool) -> &mut Table {
-        let (name, index) = (self.named(part), self.findings.tables.len());
-        self.findings.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
-        &mut self.findings.tables[index]
+        let (name, index) = (self.named(part), self.content.tables.len());
+        self.content.tables.push(Table { name, caption: caption.to_owned(), rows, in_page });
+        &mut self.content.tables[index]
     }
 
-    /// All quantities in every condition by itself.
+    /// Returns a row for each quantity in each condition.
     fn all_rows(&self) -> Vec<Row> {
-        self.rows(&Group::all(self.labels().into_iter(), self.results))
+        self.rows(&ConditionGroup::from_names(self.labels().into_iter(), self.results))
     }
 
-    /// All quantities, of each the mean over each group.
-    pub fn rows(&self, groups: &[Group]) -> Vec<Row> {
+    /// Returns a row for each group and quantity: the mean over the group.
+    pub fn rows(&self, groups: &[ConditionGroup]) -> Vec<Row> {
         let quantities = self.results.quantities;
         groups.iter().flat_map(|group| quantities.iter().map(|quantity| self.row(group, *quantity))).collect()
     }
 
-    /// A row of a quantity's mean over a group.
-    pub fn row(&self, group: &Group, quantity: Quantity) -> Row {
+    /// Returns the row of a quantity's mean over a group.
+    pub fn row(&self, group: &ConditionGroup, quantity: Quantity) -> Row {
         let comparison = self.results.compare_over(&group.conditions, quantity.name);
         Row { condition: group.name.clone(), quantity, paper: String::new(), comparison }
     }
 
-    /// A figure.
+    /// Adds a figure.
     pub fn figure(&mut self, part: &str, caption: impl Into<String>, svg: String) {
-        self.findings.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
+        self.content.figures.push(Figure { name: self.named(part), caption: caption.into(), svg });
     }
 
-    /// A figure of quantities by condition, a panel each.
+    /// Adds a figure of quantities by condition, with a panel for each quantity.
     pub fn dots(&mut self, part: &str, title: &str, quantities: &[&str], caption: &str) {
-        let conditions = Group::all(self.labels().into_iter(), self.results);
-        self.dots_of(part, title, &conditions, quantities, caption);
+        let conditions = ConditionGroup::from_names(self.labels().into_iter(), self.results);
+        self.grouped_dots(part, title, &conditions, quantities, caption);
     }
 
-    /// A figure of quantities by group of conditions, a panel each.
-    pub fn dots_of(&mut self, part: &str, title: &str, groups: &[Group], quantities: &[&str], caption: &str) {
+    /// Adds a figure of quantities by group of conditions, with a panel for each quantity.
+    pub fn grouped_dots(
+        &mut self,
+        part: &str,
+        title: &str,
+        groups: &[ConditionGroup],
+        quantities: &[&str],
+        caption: &str,
+    ) {
         let panel = |name: &&str| {
-            let row = |group: &Group| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
+            let row =
+                |group: &ConditionGroup| self.by_set(|set| self.results.per_seed_over(set, &group.conditions, name));
             Dots { quantity: self.results.quantity(name), rows: groups.iter().map(row).collect() }
         };
         let panels: Vec<Dots> = quantities.iter().map(panel).collect();
@@ -128,18 +139,18 @@ impl<'a> Show<'a> {
         self.figure(part, caption, svg);
     }
 
-    /// A figure of a quantity by direction, a panel for each group of directions that divide the circle evenly.
+    /// Adds a figure of a quantity by direction, with a panel for each group of directions, which divide the circle evenly.
     pub fn polar(
         &mut self,
         part: &str,
         title: &str,
         (quantity, axis): (&str, &str),
-        groups: &[Group],
+        groups: &[ConditionGroup],
         scales: Scales,
         caption: impl Into<String>,
     ) {
-        let spread = |set, condition: &usize| Spread::of(&self.results.per_seed(set, *condition, quantity));
-        let panel = |group: &Group| Polar {
+        let spread = |set, condition: &usize| Spread::from_values(&self.results.per_seed(set, *condition, quantity));
+        let panel = |group: &ConditionGroup| Polar {
             title: group.name.clone(),
             sets: self.by_set(|set| group.conditions.iter().map(|condition| spread(set, condition)).collect()),
         };
@@ -148,22 +159,22 @@ impl<'a> Show<'a> {
         self.figure(part, caption, svg);
     }
 
-    /// The points of a figure's lines, in a file.
+    /// Adds the points of a figure's lines, as a file.
     pub fn lines(&mut self, lines: impl IntoIterator<Item = Lines>) {
-        self.findings.lines.extend(lines);
+        self.content.lines.extend(lines);
     }
 
     /// Adds notes for the reader.
     pub fn notes(&mut self, notes: impl IntoIterator<Item = String>) {
-        self.findings.notes.extend(notes);
+        self.content.notes.extend(notes);
     }
 
-    /// Something of each set.
+    /// Returns the value of a function for each set.
     pub fn by_set<T>(&self, of: impl Fn(usize) -> T) -> Vec<T> {
         (0..self.results.sets.len()).map(of).collect()
     }
 
-    /// A quantity in a condition, by set and seed.
+    /// Returns the means of a quantity in a condition, by set and seed.
     pub fn per_seed(&self, condition: usize, quantity: &str) -> Vec<PerSeed> {
         self.by_set(|set| self.results.per_seed(set, condition, quantity))
     }

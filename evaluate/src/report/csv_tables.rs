@@ -1,7 +1,7 @@
-//! Tables as CSV: bare numbers in the units named beside them, one line for each condition and quantity.
+//! Tables as CSV: one line for each condition and quantity, with numbers in the unit of that line.
 
 use super::Report;
-use crate::findings::{Lines, Table};
+use crate::section_content::{Lines, Table};
 use crate::statistics::{Comparison, IntervalEstimate};
 
 /// Returns a table as CSV.
@@ -28,7 +28,7 @@ pub fn claims_csv(report: &Report) -> String {
     let head = strings(["experiment", "claim", "paper", "quantity", "unit"]);
     let head = head.chain(header(&report.names)).chain(strings(["verdict"])).collect();
     let rows = report.sections.iter().flat_map(|section| {
-        section.findings.claims.iter().map(|claim| {
+        section.content.claims.iter().map(|claim| {
             let quantity = claim.quantity;
             let cells = strings([section.info.id, &claim.text, &claim.paper, quantity.name, quantity.unit]);
             let numbers = numbers(&claim.comparison.scaled(quantity.scale()));

@@ -1,120 +1,120 @@
-//! What an experiment shows: claims of the paper with our numbers, tables and figures.
+//! The content of an experiment's section of the report (claims, tables, figures), and numbers as text.
 
 use serde::Serialize;
 
 use super::Quantity;
 use super::statistics::{Comparison, Expected, IntervalEstimate, Numbers, Spread, Trials, Verdict};
 
-/// Everything that an experiment shows.
+/// The claims, tables, figures and notes of an experiment.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Findings {
+pub struct SectionContent {
     /// The claims of the paper, each with a verdict.
     pub claims: Vec<Claim>,
-    /// Numbers.
+    /// The tables in the order of the report.
     pub tables: Vec<Table>,
-    /// Drawings.
+    /// The figures in the order of the report.
     pub figures: Vec<Figure>,
-    /// Points of what figures draw and no table has.
+    /// The points of figures that no table has.
     pub lines: Vec<Lines>,
     /// Notes about the numbers of this run.
     pub notes: Vec<String>,
 }
 
-/// A statement of the paper.
+/// A statement about two sets of policies, in most cases one of the paper.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Claim {
-    /// The claim in our words.
+    /// The claim in words.
     pub text: String,
     /// The paper's numbers, if it gives any.
     pub paper: String,
     /// The quantity that is compared.
     pub quantity: Quantity,
-    /// Our numbers.
+    /// The measured numbers.
     pub comparison: Comparison,
-    /// The verdict of the numbers.
+    /// The verdict of the measured numbers.
     pub verdict: Verdict,
 }
 
 impl Claim {
-    /// That the first set lies above or below the second.
-    pub fn direction(text: &str, paper: &str, quantity: Quantity, expected: Expected, comparison: Comparison) -> Self {
-        let verdict = Verdict::of(&comparison, expected);
+    /// Creates a claim that the first set's number is higher or lower than the second's.
+    pub fn new(text: &str, paper: &str, quantity: Quantity, expected: Expected, comparison: Comparison) -> Self {
+        let verdict = Verdict::new(&comparison, expected);
         Claim { text: text.to_owned(), paper: paper.to_owned(), quantity, comparison, verdict }
     }
 }
 
-/// A line of a table.
+/// A row of a table.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Row {
     /// The condition; empty if nothing was varied.
     pub condition: String,
     /// The measured quantity.
     pub quantity: Quantity,
-    /// The paper's numbers, first set / second set; empty if it gives none.
+    /// The paper's numbers, compliant / baseline; empty if it gives none.
     pub paper: String,
-    /// Ours.
+    /// The measured numbers.
     pub comparison: Comparison,
 }
 
-/// A table.
+/// A table of the report.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Table {
-    /// File name without extension.
+    /// The file name without extension.
     pub name: String,
     /// The caption of the table.
     pub caption: String,
     /// The rows from top to bottom.
     pub rows: Vec<Row>,
-    /// True if the table is part of the report's page; false if it is only in the files beside it.
+    /// True if the table is in the report's page, false if it is only in a file.
     pub in_page: bool,
 }
 
 impl Table {
-    /// States the paper's numbers in the rows of a quantity.
-    pub fn state(&mut self, quantity: &str, paper: &str) {
+    /// Sets the paper's numbers in the rows of a quantity.
+    pub fn set_paper(&mut self, quantity: &str, paper: &str) {
         let rows = self.rows.iter_mut().filter(|row| row.quantity.name == quantity);
         rows.for_each(|row| row.paper = paper.to_owned());
     }
 }
 
-/// A drawing.
+/// A figure of the report.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Figure {
-    /// File name without extension.
+    /// The file name without extension.
     pub name: String,
     /// The caption of the figure.
     pub caption: String,
-    /// The drawing.
+    /// The SVG document.
     pub svg: String,
 }
 
-/// Lines of a figure as points, to draw it anew.
+/// The lines of a figure as points, for readers who draw it anew.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Lines {
-    /// File name without extension.
+    /// The file name without extension.
     pub name: String,
-    /// The names of the numbers of a point, with units.
+    /// The names of the columns, with units.
     pub columns: Vec<&'static str>,
     /// The lines in drawing order.
     pub lines: Vec<Line>,
 }
 
-/// One of them.
+/// A line of a figure.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Line {
-    /// Whose it is.
+    /// The label: condition, set, seed and number of runs.
     pub label: String,
     /// The points of the line, one number for each column.
     pub rows: Vec<Vec<f64>>,
 }
 
-/// The content of a cell without a number.
+/// The text of a cell without a number.
 pub const NOTHING: &str = "–";
 
-/// A number in its quantity's unit and digits, without the unit.
+/// Returns a value as text in its quantity's printed unit and digits, without the unit.
 pub fn number(value: f64, quantity: Quantity) -> String {
     let text = format!("{:.*}", quantity.digits, quantity.scale() * value);
-    // No minus before a rounded zero.
+    // A value that is rounded to zero has no minus sign.
     let text = if is_zero(&text) { text.trim_start_matches('-').to_owned() } else { text };
     text.replace('-', "−")
 }
@@ -124,7 +124,7 @@ fn is_zero(text: &str) -> bool {
     !text.contains(|c: char| ('1'..='9').contains(&c))
 }
 
-/// Mean ± standard deviation, followed by `unit`; says so if not all of a set's seeds have the number.
+/// Returns mean ± standard deviation, followed by `unit` and, if some seeds of the set have no number, how many have one.
 pub fn spread(numbers: &Numbers, quantity: Quantity, unit: &str) -> String {
     let members = numbers.members;
     let Some(Spread { mean, sd, seeds }) = numbers.spread else { return NOTHING.to_owned() };
@@ -133,9 +133,9 @@ pub fn spread(numbers: &Numbers, quantity: Quantity, unit: &str) -> String {
     format!("{}{deviation}{unit}{missing}", number(mean, quantity))
 }
 
-/// The difference of a comparison, followed by `unit`; says so if not all of the seeds or trials are in it.
+/// Returns the difference of a comparison, followed by `unit` and, if some seeds or trials are missing, how many it uses.
 pub fn difference(comparison: &Comparison, quantity: Quantity, unit: &str) -> String {
-    // Points of a percentage: what is not zero is not to read as zero.
+    // Differences of percentages have a digit after the point, so that small ones do not look like zero.
     let digits = if quantity.unit == "%" { quantity.digits.max(1) } else { quantity.digits };
     let members: Vec<usize> = comparison.pair().iter().map(|set| set.members).collect();
     let text = estimate(comparison.difference, Quantity { digits, ..quantity }, &members, unit);
@@ -145,7 +145,7 @@ pub fn difference(comparison: &Comparison, quantity: Quantity, unit: &str) -> St
     }
 }
 
-/// A signed number with its interval, followed by `unit`; says so if not all of the seeds are in it.
+/// Returns a signed number with its interval, followed by `unit` and, if some seeds are missing, the number of pairs.
 fn estimate(estimate: Option<IntervalEstimate>, quantity: Quantity, members: &[usize], unit: &str) -> String {
     let Some(IntervalEstimate { value, interval, pairs }) = estimate else { return NOTHING.to_owned() };
     let signed = |value: f64| {
@@ -159,9 +159,9 @@ fn estimate(estimate: Option<IntervalEstimate>, quantity: Quantity, members: &[u
     format!("{}{interval}{unit}{missing}", signed(value))
 }
 
-/// A relative change with its interval, followed by `unit`.
+/// Returns a relative change in percent with its interval, followed by `unit`.
 pub fn percent(relative: Option<IntervalEstimate>, unit: &str) -> String {
-    // How many pairs are in it stands beside the difference.
+    // The difference already states the number of pairs.
     estimate(relative, Quantity::new("relative", "relative change", "%", 0), &[], unit)
 }
 
@@ -170,7 +170,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_have_their_quantitys_digits_and_a_real_minus() {
+    fn numbers_have_digits_of_their_quantity() {
         let metres = Quantity::new("x", "x", "m", 2);
         assert_eq!(number(-1.234, metres), "−1.23");
         assert_eq!(number(-0.001, metres), "0.00");

@@ -1,0 +1,163 @@
+/*! Finished measurements on disk, so that none is repeated.
+
+A file holds all trials of one policy in one experiment. Its name is a hash of everything that its content depends on: the
+policy, its seed, sensing, commanded compliance and calibration, the robot, the experiment's parameters and scenarios, and the
+sources of this program except those that only report. After a change of a policy or of the protocol, only what is new is
+measured, and a report never mixes measurements of different programs.
+
+Several processes may share a folder, also on several machines: one process at a time measures an experiment, and the others
+read its results.
+*/
+
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::policy_sets::SetMember;
+use super::results::PolicyResult;
+use super::{Condition, Experiment};
+use supple::estimate::{EstimatorConfig, SensorNoise, contact};
+use supple::scenario::Sensing;
+use supple::util::files;
+use supple::util::provenance::git_revision;
+
+/// The largest measurement that is read \[bytes\].
+const MAX_BYTES: u64 = 1 << 30;
+
+/// A finished measurement: all trials of one policy in one experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StoredMeasurement {
+    /// The full hash of everything that the content depends on.
+    pub key: String,
+    /// The name of the experiment.
+    pub experiment: String,
+    /// The hash of the policy's file.
+    pub sha256: String,
+    /// The policy's seed.
+    pub seed: u64,
+    /// The revision of the program that measured.
+    pub revision: String,
+    /// The time that the trials took \[s\].
+    pub wall_s: f64,
+    /// The hash of the samples.
+    pub checksum: String,
+    /// The samples, shape (conditions, trials).
+    pub samples: PolicyResult,
+}
+
+/// The folder of finished measurements.
+#[derive(Debug, Clone)]
+pub struct MeasurementStore {
+    folder: PathBuf,
+}
+
+impl MeasurementStore {
+    /// Creates the store in the folder `results` of a report's folder.
+    pub fn new(out: &Path) -> Self {
+        MeasurementStore { folder: out.join("results") }
+    }
+
+    /// Returns the path of a measurement.
+    fn path(&self, experiment: &dyn Experiment, key: &str) -> PathBuf {
+        self.folder.join(experiment.info().name).join(format!("{}.json", &key[..16]))
+    }
+
+    /// Reads a finished measurement; none if it is missing or damaged.
+    pub fn read(&self, experiment: &dyn Experiment, key: &str) -> Option<StoredMeasurement> {
+        let bytes = files::read_bounded(&self.path(experiment, key), MAX_BYTES).ok()?;
+        let stored: StoredMeasurement = serde_json::from_slice(&bytes).ok()?;
+        (stored.key == key && stored.checksum == checksum(&stored.samples)).then_some(stored)
+    }
+
+    /// Locks an experiment: waits until no other process measures it, and keeps others waiting while the file is open.
+    ///
+    /// # Errors
+    /// The folder or its lock file cannot be created.
+    pub fn lock_experiment(&self, experiment: &dyn Experiment) -> io::Result<File> {
+        lock(&self.folder.join(experiment.info().name))
+    }
+
+    /// Locks the report: waits until no other process writes it, and keeps others waiting while the file is open.
+    ///
+    /// # Errors
+    /// The folder or its lock file cannot be created.
+    pub fn lock_report(&self) -> io::Result<File> {
+        lock(&self.folder)
+    }
+
+    /// Writes a finished measurement.
+    ///
+    /// # Errors
+    /// The file cannot be written.
+    pub fn write(
+        &self,
+        experiment: &dyn Experiment,
+        key: &str,
+        member: &SetMember,
+        wall_s: f64,
+        samples: PolicyResult,
+    ) -> io::Result<()> {
+        let stored = StoredMeasurement {
+            key: key.to_owned(),
+            experiment: experiment.info().name.to_owned(),
+            sha256: member.agent.sha256.clone(),
+            seed: member.seed,
+            revision: git_revision().to_owned(),
+            wall_s,
+            checksum: checksum(&samples),
+            samples,
+        };
+        let path = self.path(experiment, key);
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder)?;
+        }
+        files::write_atomically(&path, &serde_json::to_vec(&stored)?)
+    }
+}
+
+fn lock(folder: &Path) -> io::Result<File> {
+    fs::create_dir_all(folder)?;
+    let file = File::options().create(true).append(true).open(folder.join(".lock"))?;
+    // On a file system without locks, two processes may measure the same: it costs time only.
+    let _ = file.lock();
+    files::clear_temporaries(folder)?;
+    Ok(file)
+}
+
+fn checksum(samples: &PolicyResult) -> String {
+    // Serialising structs of numbers cannot fail.
+    files::sha256(&[&serde_json::to_vec(samples).unwrap_or_default()])
+}
+
+/// Returns the hash of everything that the results of an experiment with a policy depend on.
+pub fn key(experiment: &dyn Experiment, conditions: &[Condition], member: &SetMember, sensing: Sensing) -> String {
+    let robot = &member.agent.config.robot;
+    let mut parts = serde_json::json!({
+        "program": env!("SUPPLE_MEASUREMENT_SOURCES"),
+        // A robot that cannot be read fails in its first trial, with the reason.
+        "robot": robot.load().map(|robot| robot.sha256().to_owned()).unwrap_or_default(),
+        "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],
+        "experiment": [experiment.info().name, experiment.info().number],
+        "parameters": experiment,
+        "trials": experiment.info().trials,
+        "conditions": conditions,
+        "policy": member.agent.sha256,
+        "seed": member.seed,
+    });
+    // A calibration does not affect trials without commanded compliance.
+    if member.agent.commanded_compliance.is_some()
+        || conditions.iter().any(|condition| condition.scenario.task().compliance.is_some())
+    {
+        parts["compliance"] = serde_json::json!([member.agent.commanded_compliance, member.agent.calibration]);
+    }
+    if sensing == Sensing::Estimated {
+        parts["sensing"] = serde_json::json!({
+            "network": contact::shipped_sha256(),
+            "noise": SensorNoise::default(),
+            "estimator": EstimatorConfig::default(),
+        });
+    }
+    files::sha256(&[parts.to_string().as_bytes()])
+}
