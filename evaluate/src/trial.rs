@@ -200,7 +200,8 @@ mod tests {
         let mut play = |low: f64| {
             let points = [low, 0.05].map(|c| Point { commanded: c, measured: [c; 2] }).to_vec();
             let sha256 = agent.sha256.clone();
-            agent.calibration = Some(PolicyCalibration { sha256, mass_kg: 13.0, own_m_s_per_n: [0.02; 2], points });
+            agent.calibration =
+                Some(PolicyCalibration { sha256, mass_kg: 13.0, own_m_s_per_n: [0.02; 2], tracking: [1.0; 2], points });
             play(&protocol.leash, &condition, 1, &agent, Sensing::True).unwrap()
         };
         let refused = play(0.04);

@@ -499,7 +499,8 @@ fn set_with_commanded_compliance_is_measured_apart() {
     let calibrate = |own: f64| {
         let points = [0.01, 0.05].map(|c| Point { commanded: c, measured: [c; 2] }).to_vec();
         let sha256 = standing_policy().sha256().to_owned();
-        let calibration = PolicyCalibration { sha256, mass_kg: 12.0, own_m_s_per_n: [own; 2], points };
+        let calibration =
+            PolicyCalibration { sha256, mass_kg: 12.0, own_m_s_per_n: [own; 2], tracking: [1.0; 2], points };
         let text = serde_json::to_string(&calibration).unwrap();
         std::fs::write(folder.join("policies/compliant-seed0.calibration.json"), text).unwrap();
     };

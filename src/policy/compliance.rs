@@ -28,6 +28,8 @@ pub struct PolicyCalibration {
     pub mass_kg: f64,
     /// Own compliance of the policy, `C₀`, forward and left [m/s/N].
     pub own_m_s_per_n: [f64; 2],
+    /// Change of the policy's velocity per change of the commanded one, forward and left.
+    pub tracking: [f64; 2],
     /// The measured compliance for some commanded ones, increasing; the first and the last bound what can be commanded.
     pub points: Vec<Point>,
 }
@@ -132,11 +134,26 @@ impl PolicyCalibration {
             return Err("it is of another policy: run `policy calibrate` again");
         }
         let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
-        let positive = numbers.chain(self.own_m_s_per_n).chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
+        let positive = numbers
+            .chain(self.own_m_s_per_n)
+            .chain(self.tracking)
+            .chain([self.mass_kg])
+            .all(|it| it.is_finite() && it > 0.0);
         if points.len() < 2 || !rising || !positive {
             return Err("expected two points or more, rising, and positive numbers: run `policy calibrate` again");
         }
         Ok(self)
+    }
+
+    /// Returns the virtual mass for the rates and commands of the policy's configuration.
+    fn virtual_mass(&self, config: &Config) -> VirtualMass {
+        VirtualMass {
+            mass_kg: self.mass_kg,
+            own_m_s_per_n: self.own_m_s_per_n,
+            tracking: self.tracking,
+            limits_m_s: config.outer_loop_limits_m_s(),
+            period_s: config.simulation.policy_period_s(),
+        }
     }
 
     /// Returns the smallest and the largest compliance that can be commanded [m/s/N].
@@ -178,7 +195,7 @@ impl CompliantObservations {
             wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
         };
         Ok(CompliantObservations {
-            mass: VirtualMass::new(&policy.provenance.config, calibration.mass_kg, calibration.own_m_s_per_n),
+            mass: calibration.virtual_mass(&policy.provenance.config),
             change: [0.0; 2],
             compliance,
             command: [place("commanded forward [m/s]")?, place("commanded left [m/s]")?],
@@ -205,8 +222,7 @@ pub struct CompliantController<'a> {
 impl<'a> CompliantController<'a> {
     /// Wraps a policy, for the rates and commands that it was trained with.
     pub fn new(policy: Box<dyn Controller + 'a>, calibration: &PolicyCalibration, config: &Config) -> Self {
-        let mass = VirtualMass::new(config, calibration.mass_kg, calibration.own_m_s_per_n);
-        CompliantController { policy, mass, change: [0.0; 2] }
+        CompliantController { policy, mass: calibration.virtual_mass(config), change: [0.0; 2] }
     }
 }
 
@@ -245,7 +261,7 @@ mod tests {
         }
     }
 
-    const TEXT: &str = r#"{"sha256": "it", "mass_kg": 12.5, "own_m_s_per_n": [0.01, 0.02],
+    const TEXT: &str = r#"{"sha256": "it", "mass_kg": 12.5, "own_m_s_per_n": [0.01, 0.02], "tracking": [0.8, 0.9],
         "points": [{"commanded": 0.005, "measured": [0.006, 0.007]}, {"commanded": 0.05, "measured": [0.048, 0.051]}]}"#;
 
     fn parsed(text: &str) -> Result<PolicyCalibration, FileError> {
@@ -270,8 +286,8 @@ mod tests {
         // As `policy show` has them: commanded left, forward, yaw rate.
         (observation[80], observation[81], observation[82]) = (0.0, 0.5, 0.25);
         compliant.apply(&mut observation, [-10.0, 0.0]);
-        // Time constant 12.5 kg · (0.03 − 0.01) m/s/N = 0.25 s, a 60th of a second: 1 − e^(−1/15) of −0.2 m/s.
-        let forward = 0.5 - 0.2 * (1.0 - (-1.0_f64 / 15.0).exp());
+        // Time constant 12.5 kg · (0.03 − 0.01) m/s/N = 0.25 s, a 60th of a second: 1 − e^(−1/15) of −0.2 m/s / 0.8.
+        let forward = 0.5 - 0.25 * (1.0 - (-1.0_f64 / 15.0).exp());
         assert!((observation[81] - forward).abs() < 1e-12, "{}", observation[81]);
         assert_eq!((observation[80], observation[82]), (0.0, 0.25));
         assert!(CompliantObservations::new(&policy, &calibration, 0.06).is_err());

@@ -32,6 +32,9 @@ const MEAN_S: f64 = 3.0;
 /// the smallest error of the felt force.
 const TRIED: [f64; 7] = [0.005, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06];
 
+/// Compliance at which it is measured how well the policy tracks the change of its command [m/s/N].
+const SOFT: f64 = 0.04;
+
 /// Velocities at which the robot is pulled, forward [m/s].
 const WALKS_M_S: [f64; 2] = [0.0, 0.5];
 
@@ -85,8 +88,17 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration,
         return Err(CalibrationError::Stiff(own));
     }
     let mass_kg = agent.config.robot.load().map_err(ScriptError::from)?.mass_kg;
-    let mut calibration =
-        PolicyCalibration { sha256: agent.sha256.clone(), mass_kg, own_m_s_per_n: own, points: Vec::new() };
+    let mut calibration = PolicyCalibration {
+        sha256: agent.sha256.clone(),
+        mass_kg,
+        own_m_s_per_n: own,
+        tracking: [1.0; 2],
+        points: Vec::new(),
+    };
+    agent.calibration = Some(calibration.clone());
+    // What is missing under a soft setting is what the policy does not track.
+    let soft = compliance(agent, Some(SOFT), threads)?.ok_or(CalibrationError::Falls("commanded 0.04 m/s/N"))?;
+    calibration.tracking = std::array::from_fn(|axis| ((soft[axis] - own[axis]) / (SOFT - own[axis])).clamp(0.5, 1.5));
     agent.calibration = Some(calibration.clone());
     for commanded in TRIED {
         // A compliance at which pulls bring it down, or that it does not give, is left out of the range.

@@ -8,17 +8,16 @@ with the robot's mass m, the commanded velocity v*, the commanded compliance c [
 which it feels ([`crate::estimate::external_force`]). A steady force offsets its velocity by c·F, and a push decays with the
 time constant m·c. Gravity on a slope and obstacles under the feet are no force on the trunk.
 
-A policy that tracks velocities yields a little by itself, by `C₀`, its own compliance, which differs forward and left.
-[`VirtualMass`] commands it the rest: on each axis, the velocity `v* + u` with
+A policy that tracks velocities yields a little by itself, by `C₀`, its own compliance, and follows a change of its command by a
+part `k` of it; both differ forward and left. [`VirtualMass`] commands it the rest: on each axis, the velocity `v* + u` with
 
-`m |c − C₀| u̇ = (c − C₀) F − u`
+`m |c − C₀| u̇ = (c − C₀) F / k − u`
 
 Softer than C₀, the command moves with the pull; stiffer, it moves against it.
 */
 
 use nalgebra::Vector2;
 
-use crate::config::Config;
 use crate::observation::Command;
 
 /// Shortest time constant of `u`, which keeps the gait out of it \[s\].
@@ -35,6 +34,8 @@ pub struct VirtualMass {
     pub mass_kg: f64,
     /// The policy's own compliance `C₀`, forward and left [m/s/N].
     pub own_m_s_per_n: [f64; 2],
+    /// Change of velocity per change of the commanded velocity `k`, forward and left.
+    pub tracking: [f64; 2],
     /// Largest velocity that it commands, forward and left, unless the command itself is larger [m/s].
     pub limits_m_s: [f64; 2],
     /// Duration of a policy step \[s\].
@@ -42,13 +43,6 @@ pub struct VirtualMass {
 }
 
 impl VirtualMass {
-    /// Creates the virtual mass of a robot, for a policy of this configuration with this own compliance, forward and left
-    /// [m/s/N].
-    pub fn new(config: &Config, mass_kg: f64, own_m_s_per_n: [f64; 2]) -> Self {
-        let (limits_m_s, period_s) = (config.outer_loop_limits_m_s(), config.simulation.policy_period_s());
-        VirtualMass { mass_kg, own_m_s_per_n, limits_m_s, period_s }
-    }
-
     /// Returns the command for the policy of a robot that feels `force` on its trunk \[N\], is commanded `command`, and is to
     /// have the compliance `c` [m/s/N].
     ///
@@ -57,7 +51,8 @@ impl VirtualMass {
         for axis in 0..2 {
             let gain = c - self.own_m_s_per_n[axis];
             let time_constant_s = (self.mass_kg * gain.abs()).max(SHORTEST_S);
-            change[axis] += (1.0 - (-self.period_s / time_constant_s).exp()) * (gain * force[axis] - change[axis]);
+            let goal = gain * force[axis] / self.tracking[axis];
+            change[axis] += (1.0 - (-self.period_s / time_constant_s).exp()) * (goal - change[axis]);
         }
         *change = Vector2::from(*change).cap_magnitude(LARGEST_CHANGE_M_S).into();
         let target = [command.forward, command.left];
@@ -76,16 +71,22 @@ mod tests {
     const MASS_KG: f64 = 12.5;
     const STEP_S: f64 = 1.0 / 60.0;
     const OWN: [f64; 2] = [0.01, 0.02];
+    const TRACKING: [f64; 2] = [0.9, 0.8];
 
-    /// Returns velocity and path of a robot that follows its command with its own compliance (v = v_command + C₀ F) while
+    fn mass(limits_m_s: [f64; 2]) -> VirtualMass {
+        VirtualMass { mass_kg: MASS_KG, own_m_s_per_n: OWN, tracking: TRACKING, limits_m_s, period_s: STEP_S }
+    }
+
+    /// Returns velocity and path of a robot that follows its command with its own compliance (v = k v_command + C₀ F) while
     /// `force` acts for `acting_s`, and for 10 s in all.
     fn led(c: f64, force: [f64; 2], acting_s: f64) -> ([f64; 2], [f64; 2]) {
-        let mass = VirtualMass { mass_kg: MASS_KG, own_m_s_per_n: OWN, limits_m_s: [1.0, 1.0], period_s: STEP_S };
+        let mass = mass([1.0, 1.0]);
         let (mut change, mut velocity, mut path) = ([0.0; 2], [0.0; 2], [0.0; 2]);
         for step in 0..600 {
             let force = if f64::from(step) * STEP_S < acting_s { force } else { [0.0; 2] };
             let commanded = mass.command(force, &Command::default(), c, &mut change);
-            velocity = [commanded.forward + OWN[0] * force[0], commanded.left + OWN[1] * force[1]];
+            let commanded = [TRACKING[0] * commanded.forward, TRACKING[1] * commanded.left];
+            velocity = [commanded[0] + OWN[0] * force[0], commanded[1] + OWN[1] * force[1]];
             (0..2).for_each(|axis| path[axis] += STEP_S * velocity[axis]);
         }
         (velocity, path)
@@ -109,8 +110,7 @@ mod tests {
 
     #[test]
     fn strong_pull_changes_command_by_its_limit() {
-        let mass = VirtualMass { mass_kg: MASS_KG, own_m_s_per_n: OWN, limits_m_s: [1.0, 0.6], period_s: STEP_S };
-        let mut change = [0.0; 2];
+        let (mass, mut change) = (mass([1.0, 0.6]), [0.0; 2]);
         let walk = Command::velocity(0.8, 0.0, 0.2);
         let commanded = (0..600).map(|_| mass.command([500.0, 0.0], &walk, 0.05, &mut change)).last().unwrap();
         assert_eq!((commanded.forward, commanded.left, commanded.yaw), (1.0, 0.0, 0.2));

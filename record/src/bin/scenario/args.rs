@@ -12,8 +12,6 @@ use supple::scenario::catalog::{DEFAULTS, Scenario};
 use supple::util::terminal::path_as_text;
 use supple::util::yaml::{Text, flat_parameters};
 
-use crate::seeds;
-
 /// Headings of the help for arguments that are not the scenario's own.
 const INPUT: &str = "Policies, robot and seed";
 const OUTPUT: &str = "Output";
@@ -41,7 +39,7 @@ pub struct Args {
     #[arg(long, global = true, help_heading = INPUT, value_name = "N", default_value_t = 0)]
     pub seed: u64,
     /// Seeds from the first to the last, both included: prints means and spread, and writes no recording
-    #[arg(long, global = true, help_heading = INPUT, value_name = "FIRST..LAST", value_parser = seeds::range,
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FIRST..LAST", value_parser = seed_range,
           conflicts_with_all = ["seed", "record", "connect", "serve", "on_fall", "csv"])]
     pub seeds: Option<RangeInclusive<u64>>,
     /// State that the policy acts on: the true one, or an estimate from noisy sensors
@@ -143,4 +141,28 @@ fn with_defaults(
             })
         })
     }))
+}
+
+/// Parses a range of seeds such as `0..9`, both ends included.
+fn seed_range(text: &str) -> Result<RangeInclusive<u64>, String> {
+    let number = |text: &str| text.parse::<u64>().ok();
+    let ends = text.split_once("..").and_then(|(first, last)| number(first).zip(number(last)));
+    match ends.filter(|(first, last)| first <= last) {
+        Some((first, last)) if last - first < 10_000 => Ok(first..=last),
+        _ => Err("expected FIRST..LAST, both included, as in 0..9; at most 10000 seeds".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_ends_of_a_range_count() {
+        assert_eq!(seed_range("0..9").unwrap().count(), 10);
+        assert_eq!(seed_range("7..7").unwrap(), 7..=7);
+        for bad in ["9..0", "3", "0..", "a..b", "-1..2", "0..10000", "0..18446744073709551615"] {
+            assert!(seed_range(bad).is_err(), "{bad}");
+        }
+    }
 }

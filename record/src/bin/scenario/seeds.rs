@@ -21,16 +21,6 @@ pub struct OfSeeds {
     pub metrics: Vec<Vec<Metric>>,
 }
 
-/// Parses a range of seeds such as `0..9`, both ends included.
-pub fn range(text: &str) -> Result<RangeInclusive<u64>, String> {
-    let number = |text: &str| text.parse::<u64>().ok();
-    let ends = text.split_once("..").and_then(|(first, last)| number(first).zip(number(last)));
-    match ends.filter(|(first, last)| first <= last) {
-        Some((first, last)) if last - first < 10_000 => Ok(first..=last),
-        _ => Err("expected FIRST..LAST, both included, as in 0..9; at most 10000 seeds".into()),
-    }
-}
-
 /// Mean, standard deviation over the seeds, and number of seeds that define the metric.
 struct Spread {
     mean: f64,
@@ -134,15 +124,6 @@ fn first(runs: &[OfSeeds]) -> &[Metric] {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn both_ends_of_a_range_count() {
-        assert_eq!(range("0..9").unwrap().count(), 10);
-        assert_eq!(range("7..7").unwrap(), 7..=7);
-        for bad in ["9..0", "3", "0..", "a..b", "-1..2", "0..10000", "0..18446744073709551615"] {
-            assert!(range(bad).is_err(), "{bad}");
-        }
-    }
 
     #[test]
     fn the_spread_is_that_of_a_sample() {
