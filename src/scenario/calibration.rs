@@ -35,6 +35,9 @@ const TRIED: [f64; 7] = [0.005, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06];
 /// Compliance at which it is measured how well the policy tracks the change of its command [m/s/N].
 const SOFT: f64 = 0.04;
 
+/// Largest error of a measured compliance, as a fraction of the commanded one, up to which it can be commanded.
+const TOLERANCE: f64 = 0.25;
+
 /// Velocities at which the robot is pulled, forward [m/s].
 const WALKS_M_S: [f64; 2] = [0.0, 0.5];
 
@@ -102,10 +105,9 @@ pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration,
     agent.calibration = Some(calibration.clone());
     for commanded in TRIED {
         // A compliance at which pulls bring it down, or that it does not give, is left out of the range.
+        let is_given = |measured: &f64| (measured / commanded - 1.0).abs() <= TOLERANCE;
         match compliance(agent, Some(commanded), threads)? {
-            Some(measured) if measured.iter().all(|it| *it > 0.0) => {
-                calibration.points.push(Point { commanded, measured })
-            }
+            Some(measured) if measured.iter().all(is_given) => calibration.points.push(Point { commanded, measured }),
             _ if calibration.points.is_empty() => {}
             _ => break,
         }
