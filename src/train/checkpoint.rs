@@ -36,15 +36,9 @@ const CHECKPOINT: &str = "checkpoint";
 /// Maximum size of a checkpoint \[bytes\].
 const MAX_BYTES: u64 = 4 << 30;
 
-/// The reason why a checkpoint cannot be written to bytes or read from them.
+/// The reason why the bytes of a checkpoint are refused.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The state of the run cannot be written as JSON.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
-    /// The tensors cannot be written.
-    #[error(transparent)]
-    Write(#[from] SafeTensorError),
     /// The file is cut off or has another format, or a tensor is invalid.
     #[error(transparent)]
     Tensors(#[from] TensorError),
@@ -141,7 +135,7 @@ impl Checkpoint {
     ///
     /// # Errors
     /// The state cannot be written as JSON, or a tensor does not fit its shape.
-    pub fn to_bytes(&self) -> Result<Vec<u8>, CheckpointError> {
+    pub fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
         let run = serde_json::to_string(&self.run)?;
         let mut all = Vec::new();
         for (group, networks) in self.groups() {
@@ -156,7 +150,7 @@ impl Checkpoint {
             learning_rate: self.learner.learning_rate,
             run,
         };
-        Ok(tensors::serialize(&all, serde_json::to_string(&metadata)?)?)
+        tensors::serialize(&all, serde_json::to_string(&metadata)?)
     }
 
     /// Reads the bytes that [`Checkpoint::to_bytes`] returned.
