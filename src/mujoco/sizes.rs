@@ -41,7 +41,7 @@ pub enum SizeError {
     Beyond {
         /// Name of the attribute.
         attribute: String,
-        /// Its value.
+        /// The value that was found.
         found: String,
         /// Largest product of the numbers in it.
         limit: f64,

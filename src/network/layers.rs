@@ -21,7 +21,7 @@ pub enum NetworkError {
         name: String,
         /// The shape that fits the others.
         expected: Vec<usize>,
-        /// Its shape.
+        /// The shape that was found.
         found: Vec<usize>,
         /// Number of its values.
         elements: usize,

@@ -24,7 +24,7 @@ pub enum LayoutError {
     Value {
         /// Name of the key.
         key: &'static str,
-        /// What it is or has, such as `is -1`.
+        /// The value that was found, such as `is -1` or `has 2 numbers`.
         found: String,
         /// The values that it takes.
         expected: String,
@@ -48,9 +48,9 @@ pub enum LayoutError {
     Overflow {
         /// Name of the number.
         name: String,
-        /// Its offset.
+        /// The offset of the number, in its unit.
         offset: f64,
-        /// Its scale.
+        /// The scale of the number.
         scale: f64,
     },
     /// A quantity has no mirror image.

@@ -72,7 +72,7 @@ pub enum TensorError {
     Shape {
         /// Name of the tensor.
         name: String,
-        /// Its type and shape.
+        /// The type and the shape that were found.
         found: (Dtype, Vec<usize>),
         /// The type and the shape that it should have.
         expected: (Dtype, Vec<usize>),
