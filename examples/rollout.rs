@@ -33,7 +33,7 @@ fn main() -> anyhow::Result<()> {
     let (config, folder) = (Config::load(config)?, Path::new(folder));
     let (seed, batches): (u64, u64) = (seed.parse().context("SEED")?, batches.parse().context("BATCHES")?);
 
-    let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout().map_err(anyhow::Error::msg)?);
+    let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout()?);
     let mut rng = stream(seed, Purpose::Weights, 0, 0);
     let untrained = ActorCritic::orthogonal(layout.length(), &config.ppo.hidden_layers, JOINTS, 0.0, &mut rng);
     let mut network = ActorCritic { policy: shipped::find_ours("compliant")?.actor, ..untrained };

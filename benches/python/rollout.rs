@@ -31,7 +31,7 @@ fn main() -> anyhow::Result<()> {
     let (count, threads): (usize, usize) = (environments.parse()?, threads.parse()?);
     let bytes = std::fs::read(actions).with_context(|| actions.clone())?;
     let actions: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout().map_err(anyhow::Error::msg)?);
+    let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout()?);
     let (layout, curriculum) = (Arc::new(layout), Curriculum::complete());
     let mut environments = (0..count as u64)
         .map(|k| LocomotionEnv::with_layout(&config, Arc::clone(&robot), Arc::clone(&layout), SEED, k, curriculum))

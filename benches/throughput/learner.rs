@@ -76,13 +76,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     let ppo = &config.ppo;
     let mut rng = stream(0, Purpose::Weights, 0, 0);
     let log_std = ppo.initial_log_std as f32;
-    let network = ActorCritic::orthogonal(
-        config.layout().map_err(anyhow::Error::msg)?.length(),
-        &ppo.hidden_layers,
-        JOINTS,
-        log_std,
-        &mut rng,
-    );
+    let network = ActorCritic::orthogonal(config.layout()?.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
     let rollout = rollout(config, &network, threads, effort)?;
     let (advantages, returns) = rollout.advantages(ppo.discount, ppo.gae_lambda);
     let batch = rollout.batch(&network.log_std, &advantages, &returns);

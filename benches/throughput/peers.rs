@@ -39,7 +39,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     let folder = installed.join("input");
     std::fs::create_dir_all(&folder)?;
     let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).context(name.to_owned());
-    let layout = config.layout().map_err(anyhow::Error::msg)?;
+    let layout = config.layout()?;
     let mut told = serde_json::to_value(config)?;
     told["normaliser"] = serde_json::json!({ "offset": layout.offset(), "scale": layout.scale() });
     write("config.json", &told.to_string())?;

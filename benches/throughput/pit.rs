@@ -116,7 +116,7 @@ fn play(scenario: &Scenario, policy: &Policy) -> anyhow::Result<Play> {
 
 /// A policy that holds the nominal pose.
 fn standing(config: &Config) -> anyhow::Result<Policy> {
-    let (layout, robot) = (config.layout().map_err(anyhow::Error::msg)?, Robot::load(&config.robot.model)?);
+    let (layout, robot) = (config.layout()?, Robot::load(&config.robot.model)?);
     let mut rng = stream(0, Purpose::Weights, 0, 0);
     let network = ActorCritic::orthogonal(layout.length(), &config.ppo.hidden_layers, JOINTS, 0.0, &mut rng);
     let provenance = Provenance {

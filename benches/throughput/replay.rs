@@ -125,7 +125,7 @@ impl Replay {
             env,
             env_start,
             actions,
-            seen: vec![0.0; config.layout().map_err(anyhow::Error::msg)?.length()],
+            seen: vec![0.0; config.layout()?.length()],
             raw,
             ground,
             substeps: config.simulation.substeps(),

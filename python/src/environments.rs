@@ -11,7 +11,7 @@ use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use supple::config::{Config, ValueError};
+use supple::config::Config;
 use supple::mujoco;
 use supple::observation::Layout;
 use supple::robot::{JOINTS, Robot, joint_names};
@@ -141,7 +141,7 @@ impl Environments {
         let threads = threads.min(num_envs);
         let config = Config::load(config).map_err(refused)?;
         let robot = config.robot.load().map_err(refused)?;
-        let layout = config.layout().map_err(ValueError::Observation).map_err(refused)?;
+        let layout = config.layout().map_err(refused)?;
         let layout = Arc::new(layout);
         let first_curriculum = Curriculum::new(&config.command);
         let world = apart(py, || {

@@ -6,7 +6,7 @@ use std::ops::RangeInclusive;
 use garde::Validate;
 
 use super::{Config, LearnerKind, LegPose, Precision};
-use crate::observation::Observed;
+use crate::observation::LayoutError;
 use crate::util::yaml;
 
 /// Maximum physics rate \[Hz\]: a higher one gains nothing, and the latency would need a long queue.
@@ -37,9 +37,9 @@ pub enum ValueError {
         /// Description of the valid values.
         expected: String,
     },
-    /// A list of quantities that cannot be observed; the text says why.
-    #[error("{0}")]
-    Observation(String),
+    /// A list of quantities that cannot be observed.
+    #[error(transparent)]
+    Observation(#[from] LayoutError),
 }
 
 impl Config {
@@ -49,13 +49,14 @@ impl Config {
     /// A value is out of range, or the observation is invalid; the error names the key, the value and the expected
     /// range.
     pub fn check(&self) -> Result<(), ValueError> {
-        let Err(report) = self.validate_with(self) else { return Ok(()) };
-        let Some((path, error)) = report.iter().next() else { return Ok(()) };
-        let (key, message) = (path.to_string(), error.message());
-        Err(match message.split_once(SEPARATOR) {
-            Some((found, expected)) => ValueError::Range { key, found: found.into(), expected: expected.into() },
-            None => ValueError::Observation(message.into()),
-        })
+        if let Err(report) = self.validate_with(self)
+            && let Some((path, error)) = report.iter().next()
+        {
+            // Every message of the checks below has both parts.
+            let (found, expected) = error.message().split_once(SEPARATOR).unwrap_or_default();
+            return Err(ValueError::Range { key: path.to_string(), found: found.into(), expected: expected.into() });
+        }
+        Ok(self.layout().map(drop)?)
     }
 }
 
@@ -108,10 +109,6 @@ pub fn physics_rate(rate: &u32, config: &Config) -> garde::Result {
 pub fn finite_angles(pose: &LegPose, _: &Config) -> garde::Result {
     let angles = pose.joints();
     require(angles.iter().all(|angle| angle.is_finite()), format!("{angles:?}"), "finite angles")
-}
-
-pub fn observable(_: &Vec<Observed>, config: &Config) -> garde::Result {
-    config.layout().map(|_| ()).map_err(garde::Error::new)
 }
 
 pub fn a_step_to_an_hour(duration_s: &f64, config: &Config) -> garde::Result {

@@ -39,7 +39,14 @@ impl Config {
         let path = paths::as_path(&robot.name);
         let fail = FileError::of("robot", &path);
         let pose = symmetric(robot);
-        check_pose(robot, &pose).map_err(fail)?;
+        if let Some(joint) = beyond_limits(robot, &pose) {
+            let ([low, high], angle) = (robot.joint_limits[joint], pose[joint]);
+            return Err(fail(format!(
+                "its joint {} stands at {angle} rad in its nominal pose, but goes from {low} to {high} rad: write nominal_pose_rad \
+                 into a YAML file, as examples/robots/quadruped.yaml does",
+                joint_name(joint)
+            )));
+        }
         let height = robot.standing_height_m(&pose) / own.standing_height_m(&self.action.nominal_pose_rad.joints());
         let mass = robot.mass_kg / own.mass_kg;
         if !(height > 0.0 && height.is_finite()) {
@@ -89,22 +96,12 @@ fn symmetric(robot: &Robot) -> Joints {
     })
 }
 
-fn check_pose(robot: &Robot, pose: &Joints) -> Result<(), String> {
-    let outside = |joint: &usize| {
+/// Returns the first joint whose angle is beyond its limits.
+fn beyond_limits(robot: &Robot, pose: &Joints) -> Option<usize> {
+    (0..JOINTS).find(|joint| {
         let [low, high] = robot.joint_limits[*joint];
         !(low..=high).contains(&pose[*joint])
-    };
-    match (0..JOINTS).find(outside) {
-        None => Ok(()),
-        Some(joint) => Err(format!(
-            "its joint {} stands at {} rad in its nominal pose, but goes from {} to {} rad: write nominal_pose_rad into a YAML \
-             file, as examples/robots/quadruped.yaml does",
-            joint_name(joint),
-            pose[joint],
-            robot.joint_limits[joint][0],
-            robot.joint_limits[joint][1]
-        )),
-    }
+    })
 }
 
 /// Rounds to three digits, the accuracy of the scaling rules.

@@ -76,15 +76,22 @@ pub enum ConfigError {
     },
 }
 
+/// The keys in which two configurations differ.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{}", .0.iter().map(|(key, [a, b])| format!("{key}: {a} and {b}")).collect::<Vec<_>>().join("; "))]
+pub struct DifferenceError(
+    /// Dotted keys with both values as YAML.
+    pub Vec<(String, [String; 2])>,
+);
+
 impl Config {
     /// Checks that this equals another configuration except for the length of the run.
     ///
     /// # Errors
-    /// The configurations differ; the text lists the keys with both values.
-    pub fn check_same(&self, other: &Config) -> Result<(), String> {
-        let differences = self.differences(other).into_iter();
-        let differences: Vec<_> = differences.map(|(key, [a, b])| format!("{key}: {a} and {b}")).collect();
-        if differences.is_empty() { Ok(()) } else { Err(differences.join("; ")) }
+    /// The configurations differ; the error lists the keys with both values.
+    pub fn check_same(&self, other: &Config) -> Result<(), DifferenceError> {
+        let differences = self.differences(other);
+        if differences.is_empty() { Ok(()) } else { Err(DifferenceError(differences)) }
     }
 
     /// Loads an embedded configuration by name, or a YAML file by path.
@@ -307,7 +314,8 @@ mod tests {
     fn the_baseline_differs_in_one_key_and_the_length_of_a_run_is_none() {
         let (mut compliant, baseline) = (Config::load("compliant").unwrap(), Config::load("baseline").unwrap());
         compliant.run.samples = 1;
-        assert_eq!(compliant.check_same(&baseline).unwrap_err(), "episode.recovery_stage: true and false");
+        let error = compliant.check_same(&baseline).unwrap_err();
+        assert_eq!(error.to_string(), "episode.recovery_stage: true and false");
     }
 
     #[test]

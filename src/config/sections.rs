@@ -10,9 +10,9 @@ use super::LOG_STD_RANGE;
 use super::check::{
     MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost,
     divides_batch, divides_batch_above_one, finite_angles, fraction, known_to_learner, layer_widths, low_and_high,
-    not_negative, observable, physics_rate, positive, power_of_two_that_divides, shortest_and_longest, within,
+    not_negative, physics_rate, positive, power_of_two_that_divides, shortest_and_longest, within,
 };
-use crate::observation::{Layout, Nominal, Observed};
+use crate::observation::{Layout, LayoutError, Nominal, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
 
@@ -42,7 +42,7 @@ pub struct Config {
     #[garde(dive)]
     pub action: Action,
     /// The entries of the observation, in order.
-    #[garde(custom(observable))]
+    #[garde(skip)]
     pub observation: Vec<Observed>,
     /// Range of velocity commands, and its curriculum.
     #[garde(dive)]
@@ -484,8 +484,8 @@ impl Config {
     /// Builds the layout of the observation.
     ///
     /// # Errors
-    /// An entry of the observation is invalid; the text names it, what was found and what was expected.
-    pub fn layout(&self) -> Result<Layout, String> {
+    /// An entry of the observation is invalid, or the observation is empty or too long.
+    pub fn layout(&self) -> Result<Layout, LayoutError> {
         Layout::new(&self.observation, &self.nominal())
     }
 

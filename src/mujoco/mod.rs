@@ -16,7 +16,7 @@ mod sizes;
 pub use data::{Contact, Data};
 pub use error::{Buffer, Error, Result, StateKind};
 pub use model::{Actuator, Geom, GeomContact, Kind, Model, Shape};
-pub use sizes::check_sizes;
+pub use sizes::{SizeError, check_sizes};
 
 use std::ffi::CStr;
 use std::sync::OnceLock;

@@ -305,7 +305,8 @@ impl Model {
         let names: Vec<&str> = files.iter().map(|file| file.0).collect();
         let mut add = |name: &str, text: &str| {
             let tree = xml::parse(text).map_err(failed)?;
-            sizes::check_sizes(&tree).and_then(|()| sizes::check_includes(&tree, &names)).map_err(failed)?;
+            let checked = sizes::check_sizes(&tree).and_then(|()| sizes::check_includes(&tree, &names));
+            checked.map_err(|error| failed(error.to_string()))?;
             let size = i32::try_from(text.len()).map_err(|_| failed(format!("{name} is larger than 2 GiB")))?;
             let c_name = CString::new(name).map_err(|_| failed(format!("the name '{name}' holds a zero byte")))?;
             let (mut code, mut message) = (0, EMPTY_MESSAGE);

@@ -33,18 +33,36 @@ const LIMITS: [(&str, &str, f64); 17] = [
 /// Prefix and limit of the attributes that add numbers to each body, joint and so on: `nuser_body` and its like.
 const PER_ELEMENT: (&str, f64) = ("nuser_", 100.0);
 
+/// The reason why an MJCF tree is kept from MuJoCo.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SizeError {
+    /// An attribute is beyond its limit.
+    #[error("{attribute} is '{found}', expected at most {limit}")]
+    Beyond {
+        /// Name of the attribute.
+        attribute: String,
+        /// The value that was found.
+        found: String,
+        /// Largest product of the numbers in it.
+        limit: f64,
+    },
+    /// A file is included that is not given with the text.
+    #[error("it includes '{0}', which is not given with it")]
+    Include(String),
+}
+
 /// Checks that an MJCF tree does not ask for more memory or time than any scene needs.
 ///
 /// # Errors
-/// An attribute is beyond its limit; the text says what was found and what was expected.
-pub fn check_sizes(element: &Element) -> Result<(), String> {
+/// An attribute is beyond its limit.
+pub fn check_sizes(element: &Element) -> Result<(), SizeError> {
     for (name, value) in &element.attributes {
         let own = LIMITS.iter().find(|(of, limited, _)| *of == element.name && limited == name);
         let user = name.starts_with(PER_ELEMENT.0).then_some(PER_ELEMENT.1);
         let Some(limit) = own.map(|(_, _, limit)| *limit).or(user) else { continue };
         let product: f64 = value.split_whitespace().map(leading_number).product();
         if product > limit {
-            return Err(format!("{name} is '{value}', expected at most {limit}"));
+            return Err(SizeError::Beyond { attribute: name.clone(), found: value.clone(), limit });
         }
     }
     element.children.iter().try_for_each(check_sizes)
@@ -53,12 +71,12 @@ pub fn check_sizes(element: &Element) -> Result<(), String> {
 /// Checks that an MJCF tree includes no other files than the given ones.
 ///
 /// # Errors
-/// Another file is included; the text names it.
-pub fn check_includes(element: &Element, given: &[&str]) -> Result<(), String> {
+/// Another file is included.
+pub fn check_includes(element: &Element, given: &[&str]) -> Result<(), SizeError> {
     if let ("include", Some(file)) = (element.name.as_str(), element.get("file"))
         && !given.contains(&file)
     {
-        return Err(format!("it includes '{file}', which is not given with it"));
+        return Err(SizeError::Include(file.to_owned()));
     }
     element.children.iter().try_for_each(|child| check_includes(child, given))
 }
@@ -75,14 +93,14 @@ mod tests {
     use super::*;
     use crate::util::xml::parse;
 
-    fn check(text: &str) -> Result<(), String> {
+    fn check(text: &str) -> Result<(), SizeError> {
         check_sizes(&parse(text).unwrap())
     }
 
     #[test]
     fn sizes_beyond_reason_are_refused_by_name_and_others_pass() {
         let refused = check(r#"<asset><hfield name="g" nrow="2147483641e400" ncol="5"/></asset>"#).unwrap_err();
-        assert_eq!(refused, "nrow is '2147483641e400', expected at most 4096");
+        assert_eq!(refused.to_string(), "nrow is '2147483641e400', expected at most 4096");
         for bad in [
             "<composite type='cloth' count = '100 100 1'/>",
             "<size nuser_body='2147483647'/>",

@@ -8,6 +8,29 @@ use std::collections::BTreeMap;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
+/// The reason why tensors are not the weights of a network.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NetworkError {
+    /// A tensor is missing.
+    #[error("there is no tensor `{0}`")]
+    Missing(String),
+    /// The shape of a tensor does not fit its values or the other tensors.
+    #[error("tensor `{name}` should have shape {expected:?}, but has shape {found:?} and {elements} elements")]
+    Shape {
+        /// Name of the tensor.
+        name: String,
+        /// The shape that fits the others.
+        expected: Vec<usize>,
+        /// The shape that was found.
+        found: Vec<usize>,
+        /// Number of its values.
+        elements: usize,
+    },
+    /// A tensor has an unknown name.
+    #[error("tensor `{0}` belongs to no layer of the policy or the value function")]
+    Unknown(String),
+}
+
 /// A linear layer, `y = W·x + b`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Layer {
@@ -90,7 +113,7 @@ impl Mlp {
         tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
         inputs: usize,
         outputs: usize,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, NetworkError> {
         take_mlp(&mut by_name(tensors), "", Some(inputs), outputs)
     }
 }
@@ -135,13 +158,15 @@ impl ActorCritic {
     ///
     /// # Errors
     /// A tensor is missing, has an unknown name, or does not fit the others.
-    pub fn from_tensors(tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>) -> Result<Self, String> {
+    pub fn from_tensors(
+        tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>,
+    ) -> Result<Self, NetworkError> {
         let mut tensors = by_name(tensors);
         let log_std = take(&mut tensors, "log_std", &[None])?;
         let policy = take_mlp(&mut tensors, "policy.", None, log_std.len())?;
         let value = take_mlp(&mut tensors, "value.", Some(policy.inputs()), 1)?;
         match tensors.into_keys().next() {
-            Some(name) => Err(format!("tensor `{name}` belongs to no layer of the policy or the value function")),
+            Some(name) => Err(NetworkError::Unknown(name)),
             None => Ok(Self { policy, value, log_std }),
         }
     }
@@ -154,18 +179,18 @@ fn by_name(tensors: impl IntoIterator<Item = (String, Vec<usize>, Vec<f32>)>) ->
 }
 
 /// Takes the values of a tensor whose shape agrees with the sizes that are known.
-fn take(tensors: &mut Tensors, name: &str, known: &[Option<usize>]) -> Result<Vec<f32>, String> {
-    let (shape, values) = tensors.remove(name).ok_or_else(|| format!("there is no tensor `{name}`"))?;
-    let size = |(k, known): (usize, &Option<usize>)| known.or(shape.get(k).copied()).unwrap_or(0);
+fn take(tensors: &mut Tensors, name: &str, known: &[Option<usize>]) -> Result<Vec<f32>, NetworkError> {
+    let (found, values) = tensors.remove(name).ok_or_else(|| NetworkError::Missing(name.to_owned()))?;
+    let size = |(k, known): (usize, &Option<usize>)| known.or(found.get(k).copied()).unwrap_or(0);
     let expected: Vec<usize> = known.iter().enumerate().map(size).collect();
-    let count = values.len();
-    if expected == shape && expected.iter().product::<usize>() == count && count > 0 {
+    let elements = values.len();
+    if expected == found && expected.iter().product::<usize>() == elements && elements > 0 {
         return Ok(values);
     }
-    Err(format!("tensor `{name}` should have shape {expected:?}, but has shape {shape:?} and {count} elements"))
+    Err(NetworkError::Shape { name: name.to_owned(), expected, found, elements })
 }
 
-fn take_mlp(tensors: &mut Tensors, prefix: &str, inputs: Option<usize>, outputs: usize) -> Result<Mlp, String> {
+fn take_mlp(tensors: &mut Tensors, prefix: &str, inputs: Option<usize>, outputs: usize) -> Result<Mlp, NetworkError> {
     let mut layers: Vec<Layer> = Vec::new();
     loop {
         let of = |k: usize, part: &str| format!("{prefix}{k}.{part}");
@@ -267,7 +292,7 @@ mod tests {
         let error = |change: fn(&mut Named)| {
             let mut tensors = owned(&network());
             change(&mut tensors);
-            ActorCritic::from_tensors(tensors).unwrap_err()
+            ActorCritic::from_tensors(tensors).unwrap_err().to_string()
         };
         assert_eq!(error(|t| drop(t.remove(1))), "there is no tensor `policy.0.bias`");
         assert_eq!(

@@ -9,6 +9,6 @@ mod layers;
 mod packed;
 pub(crate) mod panel;
 
-pub use layers::{ActorCritic, Layer, Mlp};
+pub use layers::{ActorCritic, Layer, Mlp, NetworkError};
 pub(crate) use packed::BLOCK;
 pub use packed::{PackedMlp, Scratch};

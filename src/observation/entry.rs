@@ -2,9 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::Quantity;
 use super::quantity::Kind;
+use super::{LayoutError, Quantity};
 use crate::robot::{JOINTS, Joints};
+
+type Result<T> = std::result::Result<T, LayoutError>;
 
 /// Maximum age of a quantity \[policy steps\].
 const MAX_STEPS_AGO: u32 = 200;
@@ -142,27 +144,27 @@ impl Block {
     }
 }
 
-pub(super) fn block(entry: &Observed) -> Result<Block, String> {
+pub(super) fn block(entry: &Observed) -> Result<Block> {
     let (kind, ..) = entry.quantity.about();
     let is_vector = matches!(kind, Kind::Polar | Kind::Axial | Kind::Command);
     let third = if kind == Kind::Command { "yaw" } else { "up" };
     let axes = match &entry.elements {
-        Some(_) if !is_vector => return Err("it has no axes: leave out `elements`".into()),
-        Some(elements) => elements.iter().map(|name| axis(name, third)).collect::<Result<Vec<_>, _>>()?,
+        Some(_) if !is_vector => return Err(LayoutError::Form("it has no axes: leave out `elements`".into())),
+        Some(elements) => elements.iter().map(|name| axis(name, third)).collect::<Result<Vec<_>>>()?,
         None if is_vector => (0..3).map(|axis| (axis, 1.0)).collect(),
         None => Vec::new(),
     };
     let values = match (kind, entry.values.clone(), entry.phases.clone()) {
         (Kind::Constant, Some(values), None) => values,
-        (Kind::Constant, ..) => return Err("a constant needs `values`, and no `phases`".into()),
+        (Kind::Constant, ..) => return Err(LayoutError::Form("a constant needs `values`, and no `phases`".into())),
         (Kind::Clock, None, phases) => phases.unwrap_or_else(|| vec![0.0]),
         (_, None, None) => Vec::new(),
-        _ => return Err("only constants have `values`, only clocks have `phases`".into()),
+        _ => return Err(LayoutError::Form("only constants have `values`, only clocks have `phases`".into())),
     };
     let frequency_hz = match entry.frequency_hz {
         Some(frequency) if kind == Kind::Clock && (0.0..=1e3).contains(&frequency) => frequency,
         None if kind != Kind::Clock => 0.0,
-        _ => return Err("clocks, and they alone, need a `frequency_hz` of 0 to 1000 Hz".into()),
+        _ => return Err(LayoutError::Form("clocks, and they alone, need a `frequency_hz` of 0 to 1000 Hz".into())),
     };
     let width = match kind {
         Kind::Scalar => 1,
@@ -171,7 +173,7 @@ pub(super) fn block(entry: &Observed) -> Result<Block, String> {
         Kind::Clock | Kind::Constant => values.len(),
     };
     if !values.iter().all(|value| value.is_finite()) || width > MAX_LENGTH {
-        return Err("its `values` or `phases` are not finite, or too many".into());
+        return Err(LayoutError::Form("its `values` or `phases` are not finite, or too many".into()));
     }
     let steps_ago = match &entry.steps_ago {
         None => vec![0],
@@ -182,39 +184,31 @@ pub(super) fn block(entry: &Observed) -> Result<Block, String> {
     Ok(Block { quantity: entry.quantity, axes, steps_ago, frequency_hz, values, width, start: 0 })
 }
 
-pub(super) fn offset(
-    entry: &Observed,
-    block: &Block,
-    order: &[usize; JOINTS],
-    nominal: &Nominal,
-) -> Result<Vec<f64>, String> {
+pub(super) fn offset(entry: &Observed, block: &Block, order: &[usize; JOINTS], nominal: &Nominal) -> Result<Vec<f64>> {
     match (&entry.offset, entry.quantity) {
         (Some(Numbers::Word(Word::Nominal)), Quantity::BaseHeight) => Ok(vec![nominal.height_m]),
         (Some(Numbers::Word(Word::Nominal)), Quantity::JointAngles | Quantity::LastTarget) => {
             Ok(order.iter().map(|joint| nominal.pose[*joint]).collect())
         }
-        (Some(Numbers::Word(_)), _) => {
-            Err("its `offset` must be a number: only base_height, joint_angles and last_target have a `nominal` one"
-                .into())
-        }
+        (Some(Numbers::Word(_)), _) => Err(LayoutError::Form(
+            "its `offset` must be a number: only base_height, joint_angles and last_target have a `nominal` one".into(),
+        )),
         (found, _) => numbers("offset", found.as_ref(), block.width, 0.0),
     }
 }
 
-pub(super) fn scale(entry: &Observed, block: &Block, nominal: &Nominal) -> Result<Vec<f64>, String> {
+pub(super) fn scale(entry: &Observed, block: &Block, nominal: &Nominal) -> Result<Vec<f64>> {
     let scale = match &entry.scale {
         Some(Numbers::Word(Word::Action)) if entry.quantity.about().0 == Kind::Joints => {
             nominal.action_scale_rad.map(f64::recip).to_vec()
         }
-        Some(Numbers::Word(_)) => return Err("its `scale` must be a number, or `action` if it is of joints".into()),
+        Some(Numbers::Word(_)) => {
+            return Err(LayoutError::Form("its `scale` must be a number, or `action` if it is of joints".into()));
+        }
         found => numbers("scale", found.as_ref(), block.width, 1.0)?,
     };
     // Scales are divided by, too: an observation is what the network sees over its scale.
-    if scale.iter().all(|scale| *scale != 0.0 && scale.is_finite()) {
-        Ok(scale)
-    } else {
-        Err(format!("its `scale` is {scale:?}, expected no zero: leave out what is not to be seen"))
-    }
+    if scale.iter().all(|scale| *scale != 0.0 && scale.is_finite()) { Ok(scale) } else { Err(LayoutError::Zero(scale)) }
 }
 
 /// Returns the name of a vector's element, such as `left`.
@@ -230,7 +224,7 @@ fn part(axis: usize, sign: f64, command: bool) -> &'static str {
     }
 }
 
-fn axis(name: &str, third: &str) -> Result<(usize, f64), String> {
+fn axis(name: &str, third: &str) -> Result<(usize, f64)> {
     match name {
         "forward" => Ok((0, 1.0)),
         "backward" => Ok((0, -1.0)),
@@ -238,40 +232,49 @@ fn axis(name: &str, third: &str) -> Result<(usize, f64), String> {
         "right" => Ok((1, -1.0)),
         "down" if third == "up" => Ok((2, -1.0)),
         other if other == third => Ok((2, 1.0)),
-        other => Err(format!("`elements` has '{other}', expected forward, backward, left, right or {third}")),
+        other => Err(LayoutError::Value {
+            key: "elements",
+            found: format!("has '{other}'"),
+            expected: format!("forward, backward, left, right or {third}"),
+        }),
     }
 }
 
 /// Checks an offset or a scale, and returns one finite number for each element.
-pub(crate) fn numbers(key: &str, found: Option<&Numbers>, width: usize, default: f64) -> Result<Vec<f64>, String> {
+pub(crate) fn numbers(key: &'static str, found: Option<&Numbers>, width: usize, default: f64) -> Result<Vec<f64>> {
     let numbers = match found {
         None => vec![default; width],
         Some(Numbers::All(number)) => vec![*number; width],
         Some(Numbers::Each(numbers)) => numbers.clone(),
-        Some(Numbers::Word(_)) => return Err(format!("`{key}` must be a number, or a list of {width}")),
+        Some(Numbers::Word(_)) => {
+            return Err(LayoutError::Form(format!("`{key}` must be a number, or a list of {width}")));
+        }
     };
     if numbers.len() != width {
-        return Err(format!("`{key}` has {} numbers, expected one, or {width}", numbers.len()));
+        let (found, expected) = (format!("has {} numbers", numbers.len()), format!("one, or {width}"));
+        return Err(LayoutError::Value { key, found, expected });
     }
     if !numbers.iter().all(|number| number.is_finite()) {
-        return Err(format!("`{key}` is {numbers:?}, expected finite numbers"));
+        return Err(LayoutError::Value { key, found: format!("is {numbers:?}"), expected: "finite numbers".into() });
     }
     Ok(numbers)
 }
 
 /// Checks a limit; infinite if there is none.
-pub(crate) fn limit(key: &str, found: Option<f64>) -> Result<f64, String> {
+pub(crate) fn limit(key: &'static str, found: Option<f64>) -> Result<f64> {
     match found {
         None => Ok(f64::INFINITY),
         Some(limit) if limit > 0.0 => Ok(limit),
-        Some(other) => Err(format!("`{key}` is {other}, expected a positive number")),
+        Some(other) => {
+            Err(LayoutError::Value { key, found: format!("is {other}"), expected: "a positive number".into() })
+        }
     }
 }
 
-pub(super) fn ages(key: &str, ages: &[u32]) -> Result<(), String> {
+pub(super) fn ages(key: &'static str, ages: &[u32]) -> Result<()> {
     if !ages.is_empty() && ages.len() <= 1 + MAX_STEPS_AGO as usize && ages.iter().all(|age| *age <= MAX_STEPS_AGO) {
         Ok(())
     } else {
-        Err(format!("`{key}` must be one or more ages from 0 to {MAX_STEPS_AGO} policy steps"))
+        Err(LayoutError::Form(format!("`{key}` must be one or more ages from 0 to {MAX_STEPS_AGO} policy steps")))
     }
 }

@@ -1,9 +1,9 @@
 //! The layout of an observation: a checked list of quantities, and the origin of each number.
 
-use super::Quantity;
 use super::entry::{Block, MAX_LENGTH, Nominal, Observed, ages, block, limit, offset, scale};
 use super::observer::Moment;
 use super::quantity::Kind;
+use super::{LayoutError, Quantity};
 use crate::robot::{JOINTS, Robot, joint_name};
 use crate::util::numbers::finite_in_single;
 
@@ -36,8 +36,8 @@ impl Layout {
     /// Creates the layout of `entries` for a policy with Supple's order of joints.
     ///
     /// # Errors
-    /// An entry is invalid; the text names it, what was found and what was expected.
-    pub fn new(entries: &[Observed], nominal: &Nominal) -> Result<Self, String> {
+    /// An entry is invalid, or the observation is empty or too long.
+    pub fn new(entries: &[Observed], nominal: &Nominal) -> Result<Self, LayoutError> {
         Self::repeated(entries, &[0], None, std::array::from_fn(|joint| joint), nominal)
     }
 
@@ -45,21 +45,22 @@ impl Layout {
     /// and has another order of joints.
     ///
     /// # Errors
-    /// An entry, the history or the limit is invalid; the text names it, what was found and what was expected.
+    /// An entry, the history or the limit is invalid, or the observation is empty or too long.
     pub fn repeated(
         entries: &[Observed],
         history: &[u32],
         clip: Option<f64>,
         order: [usize; JOINTS],
         nominal: &Nominal,
-    ) -> Result<Self, String> {
+    ) -> Result<Self, LayoutError> {
         ages("history", history)?;
         let clip = limit("observation_clip", clip)?;
         let (mut blocks, mut offsets, mut scales, mut clips) =
             (Vec::<Block>::new(), Vec::new(), Vec::new(), Vec::new());
         let mut width = 0;
         for (index, entry) in entries.iter().enumerate() {
-            let fail = |problem| format!("observation, entry {} ({:?}): {problem}", index + 1, entry.quantity);
+            let (number, quantity) = (index + 1, entry.quantity);
+            let fail = |problem| LayoutError::Entry { number, quantity, problem: Box::new(problem) };
             let mut block = block(entry).map_err(fail)?;
             block.start = width;
             width += block.width;
@@ -70,7 +71,7 @@ impl Layout {
         }
         let length = history.len() * blocks.iter().map(Block::length).sum::<usize>();
         if length > MAX_LENGTH || length == 0 {
-            return Err(format!("its observation has {length} numbers, expected 1 to {MAX_LENGTH}"));
+            return Err(LayoutError::Length(length));
         }
         let mut layout = Layout {
             order,
@@ -143,10 +144,10 @@ impl Layout {
     ///
     /// # Errors
     /// Offset or scale has another length, or a number that is not finite.
-    pub fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, String> {
+    pub fn with_normaliser(mut self, offset: Vec<f64>, scale: Vec<f64>) -> Result<Self, LayoutError> {
         let (found, expected) = ([offset.len(), scale.len()], self.length());
         if found != [expected; 2] {
-            return Err(format!("its normaliser has {} and {} numbers, expected {expected}", found[0], found[1]));
+            return Err(LayoutError::Normaliser { found, expected });
         }
         (self.offset, self.scale) = (offset, scale);
         self.check_normaliser()?;
@@ -162,11 +163,11 @@ impl Layout {
     }
 
     /// Checks that offsets and scales are finite in single precision, which networks use.
-    fn check_normaliser(&self) -> Result<(), String> {
+    fn check_normaliser(&self) -> Result<(), LayoutError> {
         let finite = |k: &usize| finite_in_single(&[self.offset[*k], self.scale[*k]]);
         let Some(k) = (0..self.length()).find(|k| !finite(k)) else { return Ok(()) };
-        let (offset, scale, name) = (self.offset[k], self.scale[k], &self.names()[k]);
-        Err(format!("the offset {offset:e} or the scale {scale:e} of '{name}' is not finite in single precision"))
+        let name = self.names().swap_remove(k);
+        Err(LayoutError::Overflow { name, offset: self.offset[k], scale: self.scale[k] })
     }
 
     /// Normalises number `k` of the observation for the network.
@@ -208,8 +209,8 @@ impl Layout {
     /// Returns source index and sign of each number under a left-right mirror.
     ///
     /// # Errors
-    /// A quantity has no mirror image, or another scale than its image; the text names it.
-    pub fn mirrored(&self, robot: &Robot) -> Result<Vec<(usize, f32)>, String> {
+    /// A quantity has no mirror image, or another offset or scale than its image.
+    pub fn mirrored(&self, robot: &Robot) -> Result<Vec<(usize, f32)>, LayoutError> {
         let mut images = Vec::with_capacity(self.length());
         for _ in &self.history {
             for block in &self.blocks {
@@ -225,17 +226,14 @@ impl Layout {
         for (k, (image, sign)) in images.iter().enumerate() {
             let alike = self.scale[k] == self.scale[*image] && self.offset[k] == f64::from(*sign) * self.offset[*image];
             if !alike {
-                return Err(format!(
-                    "'{}' and its mirror image have offsets and scales that are no images of one another",
-                    self.names()[k]
-                ));
+                return Err(LayoutError::Lopsided(self.names().swap_remove(k)));
             }
         }
         Ok(images)
     }
 
     /// Returns the mirror image of element `k` of a block: index within the block, and sign.
-    fn image(&self, block: &Block, k: usize, robot: &Robot) -> Result<(usize, f64), String> {
+    fn image(&self, block: &Block, k: usize, robot: &Robot) -> Result<(usize, f64), LayoutError> {
         let sign = |signs: [f64; 3]| Ok((k, signs[block.axes[k].0]));
         match block.quantity.about().0 {
             Kind::Scalar => Ok((k, 1.0)),
@@ -247,7 +245,7 @@ impl Layout {
                 let index = self.order.iter().position(|place| *place == joint).unwrap_or(k);
                 Ok((index, sign))
             }
-            Kind::Clock | Kind::Constant => Err(format!("{:?} has no mirror image", block.quantity)),
+            Kind::Clock | Kind::Constant => Err(LayoutError::NoImage(block.quantity)),
         }
     }
 
@@ -378,7 +376,7 @@ mod tests {
         let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
         let mirrored = |entry: Observed| Layout::new(&[entry], &nominal).unwrap().mirrored(&robot);
         let clock = Observed { frequency_hz: Some(2.0), ..Observed::now(Quantity::ClockSin) };
-        assert!(mirrored(clock).unwrap_err().contains("ClockSin has no mirror image"));
+        assert_eq!(mirrored(clock), Err(LayoutError::NoImage(Quantity::ClockSin)));
         let offset = Some(Numbers::Each(vec![0.0, 0.1, 0.0]));
         assert!(mirrored(Observed { offset, ..Observed::now(Quantity::BaseVelocity) }).is_err());
         let velocity = mirrored(Observed::now(Quantity::BaseVelocity)).unwrap();
@@ -390,10 +388,11 @@ mod tests {
         let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad };
         let layout =
             |quantity, scale| Layout::new(&[Observed { scale: Some(scale), ..Observed::now(quantity) }], &nominal);
-        let error = layout(Quantity::BaseHeight, Numbers::All(0.0)).unwrap_err();
+        let error = layout(Quantity::BaseHeight, Numbers::All(0.0)).unwrap_err().to_string();
         assert!(error.contains("BaseHeight") && error.contains("`scale` is [0.0], expected no zero"), "{error}");
         let targets = layout(Quantity::LastTarget, Numbers::Word(Word::Action)).unwrap();
         assert_eq!(targets.scale()[..3], [2.0, 4.0, 4.0]);
-        assert!(layout(Quantity::BaseHeight, Numbers::Word(Word::Action)).unwrap_err().contains("if it is of joints"));
+        let error = layout(Quantity::BaseHeight, Numbers::Word(Word::Action)).unwrap_err().to_string();
+        assert!(error.contains("if it is of joints"), "{error}");
     }
 }

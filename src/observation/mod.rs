@@ -11,12 +11,14 @@ only if its numbers are of a new kind.
 */
 
 mod entry;
+mod error;
 mod layout;
 mod observer;
 mod quantity;
 
 pub use entry::{Ages, Block, Nominal, Numbers, Observed, Word};
 pub(crate) use entry::{limit, numbers};
+pub use error::LayoutError;
 pub use layout::Layout;
 pub use observer::{Moment, Observer};
 pub use quantity::Quantity;

@@ -68,6 +68,20 @@ pub enum ComplianceError {
     NotCalibrated,
 }
 
+/// The reason why a calibration is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum CalibrationError {
+    /// The text is not the JSON of a calibration.
+    #[error("{0}: run `policy calibrate` again")]
+    Json(#[from] serde_json::Error),
+    /// The calibration was measured with another policy.
+    #[error("it is of another policy: run `policy calibrate` again")]
+    OtherPolicy,
+    /// There are too few points, they do not rise, or a number is not positive.
+    #[error("expected two points or more, rising, and positive numbers: run `policy calibrate` again")]
+    Values,
+}
+
 /// Splits `baseline@0.03` into the policy's name and the commanded compliance [m/s/N], if there is one. The path of a file or
 /// folder that exists is not split.
 pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
@@ -119,19 +133,19 @@ impl PolicyCalibration {
         found.checked(sha256).map_err(FileError::of(WHAT, path))
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, String> {
-        serde_json::from_slice(bytes).map_err(|error| format!("{error}: run `policy calibrate` again"))
+    fn parse(bytes: &[u8]) -> Result<Self, CalibrationError> {
+        Ok(serde_json::from_slice(bytes)?)
     }
 
     /// Returns `self` if it belongs to this policy and its values are valid.
     ///
     /// # Errors
-    /// The calibration belongs to another policy, or its values are invalid; the text says what to do.
-    pub fn checked(self, sha256: &str) -> Result<Self, &'static str> {
+    /// The calibration belongs to another policy, or its values are invalid.
+    pub fn checked(self, sha256: &str) -> Result<Self, CalibrationError> {
         let points = &self.points;
         let numbers = points.iter().flat_map(|point| [point.commanded].into_iter().chain(point.measured));
         if self.sha256 != sha256 {
-            return Err("it is of another policy: run `policy calibrate` again");
+            return Err(CalibrationError::OtherPolicy);
         }
         let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
         let positive = numbers
@@ -140,7 +154,7 @@ impl PolicyCalibration {
             .chain([self.mass_kg])
             .all(|it| it.is_finite() && it > 0.0);
         if points.len() < 2 || !rising || !positive {
-            return Err("expected two points or more, rising, and positive numbers: run `policy calibrate` again");
+            return Err(CalibrationError::Values);
         }
         Ok(self)
     }

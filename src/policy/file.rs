@@ -12,14 +12,14 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::inference::{Action, Buffers, Inference, Meaning, Network};
-use crate::config::{Config, Simulation};
-use crate::network::{ActorCritic, Mlp, PackedMlp};
-use crate::observation::Layout;
+use crate::config::{Config, Simulation, ValueError};
+use crate::network::{ActorCritic, Mlp, NetworkError, PackedMlp};
+use crate::observation::{Layout, LayoutError};
 use crate::robot::{JOINTS, Joints, Robot, joint_names};
 use crate::util::files::{self, FileError};
 use crate::util::numbers;
 use crate::util::random::{Purpose, stream};
-use crate::util::tensors::{self, Tensor};
+use crate::util::tensors::{self, Tensor, TensorError};
 
 /// Version of the file format that is written.
 pub const FORMAT: u32 = 1;
@@ -246,7 +246,7 @@ impl Policy {
         Self::parse(bytes).map_err(FileError::of(POLICY, path))
     }
 
-    fn parse(bytes: &[u8]) -> Result<Self, String> {
+    fn parse(bytes: &[u8]) -> Result<Self, Fault> {
         let (tensors, json) = tensors::deserialize(bytes)?;
         let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
         let layout = metadata.check()?;
@@ -256,7 +256,7 @@ impl Policy {
         let (offset, scale) = (read("normaliser.offset", &[length])?, read("normaliser.scale", &[length])?);
         let layout = layout.with_normaliser(offset, scale)?;
         let network = tensors::read_group(&tensors, "policy.")?;
-        let actor = Mlp::from_tensors(network, length, JOINTS).map_err(|error| format!("its policy: {error}"))?;
+        let actor = Mlp::from_tensors(network, length, JOINTS)?;
         let Metadata { nominal_pose_rad, scale_rad, provenance, usage, .. } = metadata;
         let inference = inference(&actor, layout, nominal_pose_rad, scale_rad, &provenance.config.simulation);
         let policy = Policy { actor, inference, provenance, usage, sha256: files::sha256(&[bytes]) };
@@ -265,13 +265,10 @@ impl Policy {
         let found = policy.targets_of(&observations);
         let worst = numbers::largest_magnitude(found.iter().zip(&expected).map(|(a, b)| a - b));
         if !worst.is_finite() {
-            return Err("its network answers its golden observations with numbers that are not finite".into());
+            return Err(Fault::GoldenNotFinite);
         }
         if worst > GOLDEN_TOLERANCE {
-            return Err(format!(
-                "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: \
-                 the file is damaged"
-            ));
+            return Err(Fault::Golden { worst });
         }
         Ok(policy)
     }
@@ -311,28 +308,54 @@ fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, 
     }
 }
 
+/// A fault in the content of a policy file.
+#[derive(Debug, thiserror::Error)]
+enum Fault {
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    #[error("its policy: {0}")]
+    Network(#[from] NetworkError),
+    #[error(transparent)]
+    Config(#[from] ValueError),
+    #[error(transparent)]
+    Observation(#[from] LayoutError),
+    #[error(
+        "it describes {described} numbers of the observation and names {named}, its configuration has {configured}"
+    )]
+    Length { described: usize, named: usize, configured: usize },
+    #[error("its joints are {0:?}, expected {expected:?}", expected = joint_names())]
+    Joints(Vec<String>),
+    #[error("its nominal pose or scale is not finite")]
+    Action,
+    #[error("its simulation differs from that of the configuration it was trained with")]
+    Simulation,
+    #[error("its network answers its golden observations with numbers that are not finite")]
+    GoldenNotFinite,
+    #[error(
+        "its golden joint targets are off by {worst:.2e} rad, at most {GOLDEN_TOLERANCE:.0e} is expected: the file is damaged"
+    )]
+    Golden { worst: f64 },
+}
+
 impl Metadata {
     /// Checks the metadata and returns the layout of the observation.
-    fn check(&self) -> Result<Layout, String> {
+    fn check(&self) -> Result<Layout, Fault> {
         let config = &self.provenance.config;
-        config.check().map_err(|error| error.to_string())?;
+        config.check()?;
         let layout = config.layout()?;
-        let named = self.usage.observation_elements.len();
-        let lengths: usize = self.observation.iter().map(|block| block.length).sum();
-        if [named, lengths] != [layout.length(); 2] {
-            return Err(format!(
-                "it describes {lengths} numbers of the observation and names {named}, its configuration has {}",
-                layout.length()
-            ));
+        let (named, configured) = (self.usage.observation_elements.len(), layout.length());
+        let described: usize = self.observation.iter().map(|block| block.length).sum();
+        if [named, described] != [configured; 2] {
+            return Err(Fault::Length { described, named, configured });
         }
         if self.joints != joint_names() {
-            return Err(format!("its joints are {:?}, expected {:?}", self.joints, joint_names()));
+            return Err(Fault::Joints(self.joints.clone()));
         }
         if !numbers::finite_in_single(&self.nominal_pose_rad) || !numbers::finite_in_single(&[self.scale_rad]) {
-            return Err("its nominal pose or scale is not finite".into());
+            return Err(Fault::Action);
         }
         if self.simulation != config.simulation {
-            return Err("its simulation differs from that of the configuration it was trained with".into());
+            return Err(Fault::Simulation);
         }
         Ok(layout)
     }

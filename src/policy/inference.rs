@@ -5,9 +5,9 @@ use std::fmt;
 
 use super::controller::Controller;
 use super::onnx;
-use crate::config::{Config, ValueError};
+use crate::config::Config;
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, Moment, Observer};
+use crate::observation::{Command, Layout, LayoutError, Moment, Observer};
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
@@ -99,10 +99,10 @@ impl Inference {
     ///
     /// # Errors
     /// The observation of the configuration does not fit its robot.
-    pub fn in_environment(config: &Config, network: Network) -> Result<Self, ValueError> {
+    pub fn in_environment(config: &Config, network: Network) -> Result<Self, LayoutError> {
         let action = &config.action;
         Ok(Inference {
-            layout: config.layout().map_err(ValueError::Observation)?,
+            layout: config.layout()?,
             action: Action {
                 nominal_pose: action.nominal_pose_rad.joints(),
                 meaning: Meaning::OffsetFromNominal,

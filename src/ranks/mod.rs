@@ -14,7 +14,7 @@ of shards, but neither on that of ranks nor on that of threads.
 mod mpi;
 
 #[cfg(feature = "mpi")]
-pub use self::mpi::Mpi;
+pub use self::mpi::{Mpi, MpiError};
 
 use std::fmt::{Debug, Display};
 use std::ops::Range;

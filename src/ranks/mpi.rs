@@ -69,12 +69,17 @@ enum Call {
     Gather(Vec<Vec<u8>>),
 }
 
+/// MPI is not available, or does not support calls from another thread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("MPI could not be started with threads")]
+pub struct MpiError;
+
 impl Mpi {
     /// Joins the other ranks. A rank that waits longer than `timeout` for another ends the whole program.
     ///
     /// # Errors
-    /// MPI is not available, or does not support calls from another thread; the text says why.
-    pub fn join(timeout: Duration) -> Result<Self, String> {
+    /// MPI is not available, or does not support calls from another thread.
+    pub fn join(timeout: Duration) -> Result<Self, MpiError> {
         let (calls, to_do) = channel();
         let (done, answers) = channel();
         let (joined, start) = channel();
@@ -104,7 +109,7 @@ impl Mpi {
                 }
             }
         });
-        let (index, hosts) = start.recv().map_err(|_| "MPI could not be started with threads")?;
+        let (index, hosts) = start.recv().map_err(|_| MpiError)?;
         Ok(Self { index, hosts, messenger: Mutex::new(Messenger { calls, answers, thread: Some(thread) }) })
     }
 

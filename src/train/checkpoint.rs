@@ -7,16 +7,16 @@ newest cannot be read, the run resumes from that one and reports it.
 
 use std::path::Path;
 
-use safetensors::SafeTensors;
+use safetensors::{SafeTensorError, SafeTensors};
 use serde::{Deserialize, Serialize};
 
-use crate::config::Config;
-use crate::network::ActorCritic;
+use crate::config::{Config, ValueError};
+use crate::network::{ActorCritic, NetworkError};
 use crate::ppo::LearnerState;
 use crate::task::Curriculum;
 use crate::train::environment::EnvState;
 use crate::util::files::{self, FileError};
-use crate::util::tensors::{self, Tensor};
+use crate::util::tensors::{self, Tensor, TensorError};
 
 /// File of the newest checkpoint in a run's folder.
 pub const NEWEST: &str = "checkpoint.safetensors";
@@ -35,6 +35,26 @@ const CHECKPOINT: &str = "checkpoint";
 
 /// Maximum size of a checkpoint \[bytes\].
 const MAX_BYTES: u64 = 4 << 30;
+
+/// The reason why the bytes of a checkpoint are refused.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckpointError {
+    /// The file is cut off or has another format, or a tensor is invalid.
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    /// The state of the run is no JSON of this version.
+    #[error("its run state does not parse: {0}")]
+    Run(serde_json::Error),
+    /// The configuration of the run is invalid.
+    #[error(transparent)]
+    Config(#[from] ValueError),
+    /// The tensors of a group, such as `first_moment`, are no policy and value function.
+    #[error("{0}: {1}")]
+    Network(&'static str, NetworkError),
+    /// A bit of the file has changed.
+    #[error("its checksum does not match: the file is damaged")]
+    Damaged,
+}
 
 /// The state of a run after a whole number of iterations.
 #[derive(Debug, Clone, PartialEq)]
@@ -114,9 +134,9 @@ impl Checkpoint {
     /// Serialises the checkpoint to the bytes of a file.
     ///
     /// # Errors
-    /// The state holds numbers that are not finite.
-    pub fn to_bytes(&self) -> Result<Vec<u8>, String> {
-        let run = serde_json::to_string(&self.run).map_err(|error| error.to_string())?;
+    /// The state cannot be written as JSON, or a tensor does not fit its shape.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
+        let run = serde_json::to_string(&self.run)?;
         let mut all = Vec::new();
         for (group, networks) in self.groups() {
             for (name, shape, values) in networks.tensors() {
@@ -130,20 +150,18 @@ impl Checkpoint {
             learning_rate: self.learner.learning_rate,
             run,
         };
-        let json = serde_json::to_string(&metadata).map_err(|error| error.to_string())?;
-        tensors::serialize(&all, json).map_err(|error| error.to_string())
+        tensors::serialize(&all, serde_json::to_string(&metadata)?)
     }
 
     /// Reads the bytes that [`Checkpoint::to_bytes`] returned.
     ///
     /// # Errors
     /// The bytes are damaged, of another format, or inconsistent.
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         let (tensors, json) = tensors::deserialize(bytes)?;
         let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
-        let run: RunState =
-            serde_json::from_str(&metadata.run).map_err(|error| format!("its run state does not parse: {error}"))?;
-        run.config.check().map_err(|error| error.to_string())?;
+        let run: RunState = serde_json::from_str(&metadata.run).map_err(CheckpointError::Run)?;
+        run.config.check()?;
         let learner = LearnerState {
             parameters: read_group(&tensors, "parameters")?,
             first_moment: read_group(&tensors, "first_moment")?,
@@ -153,7 +171,7 @@ impl Checkpoint {
         };
         let found = checksum(&metadata.run, &learner);
         if found != metadata.sha256 {
-            return Err("its checksum does not match: the file is damaged".into());
+            return Err(CheckpointError::Damaged);
         }
         Ok(Checkpoint { run, learner })
     }
@@ -183,7 +201,7 @@ fn checksum(run: &str, learner: &LearnerState) -> String {
     files::sha256(&[&bytes])
 }
 
-fn read_group(tensors: &SafeTensors<'_>, group: &str) -> Result<ActorCritic, String> {
+fn read_group(tensors: &SafeTensors<'_>, group: &'static str) -> Result<ActorCritic, CheckpointError> {
     let named = tensors::read_group(tensors, &format!("{group}."))?;
-    ActorCritic::from_tensors(named).map_err(|error| format!("{group}: {error}"))
+    ActorCritic::from_tensors(named).map_err(|error| CheckpointError::Network(group, error))
 }

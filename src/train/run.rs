@@ -29,7 +29,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use serde::Deserialize;
 
-use crate::config::Config;
+use crate::config::{Config, DifferenceError};
 use crate::train::Trainer;
 use crate::train::checkpoint::{Checkpoint, DAMAGED, NEWEST, PREVIOUS};
 use crate::train::environment::EpisodeFault;
@@ -88,7 +88,7 @@ pub enum RunError {
         /// Path of the folder.
         path: PathBuf,
         /// The changed keys, with both values.
-        keys: String,
+        keys: DifferenceError,
     },
     /// The configuration is invalid, perhaps after an edit.
     #[error("{0}; correct it, or remove the file: it is written again from the checkpoint")]

@@ -9,9 +9,28 @@ use it.
 use rand::{Rng, RngExt};
 
 use crate::network::{Mlp, PackedMlp, Scratch};
-use crate::observation::Layout;
+use crate::observation::{Layout, LayoutError};
 use crate::ppo::{Batch, Samples};
 use crate::robot::{JOINTS, Joints, Robot, joint_name};
+
+/// The reason why a robot and its observation have no mirror image.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SymmetryError {
+    /// A joint stands otherwise than its mirror image.
+    #[error(
+        "{} is {} and {} is {} in action.nominal_pose_rad, which leans to one side",
+        joint_name(joints[0]), angles_rad[0], joint_name(joints[1]), angles_rad[1]
+    )]
+    Pose {
+        /// Indices of the joint and its mirror image.
+        joints: [usize; 2],
+        /// Their angles in the nominal pose \[rad\].
+        angles_rad: [f64; 2],
+    },
+    /// A number of the observation has no mirror image.
+    #[error(transparent)]
+    Observation(#[from] LayoutError),
+}
 
 /// Left-right mirror of observations and actions: source index and sign of each number.
 #[derive(Debug, Clone, PartialEq)]
@@ -28,18 +47,12 @@ impl Mirror {
     /// Builds the mirror for a robot, its nominal pose \[rad\] and its policy's observation.
     ///
     /// # Errors
-    /// A quantity of the observation or a joint has no mirror image; the text names it.
-    pub fn new(layout: &Layout, robot: &Robot, pose: &Joints) -> Result<Self, String> {
+    /// The pose leans to one side, or a quantity of the observation has no mirror image.
+    pub fn new(layout: &Layout, robot: &Robot, pose: &Joints) -> Result<Self, SymmetryError> {
         for joint in 0..JOINTS {
             let (image, sign) = robot.mirrored(joint);
             if pose[joint] != sign * pose[image] {
-                return Err(format!(
-                    "{} is {} and {} is {} in action.nominal_pose_rad, which leans to one side",
-                    joint_name(joint),
-                    pose[joint],
-                    joint_name(image),
-                    pose[image]
-                ));
+                return Err(SymmetryError::Pose { joints: [joint, image], angles_rad: [pose[joint], pose[image]] });
             }
         }
         let action = |joint| {
@@ -126,7 +139,7 @@ mod tests {
     #[test]
     fn a_pose_that_leans_to_one_side_has_no_mirror_image() {
         let error = Mirror::new(&layout(), &Robot::load("go1").unwrap(), &same_in_every_leg([0.1, 0.72, -1.44]));
-        assert!(error.unwrap_err().contains("FR_hip is 0.1 and FL_hip is 0.1"));
+        assert!(error.unwrap_err().to_string().contains("FR_hip is 0.1 and FL_hip is 0.1"));
     }
 
     /// Returns an observation of a robot that leans, turns, moves and is commanded to its left, or for −1 to its right.

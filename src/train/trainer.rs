@@ -15,7 +15,7 @@ use super::environment::{EpisodeFault, LocomotionEnv};
 use super::fault_report::{circumstances, minibatch_csv};
 use super::memory::{MemoryError, MemoryEstimate};
 use super::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
-use super::symmetry::{self, Mirror};
+use super::symmetry::{self, Mirror, SymmetryError};
 use crate::config::{Config, ValueError};
 use crate::mujoco;
 use crate::network::ActorCritic;
@@ -46,7 +46,7 @@ pub enum TrainError {
     Physics(#[from] mujoco::Error),
     /// The robot or its observation has no mirror image.
     #[error("ppo.symmetry is true, but {0}: make it false")]
-    Symmetry(String),
+    Symmetry(#[from] SymmetryError),
     /// The run needs more memory than the machine has.
     #[error(transparent)]
     Memory(#[from] MemoryError),
@@ -353,8 +353,7 @@ type Parts = (Arc<Robot>, Arc<Layout>, Option<Mirror>);
 fn parts(config: &Config) -> Result<Parts, TrainError> {
     let robot = config.robot.load()?;
     let layout = config.layout().map_err(ValueError::Observation)?;
-    let mirror =
-        || Mirror::new(&layout, &robot, &config.action.nominal_pose_rad.joints()).map_err(TrainError::Symmetry);
+    let mirror = || Mirror::new(&layout, &robot, &config.action.nominal_pose_rad.joints());
     let mirror = config.ppo.symmetry.then(mirror).transpose()?;
     Ok((robot, Arc::new(layout), mirror))
 }

@@ -44,6 +44,44 @@ impl Tensor {
     }
 }
 
+/// The reason why a file's tensors cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum TensorError {
+    /// The bytes are no safetensors file, or a part of one.
+    #[error("not a whole safetensors file ({0}); was it cut off while copying?")]
+    Broken(#[from] SafeTensorError),
+    /// The file has no JSON text of Supple.
+    #[error("it has no metadata '{KEY}': not written by supple")]
+    Foreign,
+    /// The JSON text is invalid.
+    #[error("its metadata do not parse: {0}")]
+    Metadata(#[from] serde_json::Error),
+    /// The file has another version of the format.
+    #[error("its format is {found}, this program reads {expected}: use the version of Supple that wrote it")]
+    Format {
+        /// Version of the file.
+        found: u32,
+        /// Version that is supported.
+        expected: u32,
+    },
+    /// A tensor is missing.
+    #[error("it has no tensor {0}")]
+    Missing(String),
+    /// A tensor has another type or shape.
+    #[error("its tensor {name} is {:?} {:?}, expected {:?} {:?}", found.0, found.1, expected.0, expected.1)]
+    Shape {
+        /// Name of the tensor.
+        name: String,
+        /// The type and the shape that were found.
+        found: (Dtype, Vec<usize>),
+        /// The type and the shape that it should have.
+        expected: (Dtype, Vec<usize>),
+    },
+    /// A tensor has NaN or infinite values.
+    #[error("its tensor {0} holds numbers that are not finite")]
+    NotFinite(String),
+}
+
 /// Serialises tensors and a JSON text to the bytes of a file.
 ///
 /// # Errors
@@ -59,13 +97,11 @@ pub fn serialize(tensors: &[Tensor], json: String) -> Result<Vec<u8>, SafeTensor
 /// Reads the tensors and the JSON text of a file.
 ///
 /// # Errors
-/// The bytes are not a safetensors file with this metadata; the text says why.
-pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
-    let broken = |error| format!("not a whole safetensors file ({error}); was it cut off while copying?");
-    let tensors = SafeTensors::deserialize(bytes).map_err(broken)?;
-    let (_, header) = SafeTensors::read_metadata(bytes).map_err(broken)?;
-    let json = header.metadata().as_ref().and_then(|metadata| metadata.get(KEY));
-    let json = json.ok_or_else(|| format!("it has no metadata '{KEY}': not written by supple"))?;
+/// The bytes are not a safetensors file, or one without this text.
+pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), TensorError> {
+    let tensors = SafeTensors::deserialize(bytes)?;
+    let (_, header) = SafeTensors::read_metadata(bytes)?;
+    let json = header.metadata().as_ref().and_then(|metadata| metadata.get(KEY)).ok_or(TensorError::Foreign)?;
     Ok((tensors, json.clone()))
 }
 
@@ -73,28 +109,24 @@ pub fn deserialize(bytes: &[u8]) -> Result<(SafeTensors<'_>, String), String> {
 ///
 /// # Errors
 /// The version is not supported, or the JSON does not fit the type.
-pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, String> {
+pub fn metadata<T: DeserializeOwned>(json: &str, format: u32) -> Result<T, TensorError> {
     #[derive(Deserialize)]
     struct Format {
         format: u32,
     }
-    let broken = |error| format!("its metadata do not parse: {error}");
-    let found: Format = serde_json::from_str(json).map_err(broken)?;
+    let found: Format = serde_json::from_str(json)?;
     if found.format != format {
-        let found = found.format;
-        return Err(format!(
-            "its format is {found}, this program reads {format}: use the version of Supple that wrote it"
-        ));
+        return Err(TensorError::Format { found: found.format, expected: format });
     }
-    serde_json::from_str(json).map_err(broken)
+    Ok(serde_json::from_str(json)?)
 }
 
 /// Reads a single-precision tensor of a known shape.
 ///
 /// # Errors
 /// The tensor is missing, has another type or shape, or a value that is not finite.
-pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
-    let bytes = tensor_bytes(tensors, name, Dtype::F32, shape)?;
+pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f32>, TensorError> {
+    let bytes = tensor_bytes(tensors, name, (Dtype::F32, shape))?;
     finite(name, bytes.as_chunks().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect(), f32::is_finite)
 }
 
@@ -102,7 +134,7 @@ pub fn read_f32(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Resul
 ///
 /// # Errors
 /// A tensor has another type, or a value that is not finite.
-pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>, String> {
+pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>, TensorError> {
     let mut named = Vec::new();
     for (name, view) in tensors.iter() {
         if let Some(rest) = name.strip_prefix(prefix) {
@@ -116,21 +148,21 @@ pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>,
 ///
 /// # Errors
 /// The tensor is missing, has another type or shape, or a value that is not finite.
-pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f64>, String> {
-    let bytes = tensor_bytes(tensors, name, Dtype::F64, shape)?;
+pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f64>, TensorError> {
+    let bytes = tensor_bytes(tensors, name, (Dtype::F64, shape))?;
     finite(name, bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(), f64::is_finite)
 }
 
-fn tensor_bytes<'a>(tensors: &SafeTensors<'a>, name: &str, dtype: Dtype, shape: &[usize]) -> Result<&'a [u8], String> {
-    let view = tensors.tensor(name).map_err(|_| format!("it has no tensor {name}"))?;
-    if view.dtype() != dtype || view.shape() != shape {
-        let (found, kind) = (view.shape(), view.dtype());
-        return Err(format!("its tensor {name} is {kind:?} {found:?}, expected {dtype:?} {shape:?}"));
+fn tensor_bytes<'a>(tensors: &SafeTensors<'a>, name: &str, kind: (Dtype, &[usize])) -> Result<&'a [u8], TensorError> {
+    let view = tensors.tensor(name).map_err(|_| TensorError::Missing(name.to_owned()))?;
+    if (view.dtype(), view.shape()) != kind {
+        let (found, expected) = ((view.dtype(), view.shape().to_vec()), (kind.0, kind.1.to_vec()));
+        return Err(TensorError::Shape { name: name.to_owned(), found, expected });
     }
     Ok(view.data())
 }
 
-fn finite<T: Copy>(name: &str, values: Vec<T>, is_finite: fn(T) -> bool) -> Result<Vec<T>, String> {
+fn finite<T: Copy>(name: &str, values: Vec<T>, is_finite: fn(T) -> bool) -> Result<Vec<T>, TensorError> {
     let all = values.iter().all(|value| is_finite(*value));
-    if all { Ok(values) } else { Err(format!("its tensor {name} holds numbers that are not finite")) }
+    if all { Ok(values) } else { Err(TensorError::NotFinite(name.to_owned())) }
 }

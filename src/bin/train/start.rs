@@ -35,9 +35,7 @@ pub fn join(args: &Args) -> anyhow::Result<Arc<dyn Ranks>> {
     if !STARTED_BY_MPI.iter().any(|name| std::env::var_os(name).is_some()) {
         return Ok(Alone::shared());
     }
-    let ranks =
-        supple::ranks::Mpi::join(std::time::Duration::from_secs(args.rank_timeout)).map_err(anyhow::Error::msg)?;
-    Ok(Arc::new(ranks))
+    Ok(Arc::new(supple::ranks::Mpi::join(std::time::Duration::from_secs(args.rank_timeout))?))
 }
 
 /// Returns this process alone: the program was built without MPI.
@@ -140,11 +138,11 @@ pub fn resume(
     let opened = together(&**ranks, opened)?;
     // The first rank has read it, the others hear of it.
     let bytes = opened.as_ref().filter(|_| ranks.count() > 1).map(|(_, checkpoint)| checkpoint.to_bytes());
-    let bytes = bytes.transpose().map_err(anyhow::Error::msg);
+    let bytes = bytes.transpose().map_err(Into::into);
     let bytes = ranks.gather(together(&**ranks, bytes)?.unwrap_or_default()).concat();
     let (folder, checkpoint) = match opened {
         Some((folder, checkpoint)) => (Some(folder), Ok(checkpoint)),
-        None => (None, Checkpoint::from_bytes(&bytes).map_err(anyhow::Error::msg)),
+        None => (None, Checkpoint::from_bytes(&bytes).map_err(Into::into)),
     };
     let checkpoint = together(&**ranks, checkpoint)?;
     let trainer =

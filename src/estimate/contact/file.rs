@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 
 use super::{ContactNetwork, INPUTS, RATE_HZ, TICKS};
 use crate::estimate::SensorNoise;
-use crate::network::Mlp;
+use crate::network::{Mlp, NetworkError};
 use crate::robot::{JOINTS, LEGS, joint_names};
 use crate::util::files::{self, FileError};
-use crate::util::tensors::{self, Tensor};
+use crate::util::tensors::{self, Tensor, TensorError};
 
 /// Version of the file format.
 const FORMAT: u32 = 1;
@@ -135,7 +135,7 @@ impl ContactNetwork {
     /// # Errors
     /// The bytes are damaged or have another format.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
-        let advice = |problem| format!("{problem}; train one with `cargo run --release --bin train_contact`");
+        let advice = |fault: Fault| format!("{fault}; train one with `cargo run --release --bin train_contact`");
         parse(bytes).map_err(advice).map_err(FileError::of(CONTACT, path))
     }
 
@@ -154,27 +154,41 @@ fn inputs() -> Vec<InputInfo> {
         .to_vec()
 }
 
-fn parse(bytes: &[u8]) -> Result<ContactNetwork, String> {
+/// A fault in the content of a contact network's file.
+#[derive(Debug, thiserror::Error)]
+enum Fault {
+    #[error(transparent)]
+    Tensors(#[from] TensorError),
+    #[error("its network: {0}")]
+    Network(#[from] NetworkError),
+    #[error("its {key} is {found}, expected {expected}")]
+    Value { key: &'static str, found: String, expected: String },
+    #[error("its inputs are {0:?}")]
+    Inputs(Vec<InputInfo>),
+    #[error("its tensors have checksum {found}, expected {expected}: it is damaged")]
+    Damaged { found: String, expected: String },
+}
+
+fn parse(bytes: &[u8]) -> Result<ContactNetwork, Fault> {
     let (tensors, json) = tensors::deserialize(bytes)?;
-    let metadata: Metadata =
-        serde_json::from_str(&json).map_err(|error| format!("its metadata do not parse: {error}"))?;
+    let metadata: Metadata = serde_json::from_str(&json).map_err(TensorError::Metadata)?;
     metadata.check()?;
     let network = tensors::read_group(&tensors, "contact.")?;
-    let mlp = Mlp::from_tensors(network, INPUTS, LEGS.len()).map_err(|error| format!("its network: {error}"))?;
+    let mlp = Mlp::from_tensors(network, INPUTS, LEGS.len())?;
     let offset = tensors::read_f32(&tensors, "normaliser.offset", &[INPUTS])?;
     let scale = tensors::read_f32(&tensors, "normaliser.scale", &[INPUTS])?;
     let network = ContactNetwork::new(mlp, offset, scale, metadata.provenance);
     let found = network.checksum();
     if found != metadata.checksum {
-        return Err(format!("its tensors have checksum {found}, expected {}: it is damaged", metadata.checksum));
+        return Err(Fault::Damaged { found, expected: metadata.checksum });
     }
     Ok(network)
 }
 
 impl Metadata {
-    fn check(&self) -> Result<(), String> {
-        let expect = |what: &str, found: String, expected: String| {
-            if found == expected { Ok(()) } else { Err(format!("its {what} is {found}, expected {expected}")) }
+    fn check(&self) -> Result<(), Fault> {
+        let expect = |key: &'static str, found: String, expected: String| {
+            if found == expected { Ok(()) } else { Err(Fault::Value { key, found, expected }) }
         };
         expect("format", self.format.to_string(), FORMAT.to_string())?;
         expect("rate", format!("{} Hz", self.rate_hz), format!("{RATE_HZ} Hz"))?;
@@ -184,7 +198,7 @@ impl Metadata {
         expect("list of outputs", format!("{:?}", self.outputs), format!("{LEGS:?}"))?;
         let scores = self.provenance.held_out.len();
         expect("number of scored feet", scores.to_string(), LEGS.len().to_string())?;
-        if self.inputs == inputs() { Ok(()) } else { Err(format!("its inputs are {:?}", self.inputs)) }
+        if self.inputs == inputs() { Ok(()) } else { Err(Fault::Inputs(self.inputs.clone())) }
     }
 }
 

@@ -6,11 +6,11 @@ use serde::Deserialize;
 
 use super::POLICY;
 use crate::config::{Config, ConfigError, RobotModel, Simulation};
-use crate::observation::{Layout, Nominal, Numbers, Observed, limit, numbers};
+use crate::observation::{Layout, LayoutError, Nominal, Numbers, Observed, limit, numbers};
 use crate::policy::AgentError;
 use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
-use crate::robot::{JOINTS, joint_names};
+use crate::robot::{JOINTS, Joints, joint_names};
 use crate::util::files::FileError;
 use crate::util::yaml::{self, Text};
 
@@ -47,6 +47,28 @@ pub(super) struct Spec {
     pub(super) config: Config,
 }
 
+/// A fault in a description, or in the network that does not fit it.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Fault {
+    #[error(transparent)]
+    Observation(#[from] LayoutError),
+    #[error("nominal_pose_rad has {0} angles, expected {JOINTS}, in the order of `joints`")]
+    Angles(usize),
+    #[error("nominal_pose_rad is {0:?}, expected angles of at most one turn")]
+    Pose(Joints),
+    #[error("`joints` has '{0}', which is no joint of the robot; they are: {known}", known = joint_names().join(", "))]
+    Joint(String),
+    #[error("`joints` must name each of these once, in the policy's order: {}", joint_names().join(", "))]
+    Joints,
+    #[error(
+        "its observation has {length} numbers ({parts}), but the input '{input}' of {onnx} takes {expected}",
+        onnx = onnx.display()
+    )]
+    Inputs { length: usize, parts: String, input: String, onnx: PathBuf, expected: usize },
+    #[error("{} has {found} outputs, expected one for each of {JOINTS} joints", onnx.display())]
+    Outputs { onnx: PathBuf, found: usize },
+}
+
 impl Spec {
     /// Parses and checks the text of the file at `path`.
     pub(super) fn parse(path: &Path, text: &str) -> Result<Self, AgentError> {
@@ -60,13 +82,11 @@ impl Spec {
         Ok(Self::new(raw, config).map_err(FileError::of(POLICY, path))?)
     }
 
-    fn new(raw: RawSpec, config: Config) -> Result<Self, String> {
+    fn new(raw: RawSpec, config: Config) -> Result<Self, Fault> {
         let order = joint_order(&raw.joints)?;
-        let pose: [f64; JOINTS] = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| {
-            format!("nominal_pose_rad has {} angles, expected {JOINTS}, in the order of `joints`", pose.len())
-        })?;
+        let pose: Joints = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| Fault::Angles(pose.len()))?;
         if !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU) {
-            return Err(format!("nominal_pose_rad is {pose:?}, expected angles of at most one turn"));
+            return Err(Fault::Pose(pose));
         }
         let mut nominal_pose = [0.0; JOINTS];
         for (place, angle) in order.iter().zip(pose) {
@@ -90,22 +110,18 @@ impl Spec {
     }
 
     /// Checks that the network has as many inputs and outputs as the description states.
-    pub(super) fn check(&self, network: &Network) -> Result<(), String> {
-        let (length, onnx) = (self.layout.length(), self.onnx.display());
+    pub(super) fn check(&self, network: &Network) -> Result<(), Fault> {
+        let (length, onnx) = (self.layout.length(), self.onnx.clone());
         if length != network.inputs() {
             let blocks = self.layout.blocks().iter();
             let lengths: Vec<String> = blocks.map(|block| format!("{:?} {}", block.quantity, block.length())).collect();
             let times = self.layout.history().len();
             let times = if times == 1 { String::new() } else { format!(", {times} times") };
-            return Err(format!(
-                "its observation has {length} numbers ({}{times}), but the input '{}' of {onnx} takes {}",
-                lengths.join(", "),
-                network.input_name(),
-                network.inputs()
-            ));
+            let (parts, input) = (lengths.join(", ") + &times, network.input_name().to_owned());
+            return Err(Fault::Inputs { length, parts, input, onnx, expected: network.inputs() });
         }
         if network.outputs() != JOINTS {
-            return Err(format!("{onnx} has {} outputs, expected one for each of {JOINTS} joints", network.outputs()));
+            return Err(Fault::Outputs { onnx, found: network.outputs() });
         }
         Ok(())
     }
@@ -113,18 +129,16 @@ impl Spec {
 
 /// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without
 /// `_joint`.
-fn joint_order(names: &[String]) -> Result<[usize; JOINTS], String> {
+fn joint_order(names: &[String]) -> Result<[usize; JOINTS], Fault> {
     let known = joint_names();
     let place = |name: &String| {
         let short = name.strip_suffix("_joint").unwrap_or(name);
-        known.iter().position(|known| known == short).ok_or_else(|| {
-            format!("`joints` has '{name}', which is no joint of the robot; they are: {}", known.join(", "))
-        })
+        known.iter().position(|known| known == short).ok_or_else(|| Fault::Joint(name.clone()))
     };
     let order = names.iter().map(place).collect::<Result<Vec<_>, _>>()?;
     match <[usize; JOINTS]>::try_from(order) {
         Ok(order) if (0..JOINTS).all(|joint| order.contains(&joint)) => Ok(order),
-        _ => Err(format!("`joints` must name each of these once, in the policy's order: {}", known.join(", "))),
+        _ => Err(Fault::Joints),
     }
 }
 

@@ -1,12 +1,10 @@
 //! Arithmetic of the operators: element-wise functions with broadcasting, matrix products, slices along an axis.
 
+use super::Result;
 use super::tensor::{Tensor, elements, strides};
 
 /// Maximum number of multiplications in one matrix product: twice the largest layer.
 const MAX_PRODUCT: usize = 1 << 23;
-
-/// The result of an operator; the error says what cannot be computed.
-pub(super) type Result<T> = std::result::Result<T, String>;
 
 pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
@@ -27,7 +25,7 @@ pub(super) fn axis(index: i64, size: usize) -> Result<usize> {
     usize::try_from(from_start)
         .ok()
         .filter(|index| *index < size)
-        .ok_or_else(|| format!("its axis {index} is beyond {size} dimensions"))
+        .ok_or_else(|| format!("its axis {index} is beyond {size} dimensions").into())
 }
 
 /// Takes the slices `chosen` of a tensor along one axis.
@@ -97,14 +95,14 @@ pub(super) fn fits(result: &Tensor, expected: &Tensor) -> Result<Tensor> {
     if result.shape() == expected.shape() {
         Ok(result.clone())
     } else {
-        Err(format!("it has {:?} outputs, but parameters for {:?}", expected.shape(), result.shape()))
+        Err(format!("it has {:?} outputs, but parameters for {:?}", expected.shape(), result.shape()).into())
     }
 }
 
 /// Returns a matrix, transposed on request.
 pub(super) fn matrix(tensor: &Tensor, transposed: bool) -> Result<Tensor> {
     let [rows, columns] = *tensor.shape() else {
-        return Err(format!("its input has the shape {:?}, expected two dimensions", tensor.shape()));
+        return Err(format!("its input has the shape {:?}, expected two dimensions", tensor.shape()).into());
     };
     if !transposed {
         return Ok(tensor.clone());
@@ -118,10 +116,10 @@ pub(super) fn matrix(tensor: &Tensor, transposed: bool) -> Result<Tensor> {
 pub(super) fn multiply(a: &Tensor, b_transposed: &Tensor) -> Result<Tensor> {
     let ([rows, inner], [columns, width]) = (*two(a)?, *two(b_transposed)?);
     if inner != width {
-        return Err(format!("it multiplies {inner} values with a matrix for {width}"));
+        return Err(format!("it multiplies {inner} values with a matrix for {width}").into());
     }
     if rows.saturating_mul(columns).saturating_mul(inner) > MAX_PRODUCT {
-        return Err(format!("its product of {rows} x {inner} and {inner} x {columns} is too large for a policy"));
+        return Err(format!("its product of {rows} x {inner} and {inner} x {columns} is too large for a policy").into());
     }
     // Of no values at all, any number of rows and columns is no work.
     let count = elements(&[rows, columns])?;
@@ -131,7 +129,7 @@ pub(super) fn multiply(a: &Tensor, b_transposed: &Tensor) -> Result<Tensor> {
 }
 
 fn two(tensor: &Tensor) -> Result<&[usize; 2]> {
-    tensor.shape().try_into().map_err(|_| format!("its input has the shape {:?}", tensor.shape()))
+    tensor.shape().try_into().map_err(|_| format!("its input has the shape {:?}", tensor.shape()).into())
 }
 
 /// Computes a dot product in eight parallel sums, which the compiler vectorises.

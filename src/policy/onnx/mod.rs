@@ -16,3 +16,17 @@ mod wire;
 
 pub use export::export;
 pub use network::{MAX_BYTES, Network, Scratch};
+
+/// The reason why a network cannot be run: what a file, a tensor or an operator has, and what is supported. The errors of
+/// [`Network::from_bytes`] show it.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+struct Unsupported(String);
+
+impl<T: Into<String>> From<T> for Unsupported {
+    fn from(problem: T) -> Self {
+        Unsupported(problem.into())
+    }
+}
+
+type Result<T> = std::result::Result<T, Unsupported>;

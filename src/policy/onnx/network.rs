@@ -8,7 +8,7 @@ use prost::Message;
 use super::operators::Call;
 use super::proto::{Graph, Model, Node, Size, ValueInfo};
 use super::tensor::{Tensor, elements};
-use super::wire;
+use super::{Result, Unsupported, wire};
 use crate::util::files::FileError;
 
 /// Maximum size of an ONNX file \[bytes\].
@@ -55,11 +55,11 @@ impl Network {
     ///
     /// # Errors
     /// The bytes are not an ONNX model, or an operator or shape is not supported; the error names it.
-    pub fn from_bytes(bytes: &[u8], path: &Path) -> Result<Self, FileError> {
+    pub fn from_bytes(bytes: &[u8], path: &Path) -> std::result::Result<Self, FileError> {
         Self::read(bytes).map_err(FileError::of("ONNX file", path))
     }
 
-    fn read(bytes: &[u8]) -> Result<Self, String> {
+    fn read(bytes: &[u8]) -> Result<Self> {
         wire::check(bytes)?;
         let model = Model::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?;
         let versions = model.opset_import.iter().filter(|set| matches!(set.domain.as_str(), "" | "ai.onnx"));
@@ -69,11 +69,12 @@ impl Network {
             let (first, last) = (OPERATOR_SETS.start(), OPERATOR_SETS.end());
             return Err(format!(
                 "its operator set is {version}, expected {first} to {last}; export it with another one"
-            ));
+            )
+            .into());
         }
         let graph = model.graph.ok_or("it has no graph")?;
         if graph.node.len() > MAX_NODES {
-            return Err(format!("it has {} operators, at most {MAX_NODES} are expected", graph.node.len()));
+            return Err(format!("it has {} operators, at most {MAX_NODES} are expected", graph.node.len()).into());
         }
         let input = only_input(&graph)?.clone();
         let input_shape = shape_of(&input)?;
@@ -91,7 +92,7 @@ impl Network {
         let (mut steps, mut total) = (Vec::new(), 0);
         for (index, node) in graph.node.into_iter().enumerate() {
             let title = title(index, &node);
-            let named = |problem: String| format!("{title}: {problem}");
+            let named = |problem: Unsupported| Unsupported(format!("{title}: {problem}"));
             let step = Step::new(node, &mut slots, &mut constants).map_err(named)?;
             values.resize(constants.len(), None);
             let changes = step.inputs.iter().flatten().any(|slot| values[*slot].is_some());
@@ -100,7 +101,7 @@ impl Network {
             let sizes = step.outputs.iter().filter_map(|slot| values[*slot].as_ref());
             total += sizes.map(|value| value.shape().iter().product::<usize>()).sum::<usize>();
             if total > MAX_TOTAL {
-                return Err(named(format!("its values and those before it are more than {MAX_TOTAL}")));
+                return Err(named(format!("its values and those before it are more than {MAX_TOTAL}").into()));
             }
             if is_constant {
                 // Computed once, here.
@@ -110,7 +111,9 @@ impl Network {
             }
         }
         let [output] = &graph.output[..] else {
-            return Err(format!("it has {} outputs ({}), expected one", graph.output.len(), names(&graph.output)));
+            return Err(
+                format!("it has {} outputs ({}), expected one", graph.output.len(), names(&graph.output)).into()
+            );
         };
         let output_slot = *slots.get(&output.name).ok_or_else(|| format!("nothing computes '{}'", output.name))?;
         let mut network = Network { input: input.name, input_shape, output_slot, outputs: 0, steps, constants };
@@ -148,7 +151,7 @@ impl Network {
         whole.and_then(|()| self.output(&scratch.0)).expect("a network that was evaluated once can be evaluated again")
     }
 
-    fn output<'a>(&self, values: &'a [Option<Tensor>]) -> Result<&'a [f32], String> {
+    fn output<'a>(&self, values: &'a [Option<Tensor>]) -> Result<&'a [f32]> {
         let output = values[self.output_slot].as_ref();
         output.ok_or("its output does not depend on its input")?.floats()
     }
@@ -156,17 +159,13 @@ impl Network {
 
 impl Step {
     /// Assigns an index to every input and output of a node.
-    fn new(
-        node: Node,
-        slots: &mut HashMap<String, usize>,
-        constants: &mut Vec<Option<Tensor>>,
-    ) -> Result<Self, String> {
+    fn new(node: Node, slots: &mut HashMap<String, usize>, constants: &mut Vec<Option<Tensor>>) -> Result<Self> {
         let place = |name: &String| match slots.get(name) {
             Some(slot) => Ok(Some(*slot)),
             None if name.is_empty() => Ok(None),
-            None => Err(format!("its input '{name}' is not computed before it")),
+            None => Err(format!("its input '{name}' is not computed before it").into()),
         };
-        let inputs = node.input.iter().map(place).collect::<Result<Vec<_>, String>>()?;
+        let inputs = node.input.iter().map(place).collect::<Result<Vec<_>>>()?;
         let outputs: Vec<usize> = (constants.len()..constants.len() + node.output.len()).collect();
         for (name, slot) in node.output.iter().zip(&outputs) {
             slots.insert(name.clone(), *slot);
@@ -177,7 +176,7 @@ impl Step {
 
     /// Runs the operator on constants and on values that depend on the observation. Outputs that the node does not name
     /// are dropped.
-    fn evaluate(&self, constants: &[Option<Tensor>], values: &mut [Option<Tensor>]) -> Result<(), String> {
+    fn evaluate(&self, constants: &[Option<Tensor>], values: &mut [Option<Tensor>]) -> Result<()> {
         let value = |slot: usize| values[slot].as_ref().or(constants[slot].as_ref());
         let inputs: Vec<Option<&Tensor>> = self.inputs.iter().map(|slot| slot.and_then(value)).collect();
         if inputs.iter().zip(&self.inputs).any(|(value, slot)| value.is_none() && slot.is_some()) {
@@ -192,7 +191,7 @@ impl Step {
 }
 
 /// Finds the one input that is not a constant; older files list constants as inputs, too.
-fn only_input(graph: &Graph) -> Result<&ValueInfo, String> {
+fn only_input(graph: &Graph) -> Result<&ValueInfo> {
     let constant = |input: &&ValueInfo| graph.initializer.iter().any(|constant| constant.name == input.name);
     let inputs: Vec<&ValueInfo> = graph.input.iter().filter(|input| !constant(input)).collect();
     match inputs[..] {
@@ -202,25 +201,26 @@ fn only_input(graph: &Graph) -> Result<&ValueInfo, String> {
             Err(format!(
                 "it has {} inputs ({names}), expected one, the observation; recurrent policies cannot be run",
                 inputs.len()
-            ))
+            )
+            .into())
         }
     }
 }
 
 /// Returns the input's shape for one observation; open dimensions become 1.
-fn shape_of(input: &ValueInfo) -> Result<Vec<usize>, String> {
+fn shape_of(input: &ValueInfo) -> Result<Vec<usize>> {
     let name = &input.name;
     let shape = input.kind.as_ref().and_then(|kind| kind.tensor_type.as_ref()).and_then(|kind| kind.shape.as_ref());
     let dimensions = &shape.ok_or_else(|| format!("its input '{name}' has no shape"))?.dim;
     let size = |(index, dimension): (usize, &super::proto::Dimension)| match dimension.size {
         Some(Size::Value(size)) if size > 0 => Ok(size as usize),
         _ if index + 1 < dimensions.len() => Ok(1),
-        _ => Err(format!("the last dimension of its input '{name}' is open, expected the observation's length")),
+        _ => Err(format!("the last dimension of its input '{name}' is open, expected the observation's length").into()),
     };
-    let shape = dimensions.iter().enumerate().map(size).collect::<Result<Vec<_>, String>>()?;
+    let shape = dimensions.iter().enumerate().map(size).collect::<Result<Vec<_>>>()?;
     let count = elements(&shape)?;
     if count == 0 || shape.last() != Some(&count) {
-        return Err(format!("its input '{name}' has the shape {shape:?}, expected (1, N): one observation"));
+        return Err(format!("its input '{name}' has the shape {shape:?}, expected (1, N): one observation").into());
     }
     Ok(shape)
 }

@@ -3,11 +3,10 @@
 //! No output's shape depends on single-precision values, only on shapes, attributes and constants: a graph that was
 //! evaluated once can be evaluated with any other observation.
 
-use super::arithmetic::{
-    Result, along, axis, broadcast, broadcast_indices, erf, fits, matrix, multiply, positions, sigmoid,
-};
+use super::arithmetic::{along, axis, broadcast, broadcast_indices, erf, fits, matrix, multiply, positions, sigmoid};
 use super::proto::{Attribute, DOUBLE, FLOAT, INT32, INT64, Node};
 use super::tensor::{Tensor, Values, elements, strides};
+use super::{Result, Unsupported};
 
 /// Names of all supported operators, for error messages.
 pub const KNOWN: &str = "Abs Add BatchNormalization Cast Clip Concat Constant Div Dropout Elu Erf Exp Flatten Gather \
@@ -28,7 +27,7 @@ impl Call<'_> {
     pub fn evaluate(&self) -> Result<Vec<Tensor>> {
         let domain = self.node.domain.as_str();
         if !matches!(domain, "" | "ai.onnx") {
-            return Err(format!("its operator is of the domain '{domain}'; only ONNX's own are supported"));
+            return Err(format!("its operator is of the domain '{domain}'; only ONNX's own are supported").into());
         }
         let one = match self.node.op_type.as_str() {
             "Identity" | "Dropout" => self.input(0)?.clone(),
@@ -87,13 +86,13 @@ impl Call<'_> {
             "Gather" => self.gather()?,
             "Slice" => self.slice()?,
             "Split" => return self.split(),
-            other => return Err(format!("the operator {other} is not supported; these are: {KNOWN}")),
+            other => return Err(format!("the operator {other} is not supported; these are: {KNOWN}").into()),
         };
         Ok(vec![one])
     }
 
     fn input(&self, index: usize) -> Result<&Tensor> {
-        self.optional(index).ok_or_else(|| format!("it has no input {index}"))
+        self.optional(index).ok_or_else(|| format!("it has no input {index}").into())
     }
 
     fn optional(&self, index: usize) -> Option<&Tensor> {
@@ -129,7 +128,7 @@ impl Call<'_> {
             ("value_floats", _) => Tensor::float(vec![attribute.floats.len()], attribute.floats.clone()),
             ("value_int", _) => Tensor::int(Vec::new(), vec![attribute.i]),
             ("value_ints", _) => Tensor::int(vec![attribute.ints.len()], attribute.ints.clone()),
-            (other, _) => Err(format!("its value is given as '{other}', which is not supported")),
+            (other, _) => Err(format!("its value is given as '{other}', which is not supported").into()),
         }
     }
 
@@ -141,7 +140,7 @@ impl Call<'_> {
             (Values::Float(_), INT32 | INT64) => {
                 return Err("it makes integers of numbers, which a policy's shapes must not depend on".into());
             }
-            _ => return Err(format!("it casts to the element type {to}, which is not supported")),
+            _ => return Err(format!("it casts to the element type {to}, which is not supported").into()),
         };
         Tensor::new(tensor.shape().to_vec(), values)
     }
@@ -166,7 +165,7 @@ impl Call<'_> {
         let limit = |index: usize, name: &str, default: f32| match self.optional(index) {
             Some(tensor) => match tensor.floats()? {
                 [limit] => Ok(*limit),
-                other => Err(format!("its limit has {} values, expected one", other.len())),
+                other => Err(Unsupported(format!("its limit has {} values, expected one", other.len()))),
             },
             None => Ok(self.float(name, default)),
         };
@@ -217,7 +216,7 @@ impl Call<'_> {
         let [scale, bias, mean, variance] = [1, 2, 3, 4].map(|index| self.input(index));
         let (scale, bias, mean, variance) = (scale?, bias?, mean?, variance?);
         if x.shape().len() != 2 {
-            return Err(format!("its input has the shape {:?}, expected two dimensions", x.shape()));
+            return Err(format!("its input has the shape {:?}, expected two dimensions", x.shape()).into());
         }
         let epsilon = self.float("epsilon", 1e-5);
         let deviation = variance.map(|value| (value + epsilon).sqrt())?;
@@ -306,7 +305,7 @@ impl Call<'_> {
             None => (0..rank).rev().collect(),
         };
         if !(0..rank).all(|index| order.contains(&index)) || order.len() != rank {
-            return Err(format!("its order is {order:?}, expected each of {rank} dimensions once"));
+            return Err(format!("its order is {order:?}, expected each of {rank} dimensions once").into());
         }
         let (own, shape) = (strides(x.shape()), order.iter().map(|index| x.shape()[*index]).collect::<Vec<_>>());
         let steps: Vec<usize> = order.iter().map(|index| own[*index]).collect();
@@ -327,7 +326,7 @@ impl Call<'_> {
             let mut expected = shape.clone();
             expected[at] = 0;
             if rest != expected {
-                return Err(format!("its inputs have the shapes {:?} and {:?}", first.shape(), part.shape()));
+                return Err(format!("its inputs have the shapes {:?} and {:?}", first.shape(), part.shape()).into());
             }
             shape[at] += size.unwrap_or(0);
         }
@@ -357,7 +356,8 @@ impl Call<'_> {
         let (x, chosen) = (self.input(0)?, self.input(1)?);
         let at = axis(self.int("axis", 0), x.shape().len())?;
         let size = x.shape()[at];
-        let index = |index: &i64| axis(*index, size).map_err(|_| format!("its index {index} is beyond {size} values"));
+        let index =
+            |index: &i64| axis(*index, size).map_err(|_| format!("its index {index} is beyond {size} values").into());
         let chosen_indices = chosen.ints()?.iter().map(index).collect::<Result<Vec<_>>>()?;
         let mut shape = x.shape()[..at].to_vec();
         shape.extend(chosen.shape());
@@ -409,7 +409,7 @@ impl Call<'_> {
         };
         let total = sizes.iter().try_fold(0_usize, |sum, part| sum.checked_add(*part));
         if total != Some(size) || sizes.len() != parts {
-            return Err(format!("it splits {size} values into {sizes:?}, for {parts} outputs"));
+            return Err(format!("it splits {size} values into {sizes:?}, for {parts} outputs").into());
         }
         let mut start = 0;
         let mut part = |length: usize| {

@@ -1,5 +1,6 @@
 //! Dense tensors of the interpreter: single-precision values, or integers for shapes and indices.
 
+use super::Result;
 use super::proto::{self, DOUBLE, FLOAT, INT32, INT64};
 
 /// Maximum number of elements of a tensor: a layer of 2048 by 2048.
@@ -26,17 +27,17 @@ pub struct Tensor {
 
 impl Tensor {
     /// Creates a tensor of single-precision values.
-    pub fn float(shape: Vec<usize>, values: Vec<f32>) -> Result<Self, String> {
+    pub fn float(shape: Vec<usize>, values: Vec<f32>) -> Result<Self> {
         Self::new(shape, Values::Float(values))
     }
 
     /// Creates a tensor of integers.
-    pub fn int(shape: Vec<usize>, values: Vec<i64>) -> Result<Self, String> {
+    pub fn int(shape: Vec<usize>, values: Vec<i64>) -> Result<Self> {
         Self::new(shape, Values::Int(values))
     }
 
     /// Creates a tensor of either kind.
-    pub fn new(shape: Vec<usize>, values: Values) -> Result<Self, String> {
+    pub fn new(shape: Vec<usize>, values: Values) -> Result<Self> {
         let count = elements(&shape)?;
         let found = match &values {
             Values::Float(values) => values.len(),
@@ -45,18 +46,18 @@ impl Tensor {
         if found == count {
             Ok(Tensor { shape, values })
         } else {
-            Err(format!("{found} values for the shape {shape:?}, which has {count}"))
+            Err(format!("{found} values for the shape {shape:?}, which has {count}").into())
         }
     }
 
     /// Reads a constant of the file.
-    pub fn read(tensor: &proto::Tensor) -> Result<Self, String> {
+    pub fn read(tensor: &proto::Tensor) -> Result<Self> {
         if tensor.data_location != 0 {
             return Err("its values are in another file; save the model as one file".into());
         }
         let shape = tensor.dims.iter().map(|size| usize::try_from(*size));
         let shape: Vec<usize> =
-            shape.collect::<Result<_, _>>().map_err(|_| format!("its shape is {:?}", tensor.dims))?;
+            shape.collect::<std::result::Result<_, _>>().map_err(|_| format!("its shape is {:?}", tensor.dims))?;
         elements(&shape)?;
         let raw = &tensor.raw_data;
         let values = match tensor.data_type {
@@ -69,7 +70,9 @@ impl Tensor {
             INT64 if raw.is_empty() => Values::Int(tensor.int64_data.clone()),
             INT64 => Values::Int(chunks::<8>(raw)?.map(i64::from_le_bytes).collect()),
             other => {
-                return Err(format!("its element type is {other}, expected 1 (float), 6, 7 (integers) or 11 (double)"));
+                return Err(
+                    format!("its element type is {other}, expected 1 (float), 6, 7 (integers) or 11 (double)").into()
+                );
             }
         };
         Self::new(shape, values)
@@ -86,7 +89,7 @@ impl Tensor {
     }
 
     /// Returns the values if they are single precision.
-    pub fn floats(&self) -> Result<&[f32], String> {
+    pub fn floats(&self) -> Result<&[f32]> {
         match &self.values {
             Values::Float(values) => Ok(values),
             Values::Int(_) => Err("its input holds integers, expected single-precision numbers".into()),
@@ -94,7 +97,7 @@ impl Tensor {
     }
 
     /// Returns the values if they are integers.
-    pub fn ints(&self) -> Result<&[i64], String> {
+    pub fn ints(&self) -> Result<&[i64]> {
         match &self.values {
             Values::Int(values) => Ok(values),
             Values::Float(_) => Err("its input holds single-precision numbers, expected integers".into()),
@@ -102,17 +105,17 @@ impl Tensor {
     }
 
     /// Returns the same values in another shape.
-    pub fn reshaped(&self, shape: Vec<usize>) -> Result<Self, String> {
+    pub fn reshaped(&self, shape: Vec<usize>) -> Result<Self> {
         Self::new(shape, self.values.clone())
     }
 
     /// Applies a function to every value.
-    pub fn map(&self, function: impl Fn(f32) -> f32) -> Result<Self, String> {
+    pub fn map(&self, function: impl Fn(f32) -> f32) -> Result<Self> {
         Self::float(self.shape.clone(), self.floats()?.iter().map(|value| function(*value)).collect())
     }
 
     /// Picks elements by their index in this tensor, into a new shape.
-    pub fn pick(&self, shape: Vec<usize>, indices: &[usize]) -> Result<Self, String> {
+    pub fn pick(&self, shape: Vec<usize>, indices: &[usize]) -> Result<Self> {
         fn of<T: Copy>(values: &[T], indices: &[usize]) -> Option<Vec<T>> {
             indices.iter().map(|index| values.get(*index).copied()).collect()
         }
@@ -125,11 +128,12 @@ impl Tensor {
 }
 
 /// Returns the number of elements of a shape.
-pub fn elements(shape: &[usize]) -> Result<usize, String> {
+pub fn elements(shape: &[usize]) -> Result<usize> {
     let count = shape.iter().try_fold(1_usize, |product, size| product.checked_mul(*size));
     match count {
         Some(count) if count <= MAX_ELEMENTS && shape.len() <= MAX_RANK => Ok(count),
-        _ => Err(format!("the shape {shape:?} is too large: at most {MAX_ELEMENTS} elements in {MAX_RANK} dimensions")),
+        _ => Err(format!("the shape {shape:?} is too large: at most {MAX_ELEMENTS} elements in {MAX_RANK} dimensions")
+            .into()),
     }
 }
 
@@ -142,11 +146,11 @@ pub fn strides(shape: &[usize]) -> Vec<usize> {
     strides
 }
 
-fn chunks<const N: usize>(raw: &[u8]) -> Result<impl Iterator<Item = [u8; N]>, String> {
+fn chunks<const N: usize>(raw: &[u8]) -> Result<impl Iterator<Item = [u8; N]>> {
     let (chunks, rest) = raw.as_chunks::<N>();
     if rest.is_empty() {
         Ok(chunks.iter().copied())
     } else {
-        Err(format!("its {} bytes are no whole numbers", raw.len()))
+        Err(format!("its {} bytes are no whole numbers", raw.len()).into())
     }
 }

@@ -3,6 +3,8 @@
 //! Two bytes on disk can become a message of 200 in memory. A file of a few megabytes could thus ask for gigabytes; a
 //! policy has a few thousand fields at most.
 
+use super::{Result, Unsupported};
+
 /// Maximum number of fields of all messages together, far more than a policy has.
 const MAX_FIELDS: usize = 100_000;
 
@@ -40,18 +42,18 @@ impl Message {
 }
 
 /// Checks that bytes have no more fields than a policy can have, and are not truncated.
-pub fn check(bytes: &[u8]) -> Result<(), String> {
+pub fn check(bytes: &[u8]) -> Result<()> {
     let mut fields = 0;
     count(bytes, Message::Model, &mut fields)
 }
 
 /// Counts fields. The schema is a tree of a few levels, and so is this recursion.
-fn count(mut bytes: &[u8], message: Message, fields: &mut usize) -> Result<(), String> {
-    let cut = || "it is cut off or not ONNX".to_owned();
+fn count(mut bytes: &[u8], message: Message, fields: &mut usize) -> Result<()> {
+    let cut = || Unsupported::from("it is cut off or not ONNX");
     while !bytes.is_empty() {
         *fields += 1;
         if *fields > MAX_FIELDS {
-            return Err(format!("it has more than {MAX_FIELDS} fields, far more than a policy"));
+            return Err(format!("it has more than {MAX_FIELDS} fields, far more than a policy").into());
         }
         let key = varint(&mut bytes).ok_or_else(cut)?;
         let length = match key & 7 {
@@ -96,7 +98,7 @@ mod tests {
         // Field 7 (graph) with 2·10⁶ bytes: field 1 (node) of length 0, a million times.
         let mut bytes = vec![0x3a, 0x80, 0x89, 0x7a];
         bytes.extend([0x0a, 0x00].repeat(1_000_000));
-        let error = check(&bytes).unwrap_err();
+        let error = check(&bytes).unwrap_err().to_string();
         assert!(error.contains("far more than a policy"), "{error}");
     }
 

@@ -43,7 +43,7 @@ impl Source {
         }
         let source = Source { description, tree };
         let taken = source.taken();
-        check_sizes(&taken)?;
+        check_sizes(&taken).map_err(|error| error.to_string())?;
         check_finite(&taken)?;
         Ok(source)
     }
