@@ -8,8 +8,8 @@
 | `/view` | a WebSocket: `.rrd` files, one after another |
 
 Only the sockets control the robots, and they require the token of the printed address. Requests by host name are refused (DNS
-rebinding), and so are sockets opened by pages of another origin. Number of connections, size and rate of messages are
-bounded; a slow client misses frames, a silent one is disconnected.
+rebinding), and so are sockets opened by pages of another origin. Number and time of connections, size and rate of messages
+are bounded; a slow client misses frames, a silent one is disconnected, and newcomers take the place of those without a token.
 */
 
 mod connections;
