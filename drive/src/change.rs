@@ -128,6 +128,20 @@ impl Builder {
         Ok(())
     }
 
+    /// Returns true if nothing is being built and nothing waits.
+    #[cfg(test)]
+    pub(crate) fn is_idle(&self) -> bool {
+        self.present.is_none() && self.waiting.is_empty()
+    }
+
+    /// Makes the present change as old as one that is given up.
+    #[cfg(test)]
+    pub(crate) fn age(&mut self) {
+        if let Some(present) = &mut self.present {
+            present.since -= PATIENCE;
+        }
+    }
+
     /// Returns what pages should know about a change that takes long, and gives it up if another one has waited long enough.
     pub fn look(&mut self) -> Option<String> {
         let present = self.present.as_mut()?;

@@ -375,3 +375,149 @@ pub fn session_file() -> anyhow::Result<File> {
 fn temporary() -> String {
     format!("the folder for temporary files, {}", std::env::temp_dir().display())
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+    use supple::scenario::session::{SavedSession, SceneKind};
+
+    use super::*;
+    use crate::request::PageId;
+
+    const PAGE: PageId = 1;
+
+    /// Robots that stand, their messages, and the folder of their saves.
+    fn live(session: File) -> (Live, Receiver<Message>, tempfile::TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        let mut cache = AgentCache::default();
+        let robots = ["compliant", "baseline"].map(|name| cache.find(name, None).unwrap()).to_vec();
+        let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
+        let (to_self, messages) = sync_channel(512);
+        let mut live = Live::new(setup, cache, folder.path().to_owned(), session, to_self, false).unwrap();
+        live.take(Message::PageOpened(PAGE)).unwrap();
+        (live, messages, folder)
+    }
+
+    fn ask(live: &mut Live, text: &str) {
+        if let Ok(request) = Request::parse(text) {
+            live.take(Message::Request(PAGE, request)).unwrap();
+        }
+    }
+
+    /// Plays steps and takes messages until `is_done`.
+    fn play_until(live: &mut Live, messages: &Receiver<Message>, is_done: impl Fn(&Live) -> bool) {
+        let start = Instant::now();
+        while !is_done(live) {
+            assert!(start.elapsed() < Duration::from_secs(60));
+            live.build().unwrap();
+            messages.try_iter().for_each(|message| live.take(message).unwrap());
+            live.step().unwrap();
+        }
+    }
+
+    fn state(live: &Live) -> String {
+        live.publisher.publish(&live.world);
+        live.updates().state.borrow().to_string()
+    }
+
+    #[test]
+    fn whatever_a_page_sends_is_saved_and_replayed() {
+        let numbers =
+            ["0", "-0.0", "0.3", "-1", "3", "1e308", "-1.7976931348623157e308", "5e-324", "1e-300", "1e999", "-1e999"];
+        let policies =
+            ["compliant", "baseline", "baseline@0.04", "baseline@1e308", "baseline@inf", "baseline@nan", "", "../"];
+        let mut rng = StdRng::seed_from_u64(49);
+        for _ in 0..4 {
+            let (mut live, messages, folder) = live(session_file().unwrap());
+            for _ in 0..150 {
+                let mut number = || numbers[rng.random_range(0..numbers.len())];
+                let (a, b, c) = (number(), number(), number());
+                let (policy, index) = (policies[rng.random_range(0..policies.len())], rng.random_range(0..3));
+                let text = match rng.random_range(0..40) {
+                    0..6 => format!(r#"{{"command":[{a},{b},{c}]}}"#),
+                    6..14 => format!(r#"{{"push":{{"size":[{a},{b}],"unit":"m/s"}}}}"#),
+                    14..22 => format!(r#"{{"push":{{"size":[{a},{b}],"unit":"N·s"}}}}"#),
+                    22..28 => format!(r#"{{"pull":[{a},{b}]}}"#),
+                    28..32 => format!(r#"{{"comply":{{"robot":{index},"compliance":{a}}}}}"#),
+                    32 => format!(r#"{{"comply":{{"robot":{index},"compliance":null}}}}"#),
+                    33 => r#"{"pull":null}"#.to_owned(),
+                    34 => r#""reset""#.to_owned(),
+                    35 => r#"{"seed":18446744073709551615}"#.to_owned(),
+                    36 => r#"{"seed":null}"#.to_owned(),
+                    37 => r#"{"scene":"box"}"#.to_owned(),
+                    _ => format!(r#"{{"robot":{{"index":{index},"policy":"{policy}","robot":null}}}}"#),
+                };
+                ask(&mut live, &text);
+                let until = live.world.tick() + 4 * rng.random_range(0..8);
+                play_until(&mut live, &messages, |live| live.world.tick() >= until);
+            }
+            play_until(&mut live, &messages, |live| live.builder.is_idle());
+            for (from, name) in [(None, "all"), (Some(live.world.tick().saturating_sub(240)), "last")] {
+                let path = folder.path().join(name);
+                let (tick, state) = (live.world.tick(), live.world.fingerprint());
+                live.writer.as_mut().unwrap().part(from, tick, state).unwrap().write_new(&path).unwrap();
+                let mut replay = SavedSession::load(&path).unwrap().play().unwrap();
+                while replay.step().unwrap().is_some() {}
+                assert_eq!(replay.is_as_it_was(), Some(true));
+            }
+        }
+    }
+
+    #[test]
+    fn robots_walk_on_when_nothing_can_be_saved() {
+        let full = File::options().read(true).write(true).open("/dev/full").unwrap();
+        let (mut live, messages, folder) = live(full);
+        let mut count = 0;
+        while live.writer.is_ok() {
+            count += 1;
+            assert!(count < 10_000);
+            ask(&mut live, r#"{"push":{"size":[0,0.01],"unit":"m/s"}}"#);
+        }
+        let tick = live.world.tick();
+        play_until(&mut live, &messages, |live| live.world.tick() > tick + 100);
+        for _ in 0..2 {
+            let text = state(&live);
+            let temporary = std::env::temp_dir();
+            for part in ["since 0.0 s nothing can be saved", temporary.to_str().unwrap(), "TMPDIR", "No space left"] {
+                assert!(text.contains(part), "{part}: {text}");
+            }
+            (0..6).for_each(|_| live.publisher.notice("another".to_owned()));
+            ask(&mut live, r#"{"keep":"all"}"#);
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn file_that_does_not_answer_stops_neither_robots_nor_other_changes() {
+        let (mut live, messages, folder) = live(session_file().unwrap());
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        ask(&mut live, &format!(r#"{{"robot":{{"index":0,"policy":{pipe:?},"robot":null}}}}"#));
+        ask(&mut live, r#"{"scene":"box"}"#);
+        play_until(&mut live, &messages, |live| live.world.tick() > 100);
+        assert_eq!(live.world.setup().scene, SceneKind::Flat);
+        live.builder.age();
+        ask(&mut live, r#"{"comply":{"robot":1,"compliance":0.04}}"#);
+        play_until(&mut live, &messages, |live| live.world.setup().scene == SceneKind::Box);
+        assert!(state(&live).contains("pipe' does not answer: given up"), "{}", state(&live));
+        let robots = &live.world.setup().robots;
+        assert_eq!((robots[0].policy.as_str(), robots[1].compliance), ("compliant", Some(0.04)));
+    }
+
+    #[test]
+    fn what_is_commanded_while_a_scene_is_built_is_kept() {
+        let (mut live, messages, _folder) = live(session_file().unwrap());
+        ask(&mut live, r#"{"command":[0.3,0,0]}"#);
+        ask(&mut live, r#"{"pull":[5,0]}"#);
+        ask(&mut live, r#"{"seed":7}"#);
+        live.build().unwrap();
+        ask(&mut live, r#"{"comply":{"robot":1,"compliance":0.04}}"#);
+        assert_eq!(live.world.setup().seed, 0);
+        play_until(&mut live, &messages, |live| live.world.setup().seed == 7);
+        assert_eq!((live.command.forward, live.pull), (0.3, Some([5.0, 0.0])));
+        assert_eq!(live.world.setup().robots[1].compliance, Some(0.04));
+    }
+}

@@ -196,3 +196,34 @@ fn write_session(folder: &Path, part: &SessionPart) -> io::Result<(PathBuf, Path
     }
     unreachable!("there are more names than a folder can hold")
 }
+
+#[cfg(test)]
+mod tests {
+    use supple::scenario::session::Writer;
+
+    use super::*;
+
+    #[test]
+    fn names_of_others_are_never_taken() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["drive-1.jsonl", "drive-2.rrd", "drive-3-2.rrd"] {
+            fs::write(folder.path().join(name), name).unwrap();
+        }
+        let save = || {
+            let part = Writer::new(tempfile::tempfile().unwrap()).part(None, 0, String::new()).unwrap();
+            (0..20).map(|_| write_session(folder.path(), &part).unwrap()).collect::<Vec<_>>()
+        };
+        let [one, other] =
+            thread::scope(|scope| [scope.spawn(save), scope.spawn(save)].map(|saved| saved.join().unwrap()));
+        let sessions: std::collections::BTreeSet<_> =
+            one.into_iter().chain(other).map(|(session, _)| session).collect();
+        assert_eq!(sessions.len(), 40);
+        assert!(sessions.iter().all(|path| fs::read_to_string(path).unwrap().contains("end")));
+        assert!(!sessions.contains(&folder.path().join("drive-3.jsonl")));
+        for name in ["drive-1.jsonl", "drive-2.rrd", "drive-3-2.rrd"] {
+            assert_eq!(fs::read_to_string(folder.path().join(name)).unwrap(), name);
+        }
+        // Each of the 40 with the reserved name of its recording, and the three.
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2 * 40 + 3);
+    }
+}
