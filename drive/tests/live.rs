@@ -428,7 +428,7 @@ fn many_saves_are_written_one_after_another() {
         // Those of two recordings at most: the one being written, and the one being closed.
         assert!(drive.threads() <= threads + 6, "{} threads, {threads} before", drive.threads());
     }
-    page.notice("drive-4.rrd is written");
+    page.notice("drive-3.rrd is written");
     page.send(&json!({ "keep": "minute" }));
     page.wait("another save", |state, _| {
         let texts = state["notices"][1].as_array()?;

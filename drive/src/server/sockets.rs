@@ -46,13 +46,11 @@ pub(super) async fn control(State(shared): State<Shared>, upgrade: WebSocketUpgr
     })
 }
 
-/// Opens the socket of a viewer.
+/// Opens the socket of a viewer. One that was just closed may still be about to end.
 pub(super) async fn view(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
-    let Some(permit) = room(&shared.viewer_permits) else { return full() };
-    bounded(upgrade).on_upgrade(move |socket| async move {
-        feed(socket, &shared).await;
-        drop(permit);
-    })
+    let permits = Arc::clone(&shared.viewer_permits);
+    let Ok(Ok(permit)) = timeout(PATIENCE, permits.acquire_owned()).await else { return full() };
+    bounded(upgrade).on_upgrade(move |socket| async move { feed(socket, &shared, permit).await })
 }
 
 fn room(permits: &Arc<Semaphore>) -> Option<OwnedSemaphorePermit> {
@@ -140,7 +138,7 @@ async fn send(socket: &mut WebSocket, message: Frame) -> bool {
 }
 
 /// Carries `.rrd` files to a viewer until it disconnects.
-async fn feed(mut socket: WebSocket, shared: &Shared) {
+async fn feed(mut socket: WebSocket, shared: &Shared, permit: OwnedSemaphorePermit) {
     let (files, mut arriving) = mpsc::channel(1);
     let (updates, runtime) = (shared.updates.shown.subscribe(), Handle::current());
     let notices = shared.robots.clone();
@@ -149,6 +147,7 @@ async fn feed(mut socket: WebSocket, shared: &Shared) {
             // The robots go on without this viewer.
             let _ = notices.try_send(Message::Notice(format!("a viewer stopped: {error}")));
         }
+        drop(permit);
     };
     if let Err(error) = std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work) {
         let _ = shared.robots.try_send(Message::Notice(format!("a viewer cannot be shown without a thread: {error}")));
