@@ -155,7 +155,7 @@ impl Builder {
     }
 
     /// Returns the change to be started; `None` while another one is being built.
-    pub fn next(&mut self) -> Option<Change> {
+    pub fn take_due(&mut self) -> Option<Change> {
         if self.present.is_some() { None } else { self.waiting.pop_front() }
     }
 

@@ -267,7 +267,7 @@ impl Live {
         if let Some(news) = self.builder.look() {
             self.publisher.notice(news);
         }
-        while let Some(change) = self.builder.next() {
+        while let Some(change) = self.builder.take_due() {
             let change = match change {
                 Change::Policy(new) => self.renew(*new)?,
                 change => Some(change),

@@ -87,6 +87,8 @@ pub(super) async fn serve(listener: TcpListener, router: Router) {
     let connections = Arc::new(Connections::default());
     loop {
         let (stream, address) = match listener.accept().await {
+            // It may have been set meanwhile.
+            Ok(_) if !super::is_clock_right() => continue,
             Ok(accepted) => accepted,
             Err(_) => {
                 // Most likely too many open files: some will be closed.

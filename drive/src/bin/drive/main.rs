@@ -18,7 +18,7 @@ use supple_drive::live::{self, Live};
 use supple_drive::message::Message;
 use supple_drive::publisher::{Publisher, Updates};
 use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S};
-use supple_drive::server::Server;
+use supple_drive::server::{self, Server};
 use supple_drive::{replay, viewer_stream};
 
 /// Length of the message queue: enough for the seconds in which a scene is built.
@@ -63,6 +63,7 @@ fn serve(
     to_robots: SyncSender<Message>,
     play: impl FnOnce() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
+    anyhow::ensure!(server::is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
     // On a thread of our own: one that cannot be had is then no panic.
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let at = || format!("cannot listen on port {} of {}; choose another port with --port", args.port, args.bind);
