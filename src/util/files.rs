@@ -216,11 +216,13 @@ pub fn refuse_pipes() {
 /// Opens a file, or a pipe unless [`refuse_pipes`] was called, for reading.
 ///
 /// # Errors
-/// The file cannot be read, or is a device, which may have no end.
+/// The file cannot be read, is a folder, or is a device, which may have no end.
 pub fn open(path: &Path) -> io::Result<File> {
     // Before it is opened: a pipe is open only when somebody writes into it.
     let kind = fs::metadata(path)?.file_type();
-    let found = if kind.is_char_device() || kind.is_block_device() {
+    let found = if kind.is_dir() {
+        "a folder"
+    } else if kind.is_char_device() || kind.is_block_device() {
         "a device"
     } else if REFUSES_PIPES.load(Ordering::Relaxed) && (kind.is_fifo() || kind.is_socket()) {
         "a pipe"
@@ -316,6 +318,17 @@ mod tests {
     }
 
     #[test]
+    fn new_file_replaces_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new");
+        write_new(&path, |out| out.write_all(b"first")).unwrap();
+        let again = write_new(&path, |out| out.write_all(b"second"));
+        assert_eq!(again.unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(fs::read(&path).unwrap(), b"first");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
+    }
+
+    #[test]
     fn links_and_permissions_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
@@ -384,6 +397,7 @@ mod tests {
         assert_eq!(read_bounded(&pipe, 1000).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
         assert!(write.join().unwrap().is_err());
         assert!(read_bounded(Path::new("/dev/zero"), 1000).unwrap_err().to_string().contains("a device"));
+        assert!(read_bounded(folder.path(), 1000).unwrap_err().to_string().contains("a folder"));
         fs::write(&file, "\u{feff}abc").unwrap();
         assert_eq!(read_text(&file, 6).unwrap(), "abc");
         assert_eq!(read_bounded(&file, 5).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
