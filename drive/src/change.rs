@@ -210,3 +210,33 @@ impl Builder {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use super::*;
+
+    #[test]
+    fn pages_elsewhere_never_see_what_a_file_holds() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("private.yaml");
+        std::fs::write(&path, "password_of_the_lab: 1234\n").unwrap();
+        let mut cache = AgentCache::default();
+        let robots = vec![cache.find("compliant", None).unwrap()];
+        let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
+        let told = |policy: &str, is_shared| {
+            let (to_robots, messages) = sync_channel(1);
+            let change = Change::Robot { index: 0, policy: Some(policy.to_owned()), robot: None };
+            Builder::new(to_robots, is_shared).start(change, &setup, &cache).unwrap();
+            match messages.recv().unwrap() {
+                Message::Built { result: Err(text), .. } => text,
+                message => panic!("{message:?}"),
+            }
+        };
+        let path = path.to_str().unwrap();
+        assert!(told(path, false).contains("password_of_the_lab"), "{}", told(path, false));
+        assert_eq!(told(path, true), format!("'{path}' cannot be loaded: the terminal says why"));
+        assert!(told("nobody", true).contains("there is no policy 'nobody'"));
+    }
+}

@@ -344,9 +344,9 @@ impl Live {
         let (tick, state) = (self.world.tick(), self.world.fingerprint());
         let from = (what == Kept::Minute).then(|| tick.saturating_sub(MINUTE));
         let part = match &mut self.writer {
-            Ok(writer) => {
-                writer.part(from, tick, state).map_err(|error| format!("cannot save: {}: {error}", temporary()))
-            }
+            Ok(writer) => writer
+                .part(from, tick, state)
+                .map_err(|error| format!("cannot save the session, which is in {} meanwhile: {error}", temporary())),
             Err(problem) => Err(problem.clone()),
         };
         let minute = (what == Kept::Minute).then(|| self.minute.clone());
