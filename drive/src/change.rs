@@ -237,6 +237,6 @@ mod tests {
         let path = path.to_str().unwrap();
         assert!(told(path, false).contains("password_of_the_lab"), "{}", told(path, false));
         assert_eq!(told(path, true), format!("'{path}' cannot be loaded: the terminal says why"));
-        assert!(told("nobody", true).contains("there is no policy 'nobody'"));
+        assert!(told("missing", true).contains("there is no policy 'missing'"));
     }
 }

@@ -22,7 +22,7 @@ pub enum Message {
     Built {
         /// Number of the change.
         number: u64,
-        /// What was built, or why it was not.
+        /// The new robots, or the reason why there are none.
         result: Result<Box<Built>, String>,
     },
     /// A text to show on all pages.

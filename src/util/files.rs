@@ -218,7 +218,7 @@ pub fn refuse_pipes() {
 /// # Errors
 /// The file cannot be read, is a folder, or is a device, which may have no end.
 pub fn open(path: &Path) -> io::Result<File> {
-    // Before it is opened: a pipe is open only when somebody writes into it.
+    // Checked first, because opening a pipe waits for a writer.
     let kind = fs::metadata(path)?.file_type();
     let found = if kind.is_dir() {
         "a folder"

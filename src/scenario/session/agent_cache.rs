@@ -100,8 +100,8 @@ impl AgentCache {
         self.renewed(seat)
     }
 
-    /// Like [`AgentCache::take`], but for a robot that stands there already: its files are not read again, and neither are
-    /// those of a policy that the cache holds.
+    /// Returns the policy of a seat whose robot is in the session already, without reading the robot's files again, or those
+    /// of a policy in the cache.
     ///
     /// # Errors
     /// The policy no longer exists or has changed.

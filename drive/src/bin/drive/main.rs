@@ -28,7 +28,7 @@ const QUEUE: usize = 512;
 const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 fn main() -> ExitCode {
-    // Also in the process that reads robots. Whoever has the token may name any file.
+    // Also in the process that reads robots: a page may name any file.
     files::refuse_pipes();
     supple::robot::isolate_imports();
     supple::announce_revision!();
