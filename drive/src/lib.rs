@@ -8,6 +8,7 @@ in a session, which can be played again bit for bit ([`replay`]).
 This is the only package that contains a web server.
 */
 
+pub mod change;
 pub mod clock;
 pub mod live;
 pub mod message;

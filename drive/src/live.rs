@@ -6,19 +6,22 @@ a pull ends.
 */
 
 use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use supple::policy::Agent;
-use supple::scenario::session::{AgentCache, Input, LiveSession, PushUnit, RATE_HZ, Seat, Setup, Writer};
+use anyhow::Context;
+use supple::scenario::session::{
+    Act, AgentCache, Input, LiveSession, LiveSessionError, PushUnit, RATE_HZ, Seat, Setup, Writer,
+};
 use supple::task::Command;
 
-use crate::message::Message;
+use crate::change::{Builder, Change};
+use crate::message::{Built, Message, NewPolicy};
 use crate::publisher::{Due, Publisher, Updates};
 use crate::request::{Kept, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, Request, limited};
-use crate::save::{self, Minute};
+use crate::save::{Minute, Save, Saver};
 use crate::watch_run;
 
 /// Longest silence of the driving page before the robots stop.
@@ -33,44 +36,53 @@ pub struct Live {
     world: LiveSession,
     cache: AgentCache,
     publisher: Publisher,
-    writer: Writer,
-    folder: PathBuf,
+    /// The session so far, or why it can no longer be saved.
+    writer: Result<Writer, String>,
+    saver: Saver,
     minute: Minute,
     command: Command,
     pull: Option<[f64; 2]>,
+    builder: Builder,
+    /// File of each robot's policy, if it may change while it is used.
+    files: Vec<Option<PathBuf>>,
     watched: Arc<Mutex<Vec<PathBuf>>>,
-    to_self: SyncSender<Message>,
 }
 
 impl Live {
-    /// Builds the robots and their scene. Inputs are written into the file `session`; saved sessions go into `folder`.
+    /// Builds the robots and their scene. Inputs are written into the file `session`; saved sessions go into `folder`. With
+    /// `is_shared`, people elsewhere may name files: pages then do not show what is wrong with one.
     ///
     /// # Errors
-    /// The scene cannot be built, or the session cannot be written.
+    /// The scene cannot be built, the session cannot be written, or a thread cannot be started.
     pub fn new(
         setup: Setup,
         mut cache: AgentCache,
         folder: PathBuf,
         session: File,
         to_self: SyncSender<Message>,
+        is_shared: bool,
     ) -> anyhow::Result<Self> {
         let world = LiveSession::new(setup, &mut cache)?;
         let mut writer = Writer::new(session);
-        writer.input(0, &Input::Setup(world.setup().clone()), &cache)?;
+        writer.input(0, &Input::Setup(world.setup().clone()), &cache).with_context(temporary)?;
         let watched = Arc::default();
         watch_run::start(Arc::clone(&watched), to_self.clone())?;
         let publisher = Publisher::new(&world);
+        let shown = publisher.updates().shown;
+        let saver = Saver::start(folder, to_self.clone(), move || shown.borrow().is_behind)?;
+        let files = world.setup().robots.iter().map(|seat| watch_run::file_of(&seat.policy)).collect();
         let live = Live {
             world,
             cache,
-            writer,
-            folder,
+            writer: Ok(writer),
+            saver,
             minute: Minute::new(publisher.cast()),
             publisher,
             command: Command::default(),
             pull: None,
+            builder: Builder::new(to_self, is_shared),
+            files,
             watched,
-            to_self,
         };
         live.watch_policies();
         Ok(live)
@@ -84,16 +96,20 @@ impl Live {
     /// Plays until a [`Message::Stop`] arrives.
     ///
     /// # Errors
-    /// The physics fails for good, or the session can no longer be written.
+    /// The physics fails for good.
     pub fn run(mut self, messages: &Receiver<Message>) -> anyhow::Result<()> {
         self.publisher.clock.restart(self.world.tick());
         loop {
             if self.publisher.heard.0.elapsed() > SILENCE {
                 self.let_go()?;
             }
+            self.build()?;
             match self.publisher.wait(&self.world, messages) {
                 Some(Due::Step) => self.step()?,
-                Some(Due::Message(Message::Stop)) => return Ok(()),
+                Some(Due::Message(Message::Stop)) => {
+                    self.saver.finish();
+                    return Ok(());
+                }
                 Some(Due::Message(message)) => self.take(message)?,
                 None => {}
             }
@@ -110,7 +126,9 @@ impl Live {
         self.publisher.note_steps(&self.world, tick, &played);
         self.minute.add(tick, played);
         self.minute.forget(tick.saturating_sub(MINUTE));
-        self.writer.tidy(tick.saturating_sub(MINUTE));
+        if let Ok(writer) = &mut self.writer {
+            writer.tidy(tick.saturating_sub(MINUTE));
+        }
         Ok(())
     }
 
@@ -134,7 +152,12 @@ impl Live {
                 publisher.heard = (Instant::now(), publisher.heard.1 + 1);
                 self.answer(request)?;
             }
-            Message::PolicySaved { path, agent, file } => self.renew(&path, *agent, file)?,
+            Message::PolicySaved(new) => self.change(Change::Policy(new)),
+            Message::Built { number, result } => match self.builder.finish(number, result) {
+                Some(Ok((built, before))) => self.take_over(*built, &before)?,
+                Some(Err(problem)) => publisher.notice(problem),
+                None => {}
+            },
             Message::Notice(text) => publisher.notice(text),
             // Requests of pages that do not drive are ignored.
             _ => {}
@@ -149,30 +172,10 @@ impl Live {
         let tick = self.world.tick();
         match request {
             Request::Drive => {}
-            Request::Command([forward, left, yaw]) => {
-                let range = self.world.range();
-                let within = |value: f64, most: f64| value.clamp(-most, most);
-                let [forward, left, yaw] =
-                    [within(forward, range.forward), within(left, range.left), within(yaw, range.yaw)];
-                self.command(Command::velocity(forward, left, yaw))?;
-            }
-            Request::Push { size, unit } => {
-                let most = match unit {
-                    PushUnit::Velocity => MOST_PUSH_M_S,
-                    PushUnit::Momentum => MOST_PUSH_N_S,
-                };
-                self.input(Input::Push { size: limited(size, most), unit })?;
-            }
-            Request::Pull(force) => self.hold(force.map(|force| limited(force, MOST_PULL_N)))?,
-            Request::Comply { robot, compliance } => self.input(Input::Comply { robot, compliance })?,
-            Request::Reset => self.input(Input::Reset)?,
-            Request::Seed(seed) => {
-                let setup = self.world.setup();
-                let seed = seed.unwrap_or(setup.seed.wrapping_add(1));
-                self.set_up(Input::Setup(Setup { seed, ..setup.clone() }))?;
-            }
-            Request::Scene(scene) => self.set_up(Input::Setup(Setup { scene, ..self.world.setup().clone() }))?,
-            Request::Robot { index, policy, robot } => self.change_robot(index, policy, robot)?,
+            Request::Act(act) => self.act(act)?,
+            Request::Seed(seed) => self.change(Change::Seed(seed)),
+            Request::Scene(scene) => self.change(Change::Scene(scene)),
+            Request::Robot { index, policy, robot } => self.change(Change::Robot { index, policy, robot }),
             Request::Pause(is_paused) => self.publisher.clock.pause(is_paused, tick),
             Request::Speed(speed) => self.publisher.clock.set_speed(speed, tick),
             Request::Keep(what) => self.keep(what),
@@ -180,12 +183,34 @@ impl Live {
         Ok(())
     }
 
+    /// Does what the driving page wants, within bounds.
+    fn act(&mut self, act: Act) -> anyhow::Result<()> {
+        match act {
+            Act::Command(Command { forward, left, yaw, .. }) => {
+                let range = self.world.range();
+                let within = |value: f64, most: f64| value.clamp(-most, most);
+                let [forward, left, yaw] =
+                    [within(forward, range.forward), within(left, range.left), within(yaw, range.yaw)];
+                self.command(Command::velocity(forward, left, yaw))
+            }
+            Act::Push { size, unit } => {
+                let most = match unit {
+                    PushUnit::Velocity => MOST_PUSH_M_S,
+                    PushUnit::Momentum => MOST_PUSH_N_S,
+                };
+                self.input(Input::Act(Act::Push { size: limited(size, most), unit }))
+            }
+            Act::Pull(force) => self.hold(force.map(|force| limited(force, MOST_PULL_N))),
+            Act::Comply { .. } | Act::Reset => self.input(Input::Act(act)),
+        }
+    }
+
     fn command(&mut self, command: Command) -> anyhow::Result<()> {
         if command == self.command {
             return Ok(());
         }
         self.command = command;
-        self.input(Input::Command(command))
+        self.input(Input::Act(Act::Command(command)))
     }
 
     fn hold(&mut self, force: Option<[f64; 2]>) -> anyhow::Result<()> {
@@ -193,7 +218,7 @@ impl Live {
             return Ok(());
         }
         self.pull = force;
-        self.input(Input::Pull(force))
+        self.input(Input::Act(Act::Pull(force)))
     }
 
     fn let_go(&mut self) -> anyhow::Result<()> {
@@ -201,118 +226,298 @@ impl Live {
         self.hold(None)
     }
 
-    /// Applies an input and writes it into the session; an input that fails becomes a notice.
+    /// Applies an input and writes it into the session; an input that does not fit becomes a notice.
     fn input(&mut self, input: Input) -> anyhow::Result<()> {
         let tick = self.world.tick();
-        if let Err(error) = self.world.apply(&input, &mut self.cache) {
-            self.publisher.notice(error.to_string());
-            return Ok(());
+        match self.world.apply(&input, &mut self.cache) {
+            Ok(()) => self.write(tick, &input),
+            // A reset has failed, maybe of one robot only.
+            Err(LiveSessionError::Physics(error)) => return Err(error.into()),
+            Err(error) => self.publisher.notice(error.to_string()),
         }
-        self.writer.input(tick, &input, &self.cache)?;
-        self.publisher.note_input(&self.world, &input);
         Ok(())
     }
 
-    /// Applies a change of scene or policies, and keeps the command and the pull.
-    fn set_up(&mut self, input: Input) -> anyhow::Result<()> {
-        self.input(input)?;
-        self.cache.tidy(&self.world.setup().robots);
+    /// Writes an input that was applied at a tick into the session.
+    fn write(&mut self, tick: u64, input: &Input) {
+        if let Ok(writer) = &mut self.writer
+            && let Err(error) = writer.input(tick, input, &self.cache)
+        {
+            let problem = format!(
+                "since {:.1} s nothing can be saved: {}: {error}; make room there, or choose another folder with TMPDIR, and \
+                 start again",
+                tick as f64 / RATE_HZ as f64,
+                temporary()
+            );
+            self.publisher.notice(problem.clone());
+            self.writer = Err(problem);
+        }
+        self.publisher.note_input(&self.world, input);
+    }
+
+    /// Adds a change of scene or robots to those that wait to be built.
+    fn change(&mut self, change: Change) {
+        if let Err(problem) = self.builder.add(change) {
+            self.publisher.notice(problem);
+        }
+    }
+
+    /// Begins to build the next change.
+    fn build(&mut self) -> anyhow::Result<()> {
+        if let Some(news) = self.builder.look() {
+            self.publisher.notice(news);
+        }
+        while let Some(change) = self.builder.take_due() {
+            let change = match change {
+                Change::Policy(new) => self.renew(*new)?,
+                change => Some(change),
+            };
+            if let Some(Err(problem)) = change.map(|change| self.builder.start(change, self.world.setup(), &self.cache))
+            {
+                self.publisher.notice(problem);
+            }
+        }
+        Ok(())
+    }
+
+    /// Goes on with robots and scene that were built from the set-up `before`; keeps the command and the pull.
+    fn take_over(&mut self, built: Built, before: &Setup) -> anyhow::Result<()> {
+        let (tick, old) = (self.world.tick(), self.world.setup().robots.clone());
+        self.world.replace(built.world);
+        (self.cache, self.files) = (built.cache, built.files);
+        let setup = self.world.setup().clone();
+        self.write(tick, &Input::Setup(setup.clone()));
         let (command, pull) = (std::mem::take(&mut self.command), self.pull.take());
         self.command(command)?;
         self.hold(pull)?;
+        // What was commanded meanwhile.
+        for (robot, ((new, old), before)) in setup.robots.iter().zip(&old).zip(&before.robots).enumerate() {
+            if old.compliance != before.compliance && old.sha256 == new.sha256 {
+                self.input(Input::Act(Act::Comply { robot, compliance: old.compliance }))?;
+            }
+        }
+        self.note_newer_policies(&old);
         self.watch_policies();
         Ok(())
     }
 
-    /// Replaces the policy of every robot whose policy comes from `path`.
-    fn renew(&mut self, path: &Path, agent: Agent, file: Option<Vec<u8>>) -> anyhow::Result<()> {
-        let sha256 = agent.sha256.clone();
-        let is_older =
-            |seat: &Seat| seat.sha256 != sha256 && watch_run::file_of(&seat.policy).is_some_and(|file| file == path);
-        let robots: Vec<usize> = self
-            .world
-            .setup()
-            .robots
-            .iter()
-            .enumerate()
-            .filter(|(_, seat)| is_older(seat))
-            .map(|(robot, _)| robot)
-            .collect();
-        if robots.is_empty() {
-            return Ok(());
-        }
-        let simulation = agent.config.simulation.clone();
-        self.cache.put(agent, file);
-        for robot in robots {
-            let input = if self.world.simulation(robot) == Some(&simulation) {
-                Input::Renew { robot, sha256: sha256.clone() }
-            } else {
-                // Other rates, gains or latency need a new scene.
-                let mut setup = self.world.setup().clone();
-                let seat = &mut setup.robots[robot];
-                (seat.sha256, seat.compliance) = (sha256.clone(), None);
-                Input::Setup(setup)
-            };
-            self.set_up(input)?;
-            // If it failed, `set_up` has shown why.
-            if self.world.setup().robots[robot].sha256 == sha256 {
-                let name = self.publisher.cast().names.get(robot).cloned().unwrap_or_default();
-                self.publisher.notice(format!("{name}: now walks with the newer policy of its run"));
-            }
-        }
-        Ok(())
+    fn note_newer_policies(&mut self, old: &[Seat]) {
+        let seats = self.world.setup().robots.iter().zip(old).zip(&self.publisher.cast().names);
+        let newer = seats.filter(|((seat, old), _)| seat.policy == old.policy && seat.sha256 != old.sha256);
+        let texts: Vec<String> =
+            newer.map(|(_, name)| format!("{name}: now walks with the newer policy of its run")).collect();
+        texts.into_iter().for_each(|text| self.publisher.notice(text));
     }
 
-    fn change_robot(&mut self, index: usize, policy: Option<String>, robot: Option<String>) -> anyhow::Result<()> {
+    /// Replaces the policy of every robot whose policy comes from the file of a newer one; returns the change that is to be
+    /// built for it, if there is one.
+    fn renew(&mut self, new: NewPolicy) -> anyhow::Result<Option<Change>> {
+        let (sha256, simulation) = (new.agent.sha256.clone(), new.agent.config.simulation.clone());
+        let seats = self.world.setup().robots.iter().zip(&self.files).enumerate();
+        let is_older = seats.filter(|(_, (seat, file))| seat.sha256 != sha256 && file.as_ref() == Some(&new.path));
+        let robots: Vec<usize> = is_older.map(|(robot, _)| robot).collect();
+        if robots.is_empty() {
+            return Ok(None);
+        }
+        self.cache.put(new.agent, new.file);
+        let old = self.world.setup().robots.clone();
         let mut setup = self.world.setup().clone();
-        match policy {
-            Some(policy) => match self.cache.find(&policy, robot.as_deref()) {
-                Ok(seat) if index < setup.robots.len() => setup.robots[index] = seat,
-                Ok(seat) => setup.robots.push(seat),
-                Err(error) => {
-                    self.publisher.notice(error.to_string());
-                    return Ok(());
-                }
-            },
-            None if setup.robots.len() > 1 && index < setup.robots.len() => drop(setup.robots.remove(index)),
-            None => {
-                self.publisher.notice("the last robot cannot be removed".to_owned());
-                return Ok(());
+        for &robot in &robots {
+            let seat = &mut setup.robots[robot];
+            (seat.sha256, seat.compliance) = (sha256.clone(), None);
+        }
+        for &robot in &robots {
+            // Other rates, gains or latency need a new scene.
+            if self.world.simulation(robot) != Some(&simulation) {
+                return Ok(Some(Change::Setup(setup)));
             }
         }
-        self.set_up(Input::Setup(setup))
+        for robot in robots {
+            self.input(Input::Renew { robot, sha256: sha256.clone() })?;
+        }
+        self.note_newer_policies(&old);
+        self.cache.tidy(&self.world.setup().robots);
+        Ok(None)
     }
 
     fn keep(&mut self, what: Kept) {
-        let tick = self.world.tick();
-        let (session, recording) = save::free_names(&self.folder);
+        let (tick, state) = (self.world.tick(), self.world.fingerprint());
         let from = (what == Kept::Minute).then(|| tick.saturating_sub(MINUTE));
-        let kept = self.writer.keep(&session, from, tick, self.world.fingerprint());
-        if let Err(error) = kept {
-            self.publisher.notice(format!("cannot write {}: {error}", session.display()));
-            return;
-        }
-        self.publisher.notice(format!("saved the session as {}; its recording is being written", session.display()));
-        let to_self = self.to_self.clone();
-        let shown = self.publisher.updates().shown;
-        let started = match what {
-            Kept::Minute => {
-                let minute = self.minute.clone();
-                save::in_background(move || minute.record(&recording), to_self)
-            }
-            Kept::All => {
-                save::in_background(move || save::write_all(&session, &recording, || shown.borrow().is_behind), to_self)
-            }
+        let part = match &mut self.writer {
+            Ok(writer) => writer
+                .part(from, tick, state)
+                .map_err(|error| format!("cannot save the session, which is in {} meanwhile: {error}", temporary())),
+            Err(problem) => Err(problem.clone()),
         };
-        if let Err(error) = started {
-            self.publisher.notice(format!("cannot write the recording: {error}"));
+        let minute = (what == Kept::Minute).then(|| self.minute.clone());
+        let saved = part.and_then(|part| self.saver.save(Save { part, minute }));
+        if let Err(problem) = saved {
+            self.publisher.notice(problem);
         }
     }
 
     fn watch_policies(&self) {
-        let files = self.world.setup().robots.iter().filter_map(|seat| watch_run::file_of(&seat.policy));
         if let Ok(mut watched) = self.watched.lock() {
-            *watched = files.collect();
+            *watched = self.files.iter().flatten().cloned().collect();
         }
+    }
+}
+
+/// Creates the file of the session while it happens.
+///
+/// # Errors
+/// The folder for temporary files takes none, for example because it is full.
+pub fn session_file() -> anyhow::Result<File> {
+    tempfile::tempfile().with_context(|| format!("cannot begin a session: {}", temporary()))
+}
+
+/// Names the folder for temporary files.
+fn temporary() -> String {
+    format!("the folder for temporary files, {}", std::env::temp_dir().display())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use rand::rngs::StdRng;
+    use rand::{RngExt, SeedableRng};
+    use supple::scenario::session::{SavedSession, SceneKind};
+
+    use super::*;
+    use crate::request::PageId;
+
+    const PAGE: PageId = 1;
+
+    /// Robots that stand, their messages, and the folder of their saves.
+    fn live(session: File) -> (Live, Receiver<Message>, tempfile::TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        let mut cache = AgentCache::default();
+        let robots = ["compliant", "baseline"].map(|name| cache.find(name, None).unwrap()).to_vec();
+        let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
+        let (to_self, messages) = sync_channel(512);
+        let mut live = Live::new(setup, cache, folder.path().to_owned(), session, to_self, false).unwrap();
+        live.take(Message::PageOpened(PAGE)).unwrap();
+        (live, messages, folder)
+    }
+
+    fn ask(live: &mut Live, text: &str) {
+        if let Ok(request) = Request::parse(text) {
+            live.take(Message::Request(PAGE, request)).unwrap();
+        }
+    }
+
+    /// Plays steps and takes messages until `is_done`.
+    fn play_until(live: &mut Live, messages: &Receiver<Message>, is_done: impl Fn(&Live) -> bool) {
+        let start = Instant::now();
+        while !is_done(live) {
+            assert!(start.elapsed() < Duration::from_secs(60));
+            live.build().unwrap();
+            messages.try_iter().for_each(|message| live.take(message).unwrap());
+            live.step().unwrap();
+        }
+    }
+
+    fn state(live: &Live) -> String {
+        live.publisher.publish(&live.world);
+        live.updates().state.borrow().to_string()
+    }
+
+    #[test]
+    fn whatever_a_page_sends_is_saved_and_replayed() {
+        let numbers =
+            ["0", "-0.0", "0.3", "-1", "3", "1e308", "-1.7976931348623157e308", "5e-324", "1e-300", "1e999", "-1e999"];
+        let policies =
+            ["compliant", "baseline", "baseline@0.04", "baseline@1e308", "baseline@inf", "baseline@nan", "", "../"];
+        let mut rng = StdRng::seed_from_u64(49);
+        for _ in 0..4 {
+            let (mut live, messages, folder) = live(session_file().unwrap());
+            for _ in 0..150 {
+                let mut number = || numbers[rng.random_range(0..numbers.len())];
+                let (a, b, c) = (number(), number(), number());
+                let (policy, index) = (policies[rng.random_range(0..policies.len())], rng.random_range(0..3));
+                let text = match rng.random_range(0..40) {
+                    0..6 => format!(r#"{{"command":[{a},{b},{c}]}}"#),
+                    6..14 => format!(r#"{{"push":{{"size":[{a},{b}],"unit":"m/s"}}}}"#),
+                    14..22 => format!(r#"{{"push":{{"size":[{a},{b}],"unit":"N·s"}}}}"#),
+                    22..28 => format!(r#"{{"pull":[{a},{b}]}}"#),
+                    28..32 => format!(r#"{{"comply":{{"robot":{index},"compliance":{a}}}}}"#),
+                    32 => format!(r#"{{"comply":{{"robot":{index},"compliance":null}}}}"#),
+                    33 => r#"{"pull":null}"#.to_owned(),
+                    34 => r#""reset""#.to_owned(),
+                    35 => r#"{"seed":18446744073709551615}"#.to_owned(),
+                    36 => r#"{"seed":null}"#.to_owned(),
+                    37 => r#"{"scene":"box"}"#.to_owned(),
+                    _ => format!(r#"{{"robot":{{"index":{index},"policy":"{policy}","robot":null}}}}"#),
+                };
+                ask(&mut live, &text);
+                let until = live.world.tick() + 4 * rng.random_range(0..8);
+                play_until(&mut live, &messages, |live| live.world.tick() >= until);
+            }
+            play_until(&mut live, &messages, |live| live.builder.is_idle());
+            for (from, name) in [(None, "all"), (Some(live.world.tick().saturating_sub(240)), "last")] {
+                let path = folder.path().join(name);
+                let (tick, state) = (live.world.tick(), live.world.fingerprint());
+                live.writer.as_mut().unwrap().part(from, tick, state).unwrap().write_new(&path).unwrap();
+                let mut replay = SavedSession::load(&path).unwrap().play().unwrap();
+                while replay.step().unwrap().is_some() {}
+                assert_eq!(replay.is_as_it_was(), Some(true));
+            }
+        }
+    }
+
+    #[test]
+    fn robots_walk_on_when_nothing_can_be_saved() {
+        let full = File::options().read(true).write(true).open("/dev/full").unwrap();
+        let (mut live, messages, folder) = live(full);
+        let mut count = 0;
+        while live.writer.is_ok() {
+            count += 1;
+            assert!(count < 10_000);
+            ask(&mut live, r#"{"push":{"size":[0,0.01],"unit":"m/s"}}"#);
+        }
+        let tick = live.world.tick();
+        play_until(&mut live, &messages, |live| live.world.tick() > tick + 100);
+        for _ in 0..2 {
+            let text = state(&live);
+            let temporary = std::env::temp_dir();
+            for part in ["since 0.0 s nothing can be saved", temporary.to_str().unwrap(), "TMPDIR", "No space left"] {
+                assert!(text.contains(part), "{part}: {text}");
+            }
+            (0..6).for_each(|_| live.publisher.notice("another".to_owned()));
+            ask(&mut live, r#"{"keep":"all"}"#);
+        }
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn file_that_does_not_answer_stops_neither_robots_nor_other_changes() {
+        let (mut live, messages, folder) = live(session_file().unwrap());
+        let pipe = folder.path().join("pipe");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        ask(&mut live, &format!(r#"{{"robot":{{"index":0,"policy":{pipe:?},"robot":null}}}}"#));
+        ask(&mut live, r#"{"scene":"box"}"#);
+        play_until(&mut live, &messages, |live| live.world.tick() > 100);
+        assert_eq!(live.world.setup().scene, SceneKind::Flat);
+        live.builder.age();
+        ask(&mut live, r#"{"comply":{"robot":1,"compliance":0.04}}"#);
+        play_until(&mut live, &messages, |live| live.world.setup().scene == SceneKind::Box);
+        assert!(state(&live).contains("pipe' does not answer: given up"), "{}", state(&live));
+        let robots = &live.world.setup().robots;
+        assert_eq!((robots[0].policy.as_str(), robots[1].compliance), ("compliant", Some(0.04)));
+    }
+
+    #[test]
+    fn what_is_commanded_while_a_scene_is_built_is_kept() {
+        let (mut live, messages, _folder) = live(session_file().unwrap());
+        ask(&mut live, r#"{"command":[0.3,0,0]}"#);
+        ask(&mut live, r#"{"pull":[5,0]}"#);
+        ask(&mut live, r#"{"seed":7}"#);
+        live.build().unwrap();
+        ask(&mut live, r#"{"comply":{"robot":1,"compliance":0.04}}"#);
+        assert_eq!(live.world.setup().seed, 0);
+        play_until(&mut live, &messages, |live| live.world.setup().seed == 7);
+        assert_eq!((live.command.forward, live.pull), (0.3, Some([5.0, 0.0])));
+        assert_eq!(live.world.setup().robots[1].compliance, Some(0.04));
     }
 }

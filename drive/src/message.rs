@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use supple::policy::Agent;
+use supple::scenario::session::{AgentCache, LiveSession};
 
 use crate::request::{PageId, Request};
 
@@ -16,16 +17,38 @@ pub enum Message {
     /// A page sent a request.
     Request(PageId, Request),
     /// A training run saved a newer policy.
-    PolicySaved {
-        /// Path of the policy.
-        path: PathBuf,
-        /// The newer policy, loaded.
-        agent: Box<Agent>,
-        /// Content of the policy's file.
-        file: Option<Vec<u8>>,
+    PolicySaved(Box<NewPolicy>),
+    /// A change of robots or scene is ready, or has failed.
+    Built {
+        /// Number of the change.
+        number: u64,
+        /// The new robots, or the reason why there are none.
+        result: Result<Box<Built>, String>,
     },
     /// A text to show on all pages.
     Notice(String),
     /// Ends the program.
     Stop,
+}
+
+/// A newer policy of a training run.
+#[derive(Debug)]
+pub struct NewPolicy {
+    /// Path of its file.
+    pub path: PathBuf,
+    /// The policy, loaded.
+    pub agent: Agent,
+    /// Content of its file.
+    pub file: Option<Vec<u8>>,
+}
+
+/// Robots in a scene, ready to take over.
+#[derive(Debug)]
+pub struct Built {
+    /// The robots and their scene before the first step.
+    pub world: LiveSession,
+    /// The policies that they need.
+    pub cache: AgentCache,
+    /// File of each robot's policy, if it may change while it is used.
+    pub files: Vec<Option<PathBuf>>,
 }

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use supple::scenario::session::{Input, LiveReadout, LiveSession, RobotStep};
-use supple::scenario::trace::{EventKind, Frame};
+use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep};
+use supple::scenario::trace::EventKind;
 use tokio::sync::watch;
 
 use crate::clock::Clock;
@@ -78,21 +78,11 @@ impl Publisher {
         &self.shown.cast
     }
 
-    /// Returns the newest frame of a robot.
-    pub fn frame(&self, robot: usize) -> Option<&Arc<Frame>> {
-        self.shown.frames[robot].as_ref()
-    }
-
     /// Starts over for another set-up.
     pub fn begin(&mut self, world: &LiveSession) {
         self.meters = world.weights_and_periods().map(LiveReadout::new).collect();
         self.shown = Snapshot::new(Cast::new(world));
         self.clock.restart(world.tick());
-        self.is_stale = true;
-    }
-
-    /// Requests a redraw, also while paused.
-    pub fn refresh(&mut self) {
         self.is_stale = true;
     }
 
@@ -117,15 +107,15 @@ impl Publisher {
     /// Updates the measurements after an input.
     pub fn note_input(&mut self, world: &LiveSession, input: &Input) {
         match input {
-            Input::Push { size, unit } => {
+            Input::Act(Act::Push { size, unit }) => {
                 for (meter, mass_kg) in self.meters.iter_mut().zip(world.masses_kg()) {
                     meter.push(unit.velocity(*size, mass_kg));
                 }
             }
-            Input::Pull(force) => self.meters.iter_mut().for_each(|meter| meter.pull(*force)),
+            Input::Act(Act::Pull(force)) => self.meters.iter_mut().for_each(|meter| meter.pull(*force)),
             Input::Setup(_) => self.begin(world),
-            Input::Reset | Input::Renew { .. } | Input::Comply { .. } => self.refresh(),
-            Input::Command(_) => {}
+            Input::Renew { .. } | Input::Act(Act::Reset | Act::Comply { .. }) => self.is_stale = true,
+            Input::Act(Act::Command(_)) => {}
         }
     }
 

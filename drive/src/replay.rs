@@ -1,9 +1,11 @@
 //! Replays a saved session: same inputs, same code, same bits.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::Receiver;
 
-use supple::scenario::session::{Input, ReplayStep, RobotStep, SavedSession, SessionReplay};
+use anyhow::Context;
+use supple::scenario::session::{Act, Input, ReplayStep, RobotStep, SavedSession, SessionReplay};
 use supple_record::{RecordError, Recorder, Sink};
 
 use crate::message::Message;
@@ -26,15 +28,25 @@ pub struct Replayed {
     pub recordings: Vec<PathBuf>,
 }
 
-/// Replays a session as fast as possible, optionally writes recordings, and calls `look` after each step.
+/// Replays a session as fast as possible, optionally writes recordings, and calls `look` after each step. The first recording
+/// may replace a file, those of further set-ups are numbered and new.
 ///
 /// # Errors
-/// A policy or robot is missing or has changed, or a recording cannot be written.
+/// A policy or robot is missing or has changed, or a recording cannot be written or would replace a file that was not named.
 pub fn play(
     session: SavedSession,
     recording: Option<&Path>,
     mut look: impl FnMut(&SessionReplay, &ReplayStep),
 ) -> anyhow::Result<Replayed> {
+    if let Some(path) = recording {
+        let set_ups = session.inputs().iter().filter(|(_, input)| matches!(input, Input::Setup(_))).count();
+        if let Some(taken) = (1..set_ups).map(|count| numbered(path, count)).find(|path| path.exists()) {
+            anyhow::bail!(
+                "{} exists already and would be replaced by the recording of another set-up: remove it, or choose another name",
+                taken.display()
+            );
+        }
+    }
     let mut playback = session.play()?;
     let mut recorder: Option<Recorder> = None;
     let mut replayed =
@@ -50,6 +62,10 @@ pub fn play(
             last = step.tick;
             if let (None, Some(path)) = (&recorder, recording) {
                 let path = numbered(path, replayed.recordings.len());
+                if !replayed.recordings.is_empty() {
+                    File::create_new(&path)
+                        .with_context(|| format!("cannot create the recording {}", path.display()))?;
+                }
                 recorder = Some(Cast::new(&playback.world).record(Sink::File(path.clone()))?);
                 replayed.recordings.push(path);
             }
@@ -108,7 +124,7 @@ pub fn watch(
             Message::Request(page, request) if publisher.driver == Some(page) => match request {
                 Request::Pause(is_paused) => publisher.clock.pause(is_paused, tick),
                 Request::Speed(speed) => publisher.clock.set_speed(speed, tick),
-                Request::Reset => {
+                Request::Act(Act::Reset) => {
                     playback = begin(path)?;
                     publisher.begin(&playback.world);
                     publisher.clock.pause(false, playback.world.tick());
@@ -116,7 +132,7 @@ pub fn watch(
                 _ => {}
             },
             Message::Notice(text) => publisher.notice(text),
-            Message::Request(..) | Message::PolicySaved { .. } => {}
+            Message::Request(..) | Message::PolicySaved(_) | Message::Built { .. } => {}
         }
         publisher.publish(&playback.world);
     }
@@ -153,7 +169,7 @@ fn show(playback: &mut SessionReplay, publisher: &mut Publisher) -> anyhow::Resu
 }
 
 /// Returns the path itself for the first recording, and the path with a number for later ones.
-fn numbered(path: &Path, count: usize) -> PathBuf {
+pub(crate) fn numbered(path: &Path, count: usize) -> PathBuf {
     if count == 0 {
         return path.to_owned();
     }

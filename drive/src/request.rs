@@ -1,7 +1,7 @@
 //! The JSON messages between a page and the server: requests of the page, greeting and state from the server.
 
 use serde::{Deserialize, Serialize};
-use supple::scenario::session::{PushUnit, Reading, SceneKind};
+use supple::scenario::session::{Act, Reading, SceneKind};
 
 /// Number that identifies a page's connection.
 pub type PageId = u64;
@@ -19,26 +19,6 @@ pub const MOST_PULL_N: f64 = 100.0;
 pub enum Request {
     /// Request control.
     Drive,
-    /// Velocity command: forward [m/s], left [m/s], yaw rate [rad/s]. Repeated to show that the page is alive.
-    Command([f64; 3]),
-    /// Push the trunks, in the heading frame.
-    Push {
-        /// Size forward and left, in the unit below.
-        size: [f64; 2],
-        /// Unit of the size: velocity [m/s] or momentum [N·s].
-        unit: PushUnit,
-    },
-    /// Pulling force in the heading frame, forward and left \[N\]; `None` ends the pull.
-    Pull(Option<[f64; 2]>),
-    /// Commanded compliance of a robot [m/s/N]; null leaves the policy its own.
-    Comply {
-        /// Index of the robot: 0 or 1.
-        robot: usize,
-        /// Commanded compliance [m/s/N].
-        compliance: Option<f64>,
-    },
-    /// Put all robots back to the start.
-    Reset,
     /// Choose a seed; `None` takes the next one.
     Seed(Option<u64>),
     /// Choose a scene; the robots start anew in it.
@@ -58,6 +38,9 @@ pub enum Request {
     Speed(f64),
     /// Save the session.
     Keep(Kept),
+    /// Do something to the robots. A command is repeated to show that the page is alive.
+    #[serde(untagged)]
+    Act(Act),
 }
 
 /// The part of a session to save.
@@ -76,23 +59,25 @@ impl Request {
     /// # Errors
     /// Says in words why the message is invalid.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let request: Request = serde_json::from_str(text).map_err(|error| error.to_string())?;
+        let request = serde_json::from_str(text).map_err(|error| format!("it is no request of a page: {error}"))?;
         // JSON has no infinity, but 1e999 is read as one.
-        let finite = match &request {
-            Request::Command(numbers) => numbers.iter().all(|number| number.is_finite()),
-            Request::Push { size: numbers, .. } | Request::Pull(Some(numbers)) => {
-                numbers.iter().all(|number| number.is_finite())
+        match &request {
+            Request::Act(act) if !act.is_finite() => Err("a number is out of range".to_owned()),
+            Request::Speed(speed) if !(0.05..=1.0).contains(speed) => {
+                Err(format!("the speed is {speed}, expected 0.05 to 1"))
             }
-            Request::Comply { compliance, .. } => compliance.is_none_or(f64::is_finite),
-            Request::Speed(speed) => (0.05..=1.0).contains(speed),
-            _ => true,
-        };
-        if finite { Ok(request) } else { Err("a number is out of range".to_owned()) }
+            _ => Ok(request),
+        }
     }
 }
 
-/// Shortens a vector to at most `most`, keeping its direction.
+/// Shortens a finite vector to at most `most`, keeping its direction.
 pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
+    // So that neither the length nor a product overflows.
+    let largest = vector[0].abs().max(vector[1].abs());
+    if largest > 1e100 {
+        return limited(vector.map(|part| part / largest * 1e100), most);
+    }
     let length = vector[0].hypot(vector[1]);
     if length > most { vector.map(|part| part * most / length) } else { vector }
 }
@@ -167,16 +152,22 @@ pub struct RobotStatus {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use supple::scenario::session::PushUnit;
+    use supple::task::Command;
 
     #[test]
     fn requests_parse_and_invalid_ones_fail() {
-        assert_eq!(Request::parse(r#"{"command":[0.5,0,-1]}"#), Ok(Request::Command([0.5, 0.0, -1.0])));
-        assert_eq!(
-            Request::parse(r#"{"push":{"size":[0,1.5],"unit":"m/s"}}"#),
-            Ok(Request::Push { size: [0.0, 1.5], unit: PushUnit::Velocity })
-        );
-        assert_eq!(Request::parse(r#"{"pull":null}"#), Ok(Request::Pull(None)));
-        assert_eq!(Request::parse(r#""reset""#), Ok(Request::Reset));
+        for (text, act) in [
+            (r#"{"command":[0.5,0,-1]}"#, Act::Command(Command::velocity(0.5, 0.0, -1.0))),
+            (r#"{"push":{"size":[0,1.5],"unit":"m/s"}}"#, Act::Push { size: [0.0, 1.5], unit: PushUnit::Velocity }),
+            (r#"{"pull":null}"#, Act::Pull(None)),
+            (r#"{"comply":{"robot":1,"compliance":null}}"#, Act::Comply { robot: 1, compliance: None }),
+            (r#""reset""#, Act::Reset),
+        ] {
+            assert_eq!(Request::parse(text), Ok(Request::Act(act)));
+        }
+        assert_eq!(Request::parse(r#""drive""#), Ok(Request::Drive));
+        assert_eq!(Request::parse(r#"{"seed":null}"#), Ok(Request::Seed(None)));
         for hostile in [
             "",
             "{}",
@@ -187,6 +178,8 @@ mod tests {
             r#"{"speed":0}"#,
             r#"{"reset":1,"drive":2}"#,
             r#"{"scene":"moon"}"#,
+            r#"{"setup":{"scene":"flat","seed":0,"robots":[]}}"#,
+            r#"{"renew":{"robot":0,"sha256":"0"}}"#,
             &"[".repeat(4000),
         ] {
             assert!(Request::parse(hostile).is_err(), "{hostile}");
@@ -198,5 +191,10 @@ mod tests {
         // 3-4-5, cut to half.
         assert_eq!(limited([3.0, -4.0], 2.5), [1.5, -2.0]);
         assert_eq!(limited([0.3, 0.4], 2.5), [0.3, 0.4]);
+        for huge in [[1e308, 1e308], [-f64::MAX, f64::MAX], [f64::MAX, 1.0], [1e300, f64::MIN_POSITIVE]] {
+            let [forward, left] = limited(huge, 100.0);
+            assert!((forward.hypot(left) - 100.0).abs() < 1e-12, "{huge:?}: {forward} {left}");
+            assert!(forward.signum() == huge[0].signum() && left.signum() == huge[1].signum());
+        }
     }
 }

@@ -11,7 +11,7 @@ use supple::policy::shipped;
 use supple::scenario::session::AgentCache;
 use supple::util::{files, paths};
 
-use crate::message::Message;
+use crate::message::{Message, NewPolicy};
 
 /// Time between two checks.
 const PERIOD: Duration = Duration::from_millis(500);
@@ -34,7 +34,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
                     continue;
                 }
                 let message = match AgentCache::read(&paths::as_text(&path)) {
-                    Ok((agent, file)) => Message::PolicySaved { path, agent: Box::new(agent), file },
+                    Ok((agent, file)) => Message::PolicySaved(Box::new(NewPolicy { path, agent, file })),
                     Err(error) => Message::Notice(error.to_string()),
                 };
                 if to.send(message).is_err() {

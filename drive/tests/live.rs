@@ -233,7 +233,8 @@ fn saved_session_replays_with_same_bits() {
     drop(drive);
 
     for session in ["drive-1.jsonl", "drive-2.jsonl", "drive-3.jsonl"] {
-        let output = replay(folder.path(), session, &["--record", "again.rrd"]);
+        let recording = session.replace(".jsonl", "-again.rrd");
+        let output = replay(folder.path(), session, &["--record", &recording]);
         assert!(output.status.success(), "{}", text(&output.stderr));
         assert!(
             text(&output.stdout).ends_with("the final state matches the original bit for bit"),
@@ -241,7 +242,13 @@ fn saved_session_replays_with_same_bits() {
             text(&output.stdout)
         );
     }
-    assert!(folder.path().join("again.rrd").exists());
+    // The first recording was named, the second one was not.
+    let second = folder.path().join("drive-3-again-2.rrd");
+    let bytes = std::fs::read(&second).unwrap();
+    let output = replay(folder.path(), "drive-3.jsonl", &["--record", "drive-3-again.rrd"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(text(&output.stderr).contains("drive-3-again-2.rrd exists already"), "{}", text(&output.stderr));
+    assert_eq!(std::fs::read(&second).unwrap(), bytes);
     let session = std::fs::read_to_string(folder.path().join("drive-1.jsonl")).unwrap();
     let changed = session.replace("[-0.3,0.5]", "[-0.3,0.5000000000000001]");
     assert_ne!(session, changed);
@@ -280,7 +287,7 @@ fn newer_policy_of_run_takes_over_while_driving() {
     assert!(page.state["robots"][0]["reach"].is_null());
     page.send(&json!({ "keep": "all" }));
     page.notice("drive-1.jsonl");
-    page.notice("the recording is written");
+    page.notice("drive-1.rrd is written");
     drop(drive);
     std::fs::remove_dir_all(&run).unwrap();
     let output = replay(folder.path(), "drive-1.jsonl", &[]);
@@ -289,4 +296,145 @@ fn newer_policy_of_run_takes_over_while_driving() {
         "{}",
         text(&output.stderr)
     );
+}
+
+#[test]
+fn viewers_and_changes_leave_no_threads_behind() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &[]);
+    let own = format!("http://{}", drive.host);
+    let mut page = drive.page();
+    // Reads a viewer's files for a while.
+    let view = |page: &mut common::Page, count: usize, request: Option<&Value>| {
+        let mut viewer = drive.socket("/view", Some(&own), &drive.token).unwrap();
+        for _ in 0..count {
+            if let Some(request) = request {
+                page.send(request);
+            }
+            page.ask_for([0.0; 3], Duration::from_millis(100));
+            while !matches!(viewer.read().unwrap(), Message::Binary(_)) {}
+            viewer.send(Message::text("shown")).unwrap();
+        }
+    };
+    let settle = |page: &mut common::Page, most: usize| {
+        let start = Instant::now();
+        while drive.threads() > most {
+            assert!(start.elapsed() < PATIENCE, "{} threads, {most} before", drive.threads());
+            page.ask_for([0.0; 3], Duration::from_millis(100));
+        }
+    };
+    view(&mut page, 2, None);
+    page.ask_for([0.0; 3], Duration::from_secs(2));
+    let before = drive.threads();
+    for _ in 0..20 {
+        view(&mut page, 1, None);
+    }
+    settle(&mut page, before);
+    view(&mut page, 20, Some(&json!({ "seed": null })));
+    settle(&mut page, before);
+    assert_eq!(page.number("/seed"), 20.0);
+}
+
+#[test]
+fn pipes_and_devices_are_refused_while_robots_walk_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).to_str().unwrap().to_owned();
+    std::fs::create_dir(at("run")).unwrap();
+    for pipe in ["pipe", "run/policy.safetensors", "robot.xml", "robot.yaml", "policy.yaml"] {
+        assert!(std::process::Command::new("mkfifo").arg(at(pipe)).status().unwrap().success());
+    }
+    let drive = Drive::start(folder.path(), &[]);
+    let mut page = drive.page();
+    for (policy, robot) in [
+        (at("pipe"), None),
+        (at("run"), None),
+        (at("policy.yaml"), None),
+        ("compliant".to_owned(), Some(at("robot.xml"))),
+        ("compliant".to_owned(), Some(at("robot.yaml"))),
+        ("/dev/zero".to_owned(), None),
+        ("compliant".to_owned(), Some("/dev/zero".to_owned())),
+    ] {
+        let start = Instant::now();
+        let named = robot.clone().unwrap_or(policy.clone());
+        page.send(&json!({ "robot": { "index": 0, "policy": policy, "robot": robot } }));
+        let told = page.notice(&named);
+        assert!(told.contains("it is a pipe") || told.contains("it is a device"), "{told}");
+        let tick = page.number("/tick");
+        page.wait("steps", |state, _| (state["tick"].as_f64()? > tick + 40.0).then_some(()));
+        assert!(start.elapsed() < Duration::from_secs(5));
+    }
+}
+
+#[test]
+fn second_interrupt_ends_busy_program_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut drive = Drive::start(folder.path(), &["--policy", "compliant"]);
+    let mut page = drive.page();
+    page.ask_for([0.0; 3], Duration::from_millis(300));
+    page.send(&json!({ "keep": "all" }));
+    page.notice("drive-1.jsonl");
+    drive.signal("INT");
+    assert_eq!(drive.ends_within(PATIENCE), Some(0), "one is enough for a program that is not busy");
+
+    let mut drive = Drive::start(folder.path(), &["--replay", "drive-1.jsonl"]);
+    let mut page = drive.page();
+    page.wait("a state", |state, _| state.is_object().then_some(()));
+    // From now on it takes hours to start over.
+    let session = std::fs::read_to_string(folder.path().join("drive-1.jsonl")).unwrap();
+    let end = session.rfind("{\"end\":{\"tick\":").unwrap();
+    let late = session[..end].replace("\"from_tick\":0", "\"from_tick\":600000000");
+    let late = late + "{\"end\":{\"tick\":600000000,\"state\":\"\"}}\n";
+    std::fs::write(folder.path().join("drive-1.jsonl"), late).unwrap();
+    page.send(&json!("reset"));
+    std::thread::sleep(Duration::from_millis(500));
+    drive.signal("INT");
+    assert_eq!(drive.ends_within(Duration::from_secs(1)), None);
+    drive.signal("INT");
+    assert_eq!(drive.ends_within(Duration::from_secs(5)), Some(130));
+}
+
+#[test]
+fn idle_connections_keep_no_page_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &["--policy", "compliant"]);
+    let request = format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", drive.host);
+    let idle: Vec<TcpStream> = (0..100)
+        .map(|_| {
+            let mut stream = TcpStream::connect(&drive.host).unwrap();
+            stream.write_all(request.as_bytes()).unwrap();
+            stream
+        })
+        .collect();
+    let start = Instant::now();
+    assert!(drive.get("/", &drive.host).starts_with("HTTP/1.1 200"));
+    drive.page();
+    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
+    drop(idle);
+}
+
+#[test]
+fn many_saves_are_written_one_after_another() {
+    let folder = tempfile::tempdir().unwrap();
+    let drive = Drive::start(folder.path(), &[]);
+    let mut page = drive.page();
+    page.ask_for([0.3, 0.0, 0.0], Duration::from_secs(2));
+    let threads = drive.threads();
+    for _ in 0..60 {
+        page.send(&json!({ "keep": "all" }));
+    }
+    page.notice("not saved, because others are being saved");
+    for _ in 0..10 {
+        page.ask_for([0.0; 3], Duration::from_millis(50));
+        // Those of two recordings at most: the one being written, and the one being closed.
+        assert!(drive.threads() <= threads + 6, "{} threads, {threads} before", drive.threads());
+    }
+    page.notice("drive-3.rrd is written");
+    page.send(&json!({ "keep": "minute" }));
+    page.wait("another save", |state, _| {
+        let texts = state["notices"][1].as_array()?;
+        texts.last()?.as_str()?.ends_with(".rrd is written").then_some(())
+    });
+    for file in std::fs::read_dir(folder.path()).unwrap() {
+        assert!(file.unwrap().metadata().unwrap().len() > 0, "an empty file is left");
+    }
 }

@@ -30,9 +30,27 @@ pub(super) fn send(
     shown: Shown,
     is_live: bool,
 ) -> Result<(), RecordError> {
-    let (store, messages) = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint().memory()?;
+    let (store, memory) = RecordingStreamBuilder::new(APPLICATION).enabled(true).blueprint().memory()?;
+    let logged = log(&store, robots, shown, is_live);
+    let messages = memory.take();
+    // The sink holds the store that holds it: neither would ever be dropped, nor end its threads.
+    store.disconnect();
+    logged?;
+    let id = messages.iter().find_map(|message| match message {
+        LogMsg::SetStoreInfo(info) => Some(info.info.store_id.clone()),
+        _ => None,
+    });
+    if let Some(blueprint_id) = id {
+        let activation = BlueprintActivationCommand { blueprint_id, make_active: true, make_default: true };
+        recording.send_blueprint(messages, activation);
+    }
+    Ok(())
+}
+
+/// Logs the layout into its own store.
+fn log(store: &RecordingStream, robots: &[&str], shown: Shown, is_live: bool) -> Result<(), RecordError> {
     store.set_time_sequence("blueprint", 0);
-    let mut layout = Layout { store: &store, shown, count: 0 };
+    let mut layout = Layout { store, shown, count: 0 };
     let root = match robots {
         robots if is_live => layout.live(robots)?,
         [robot] => layout.single(robot)?,
@@ -54,16 +72,6 @@ pub(super) fn send(
         .with_play_state(PlayState::Playing);
     if !is_live {
         store.log("time_panel", &time)?;
-    }
-
-    let messages = messages.take();
-    let id = messages.iter().find_map(|message| match message {
-        LogMsg::SetStoreInfo(info) => Some(info.info.store_id.clone()),
-        _ => None,
-    });
-    if let Some(blueprint_id) = id {
-        let activation = BlueprintActivationCommand { blueprint_id, make_active: true, make_default: true };
-        recording.send_blueprint(messages, activation);
     }
     Ok(())
 }

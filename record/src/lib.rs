@@ -90,6 +90,9 @@ pub enum RecordError {
     /// The model lacks a part of the robot.
     #[error(transparent)]
     Model(#[from] mujoco::Error),
+    /// The clock of the machine is before 1970.
+    #[error("cannot record: the clock of this machine is before 1970; set it")]
+    Clock,
     /// rerun refused the data.
     #[error("rerun: {0}")]
     Rerun(#[from] rerun::RecordingStreamError),

@@ -14,8 +14,8 @@ use std::fs::{self, File};
 use std::io::{self, Read as _, Seek as _, SeekFrom};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::Receiver;
-use std::time::Duration;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, SystemTime};
 
 use rerun::archetypes::{Clear, InstancePoses3D};
 use rerun::external::re_log_encoding::rrd::{Decodable as _, StreamFooter};
@@ -69,8 +69,14 @@ pub fn page_url(port: u16) -> String {
 const LOCAL: &str = "127.0.0.1";
 
 /// Returns a builder that ignores the variable `RERUN`, because `RERUN=off` would silently lose a requested recording.
-fn builder(title: &str) -> RecordingStreamBuilder {
-    RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title)
+fn builder(title: &str) -> Result<RecordingStreamBuilder, RecordError> {
+    check_clock(SystemTime::now())?;
+    Ok(RecordingStreamBuilder::new(APPLICATION).enabled(true).recording_name(title))
+}
+
+/// Refuses a time at which rerun would panic.
+pub(super) fn check_clock(now: SystemTime) -> Result<(), RecordError> {
+    if now < SystemTime::UNIX_EPOCH { Err(RecordError::Clock) } else { Ok(()) }
 }
 
 /// The server of the viewer's page, whose type rerun does not name.
@@ -97,7 +103,7 @@ pub(super) struct Stream {
 impl Stream {
     /// Creates the file or connects to the viewer.
     pub(super) fn open(sink: Sink, title: &str) -> Result<Self, RecordError> {
-        let builder = builder(title);
+        let builder = builder(title)?;
         let (recording, file, page, target) = match sink {
             Sink::File(path) => {
                 let target = path.display().to_string();
@@ -142,7 +148,7 @@ impl Stream {
             LiveSink::Connect(url) => Stream::open(Sink::Connect(url), title)?,
             LiveSink::Memory => {
                 // The reader flushes before it takes the data.
-                let (recording, _) = builder(title).batcher_config(ChunkBatcherConfig::NEVER).memory()?;
+                let recording = builder(title)?.batcher_config(ChunkBatcherConfig::NEVER).buffered()?;
                 let (sink, memory) = BinaryStreamSink::new(recording.clone());
                 recording.set_sink(Box::new(sink));
                 let (recording, memory, target) = (Some(recording), Some(memory), "in memory".to_owned());
@@ -272,7 +278,10 @@ impl Stream {
         let failed = |reason: &str| RecordError::Write { target: self.target.clone(), reason: reason.to_owned() };
         if let Some(recording) = self.recording.take() {
             let closed = drop_in_background(recording);
-            closed.recv_timeout(PATIENCE).map_err(|_| failed("it could not be closed"))?;
+            // Without a thread of its own, it was closed at once.
+            if closed.recv_timeout(PATIENCE) == Err(RecvTimeoutError::Timeout) {
+                return Err(failed("it could not be closed"));
+            }
         }
         match &self.file {
             Some(path) if !has_footer(path) => Err(failed("its end could not be written; is the disk full?")),

@@ -246,3 +246,11 @@ fn live_recording_stays_as_large_as_it_began() {
     assert_eq!(chunks, [chunks[0]; 4]);
     recorder.finish().unwrap();
 }
+
+#[test]
+fn clock_before_1970_is_an_error() {
+    let epoch = std::time::SystemTime::UNIX_EPOCH;
+    assert!(stream::check_clock(epoch).is_ok());
+    let error = stream::check_clock(epoch - Duration::from_secs(1)).unwrap_err();
+    assert!(error.to_string().contains("before 1970"), "{error}");
+}

@@ -6,7 +6,7 @@ mod support;
 use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
-use supple::scenario::session::{AgentCache, Input, LiveSession, PushUnit, SceneKind, Setup, Writer};
+use supple::scenario::session::{Act, AgentCache, Input, LiveSession, PushUnit, SceneKind, Setup, Writer};
 use support::{complaint, example, program, robot, run, standing_policy};
 
 #[test]
@@ -73,7 +73,7 @@ fn keep(inputs: &[(u64, Input)], until: u64, path: &std::path::Path) {
         }
         world.step().unwrap();
     }
-    writer.keep(path, None, until, world.fingerprint()).unwrap();
+    writer.part(None, until, world.fingerprint()).unwrap().write_new(path).unwrap();
 }
 
 #[test]
@@ -81,10 +81,10 @@ fn a_session_is_measured_before_and_after_its_robot_is_told_to_yield() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.jsonl");
     let inputs = [
-        (240, Input::Push { size: [0.0, 0.5], unit: PushUnit::Velocity }),
-        (1440, Input::Comply { robot: 0, compliance: Some(0.03) }),
-        (1680, Input::Pull(Some([0.0, 10.0]))),
-        (1920, Input::Pull(None)),
+        (240, Input::Act(Act::Push { size: [0.0, 0.5], unit: PushUnit::Velocity })),
+        (1440, Input::Act(Act::Comply { robot: 0, compliance: Some(0.03) })),
+        (1680, Input::Act(Act::Pull(Some([0.0, 10.0])))),
+        (1920, Input::Act(Act::Pull(None))),
     ];
     keep(&inputs, 2160, &path);
     let output = run("scenario", folder.path(), &["session", "kept.jsonl", "--json"]);

@@ -4,6 +4,7 @@ use std::fs::{self, File, Permissions};
 use std::io::{self, BufRead, BufWriter, Read, Write};
 use std::os::unix::fs::{FileTypeExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use sha2::{Digest, Sha256};
 
@@ -53,6 +54,17 @@ pub fn write_with(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<
     }
 }
 
+/// Writes a new file in pieces. It appears when it is whole, and never in place of another one.
+///
+/// # Errors
+/// There is a file of this name already, or the operating system or `write` fails.
+pub fn write_new(path: &Path, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<()> {
+    let (file, temporary) = temporary_for(path)?;
+    buffered(file, write)?.sync_all()?;
+    temporary.persist_noclobber(path).map_err(|error| error.error)?;
+    sync_folder(path)
+}
+
 fn buffered<W: Write>(out: W, write: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> io::Result<W> {
     let mut out = BufWriter::new(out);
     write(&mut out)?;
@@ -81,12 +93,7 @@ fn replace(
     write: impl FnOnce(&mut dyn Write) -> io::Result<()>,
     before: impl FnOnce() -> io::Result<()>,
 ) -> io::Result<()> {
-    let new = Permissions::from_mode(0o666);
-    let mut temporary = tempfile::Builder::new();
-    let temporary = temporary.prefix(TEMPORARY.0).suffix(TEMPORARY.1).rand_bytes(16).permissions(new);
-    let (file, temporary) = temporary.tempfile_in(folder_of(path))?.into_parts();
-    // Until it has its name: it is not left over. Where the file system knows no locks, none is ever cleared.
-    let _ = file.lock();
+    let (file, temporary) = temporary_for(path)?;
     if let Ok(old) = fs::metadata(path) {
         file.set_permissions(old.permissions())?;
     }
@@ -95,6 +102,17 @@ fn replace(
     before()?;
     temporary.persist(path).map_err(|error| error.error)?;
     sync_folder(path)
+}
+
+/// Creates a temporary file next to `path`.
+fn temporary_for(path: &Path) -> io::Result<(File, tempfile::TempPath)> {
+    let new = Permissions::from_mode(0o666);
+    let mut temporary = tempfile::Builder::new();
+    let temporary = temporary.prefix(TEMPORARY.0).suffix(TEMPORARY.1).rand_bytes(16).permissions(new);
+    let (file, temporary) = temporary.tempfile_in(folder_of(path))?.into_parts();
+    // Until it has its name: it is not left over. Where the file system knows no locks, none is ever cleared.
+    let _ = file.lock();
+    Ok((file, temporary))
 }
 
 /// Start and end of the names of temporary files.
@@ -187,17 +205,40 @@ pub fn sync_folder(path: &Path) -> io::Result<()> {
     File::open(folder_of(path))?.sync_all()
 }
 
+/// True if [`open`] refuses pipes.
+static REFUSES_PIPES: AtomicBool = AtomicBool::new(false);
+
+/// Makes this program refuse to read pipes, which may never end: for programs that others may ask for files.
+pub fn refuse_pipes() {
+    REFUSES_PIPES.store(true, Ordering::Relaxed);
+}
+
+/// Opens a file, or a pipe unless [`refuse_pipes`] was called, for reading.
+///
+/// # Errors
+/// The file cannot be read, is a folder, or is a device, which may have no end.
+pub fn open(path: &Path) -> io::Result<File> {
+    // Checked first, because opening a pipe waits for a writer.
+    let kind = fs::metadata(path)?.file_type();
+    let found = if kind.is_dir() {
+        "a folder"
+    } else if kind.is_char_device() || kind.is_block_device() {
+        "a device"
+    } else if REFUSES_PIPES.load(Ordering::Relaxed) && (kind.is_fifo() || kind.is_socket()) {
+        "a pipe"
+    } else {
+        return File::open(path);
+    };
+    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("it is {found}, expected a file")))
+}
+
 /// Reads a file, or a pipe to its end, of at most `limit` bytes.
 ///
 /// # Errors
 /// The file cannot be read, is larger than `limit`, or is a device, which may have no end.
 pub fn read_bounded(path: &Path, limit: u64) -> io::Result<Vec<u8>> {
-    let file = File::open(path)?;
+    let file = open(path)?;
     let found = file.metadata()?;
-    let kind = found.file_type();
-    if kind.is_char_device() || kind.is_block_device() {
-        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is a device, expected a file"));
-    }
     let mut bytes = Vec::new();
     // What is no regular file says that it has 0 bytes.
     if found.len() <= limit {
@@ -277,6 +318,17 @@ mod tests {
     }
 
     #[test]
+    fn new_file_replaces_none() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new");
+        write_new(&path, |out| out.write_all(b"first")).unwrap();
+        let again = write_new(&path, |out| out.write_all(b"second"));
+        assert_eq!(again.unwrap_err().kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(fs::read(&path).unwrap(), b"first");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "a temporary file is left");
+    }
+
+    #[test]
     fn links_and_permissions_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
@@ -345,6 +397,7 @@ mod tests {
         assert_eq!(read_bounded(&pipe, 1000).unwrap_err().kind(), io::ErrorKind::FileTooLarge);
         assert!(write.join().unwrap().is_err());
         assert!(read_bounded(Path::new("/dev/zero"), 1000).unwrap_err().to_string().contains("a device"));
+        assert!(read_bounded(folder.path(), 1000).unwrap_err().to_string().contains("a folder"));
         fs::write(&file, "\u{feff}abc").unwrap();
         assert_eq!(read_text(&file, 6).unwrap(), "abc");
         assert_eq!(read_bounded(&file, 5).unwrap_err().kind(), io::ErrorKind::FileTooLarge);

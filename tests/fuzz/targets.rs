@@ -12,7 +12,7 @@ use supple::policy::Policy;
 use supple::policy::onnx;
 use supple::robot::Robot;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
-use supple::scenario::session::{AgentCache, Input, PushUnit, SavedSession, SceneKind, Setup, Writer};
+use supple::scenario::session::{Act, AgentCache, Input, PushUnit, SavedSession, SceneKind, Setup, Writer};
 use supple::sim::Scene;
 use supple::sim::Sim;
 use supple::task::Command;
@@ -234,11 +234,11 @@ fn sessions() -> Vec<Vec<u8>> {
     let setup = |scene| Setup { scene, seed: 1, robots: robots.clone() };
     let inputs = [
         Input::Setup(setup(SceneKind::Flat)),
-        Input::Command(Command::velocity(0.5, 0.0, 0.1)),
-        Input::Push { size: [0.1, 0.3], unit: PushUnit::Momentum },
-        Input::Pull(Some([5.0, -10.0])),
-        Input::Comply { robot: 1, compliance: Some(0.02) },
-        Input::Reset,
+        Input::Act(Act::Command(Command::velocity(0.5, 0.0, 0.1))),
+        Input::Act(Act::Push { size: [0.1, 0.3], unit: PushUnit::Momentum }),
+        Input::Act(Act::Pull(Some([5.0, -10.0]))),
+        Input::Act(Act::Comply { robot: 1, compliance: Some(0.02) }),
+        Input::Act(Act::Reset),
         Input::Setup(setup(SceneKind::Box)),
     ];
     let mut writer = Writer::new(tempfile::tempfile().expect("a file"));
@@ -247,7 +247,7 @@ fn sessions() -> Vec<Vec<u8>> {
     }
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("session.jsonl");
-    writer.keep(&path, None, 40, "state".to_owned()).expect("a session");
+    writer.part(None, 40, "state".to_owned()).and_then(|part| part.write_new(&path)).expect("a session");
     vec![std::fs::read(path).expect("a session")]
 }
 

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::net::IpAddr;
+use std::sync::Arc;
 
 use axum::extract::{Request, State};
 use axum::http::header::{
@@ -12,6 +13,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::Shared;
+use super::connections::Connection;
 
 /// Returns the content security policy: pages may load and contact this server only. The exceptions are for rerun's viewer,
 /// which compiles WebAssembly, sets styles (egui) and is loaded from this server's other name.
@@ -74,14 +76,18 @@ fn refusal(shared: &Shared, request: &Request, is_socket: bool) -> Option<&'stat
     let Some(host) = host(request.headers(), shared.port) else {
         return Some("open this page by IP address (as printed at start), not by host name\n");
     };
+    let token = request.uri().query().and_then(|query| query.split('&').find_map(|pair| pair.strip_prefix("token=")));
+    let has_token = token.is_some_and(|token| shared.token.is(token));
+    if let Some(connection) = request.extensions().get::<Arc<Connection>>().filter(|_| has_token) {
+        connection.trust();
+    }
     if !is_socket {
         return None;
     }
     if single(request.headers(), ORIGIN.as_str()) != Some(&format!("http://{host}")) {
         return Some("this socket accepts only pages of this server\n");
     }
-    let token = request.uri().query().and_then(|query| query.split('&').find_map(|pair| pair.strip_prefix("token=")));
-    if !token.is_some_and(|token| shared.token.is(token)) {
+    if !has_token {
         return Some("the token is missing or wrong: open the address printed at start\n");
     }
     None

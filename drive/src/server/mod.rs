@@ -8,8 +8,8 @@
 | `/view` | a WebSocket: `.rrd` files, one after another |
 
 Only the sockets control the robots, and they require the token of the printed address. Requests by host name are refused (DNS
-rebinding), and so are sockets opened by pages of another origin. Number of connections, size and rate of messages are
-bounded; a slow client misses frames, a silent one is disconnected.
+rebinding), and so are sockets opened by pages of another origin. Number and time of connections, size and rate of messages
+are bounded; a slow client misses frames, a silent one is disconnected, and newcomers take the place of those without a token.
 */
 
 mod connections;
@@ -21,6 +21,7 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::SyncSender;
+use std::time::SystemTime;
 
 use axum::Router;
 use axum::middleware::from_fn_with_state;
@@ -103,6 +104,11 @@ impl Server {
             .with_state(shared);
         connections::serve(self.listener, router).await;
     }
+}
+
+/// Returns false if the clock of this machine is before 1970: hyper panics then.
+pub fn is_clock_right() -> bool {
+    SystemTime::now() >= SystemTime::UNIX_EPOCH
 }
 
 /// Routes that still lack the shared state.

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::mpsc::TrySendError;
 use std::time::{Duration, Instant};
 
 use axum::extract::State;
@@ -10,7 +11,7 @@ use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
-use tokio::time::{interval, timeout};
+use tokio::time::{interval, sleep, timeout};
 
 use super::Shared;
 use crate::message::Message;
@@ -45,13 +46,11 @@ pub(super) async fn control(State(shared): State<Shared>, upgrade: WebSocketUpgr
     })
 }
 
-/// Opens the socket of a viewer.
+/// Opens the socket of a viewer. One that was just closed may still be about to end.
 pub(super) async fn view(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
-    let Some(permit) = room(&shared.viewer_permits) else { return full() };
-    bounded(upgrade).on_upgrade(move |socket| async move {
-        feed(socket, &shared).await;
-        drop(permit);
-    })
+    let permits = Arc::clone(&shared.viewer_permits);
+    let Ok(Ok(permit)) = timeout(PATIENCE, permits.acquire_owned()).await else { return full() };
+    bounded(upgrade).on_upgrade(move |socket| async move { feed(socket, &shared, permit).await })
 }
 
 fn room(permits: &Arc<Semaphore>) -> Option<OwnedSemaphorePermit> {
@@ -67,9 +66,15 @@ fn bounded(upgrade: WebSocketUpgrade) -> WebSocketUpgrade {
 }
 
 /// Sends a message that must not be lost, without blocking the server; returns false if the robots are gone.
-async fn notify(shared: &Shared, message: Message) -> bool {
-    let robots = shared.robots.clone();
-    tokio::task::spawn_blocking(move || robots.send(message).is_ok()).await.unwrap_or(false)
+async fn notify(shared: &Shared, mut message: Message) -> bool {
+    loop {
+        message = match shared.robots.try_send(message) {
+            Ok(()) => return true,
+            Err(TrySendError::Full(message)) => message,
+            Err(TrySendError::Disconnected(_)) => return false,
+        };
+        sleep(Duration::from_millis(20)).await;
+    }
 }
 
 /// Carries requests and states until the page disconnects, breaks a rule, or falls silent.
@@ -113,8 +118,8 @@ async fn ask(socket: &mut WebSocket, page: PageId, shared: &Shared, text: &str) 
     match Request::parse(text) {
         // Requests queue while a scene is built; a full queue drops them, and the page repeats its commands.
         Ok(request) => match shared.robots.try_send(Message::Request(page, request)) {
-            Ok(()) | Err(std::sync::mpsc::TrySendError::Full(_)) => true,
-            Err(std::sync::mpsc::TrySendError::Disconnected(_)) => false,
+            Ok(()) | Err(TrySendError::Full(_)) => true,
+            Err(TrySendError::Disconnected(_)) => false,
         },
         Err(problem) => refuse(socket, &problem).await,
     }
@@ -133,7 +138,7 @@ async fn send(socket: &mut WebSocket, message: Frame) -> bool {
 }
 
 /// Carries `.rrd` files to a viewer until it disconnects.
-async fn feed(mut socket: WebSocket, shared: &Shared) {
+async fn feed(mut socket: WebSocket, shared: &Shared, permit: OwnedSemaphorePermit) {
     let (files, mut arriving) = mpsc::channel(1);
     let (updates, runtime) = (shared.updates.shown.subscribe(), Handle::current());
     let notices = shared.robots.clone();
@@ -142,8 +147,10 @@ async fn feed(mut socket: WebSocket, shared: &Shared) {
             // The robots go on without this viewer.
             let _ = notices.try_send(Message::Notice(format!("a viewer stopped: {error}")));
         }
+        drop(permit);
     };
-    if std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work).is_err() {
+    if let Err(error) = std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work) {
+        let _ = shared.robots.try_send(Message::Notice(format!("a viewer cannot be shown without a thread: {error}")));
         return;
     }
     let (mut ahead, mut heard, mut look) = (0, Instant::now(), interval(PING_EVERY));

@@ -34,11 +34,11 @@ pub enum AgentCacheError {
     },
 }
 
-/// Policies by SHA-256, with the files of those that do not ship.
-#[derive(Debug, Default)]
+/// Policies by SHA-256, with the files of those that do not ship. A clone shares them.
+#[derive(Debug, Clone, Default)]
 pub struct AgentCache {
     agents: HashMap<String, Arc<Agent>>,
-    files: HashMap<String, Vec<u8>>,
+    files: HashMap<String, Arc<[u8]>>,
     /// Calibrations from a saved session; they take precedence over those stored next to the policies.
     calibrations: HashMap<String, PolicyCalibration>,
 }
@@ -70,7 +70,7 @@ impl AgentCache {
             agent.calibration = Some(calibration.clone());
         }
         if let Some(file) = file {
-            self.files.insert(agent.sha256.clone(), file);
+            self.files.insert(agent.sha256.clone(), file.into());
         }
         self.agents.insert(agent.sha256.clone(), Arc::new(agent));
     }
@@ -95,13 +95,22 @@ impl AgentCache {
     /// # Errors
     /// The policy or robot no longer exists or has changed.
     pub fn take(&mut self, seat: &Seat) -> Result<Arc<Agent>, AgentCacheError> {
+        let robot = Robot::load(&seat.robot)?;
+        unchanged(&format!("the robot '{}'", seat.robot), &seat.robot_sha256, robot.sha256())?;
+        self.renewed(seat)
+    }
+
+    /// Returns the policy of a seat whose robot is in the session already, without reading the robot's files again, or those
+    /// of a policy in the cache.
+    ///
+    /// # Errors
+    /// The policy no longer exists or has changed.
+    pub(super) fn renewed(&mut self, seat: &Seat) -> Result<Arc<Agent>, AgentCacheError> {
         if !self.agents.contains_key(&seat.sha256) {
             let (agent, file) = AgentCache::read(&seat.policy)?;
             unchanged(&format!("the policy '{}'", seat.policy), &seat.sha256, &agent.sha256)?;
             self.put(agent, file);
         }
-        let robot = Robot::load(&seat.robot)?;
-        unchanged(&format!("the robot '{}'", seat.robot), &seat.robot_sha256, robot.sha256())?;
         let agent = Arc::clone(&self.agents[&seat.sha256]);
         if agent.config.robot.model == seat.robot {
             return Ok(agent);
@@ -112,7 +121,7 @@ impl AgentCache {
             None => AgentCache::read(&seat.policy)?,
         };
         agent.calibration.clone_from(&self.agents[&seat.sha256].calibration);
-        agent.run_on(&robot);
+        agent.config.robot.model.clone_from(&seat.robot);
         let agent = Arc::new(agent);
         self.agents.insert(seat.sha256.clone(), Arc::clone(&agent));
         Ok(agent)
@@ -120,7 +129,7 @@ impl AgentCache {
 
     /// Returns the file of a policy that does not ship.
     pub fn file(&self, sha256: &str) -> Option<&[u8]> {
-        self.files.get(sha256).map(Vec::as_slice)
+        self.files.get(sha256).map(|file| &**file)
     }
 
     /// Returns the calibration of a policy, if it has been measured.

@@ -4,11 +4,13 @@
 //! policy rate, so that robots of different rates share a session; inputs take effect with the first step that begins
 //! at their tick or later.
 
+use std::io;
 use std::sync::Arc;
-use std::thread;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
 
 use super::scene::SceneError;
-use super::{AgentCache, AgentCacheError, Input, Seat, Setup};
+use super::{Act, AgentCache, AgentCacheError, Input, Seat, Setup};
 use crate::config::Simulation;
 use crate::mujoco;
 use crate::policy::Agent;
@@ -43,6 +45,9 @@ pub enum LiveSessionError {
     /// The newer policy needs other rates, gains or latency.
     #[error("the newer policy runs at other rates, gains or latency: it needs a world of its own")]
     OtherBody,
+    /// An input has a number that no file can hold.
+    #[error("a number of the input is not finite")]
+    NotFinite,
     /// The setup has too few or too many robots, or an input names one that does not exist.
     #[error("{found} of robots, expected {expected}")]
     Robots {
@@ -73,6 +78,16 @@ pub struct LiveSession {
     players: Vec<Player>,
     /// Tick at which this setup started.
     since: u64,
+    /// Steps the second robot beside the first; `None` before the first step of two.
+    helper: Option<Helper>,
+}
+
+/// A thread that steps the second robot while the caller steps the first.
+#[derive(Debug)]
+struct Helper {
+    to: SyncSender<Player>,
+    back: Receiver<(Player, mujoco::Result<RobotStep>)>,
+    thread: JoinHandle<()>,
 }
 
 struct Player {
@@ -96,11 +111,6 @@ impl LiveSession {
     /// # Errors
     /// A policy, robot or scene cannot be loaded, or the setup does not fit.
     pub fn new(setup: Setup, shelf: &mut AgentCache) -> Result<Self, LiveSessionError> {
-        Self::since(0, setup, shelf)
-    }
-
-    /// Like [`LiveSession::new`], but starts the clock at `since`.
-    pub(super) fn since(since: u64, setup: Setup, shelf: &mut AgentCache) -> Result<Self, LiveSessionError> {
         if !(1..=MOST_ROBOTS).contains(&setup.robots.len()) {
             return Err(LiveSessionError::Robots {
                 found: setup.robots.len().to_string(),
@@ -109,7 +119,19 @@ impl LiveSession {
         }
         let player = |seat: &Seat| Player::new(&setup, seat, shelf.take(seat)?);
         let players = setup.robots.iter().map(player).collect::<Result<_, LiveSessionError>>()?;
-        Ok(LiveSession { setup, players, since })
+        Ok(LiveSession { setup, players, since: 0, helper: None })
+    }
+
+    /// Sets the tick at which a session that has not been stepped starts.
+    pub(super) fn starting_at(self, since: u64) -> Self {
+        LiveSession { since, ..self }
+    }
+
+    /// Goes on with the robots of another session, which has not been stepped: the same as an [`Input::Setup`], but the
+    /// robots and their scene were built before, maybe on another thread.
+    pub fn replace(&mut self, next: LiveSession) {
+        let helper = self.helper.take();
+        *self = LiveSession { helper, ..next.starting_at(self.tick()) };
     }
 
     /// Returns the present setup.
@@ -170,27 +192,15 @@ impl LiveSession {
     /// Applies an input, which takes effect with the next step of each robot.
     ///
     /// # Errors
-    /// The input does not fit the session, or MuJoCo fails.
+    /// The input does not fit the session; the session is then unchanged. Or MuJoCo fails in a reset, which may have reset
+    /// the first robot but not the second: the session cannot go on.
     pub fn apply(&mut self, input: &Input, shelf: &mut AgentCache) -> Result<(), LiveSessionError> {
         match input {
-            Input::Command(command) => self.rollouts().for_each(|rollout| {
-                rollout.ask(Command { compliance: rollout.command().compliance, ..*command });
-            }),
-            Input::Push { size, unit } => self.rollouts().for_each(|rollout| {
-                let linear = unit.velocity(*size, rollout.sim().robot().mass_kg);
-                rollout.push(Push { linear, angular: [0.0; 3] });
-            }),
-            Input::Pull(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
-            Input::Comply { robot, compliance } => {
-                let (seat, player) = self.robot(*robot)?;
-                seat.compliance = player.agent.resolve_compliance(*compliance, None)?;
-                player.rollout.ask(Command { compliance: seat.compliance, ..*player.rollout.command() });
-            }
-            Input::Reset => self.players.iter_mut().try_for_each(Player::restart)?,
+            Input::Act(act) => self.act(act)?,
             Input::Renew { robot, sha256 } => {
                 let (seat, player) = self.robot(*robot)?;
                 let mut renewed = Seat { sha256: sha256.clone(), ..seat.clone() };
-                let agent = shelf.take(&renewed)?;
+                let agent = shelf.renewed(&renewed)?;
                 renewed.compliance = agent.resolve_compliance(seat.compliance, None).unwrap_or(None);
                 if agent.config.simulation != player.agent.config.simulation {
                     return Err(LiveSessionError::OtherBody);
@@ -200,7 +210,30 @@ impl LiveSession {
                 *seat = renewed;
                 player.agent = agent;
             }
-            Input::Setup(setup) => *self = Self::since(self.tick(), setup.clone(), shelf)?,
+            Input::Setup(setup) => self.replace(Self::new(setup.clone(), shelf)?),
+        }
+        Ok(())
+    }
+
+    fn act(&mut self, act: &Act) -> Result<(), LiveSessionError> {
+        if !act.is_finite() {
+            return Err(LiveSessionError::NotFinite);
+        }
+        match act {
+            Act::Command(command) => self.rollouts().for_each(|rollout| {
+                rollout.ask(Command { compliance: rollout.command().compliance, ..*command });
+            }),
+            Act::Push { size, unit } => self.rollouts().for_each(|rollout| {
+                let linear = unit.velocity(*size, rollout.sim().robot().mass_kg);
+                rollout.push(Push { linear, angular: [0.0; 3] });
+            }),
+            Act::Pull(force) => self.rollouts().for_each(|rollout| rollout.pull(*force)),
+            Act::Comply { robot, compliance } => {
+                let (seat, player) = self.robot(*robot)?;
+                seat.compliance = player.agent.resolve_compliance(*compliance, None)?;
+                player.rollout.ask(Command { compliance: seat.compliance, ..*player.rollout.command() });
+            }
+            Act::Reset => self.players.iter_mut().try_for_each(Player::restart)?,
         }
         Ok(())
     }
@@ -221,19 +254,25 @@ impl LiveSession {
     /// MuJoCo fails even after a reset of the robot.
     pub fn step(&mut self) -> Result<Vec<RobotStep>, LiveSessionError> {
         let tick = self.tick() - self.since;
-        let mut due: Vec<(usize, &mut Player)> =
-            self.players.iter_mut().enumerate().filter(|(_, player)| player.due() == tick).collect();
-        let played = match &mut due[..] {
-            [(first, one), (second, two)] => thread::scope(|scope| {
-                let second = scope.spawn(|| two.step(*second));
-                let first = one.step(*first);
-                // A panic of the second robot's thread is passed on.
-                let second = second.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-                vec![first, second]
-            }),
-            alone => alone.iter_mut().map(|(robot, player)| player.step(*robot)).collect(),
+        if self.players.len() == MOST_ROBOTS && self.players.iter().all(|player| player.due() == tick) {
+            return Ok(Vec::from(self.step_both()?));
+        }
+        let due = self.players.iter_mut().enumerate().filter(|(_, player)| player.due() == tick);
+        Ok(due.map(|(robot, player)| player.step(robot)).collect::<mujoco::Result<_>>()?)
+    }
+
+    /// Plays a step of both robots, in parallel if a thread can be had.
+    fn step_both(&mut self) -> mujoco::Result<[RobotStep; 2]> {
+        let Some(helper) = self.helper.take().or_else(|| Helper::start().ok()) else {
+            let [first, second] = [0, 1].map(|robot| self.players[robot].step(robot));
+            return Ok([first?, second?]);
         };
-        Ok(played.into_iter().collect::<mujoco::Result<_>>()?)
+        let second = self.players.remove(1);
+        let (helper, second, steps) = helper.step_both(&mut self.players[0], second);
+        self.players.push(second);
+        self.helper = Some(helper);
+        let [first, second] = steps;
+        Ok([first?, second?])
     }
 
     /// Returns the SHA-256 of all positions and velocities, to compare states bit by bit.
@@ -244,6 +283,37 @@ impl LiveSession {
         });
         let bytes: Vec<u8> = numbers.flat_map(|number| number.to_bits().to_le_bytes()).collect();
         files::sha256(&[&bytes])
+    }
+}
+
+impl Helper {
+    fn start() -> io::Result<Self> {
+        let (to, players) = sync_channel::<Player>(1);
+        let (done, back) = sync_channel(1);
+        let work = move || {
+            for mut player in players {
+                let step = player.step(1);
+                if done.send((player, step)).is_err() {
+                    return;
+                }
+            }
+        };
+        let thread = thread::Builder::new().name("second robot".to_owned()).spawn(work)?;
+        Ok(Helper { to, back, thread })
+    }
+
+    fn step_both(self, first: &mut Player, second: Player) -> (Self, Player, [mujoco::Result<RobotStep>; 2]) {
+        // If the thread has ended, there is no answer either.
+        let _ = self.to.send(second);
+        let first = first.step(0);
+        match self.back.recv() {
+            Ok((player, second)) => (self, player, [first, second]),
+            // A panic of the second robot's thread is passed on.
+            Err(_) => match self.thread.join() {
+                Err(panic) => std::panic::resume_unwind(panic),
+                Ok(()) => unreachable!("the thread ends only when this end of its channel is dropped"),
+            },
+        }
     }
 }
 

@@ -1,7 +1,8 @@
 //! Metrics of a saved session: replays it and measures its pushes and pulls.
 
 use super::{
-    Input, LiveReadout, LiveSession, Outcome, PullReading, PushReading, SceneKind, Seat, SessionError, SessionReplay,
+    Act, Input, LiveReadout, LiveSession, Outcome, PullReading, PushReading, SceneKind, Seat, SessionError,
+    SessionReplay,
 };
 use crate::scenario::metrics::{Metric, STRIDE_S};
 use crate::scenario::trace::{EventKind, Frame, Trace};
@@ -40,18 +41,18 @@ pub fn takes(playback: &mut SessionReplay) -> Result<Vec<Take>, SessionError> {
         }
         for input in &step.inputs[first..] {
             match input {
-                Input::Push { size, unit } => {
+                Input::Act(Act::Push { size, unit }) => {
                     for (watched, mass_kg) in current.iter_mut().zip(playback.world.masses_kg()) {
                         let disturbed = watched.meter.push(unit.velocity(*size, mass_kg));
                         watched.take.pushes.extend(disturbed);
                     }
                 }
-                Input::Pull(force) => current.iter_mut().for_each(|watched| watched.pull(*force)),
-                Input::Comply { robot, .. } | Input::Renew { robot, .. } => {
+                Input::Act(Act::Pull(force)) => current.iter_mut().for_each(|watched| watched.pull(*force)),
+                Input::Act(Act::Comply { robot, .. }) | Input::Renew { robot, .. } => {
                     let seat = playback.world.setup().robots[*robot].clone();
                     takes.push(current[*robot].go_on_as(seat));
                 }
-                Input::Command(_) | Input::Reset | Input::Setup(_) => {}
+                Input::Act(Act::Command(_) | Act::Reset) | Input::Setup(_) => {}
             }
         }
         for played in &step.played {

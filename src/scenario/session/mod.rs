@@ -1,7 +1,7 @@
 /*! Interactive sessions: playbacks whose inputs arrive while they run and can be saved.
 
 Start with [`Setup`] and [`LiveSession`], which plays one or two robots in the same scene on one clock. Commands,
-pushes, pulls and changes of policy are [`Input`]s at a tick. A [`SavedSession`] is a file of these inputs, from which
+pushes and pulls ([`Act`]) and changes of policy are [`Input`]s at a tick. A [`SavedSession`] is a file of these inputs, from which
 the session is replayed bit for bit by the same code. [`LiveReadout`] computes the numbers shown while a robot is
 driven.
 */
@@ -21,7 +21,7 @@ pub use agent_cache::{AgentCache, AgentCacheError};
 pub use live_session::{LiveSession, LiveSessionError, RATE_HZ, RobotStep};
 pub use measure::{Take, takes};
 pub use readout::{CARRIED_S, LiveReadout, Outcome, PullReading, PushReading, Reading};
-pub use saved_session::{ReplayStep, SavedSession, SessionError, SessionReplay, Writer};
+pub use saved_session::{ReplayStep, SavedSession, SessionError, SessionPart, SessionReplay, Writer};
 pub use scene::SceneKind;
 
 use crate::task::Command;
@@ -84,11 +84,11 @@ impl PushUnit {
     }
 }
 
-/// An input to a session, for all of its robots unless it names one.
+/// What a person does to the robots, all of them unless it names one. The pages of `drive` send the same.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
-pub enum Input {
-    /// Changes the velocity command; each robot keeps its compliance.
+pub enum Act {
+    /// Changes the velocity command; each robot keeps its compliance. A list of forward, left and yaw is read, too.
     Command(Command),
     /// Pushes the trunks, forward and left in the heading frame.
     Push {
@@ -108,6 +108,27 @@ pub enum Input {
     },
     /// Resets robots and scene to their start.
     Reset,
+}
+
+impl Act {
+    /// Returns true if all numbers are finite; JSON has no others, so that a session with others could not be read again.
+    pub fn is_finite(&self) -> bool {
+        let all = |numbers: &[f64]| numbers.iter().all(|number| number.is_finite());
+        match self {
+            Act::Command(Command { forward, left, yaw, compliance }) => {
+                all(&[*forward, *left, *yaw]) && compliance.is_none_or(f64::is_finite)
+            }
+            Act::Push { size: numbers, .. } | Act::Pull(Some(numbers)) => all(numbers),
+            Act::Comply { compliance, .. } => compliance.is_none_or(f64::is_finite),
+            Act::Pull(None) | Act::Reset => true,
+        }
+    }
+}
+
+/// An input to a session.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Input {
     /// Replaces the policy of one robot by a newer one from the same training run.
     Renew {
         /// Index of the robot.
@@ -117,4 +138,7 @@ pub enum Input {
     },
     /// Replaces the whole setup; command and pull are zero afterwards.
     Setup(Setup),
+    /// Does something to the robots.
+    #[serde(untagged)]
+    Act(Act),
 }

@@ -9,12 +9,13 @@ The file is written during the session, so that hours take no memory; saving cop
 
 use std::collections::{HashMap, VecDeque};
 use std::fs::File;
-use std::io::{self, BufRead, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufRead, BufReader, BufWriter, Read, Write};
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{AgentCache, AgentCacheError, Input, LiveSession, LiveSessionError, RobotStep, Setup};
+use super::{AgentCache, AgentCacheError, Input, LiveSession, LiveSessionError, RATE_HZ, RobotStep, Setup};
 use crate::policy::compliance::PolicyCalibration;
 use crate::util::files::{self, FileError};
 
@@ -26,6 +27,12 @@ const SESSION: &str = "session";
 
 /// Maximum length of a line \[bytes\]: a policy of 64 MiB in hexadecimal.
 const LONGEST_LINE: u64 = 130 << 20;
+
+/// Maximum length of a session \[days\], which takes hours to replay.
+const LONGEST_DAYS: u64 = 30;
+
+/// Maximum length of a session \[ticks\].
+const LONGEST: u64 = LONGEST_DAYS * 24 * 3600 * RATE_HZ;
 
 /// Error while loading or replaying a session.
 #[derive(Debug, thiserror::Error)]
@@ -119,36 +126,28 @@ impl Writer {
         self.file.write_all(text.as_bytes())
     }
 
-    /// Copies the session up to the tick `end`, at which the fingerprint of the state is `state`: all of it, or the
-    /// part needed to replay it from tick `from` on.
+    /// Returns the session up to the tick `end`, at which the fingerprint of the state is `state`: all of it, or the part
+    /// needed to replay it from tick `from` on. It can be copied while the session goes on.
     ///
     /// # Errors
-    /// The copy cannot be written, for example because the disk is full.
-    pub fn keep(&mut self, to: &Path, from: Option<u64>, end: u64, state: String) -> io::Result<()> {
+    /// The file of the session cannot be written, for example because the disk is full, or the part is too long to be
+    /// replayed.
+    pub fn part(&mut self, from: Option<u64>, end: u64, state: String) -> io::Result<SessionPart> {
         self.file.flush()?;
         let from_tick = from.unwrap_or(0);
-        // The saved part begins with the last setup at or before `from`.
-        let at_or_before =
-            |setups: &VecDeque<(u64, u64)>| setups.iter().rev().find(|(tick, _)| *tick <= from_tick).copied();
-        let (_, begin) = at_or_before(&self.setups).unwrap_or((0, 0));
-        let begin = if from.is_some() { begin } else { 0 };
+        // The part begins with the last setup at or before `from`.
+        let last = self.setups.iter().rev().find(|(tick, _)| from.is_some() && *tick <= from_tick);
+        let (since, begin) = last.copied().unwrap_or((0, 0));
+        if end - since > LONGEST {
+            return Err(io::Error::other(format!("it is longer than {LONGEST_DAYS} days")));
+        }
         let program = crate::util::provenance::git_revision().to_owned();
         let first = serde_json::to_string(&Line::Session { format: FORMAT, program, from_tick })?;
         let last = serde_json::to_string(&Line::End { tick: end, state })?;
         let mut parts: Vec<(u64, u64)> = self.policies.values().copied().filter(|(at, _)| *at < begin).collect();
         parts.sort_unstable();
         parts.push((begin, self.length));
-        let source = self.file.get_mut();
-        let kept = files::write_with(to, |out| {
-            writeln!(out, "{first}")?;
-            for (from, until) in parts {
-                source.seek(SeekFrom::Start(from))?;
-                io::copy(&mut Read::by_ref(source).take(until - from), out)?;
-            }
-            writeln!(out, "{last}")
-        });
-        source.seek(SeekFrom::End(0))?;
-        kept
+        Ok(SessionPart { file: self.file.get_ref().try_clone()?, first, parts, last })
     }
 
     /// Drops the offsets of setups that are not needed to replay the session from a tick on.
@@ -156,6 +155,38 @@ impl Writer {
         while self.setups.get(1).is_some_and(|(tick, _)| *tick <= from) {
             self.setups.pop_front();
         }
+    }
+}
+
+/// A session up to some tick, or its last part.
+#[derive(Debug)]
+pub struct SessionPart {
+    file: File,
+    first: String,
+    /// Start and end of each piece of the file.
+    parts: Vec<(u64, u64)>,
+    last: String,
+}
+
+impl SessionPart {
+    /// Writes the session into a new file.
+    ///
+    /// # Errors
+    /// There is such a file already, or it cannot be written, for example because the disk is full.
+    pub fn write_new(&self, path: &Path) -> io::Result<()> {
+        files::write_new(path, |out| {
+            writeln!(out, "{}", self.first)?;
+            let mut buffer = vec![0; 64 << 10];
+            for &(mut from, until) in &self.parts {
+                while from < until {
+                    let length = buffer.len().min((until - from) as usize);
+                    self.file.read_exact_at(&mut buffer[..length], from)?;
+                    out.write_all(&buffer[..length])?;
+                    from += length as u64;
+                }
+            }
+            writeln!(out, "{}", self.last)
+        })
     }
 }
 
@@ -177,7 +208,7 @@ impl SavedSession {
     /// The file is not a valid session; the error names the line.
     pub fn load(path: &Path) -> Result<Self, SessionError> {
         let fail = FileError::of(SESSION, path);
-        let mut reader = BufReader::new(File::open(path).map_err(fail)?);
+        let mut reader = BufReader::new(files::open(path).map_err(fail)?);
         let mut session = SavedSession { from_tick: 0, end: None, inputs: Vec::new(), shelf: AgentCache::default() };
         let mut text = String::new();
         for number in 1_u64.. {
@@ -196,10 +227,17 @@ impl SavedSession {
                 serde_json::from_str(&text).map_err(|error| in_line(format!("it is no session: {error}")))?;
             session.add(number, line).map_err(in_line)?;
         }
-        match session.inputs.first() {
-            Some((_, Input::Setup(_))) => Ok(session),
-            _ => Err(FileError::of(SESSION, path)("it does not begin with a set-up: was it cut off?").into()),
+        let Some((since, Input::Setup(_))) = session.inputs.first() else {
+            return Err(FileError::of(SESSION, path)("it does not begin with a set-up: was it cut off?").into());
+        };
+        let end = session.end();
+        if end.saturating_sub(*since) > LONGEST || end > u64::MAX / 2 {
+            let problem = format!(
+                "it ends at tick {end}, more than {LONGEST_DAYS} days after its start at tick {since}: was it edited?"
+            );
+            return Err(FileError::of(SESSION, path)(problem).into());
         }
+        Ok(session)
     }
 
     fn add(&mut self, number: u64, line: Line) -> Result<(), String> {
@@ -248,6 +286,12 @@ impl SavedSession {
         &self.inputs
     }
 
+    /// Returns the tick at which the replay ends.
+    fn end(&self) -> u64 {
+        let last = self.inputs.last().map_or(0, |(tick, _)| *tick);
+        self.end.as_ref().map_or(last, |(tick, _)| *tick)
+    }
+
     /// Starts a replay.
     ///
     /// # Errors
@@ -257,10 +301,8 @@ impl SavedSession {
             Some((since, Input::Setup(setup))) => (*since, setup.clone()),
             _ => unreachable!("`load` refuses a session that does not begin with a set-up"),
         };
-        let world = LiveSession::since(since, setup, &mut self.shelf)?;
-        let last = self.inputs.last().map_or(since, |(tick, _)| *tick);
-        let end = self.end.as_ref().map_or(last, |(tick, _)| *tick);
-        Ok(SessionReplay { world, end, next: 1, session: self })
+        let world = LiveSession::new(setup, &mut self.shelf)?.starting_at(since);
+        Ok(SessionReplay { world, end: self.end(), next: 1, session: self })
     }
 }
 

@@ -65,7 +65,7 @@ fn drive(inputs: &[(u64, Input)], until: u64) -> (LiveSession, Writer) {
 }
 
 fn walk(forward: f64) -> Input {
-    Input::Command(Command::velocity(forward, 0.0, 0.0))
+    Input::Act(Act::Command(Command::velocity(forward, 0.0, 0.0)))
 }
 
 #[test]
@@ -75,19 +75,19 @@ fn sessions_replay_to_the_last_bit_from_any_setup() {
     let boxed = Setup { scene: SceneKind::Box, seed: 7, robots };
     let inputs = [
         (8, walk(0.4)),
-        (60, Input::Push { size: [0.1, 0.3], unit: PushUnit::Velocity }),
-        (100, Input::Pull(Some([5.0, -10.0]))),
-        (160, Input::Reset),
-        (200, Input::Pull(None)),
+        (60, Input::Act(Act::Push { size: [0.1, 0.3], unit: PushUnit::Velocity })),
+        (100, Input::Act(Act::Pull(Some([5.0, -10.0])))),
+        (160, Input::Act(Act::Reset)),
+        (200, Input::Act(Act::Pull(None))),
         (240, Input::Setup(boxed)),
         (244, walk(0.3)),
-        (300, Input::Push { size: [4.0, 0.0], unit: PushUnit::Momentum }),
+        (300, Input::Act(Act::Push { size: [4.0, 0.0], unit: PushUnit::Momentum })),
     ];
     let (world, mut writer) = drive(&inputs, 360);
     let folder = tempfile::tempdir().unwrap();
     for from in [None, Some(280), Some(120)] {
-        let path = folder.path().join("kept.jsonl");
-        writer.keep(&path, from, world.tick(), world.fingerprint()).unwrap();
+        let path = folder.path().join(format!("kept-{from:?}.jsonl"));
+        writer.part(from, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
         let session = SavedSession::load(&path).unwrap();
         // From 280 on, nothing from before the box matters.
         let count = if from == Some(280) { 3 } else { inputs.len() + 1 };
@@ -106,19 +106,19 @@ fn sessions_replay_to_the_last_bit_from_any_setup() {
 
 #[test]
 fn commanded_compliance_changes_one_robot_only() {
-    let comply = |compliance| Input::Comply { robot: 1, compliance: Some(compliance) };
+    let comply = |compliance| Input::Act(Act::Comply { robot: 1, compliance: Some(compliance) });
     let inputs = [
         (8, walk(0.5)),
-        (240, Input::Pull(Some([10.0, 0.0]))),
-        (1200, Input::Pull(None)),
+        (240, Input::Act(Act::Pull(Some([10.0, 0.0])))),
+        (1200, Input::Act(Act::Pull(None))),
         (1440, comply(0.04)),
-        (1680, Input::Pull(Some([10.0, 0.0]))),
-        (2640, Input::Pull(None)),
+        (1680, Input::Act(Act::Pull(Some([10.0, 0.0])))),
+        (2640, Input::Act(Act::Pull(None))),
     ];
     let (world, mut writer) = drive(&inputs, 2700);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.jsonl");
-    writer.keep(&path, None, world.tick(), world.fingerprint()).unwrap();
+    writer.part(None, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
     let mut playback = SavedSession::load(&path).unwrap().play().unwrap();
     let takes = takes(&mut playback).unwrap();
     assert_eq!(playback.is_as_it_was(), Some(true));
@@ -136,10 +136,10 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
     let mut shelf = AgentCache::default();
     let alone = |shelf: &mut AgentCache| vec![shelf.find("baseline", None).unwrap()];
     let alone = Setup { scene: SceneKind::Flat, seed: 0, robots: alone(&mut shelf) };
-    let push = Input::Push { size: [0.0, 0.3], unit: PushUnit::Velocity };
+    let push = Input::Act(Act::Push { size: [0.0, 0.3], unit: PushUnit::Velocity });
     // What is done to a robot at the very moment in which it goes, and a push within the time that another is looked at.
     let inputs = [
-        (240, Input::Comply { robot: 1, compliance: Some(0.03) }),
+        (240, Input::Act(Act::Comply { robot: 1, compliance: Some(0.03) })),
         (240, push.clone()),
         (240, Input::Setup(alone)),
         (480, push.clone()),
@@ -148,7 +148,7 @@ fn inputs_of_one_tick_are_measured_as_they_leave_the_world() {
     let (world, mut writer) = drive(&inputs, 960);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("kept.jsonl");
-    writer.keep(&path, None, world.tick(), world.fingerprint()).unwrap();
+    writer.part(None, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
     let takes = takes(&mut SavedSession::load(&path).unwrap().play().unwrap()).unwrap();
     let policies: Vec<_> = takes.iter().map(|take| take.seat.policy.as_str()).collect();
     assert_eq!(policies, ["compliant", "baseline", "baseline"]);
@@ -163,7 +163,8 @@ fn unsupported_compliance_is_refused_or_reset() {
     let robots = vec![shelf.find("baseline", None).unwrap(), standing[0].clone()];
     let told = Setup { scene: SceneKind::Flat, seed: 0, robots };
     let mut world = LiveSession::new(told, &mut shelf).unwrap();
-    let mut comply = |robot, compliance| world.apply(&Input::Comply { robot, compliance }, &mut shelf).is_ok();
+    let mut comply =
+        |robot, compliance| world.apply(&Input::Act(Act::Comply { robot, compliance }), &mut shelf).is_ok();
     for beyond in [-0.01, 0.0, 1e-6, 1.0, f64::NAN] {
         assert!(!comply(0, Some(beyond)), "{beyond}");
     }
@@ -183,7 +184,8 @@ fn unsupported_compliance_is_refused_or_reset() {
 
 #[test]
 fn the_smallest_change_of_an_input_is_another_end() {
-    let push = |left: f64| [(8, walk(0.4)), (40, Input::Push { size: [0.1, left], unit: PushUnit::Velocity })];
+    let push =
+        |left: f64| [(8, walk(0.4)), (40, Input::Act(Act::Push { size: [0.1, left], unit: PushUnit::Velocity }))];
     let end = |left: f64| drive(&push(left), 120).0.fingerprint();
     assert_eq!(end(0.3), end(0.3));
     assert_ne!(end(0.3), end(0.3 + f64::EPSILON));
@@ -205,7 +207,7 @@ fn fallen_robots_are_set_on_their_feet_and_counted() {
     let mut fell_s = None;
     while world.tick() < 240 * 6 {
         if world.tick() == 240 {
-            world.apply(&Input::Push { size: [0.5, 3.0], unit: PushUnit::Velocity }, &mut shelf).unwrap();
+            world.apply(&Input::Act(Act::Push { size: [0.5, 3.0], unit: PushUnit::Velocity }), &mut shelf).unwrap();
         }
         for played in world.step().unwrap() {
             let fall = played.events.iter().find(|event| event.kind == EventKind::Fall);
@@ -323,6 +325,8 @@ fn what_is_no_session_is_refused_line_by_line() {
     let path = folder.path().join("a.jsonl");
     let head = r#"{"session":{"format":1,"program":"","from_tick":0}}"#;
     let walk = r#"{"input":{"tick":4,"input":{"command":{"forward":1.0,"left":0.0,"yaw":0.0}}}}"#;
+    let set_up = r#"{"input":{"tick":4,"input":{"setup":{"scene":"flat","seed":0,"robots":[]}}}}"#;
+    let end = |tick: u64| format!(r#"{{"end":{{"tick":{tick},"state":""}}}}"#);
     for (text, expected) in [
         (String::new(), "does not begin with a set-up"),
         (format!("{walk}\n"), "line 1: it does not say that it is a session"),
@@ -338,9 +342,42 @@ fn what_is_no_session_is_refused_line_by_line() {
             format!("{head}\n{{\"policy\":{{\"name\":\"p\",\"sha256\":\"0\",\"file\":\"0\"}}}}\n"),
             "line 2: the policy's file is not",
         ),
+        (format!("{head}\n{set_up}\n{}\n", end(1 << 62)), "more than 30 days after its start at tick 4"),
+        (format!("{head}\n{}\n", set_up.replace(":4,", &format!(":{},", u64::MAX))), "more than 30 days"),
     ] {
         std::fs::write(&path, &text).unwrap();
         let error = SavedSession::load(&path).unwrap_err().to_string();
         assert!(error.contains(expected), "{text}: {error}");
     }
+}
+
+#[test]
+fn session_file_has_the_same_words_as_ever() {
+    let acts = [
+        (walk(0.5), r#"{"command":{"forward":0.5,"left":0.0,"yaw":0.0}}"#),
+        (
+            Input::Act(Act::Push { size: [0.0, 1.0], unit: PushUnit::Momentum }),
+            r#"{"push":{"size":[0.0,1.0],"unit":"N·s"}}"#,
+        ),
+        (Input::Act(Act::Pull(None)), r#"{"pull":null}"#),
+        (Input::Act(Act::Comply { robot: 1, compliance: None }), r#"{"comply":{"robot":1,"compliance":null}}"#),
+        (Input::Act(Act::Reset), r#""reset""#),
+        (Input::Renew { robot: 0, sha256: "a".into() }, r#"{"renew":{"robot":0,"sha256":"a"}}"#),
+    ];
+    for (input, text) in acts {
+        assert_eq!(serde_json::to_string(&input).unwrap(), text);
+        assert_eq!(serde_json::from_str::<Input>(text).unwrap(), input);
+    }
+}
+
+#[test]
+fn infinite_input_changes_nothing() {
+    let mut shelf = AgentCache::default();
+    let mut world = LiveSession::new(setup(&[UPRIGHT], SceneKind::Flat, &mut shelf), &mut shelf).unwrap();
+    let push = Input::Act(Act::Push { size: [f64::INFINITY, 0.0], unit: PushUnit::Velocity });
+    assert!(world.apply(&push, &mut shelf).unwrap_err().to_string().contains("not finite"));
+    world.step().unwrap();
+    let mut undisturbed = LiveSession::new(world.setup().clone(), &mut shelf).unwrap();
+    undisturbed.step().unwrap();
+    assert_eq!(world.fingerprint(), undisturbed.fingerprint());
 }

@@ -5,24 +5,31 @@ mod args;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use args::Args;
 use clap::{Parser, ValueEnum};
 use supple::policy::shipped;
 use supple::scenario::session::{AgentCache, SavedSession, SceneKind, Setup};
-use supple::util::terminal;
-use supple_drive::live::Live;
+use supple::util::{files, terminal};
+use supple_drive::live::{self, Live};
 use supple_drive::message::Message;
 use supple_drive::publisher::{Publisher, Updates};
 use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S};
-use supple_drive::server::Server;
+use supple_drive::server::{self, Server};
 use supple_drive::{replay, viewer_stream};
 
 /// Length of the message queue: enough for the seconds in which a scene is built.
 const QUEUE: usize = 512;
 
+/// Time within which two signals count as one.
+const SAME_SIGNAL: Duration = Duration::from_millis(200);
+
 fn main() -> ExitCode {
+    // Also in the process that reads robots: a page may name any file.
+    files::refuse_pipes();
     supple::robot::isolate_imports();
     supple::announce_revision!();
     let args = Args::parse();
@@ -36,9 +43,9 @@ fn main() -> ExitCode {
 fn drive(args: &Args) -> anyhow::Result<()> {
     let mut cache = AgentCache::default();
     let setup = setup(args, &mut cache)?;
-    let session = tempfile::tempfile().context("cannot create the session's file in the folder for temporary files")?;
     let (to_robots, messages) = sync_channel(QUEUE);
-    let live = Live::new(setup, cache, args.keep.clone(), session, to_robots.clone())?;
+    let is_shared = !args.bind.is_loopback();
+    let live = Live::new(setup, cache, args.keep.clone(), live::session_file()?, to_robots.clone(), is_shared)?;
     serve(args, live.updates(), to_robots, || live.run(&messages))
 }
 
@@ -56,30 +63,59 @@ fn serve(
     to_robots: SyncSender<Message>,
     play: impl FnOnce() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+    anyhow::ensure!(server::is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
+    // On a thread of our own: one that cannot be had is then no panic.
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let at = || format!("cannot listen on port {} of {}; choose another port with --port", args.port, args.bind);
     let server = runtime.block_on(Server::bind(args.bind, args.port)).with_context(at)?;
     let url = server.url();
     if let Some(viewer) = args.connect.clone() {
         let (updates, runtime, to_robots) = (updates.shown.subscribe(), runtime.handle().clone(), to_robots.clone());
-        std::thread::spawn(move || {
+        start("feeding a viewer", move || {
             if let Err(error) = viewer_stream::to_viewer(updates, &runtime, viewer) {
                 terminal::note(format_args!("warning: {error}"));
                 // The robots may have ended.
                 let _ = to_robots.send(Message::Notice(error.to_string()));
             }
-        });
+        })?;
     }
-    runtime.spawn(server.serve(to_robots.clone(), updates, hello(args)));
-    ctrlc::set_handler(move || drop(to_robots.send(Message::Stop))).context("cannot catch Ctrl-C")?;
+    let serving = server.serve(to_robots.clone(), updates, hello(args));
+    start("serving pages", move || runtime.block_on(serving))?;
+    stop_on_signals(to_robots)?;
 
     terminal::print(format_args!("{url}\n"))?;
     if !args.no_open && webbrowser::open(&url).is_err() {
         terminal::note("cannot open a browser: open the address above yourself; Ctrl-C ends");
     }
-    let played = play();
-    runtime.shutdown_background();
-    played
+    play()
+}
+
+fn start(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
+    let started = thread::Builder::new().name(name.to_owned()).spawn(work);
+    started.map(drop).with_context(|| format!("cannot start the thread for {name}"))
+}
+
+/// Handles signals: the first Ctrl-C (or SIGTERM, or SIGHUP) asks the robots to stop, the second one ends the program at
+/// once, for example while a disk does not answer. Programs that forward signals, such as timeout, send the same one twice:
+/// that counts once.
+fn stop_on_signals(to_robots: SyncSender<Message>) -> anyhow::Result<()> {
+    let mut first: Option<Instant> = None;
+    let handler = move || match first {
+        None => {
+            first = Some(Instant::now());
+            let to_robots = to_robots.clone();
+            // On another thread, because it waits while the queue is full.
+            if start("stopping", move || drop(to_robots.send(Message::Stop))).is_err() {
+                std::process::exit(130);
+            }
+        }
+        Some(first) if first.elapsed() < SAME_SIGNAL => {}
+        Some(_) => {
+            terminal::note("stopped at once");
+            std::process::exit(130);
+        }
+    };
+    ctrlc::set_handler(handler).context("cannot catch Ctrl-C")
 }
 
 /// Returns the first set-up: policies, robots, scene and seed.

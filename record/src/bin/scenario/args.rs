@@ -107,8 +107,11 @@ fn from_line(command: clap::Command, line: &[OsString]) -> Args {
     Args::from_arg_matches(&matches).unwrap_or_else(|error| error.format(&mut command.clone()).exit())
 }
 
+/// The name of a file and its parameters.
+type Parameters<'a> = (&'a str, Vec<(String, Option<String>)>);
+
 /// Builds the clap command with all defaults, overridden by the parameters of a file.
-fn command(file: Option<(&str, Vec<(String, Option<String>)>)>) -> anyhow::Result<clap::Command> {
+fn command(file: Option<Parameters<'_>>) -> anyhow::Result<clap::Command> {
     let mut command = Args::command();
     for (name, text) in DEFAULTS {
         command = with_defaults(command, name, flat_parameters(&Text::new(name, text))?)?;

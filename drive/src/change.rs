@@ -1,0 +1,242 @@
+/*! Changes of robots and scene, which are built while the present robots walk on.
+
+Files are read and scenes are built on a thread, one change after another. A change that takes too long, because a file or
+folder does not answer, is given up when another one waits.
+*/
+
+use std::collections::VecDeque;
+use std::sync::mpsc::SyncSender;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use supple::policy::AgentError;
+use supple::scenario::session::{AgentCache, AgentCacheError, LiveSession, SceneKind, Setup};
+use supple::util::terminal;
+
+use crate::message::{Built, Message, NewPolicy};
+use crate::watch_run;
+
+/// Time after which pages show that a change is still being built.
+const SLOW: Duration = Duration::from_secs(2);
+
+/// Time after which a change is given up for the next one.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// Largest number of changes that wait.
+const WAITING: usize = 16;
+
+/// Largest number of changes that were given up and have not ended.
+const GIVEN_UP: usize = 4;
+
+/// A change of robots or scene.
+#[derive(Debug)]
+pub enum Change {
+    /// Another seed; `None` takes the next one.
+    Seed(Option<u64>),
+    /// Another scene.
+    Scene(SceneKind),
+    /// Another policy and robot, as in [`Request::Robot`](crate::request::Request::Robot).
+    Robot {
+        /// Index of the robot.
+        index: usize,
+        /// Name, file or run folder of the policy.
+        policy: Option<String>,
+        /// Name or file of the robot.
+        robot: Option<String>,
+    },
+    /// A newer policy of a training run.
+    Policy(Box<NewPolicy>),
+    /// Another set-up.
+    Setup(Setup),
+}
+
+impl Change {
+    fn name(&self) -> String {
+        match self {
+            Change::Robot { policy: Some(policy), robot: Some(robot), .. } => format!("'{policy}' on '{robot}'"),
+            Change::Robot { policy: Some(policy), .. } => format!("'{policy}'"),
+            Change::Scene(scene) => format!("the scene '{}'", scene.name()),
+            _ => "the scene".to_owned(),
+        }
+    }
+
+    fn build(self, mut setup: Setup, mut cache: AgentCache) -> anyhow::Result<Built> {
+        match self {
+            Change::Seed(seed) => setup.seed = seed.unwrap_or(setup.seed.wrapping_add(1)),
+            Change::Scene(scene) => setup.scene = scene,
+            Change::Robot { index, policy: Some(policy), robot } => {
+                let seat = cache.find(&policy, robot.as_deref())?;
+                match setup.robots.get_mut(index) {
+                    Some(old) => *old = seat,
+                    None => setup.robots.push(seat),
+                }
+            }
+            Change::Robot { index, .. } if setup.robots.len() > 1 && index < setup.robots.len() => {
+                setup.robots.remove(index);
+            }
+            Change::Robot { .. } => anyhow::bail!("the last robot cannot be removed"),
+            Change::Setup(new) => setup = new,
+            Change::Policy(_) => {}
+        }
+        let world = LiveSession::new(setup, &mut cache)?;
+        cache.tidy(&world.setup().robots);
+        let files = world.setup().robots.iter().map(|seat| watch_run::file_of(&seat.policy)).collect();
+        Ok(Built { world, cache, files })
+    }
+}
+
+/// The change that is being built.
+#[derive(Debug)]
+struct Present {
+    number: u64,
+    name: String,
+    since: Instant,
+    is_announced: bool,
+    before: Setup,
+}
+
+/// Builds changes, one after another.
+#[derive(Debug)]
+pub struct Builder {
+    waiting: VecDeque<Change>,
+    present: Option<Present>,
+    number: u64,
+    given_up: usize,
+    to_robots: SyncSender<Message>,
+    /// True if people elsewhere may name files: only the terminal then shows what is wrong with one.
+    is_shared: bool,
+}
+
+impl Builder {
+    /// Creates a builder that sends what it has built.
+    pub fn new(to_robots: SyncSender<Message>, is_shared: bool) -> Self {
+        Builder { waiting: VecDeque::new(), present: None, number: 0, given_up: 0, to_robots, is_shared }
+    }
+
+    /// Adds a change.
+    ///
+    /// # Errors
+    /// Too many wait.
+    pub fn add(&mut self, change: Change) -> Result<(), String> {
+        if self.waiting.len() >= WAITING {
+            return Err(format!(
+                "{} is not loaded, because {WAITING} changes wait: try again in a moment",
+                change.name()
+            ));
+        }
+        self.waiting.push_back(change);
+        Ok(())
+    }
+
+    /// Returns true if nothing is being built and nothing waits.
+    #[cfg(test)]
+    pub(crate) fn is_idle(&self) -> bool {
+        self.present.is_none() && self.waiting.is_empty()
+    }
+
+    /// Makes the present change as old as one that is given up.
+    #[cfg(test)]
+    pub(crate) fn age(&mut self) {
+        if let Some(present) = &mut self.present {
+            present.since -= PATIENCE;
+        }
+    }
+
+    /// Returns what pages should know about a change that takes long, and gives it up if another one has waited long enough.
+    pub fn look(&mut self) -> Option<String> {
+        let present = self.present.as_mut()?;
+        let taken = present.since.elapsed();
+        if taken > PATIENCE && !self.waiting.is_empty() {
+            self.given_up += 1;
+            return self.present.take().map(|given_up| format!("{} does not answer: given up", given_up.name));
+        }
+        let is_news = taken > SLOW && !std::mem::replace(&mut present.is_announced, taken > SLOW);
+        is_news.then(|| format!("{} is still being loaded", present.name))
+    }
+
+    /// Returns the change to be started; `None` while another one is being built.
+    pub fn take_due(&mut self) -> Option<Change> {
+        if self.present.is_some() { None } else { self.waiting.pop_front() }
+    }
+
+    /// Starts to build a change of a set-up.
+    ///
+    /// # Errors
+    /// No thread can be had, or too many changes do not end.
+    pub fn start(&mut self, change: Change, before: &Setup, cache: &AgentCache) -> Result<(), String> {
+        let name = change.name();
+        if self.given_up >= GIVEN_UP {
+            return Err(format!(
+                "{name} is not loaded, because {GIVEN_UP} files or folders do not answer; start again"
+            ));
+        }
+        self.number += 1;
+        let (number, to_robots, is_shared) = (self.number, self.to_robots.clone(), self.is_shared);
+        let (setup, cache, what) = (before.clone(), cache.clone(), name.clone());
+        let work = move || {
+            let result = change.build(setup, cache).map(Box::new).map_err(|error| {
+                let text = format!("{error:#}");
+                let is_harmless =
+                    matches!(error.downcast_ref(), Some(AgentCacheError::Agent(AgentError::Unknown { .. })));
+                if !is_shared || is_harmless {
+                    return text;
+                }
+                // It may quote any file of this machine.
+                terminal::note(&text);
+                format!("{what} cannot be loaded: the terminal says why")
+            });
+            // The receiver is gone if the program is ending.
+            let _ = to_robots.send(Message::Built { number, result });
+        };
+        let started = thread::Builder::new().name("loading".to_owned()).spawn(work);
+        started.map_err(|error| format!("{name} cannot be loaded without a thread: {error}"))?;
+        let (since, before) = (Instant::now(), before.clone());
+        self.present = Some(Present { number, name, since, is_announced: false, before });
+        Ok(())
+    }
+
+    /// Takes what was built and the set-up before it, or the reason why it was not; `None` if it had been given up.
+    pub fn finish(
+        &mut self,
+        number: u64,
+        result: Result<Box<Built>, String>,
+    ) -> Option<Result<(Box<Built>, Setup), String>> {
+        match self.present.take_if(|present| present.number == number) {
+            Some(present) => Some(result.map(|built| (built, present.before))),
+            None => {
+                self.given_up = self.given_up.saturating_sub(1);
+                None
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use super::*;
+
+    #[test]
+    fn pages_elsewhere_never_see_what_a_file_holds() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("private.yaml");
+        std::fs::write(&path, "password_of_the_lab: 1234\n").unwrap();
+        let mut cache = AgentCache::default();
+        let robots = vec![cache.find("compliant", None).unwrap()];
+        let setup = Setup { scene: SceneKind::Flat, seed: 0, robots };
+        let told = |policy: &str, is_shared| {
+            let (to_robots, messages) = sync_channel(1);
+            let change = Change::Robot { index: 0, policy: Some(policy.to_owned()), robot: None };
+            Builder::new(to_robots, is_shared).start(change, &setup, &cache).unwrap();
+            match messages.recv().unwrap() {
+                Message::Built { result: Err(text), .. } => text,
+                message => panic!("{message:?}"),
+            }
+        };
+        let path = path.to_str().unwrap();
+        assert!(told(path, false).contains("password_of_the_lab"), "{}", told(path, false));
+        assert_eq!(told(path, true), format!("'{path}' cannot be loaded: the terminal says why"));
+        assert!(told("missing", true).contains("there is no policy 'missing'"));
+    }
+}
