@@ -228,8 +228,7 @@ fn pulled_s(trial: &Trial) -> Option<[f64; 2]> {
 fn forces(trial: &Trial, [from_s, until_s]: [f64; 2]) -> (Vec<FeltForces>, Option<f64>) {
     let fall_s = trial.trace.fall().map_or(f64::INFINITY, |fall| fall.time_s - BEFORE_FALL_S);
     let felt = |frame: &Frame| frame.felt;
-    let all: Vec<FeltForces> =
-        metrics::window(trial.trace, from_s, until_s.min(fall_s)).filter_map(felt).collect();
+    let all: Vec<FeltForces> = metrics::window(trial.trace, from_s, until_s.min(fall_s)).filter_map(felt).collect();
     let doubted = mean(all.iter().map(|felt| f64::from(u8::from(felt.doubt.is_some()))));
     let trusted: Vec<FeltForces> = all.into_iter().filter(|felt| felt.doubt.is_none()).collect();
     let is_long = trusted.len() as f64 * trial.trace.period_s >= LEAST_S;
@@ -354,9 +353,11 @@ impl Experiment for Felt {
             section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
         }
         let names = results.names.iter().map(String::as_str);
-        if let (true, Some(found)) = (names.eq(sensing::NAMES), results.compare_over(&steady, RMSE.name).sets[0].spread) {
+        if let (true, Some(found)) = (names.eq(sensing::NAMES), results.compare_over(&steady, RMSE.name).sets[0].spread)
+        {
             let (rmse, bound) = (number(found.mean, RMSE), RMSE_BOUNDS_N[1]);
-            section.notes([format!("on sensors, robots feel a steady pull with an RMSE of {rmse} N; aim: < {bound} N.")]);
+            section
+                .notes([format!("on sensors, robots feel a steady pull with an RMSE of {rmse} N; aim: < {bound} N.")]);
         }
         let rows = located.iter().flat_map(|(role, group)| {
             let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };
@@ -375,8 +376,7 @@ impl Experiment for Felt {
                     _ => false,
                 };
                 let felt = |condition| Spread::from_values(&results.per_seed(set, condition, "felt_n"));
-                let means: Vec<f64> =
-                    steady.iter().filter(is_it).filter_map(|it| Some(felt(*it)?.mean)).collect();
+                let means: Vec<f64> = steady.iter().filter(is_it).filter_map(|it| Some(felt(*it)?.mean)).collect();
                 let least = means.iter().copied().reduce(f64::min)?;
                 let largest = means.iter().copied().reduce(f64::max)?;
                 Some([*force, mean(means.into_iter())?, least, largest])
@@ -393,7 +393,8 @@ impl Experiment for Felt {
         );
         let directions = self.directions as usize;
         let [standing, walking]: [Vec<usize>; 2] = [true, false].map(|stands| {
-            let is_it = |condition: &usize| (results.conditions[*condition].scenario.task().forward_m_s == 0.0) == stands;
+            let is_it =
+                |condition: &usize| (results.conditions[*condition].scenario.task().forward_m_s == 0.0) == stands;
             steady.iter().copied().filter(is_it).collect()
         });
         let by_direction = [(gait(0.0), standing), (gait(1.0), walking)].map(|(title, pulls)| {
@@ -448,7 +449,8 @@ mod tests {
     fn true_contacts_are_no_error_where_nothing_pulls() {
         let forces: Vec<FeltForces> =
             (0..101).map(|k| felt([5.0 + f64::from(k % 2), -3.0, 1.0], [5.0, 0.0, 0.0])).collect();
-        let [mean, sd, quantile, forward, left, up, sd_forward, sd_left, _] = while_not_pulled(&forces).map(Option::unwrap);
+        let [mean, sd, quantile, forward, left, up, sd_forward, sd_left, _] =
+            while_not_pulled(&forces).map(Option::unwrap);
         assert_eq!((mean, left, up, sd_left), (3.0, -3.0, 1.0, 0.0));
         assert!((forward - 0.5).abs() < 0.01 && (sd - 0.5).abs() < 0.01 && sd == sd_forward);
         assert!((quantile - 10.0_f64.sqrt()).abs() < 1e-12);
