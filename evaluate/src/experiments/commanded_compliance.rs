@@ -248,30 +248,24 @@ impl Experiment for CommandedCompliance {
         let results = section.results;
         let (mut rows, mut panels) = (Vec::new(), Vec::new());
         for (command, speed) in self.commands_m_s.iter().enumerate() {
-            for (over, words) in [(Over::All, ""), (Over::Axis(0), ", forward"), (Over::Axis(1), ", left")] {
-                let condition = format!("{}{words}", gait(*speed));
+            for (over, axis) in [(Over::All, ""), (Over::Axis(0), " forward"), (Over::Axis(1), " left")] {
                 let lines = section.by_set(|set| self.lines(results, set, command, over));
                 for (k, quantity) in LINE.into_iter().enumerate() {
                     let numbers = |set: usize| results.numbers(set, lines[set][k].clone());
                     let comparison = Comparison::new(section.by_set(numbers));
-                    let row =
-                        |comparison| Row { condition: condition.clone(), quantity, paper: String::new(), comparison };
-                    rows.push(row(comparison.clone()));
-                    let [all, axis] = SLOPE_BOUNDS;
-                    let (bound, text) = match (quantity, over) {
-                        (SLOPE_ERROR, Over::All) => {
-                            (all, format!("the slope of measured over commanded compliance is within {all} of 1"))
-                        }
-                        (SLOPE_ERROR, Over::Axis(_)) => {
-                            (axis, format!("the slope of measured over commanded compliance is within {axis} of 1"))
-                        }
-                        (UNEXPLAINED, Over::All) => {
-                            (UNEXPLAINED_BOUND, format!("the line leaves less than {UNEXPLAINED_BOUND} unexplained"))
-                        }
+                    let condition = gait(*speed).to_owned() + &axis.replace(' ', ", ");
+                    rows.push(Row { condition, quantity, paper: String::new(), comparison: comparison.clone() });
+                    let slope = "the slope of measured over commanded compliance is within";
+                    let (bound, words) = match (quantity, over) {
+                        (SLOPE_ERROR, Over::All) => (SLOPE_BOUNDS[0], format!("{slope} {} of 1", SLOPE_BOUNDS[0])),
+                        (SLOPE_ERROR, Over::Axis(_)) => (SLOPE_BOUNDS[1], format!("{slope} {} of 1", SLOPE_BOUNDS[1])),
+                        (UNEXPLAINED, Over::All) => (UNEXPLAINED_BOUND, "R² is at least 0.98".to_owned()),
                         _ => continue,
                     };
-                    let text =
-                        format!("With a commanded compliance while {condition}, both sets yield as commanded: {text}");
+                    let gait = gait(*speed);
+                    let text = format!(
+                        "With a commanded compliance while {gait}, both sets yield{axis} as commanded: {words}"
+                    );
                     let verdict = Verdict::from_bound(bound, &comparison);
                     let paper = format!("none; ours: < {bound}");
                     section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });

@@ -13,14 +13,14 @@ use supple::scenario::trace::{Felt as FeltForces, Frame};
 /// The error of the felt force while something pulls.
 const RMSE: Quantity = Quantity::new("rmse_n", "felt against true force, RMSE", "N", 2);
 
-/// The larger of the mean forces felt forward and left without a pull.
-const MEAN: Quantity = Quantity::new("mean_n", "mean, larger of forward and left", "N", 2);
+/// The larger of the mean forces forward and left that are felt without a pull.
+const MEAN: Quantity = Quantity::new("mean_n", "mean", "N", 2);
 
 /// The larger of the standard deviations forward and left without a pull.
-const SD: Quantity = Quantity::new("sd_n", "standard deviation, larger of forward and left", "N", 2);
+const SD: Quantity = Quantity::new("sd_n", "standard deviation", "N", 2);
 
-/// The force that is felt without a pull for 5 % of the time.
-const Q95: Quantity = Quantity::new("q95_n", "95 % quantile of the horizontal force", "N", 2);
+/// The horizontal force that is exceeded for 5 % of the time without a pull.
+const Q95: Quantity = Quantity::new("q95_n", "95 % quantile", "N", 2);
 
 /// The fraction of the frames in which the observer says not to trust it.
 const IN_DOUBT: Quantity = Quantity::new("in_doubt", "frames in doubt", "%", 1);
@@ -42,7 +42,7 @@ const QUANTITIES: &[Quantity] = &[
     FELL,
 ];
 
-/// The number of the quantities that only pulled robots have; as many as twice that, and one more, follow of the others.
+/// The number of quantities of pulled robots; those of robots without a pull follow.
 const OF_PULLS: usize = 3;
 
 /// The bounds on the error while pulled, for robots that act on the true state and on their sensors \[N\].
@@ -105,8 +105,8 @@ enum Role {
     Pulled,
     /// Walks on the flat without a pull.
     Calm,
-    /// Slopes without a pull.
-    Slope,
+    /// Slopes and other masses without a pull.
+    Other,
     /// Obstacles under the feet without a pull.
     Rough,
 }
@@ -189,7 +189,7 @@ impl Felt {
             let label = format!("{:+.0} %", 100.0 * incline).replace('-', "−");
             (label, Scenario::Terrain(Terrain { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() }))
         };
-        groups.push(Group::new("slopes", Role::Slope, self.inclines.iter().map(slope)));
+        groups.push(Group::new("slopes", Role::Other, self.inclines.iter().map(slope)));
         let one = |scenario: Scenario| [(String::new(), scenario)];
         groups.push(Group::new("ball pit", Role::Rough, one(Scenario::BallPit(defaults::<BallPit>("ball-pit")?))));
         groups.push(Group::new("rubble", Role::Rough, one(Scenario::Rubble(defaults::<Rubble>("rubble")?))));
@@ -204,7 +204,7 @@ impl Felt {
             });
             groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, pulls));
             let walks = gaits.map(|forward| (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], *mass)));
-            groups.push(Group::new(format!("{name}, undisturbed"), Role::Slope, walks));
+            groups.push(Group::new(format!("{name}, undisturbed"), Role::Other, walks));
         }
         Ok(groups)
     }
@@ -365,7 +365,11 @@ impl Experiment for Felt {
             quantities.map(|quantity| section.row(group, *quantity)).collect::<Vec<_>>()
         });
         let rows = rows.collect();
-        section.table_with_rows("Felt against true force on the trunk, by what happens.", rows);
+        section.table_with_rows(
+            "Felt against true force on the trunk. Without a pull, mean and standard deviation are the larger of forward \
+             and left, and the quantile is of the horizontal force.",
+            rows,
+        );
         section.table_in_file("all", "Felt and true force on the trunk, by condition.");
 
         let mut panels = Vec::new();
