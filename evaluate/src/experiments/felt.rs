@@ -335,29 +335,27 @@ impl Experiment for Felt {
         let is_pulled = |role: Role| matches!(role, Role::Steady | Role::Pulled);
         let [steady, calm, rough] = [Role::Steady, Role::Calm, Role::Rough].map(|role| over(&[role]));
         let [mean_n, sd_n] = CALM_BOUNDS_N;
-        for (text, quantity, bound, over) in [
-            ("Pulled steadily, robots of both sets feel the force with an RMSE below", RMSE, RMSE_BOUNDS_N[0], &steady),
-            ("Undisturbed on the flat, robots of both sets feel a mean force below", MEAN, mean_n, &calm),
-            ("Undisturbed on the flat, what robots of both sets feel has a standard deviation below", SD, sd_n, &calm),
+        let is_on_sensors = results.names.iter().map(String::as_str).eq(sensing::NAMES);
+        for (place, text, quantity, [bound, on_sensors], over) in [
+            ("Pulled steadily", "robots of both sets feel the force with an RMSE", RMSE, RMSE_BOUNDS_N, &steady),
+            ("Undisturbed on the flat", "robots of both sets feel a mean force", MEAN, [mean_n; 2], &calm),
+            ("Undisturbed on the flat", "the felt force of both sets has a standard deviation", SD, [sd_n; 2], &calm),
             (
-                "On balls, rubble and uneven ground, robots of both sets feel a force on the trunk, beyond the true one, \
-                 which for 95 % of the time is below",
+                "On balls, rubble and uneven ground",
+                "what robots of both sets feel beyond the true force is for 95 % of the time",
                 Q95,
-                ROUGH_BOUND_N,
+                [ROUGH_BOUND_N; 2],
                 &rough,
             ),
         ] {
             let comparison = results.compare_over(over, quantity.name);
+            if let (true, Some(found)) = (is_on_sensors, comparison.sets[0].spread) {
+                let (label, found) = (quantity.label, number(found.mean, quantity));
+                section.notes([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
+            }
             let verdict = Verdict::from_bound(bound, &comparison);
-            let (text, paper) = (format!("{text} {bound} N"), format!("none; ours: < {bound} N"));
+            let (text, paper) = (format!("{place}, {text} below {bound} N"), format!("none; ours: < {bound} N"));
             section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
-        }
-        let names = results.names.iter().map(String::as_str);
-        if let (true, Some(found)) = (names.eq(sensing::NAMES), results.compare_over(&steady, RMSE.name).sets[0].spread)
-        {
-            let (rmse, bound) = (number(found.mean, RMSE), RMSE_BOUNDS_N[1]);
-            section
-                .notes([format!("on sensors, robots feel a steady pull with an RMSE of {rmse} N; aim: < {bound} N.")]);
         }
         let rows = located.iter().flat_map(|(role, group)| {
             let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };
