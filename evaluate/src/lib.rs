@@ -36,7 +36,7 @@ use trial::Trial;
 /// The name, title, measured quantities and number of trials of an experiment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ExperimentInfo {
-    /// The number in the report: `E0` to `E14c`.
+    /// The number in the report: `E0` to `E15`.
     pub id: &'static str,
     /// A number that no other experiment has; it makes the seeds of the trials differ from those of other experiments.
     pub number: u32,
@@ -130,6 +130,11 @@ pub trait Experiment: erased_serde::Serialize + Sync {
     /// A parameter is outside its range; the error names its key.
     fn check(&self) -> Result<(), ParameterError> {
         Ok(())
+    }
+
+    /// Returns true if the frames of a trial are to hold the felt forces.
+    fn observes_forces(&self) -> bool {
+        false
     }
 
     /// Returns the time at which a trial may end, because nothing later is measured \[s\].

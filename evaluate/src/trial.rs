@@ -167,8 +167,9 @@ pub fn play(
     // End the playback at the last measured instant or at the fall.
     script.duration_s = experiment.until_s(&script);
     script.after_fall_s = 0.0;
-    let rollout = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
-    let trace = rollout.trace();
+    let playback = Playback::new(&script, &agent.config, agent.controller())?.with_sensing(sensing, seed)?;
+    let playback = if experiment.observes_forces() { playback.with_felt_forces()? } else { playback };
+    let trace = playback.trace();
     let trial = Trial::new(&scenario, &script, &trace);
     let TrialValues { values, series } = experiment.measure(&trial);
     Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })

@@ -464,6 +464,32 @@ impl Model {
         }
     }
 
+    /// Adds mass to a body \[kg\], spread as its own is: its inertia grows in proportion, and its centre of mass stays.
+    ///
+    /// # Errors
+    /// Less mass than nothing would remain.
+    ///
+    /// # Panics
+    /// There is no body of this id.
+    pub fn add_mass(&mut self, body: usize, mass_kg: f64) -> Result<()> {
+        let own_kg = self.body_mass()[body];
+        let factor = 1.0 + mass_kg / own_kg;
+        if !(factor > 0.0 && factor.is_finite()) {
+            let what = format!("mass to add to {}, of {own_kg:.2} kg", self.name(Kind::Body, body));
+            return Err(Error::Input { what, found: format!("{mass_kg} kg") });
+        }
+        let parent = |body: usize| self.slice(self.raw().body_parentid, self.raw().nbody)[body] as usize;
+        let carriers: Vec<usize> = std::iter::successors(Some(body), |it| (*it > 0).then(|| parent(*it))).collect();
+        let raw = self.raw_mut();
+        // SAFETY: the arrays hold one mass, one subtree's mass and three moments of inertia for each body.
+        unsafe {
+            *raw.body_mass.add(body) *= factor;
+            (0..3).for_each(|axis| *raw.body_inertia.add(3 * body + axis) *= factor);
+            carriers.into_iter().for_each(|carrier| *raw.body_subtreemass.add(carrier) += mass_kg);
+        }
+        Ok(())
+    }
+
     /// Sets the maximum length of a limited tendon \[m\].
     ///
     /// # Panics

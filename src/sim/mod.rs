@@ -148,6 +148,9 @@ impl Sim {
             // Where friction differs by place, each foot carries that of its own place.
             parts.feet().into_iter().for_each(|foot| model.set_priority(foot, FOOT_PRIORITY));
         }
+        if scene.extra_mass_kg != 0.0 {
+            model.add_mass(parts.trunk(), scene.extra_mass_kg)?;
+        }
         let Losses { friction_n_m, damping_n_m_s_per_rad } = scene.robot.losses;
         for joint in parts.joints() {
             model.set_losses(joint, friction_n_m, damping_n_m_s_per_rad);

@@ -44,6 +44,8 @@ pub struct Buffers {
 pub struct Scene {
     /// The robot in the scene.
     pub robot: Arc<Robot>,
+    /// Mass that the trunk has beyond the robot's description, which neither policy nor observers know \[kg\].
+    pub extra_mass_kg: f64,
     /// The ground that the robot walks on.
     pub ground: Ground,
     /// Duration of a physics step \[s\].
@@ -69,6 +71,7 @@ impl Scene {
     pub fn flat(robot: Arc<Robot>, timestep_s: f64) -> Self {
         Scene {
             robot,
+            extra_mass_kg: 0.0,
             ground: Ground::Flat,
             timestep_s,
             obstacles: String::new(),

@@ -1,9 +1,10 @@
-//! The experiments E0 to E14, one file each: its conditions, its quantities, and its section of the report.
+//! The experiments E0 to E15, one file each: its conditions, its quantities, and its section of the report.
 
 pub mod ball_pit;
 pub mod commanded_compliance;
 pub mod decay;
 pub mod directions;
+pub mod felt;
 pub mod free_box;
 pub mod lead;
 pub mod leash;
@@ -62,6 +63,7 @@ pub struct Protocol {
     pub pull: pull::Pull,
     pub wall: wall::Wall,
     pub lead: lead::Lead,
+    pub felt: felt::Felt,
 }
 
 impl Protocol {
@@ -85,6 +87,7 @@ impl Protocol {
             &self.pull,
             &self.wall,
             &self.lead,
+            &self.felt,
         ]
     }
 }

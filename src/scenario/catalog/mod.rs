@@ -261,6 +261,15 @@ pub struct Task {
     #[arg(long)]
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub compliance: Option<f64>,
+    /// Mass added to the trunk, which the robot does not know of; negative: taken away (kg)
+    #[arg(long)]
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub extra_mass_kg: f64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Behaviour of a scenario's parameters; the defaults are an undisturbed walk on a plane.
@@ -306,9 +315,13 @@ impl Scenario {
         in_range("yaw-rad-s", task.yaw_rad_s, -10.0, 10.0, "-10 to 10 rad/s")?;
         in_range("duration-s", task.duration_s, 0.1, 3600.0, "0.1 to 3600 s")?;
         in_range("encoder-bias-sd-rad", task.encoder_bias_sd_rad, 0.0, 1.0, "0 to 1 rad")?;
+        in_range("extra-mass-kg", task.extra_mass_kg, -2.0, 10.0, "-2 to 10 kg")?;
         let mut rng = stream(seed, Purpose::Offsets, 0, 0);
         let mut script = Script {
-            scene: Scene::flat(config.robot.load()?, config.simulation.timestep_s()),
+            scene: Scene {
+                extra_mass_kg: task.extra_mass_kg,
+                ..Scene::flat(config.robot.load()?, config.simulation.timestep_s())
+            },
             conditions: Conditions {
                 gravity: [0.0, 0.0, -GRAVITY_M_S2],
                 friction: config.randomisation.default_friction,

@@ -306,6 +306,7 @@ impl<'a> Playback<'a> {
         self.state.felt_force = felt.doubt.is_none().then_some([felt.force.x, felt.force.y]);
         let mut truth = meter.trunk_force / f64::from(meter.substeps.max(1));
         truth += std::mem::take(&mut self.push_impulse) / self.sim.policy_period_s();
+        let rope = rope.filter(|_| self.script.rig.as_ref().is_some_and(|rig| rig.from.is_some()));
         if let Some((rope, [from, to])) = rope.and_then(|rope| Some((rope, rope.points.first_chunk::<2>()?))) {
             let along = Vector3::from(to.map(f64::from)) - Vector3::from(from.map(f64::from));
             truth += rope.force_n * along.try_normalize(1e-9).unwrap_or_default();

@@ -1,0 +1,460 @@
+//! E15: the force that the robot feels on its trunk, against the true one (src/estimate/external_force.rs).
+
+use super::prelude::*;
+use crate::plot::curves::{self, Curve};
+use crate::plot::polar::{self, Polar, Scales, evenly};
+use crate::section_content::{Claim, number};
+use crate::sensing;
+use crate::statistics::{Spread, Verdict, mean};
+use supple::scenario::Script;
+use supple::scenario::catalog::{BallPit, Leash, Pendulum, Pulley, PushAway, Rubble, Terrain, TerrainKind, Walk};
+use supple::scenario::trace::{Felt as FeltForces, Frame};
+
+/// The error of the felt force while something pulls.
+const RMSE: Quantity = Quantity::new("rmse_n", "felt against true force, RMSE", "N", 2);
+
+/// The larger of the mean forces forward and left that are felt without a pull.
+const MEAN: Quantity = Quantity::new("mean_n", "mean", "N", 2);
+
+/// The larger of the standard deviations forward and left without a pull.
+const SD: Quantity = Quantity::new("sd_n", "standard deviation", "N", 2);
+
+/// The horizontal force that is exceeded for 5 % of the time without a pull.
+const Q95: Quantity = Quantity::new("q95_n", "95 % quantile", "N", 2);
+
+/// The fraction of the frames in which the observer says not to trust it.
+const IN_DOUBT: Quantity = Quantity::new("in_doubt", "frames in doubt", "%", 1);
+
+const QUANTITIES: &[Quantity] = &[
+    RMSE,
+    Quantity::new("felt_n", "felt along the true force", "N", 1),
+    Quantity::new("gain", "felt over true force", "", 2),
+    MEAN,
+    SD,
+    Q95,
+    Quantity::new("mean_forward_n", "mean, forward", "N", 2),
+    Quantity::new("mean_left_n", "mean, left", "N", 2),
+    Quantity::new("mean_up_n", "mean, up", "N", 2),
+    Quantity::new("sd_forward_n", "standard deviation, forward", "N", 2),
+    Quantity::new("sd_left_n", "standard deviation, left", "N", 2),
+    Quantity::new("sd_up_n", "standard deviation, up", "N", 2),
+    IN_DOUBT,
+    FELL,
+];
+
+/// The number of quantities of pulled robots; those of robots without a pull follow.
+const OF_PULLS: usize = 3;
+
+/// The bounds on the error while pulled, for robots that act on the true state and on their sensors \[N\].
+const RMSE_BOUNDS_N: [f64; 2] = [1.5, 3.0];
+
+/// The bounds on mean and standard deviation of the force that is felt without a pull, on the flat \[N\].
+const CALM_BOUNDS_N: [f64; 2] = [0.5, 1.0];
+
+/// The bound on the 95 % quantile on balls, blocks and uneven ground \[N\].
+const ROUGH_BOUND_N: f64 = 5.0;
+
+/// The time after which a pull is steady: five time constants of the felt force \[s\].
+const STEADY_S: f64 = 0.5;
+
+/// The time over which a blow is felt \[s\].
+const BLOW_S: f64 = 1.0;
+
+/// The time before a fall that does not count: a falling robot may touch the ground with anything \[s\].
+const BEFORE_FALL_S: f64 = 0.5;
+
+/// The least time over which a force is measured \[s\].
+const LEAST_S: f64 = 0.25;
+
+/// The experiment's section of the protocol.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Felt {
+    /// The forward commands of the pulled robots \[m/s\]; 0 is standing.
+    pub commands_m_s: Vec<f64>,
+    /// The pulling forces \[N\].
+    pub forces_n: Vec<f64>,
+    /// The number of directions, which divide the circle evenly.
+    pub directions: u32,
+    /// The earliest start of the pull \[s\]; each trial delays it by up to 0.65 s.
+    pub at_s: f64,
+    /// The length of the pull \[s\].
+    pub for_s: f64,
+    /// The directions of pushes, and of pulls by a weight: 0 ahead, 90 left \[deg\].
+    pub sides_deg: Vec<f64>,
+    /// The release heights of the pendulum \[m\].
+    pub heights_m: Vec<f64>,
+    /// The commands of the undisturbed walks: forward \[m/s\], left \[m/s\], yaw rate \[rad/s\].
+    pub walks: Vec<[f64; 3]>,
+    /// The inclines of the slopes, rise over run.
+    pub inclines: Vec<f64>,
+    /// The height of the uneven ground, peak to peak \[m\].
+    pub terrain_m: f64,
+    /// The masses on the trunk that the robot does not know of \[kg\].
+    pub extra_masses_kg: Vec<f64>,
+    /// The number of trials of each policy in each condition.
+    pub trials: u32,
+}
+
+/// The part of a group's conditions in the claims.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    /// Steady pulls.
+    Steady,
+    /// Other pulls and blows.
+    Pulled,
+    /// Walks on the flat without a pull.
+    Calm,
+    /// Slopes and other masses without a pull.
+    Other,
+    /// Obstacles under the feet without a pull.
+    Rough,
+}
+
+/// Conditions that are averaged, with their name.
+struct Group {
+    name: String,
+    role: Role,
+    conditions: Vec<Condition>,
+}
+
+impl Group {
+    /// Creates a group from the labels within it, and scenarios.
+    fn new(name: impl Into<String>, role: Role, scenarios: impl IntoIterator<Item = (String, Scenario)>) -> Self {
+        let name = name.into();
+        let condition = |(label, scenario): (String, Scenario)| {
+            let label = if label.is_empty() { name.clone() } else { format!("{name}, {label}") };
+            Condition { label, scenario }
+        };
+        let conditions = scenarios.into_iter().map(condition).collect();
+        Group { name, role, conditions }
+    }
+}
+
+/// Returns a forward command in words.
+fn speed(command_m_s: f64) -> String {
+    if command_m_s == 0.0 { gait(command_m_s).to_owned() } else { format!("{command_m_s} m/s") }
+}
+
+impl Felt {
+    /// Returns the conditions by group, in their order.
+    fn groups(&self) -> Result<Vec<Group>, ConfigError> {
+        let leash: Leash = defaults("leash")?;
+        let pull = |forward_m_s: f64, force_n: f64, direction_deg: f64, extra_mass_kg: f64| {
+            let duration_s = self.at_s + self.for_s;
+            let task = Task { forward_m_s, duration_s, extra_mass_kg, ..leash.task.clone() };
+            Scenario::Leash(Leash { task, force_n, direction_deg, at_s: self.at_s, for_s: self.for_s })
+        };
+        let walk: Walk = defaults("walk")?;
+        let undisturbed = |[forward_m_s, left_m_s, yaw_rad_s]: [f64; 3], extra_mass_kg: f64| {
+            Scenario::Walk(Walk { task: Task { forward_m_s, left_m_s, yaw_rad_s, extra_mass_kg, ..walk.task.clone() } })
+        };
+        let (push, pulley, pendulum): (PushAway, Pulley, Pendulum) =
+            (defaults("push")?, defaults("pulley")?, defaults("pendulum")?);
+        let gaits = [0.0, 0.5];
+        let by_side = |scenario: &dyn Fn(f64, f64) -> Scenario| {
+            let each = gaits.iter().flat_map(|command| self.sides_deg.iter().map(move |side| (*command, *side)));
+            each.map(|(command, side)| (format!("{}, {side:.0}°", gait(command)), scenario(command, side)))
+                .collect::<Vec<_>>()
+        };
+        let mut groups = Vec::new();
+        for command in &self.commands_m_s {
+            let each = self.forces_n.iter().flat_map(|force| evenly(self.directions).map(move |side| (*force, side)));
+            let pulls = each.map(|(force, side)| (format!("{force} N, {side:.0}°"), pull(*command, force, side, 0.0)));
+            groups.push(Group::new(format!("pulled, {}", speed(*command)), Role::Steady, pulls));
+        }
+        let pushed = |forward_m_s: f64, direction_deg: f64| {
+            // The seed delays a push by up to 0.65 s.
+            let duration_s = self.at_s + metrics::PHASE_S + BLOW_S + 0.1;
+            let task = Task { forward_m_s, duration_s, ..push.task.clone() };
+            Scenario::Push(PushAway { task, direction_deg, at_s: self.at_s, ..push.clone() })
+        };
+        groups.push(Group::new("pushed", Role::Pulled, by_side(&pushed)));
+        let by_weight = |forward_m_s: f64, direction_deg: f64| {
+            let task = Task { forward_m_s, duration_s: pulley.at_s + pulley.for_s, ..pulley.task.clone() };
+            Scenario::Pulley(Pulley { task, direction_deg, ..pulley.clone() })
+        };
+        groups.push(Group::new("pulled by a weight", Role::Pulled, by_side(&by_weight)));
+        let heights = gaits.iter().flat_map(|command| self.heights_m.iter().map(move |height| (*command, *height)));
+        let blows = heights.map(|(forward_m_s, release_height_m)| {
+            let task = Task { forward_m_s, duration_s: pendulum.at_s + 3.0, ..pendulum.task.clone() };
+            let label = format!("{}, {:.0} cm", gait(forward_m_s), 100.0 * release_height_m);
+            (label, Scenario::Pendulum(Pendulum { task, release_height_m, ..pendulum.clone() }))
+        });
+        groups.push(Group::new("hit by a ball", Role::Pulled, blows));
+        let walks = self.walks.iter().map(|command| (super::walk::label(*command), undisturbed(*command, 0.0)));
+        groups.push(Group::new("undisturbed", Role::Calm, walks));
+        let terrain: Terrain = defaults("terrain")?;
+        let slope = |incline: &f64| {
+            let label = format!("{:+.0} %", 100.0 * incline).replace('-', "−");
+            (label, Scenario::Terrain(Terrain { kind: TerrainKind::Slope, incline: *incline, ..terrain.clone() }))
+        };
+        groups.push(Group::new("slopes", Role::Other, self.inclines.iter().map(slope)));
+        let one = |scenario: Scenario| [(String::new(), scenario)];
+        groups.push(Group::new("ball pit", Role::Rough, one(Scenario::BallPit(defaults::<BallPit>("ball-pit")?))));
+        groups.push(Group::new("rubble", Role::Rough, one(Scenario::Rubble(defaults::<Rubble>("rubble")?))));
+        let uneven = Terrain { height_m: self.terrain_m, frequency_per_m: 2.0, ..terrain.clone() };
+        let name = format!("ground of {:.0} cm", 100.0 * self.terrain_m);
+        groups.push(Group::new(name, Role::Rough, one(Scenario::Terrain(uneven))));
+        for mass in &self.extra_masses_kg {
+            let name = format!("{mass:+} kg on the trunk").replace('-', "−");
+            let pulls = gaits.iter().flat_map(|command| self.sides_deg.iter().map(move |side| (*command, *side)));
+            let pulls = pulls.map(|(command, side)| {
+                (format!("{}, 20 N, {side:.0}°", gait(command)), pull(command, 20.0, side, *mass))
+            });
+            groups.push(Group::new(format!("{name}, pulled"), Role::Pulled, pulls));
+            let walks = gaits.map(|forward| (gait(forward).to_owned(), undisturbed([forward, 0.0, 0.0], *mass)));
+            groups.push(Group::new(format!("{name}, undisturbed"), Role::Other, walks));
+        }
+        Ok(groups)
+    }
+}
+
+/// Returns the time in which something pulls the robot of a trial \[s\]; none if nothing does.
+fn pulled_s(trial: &Trial) -> Option<[f64; 2]> {
+    match trial.scenario {
+        Scenario::Leash(leash) => Some([leash.at_s + STEADY_S, leash.at_s + leash.for_s]),
+        Scenario::Pulley(pulley) => Some([pulley.at_s + STEADY_S, pulley.at_s + pulley.for_s]),
+        Scenario::Push(_) => trial.script.pushes.first().map(|push| [push.time_s, push.time_s + BLOW_S]),
+        Scenario::Pendulum(pendulum) => {
+            pendulum.impact(trial.trace).map(|impact| [impact.time_s, impact.time_s + BLOW_S])
+        }
+        _ => None,
+    }
+}
+
+/// Returns the forces that can be trusted, and the fraction of those that cannot, over a time that ends half a second before
+/// a fall.
+fn forces(trial: &Trial, [from_s, until_s]: [f64; 2]) -> (Vec<FeltForces>, Option<f64>) {
+    let fall_s = trial.trace.fall().map_or(f64::INFINITY, |fall| fall.time_s - BEFORE_FALL_S);
+    let felt = |frame: &Frame| frame.felt;
+    let all: Vec<FeltForces> = metrics::window(trial.trace, from_s, until_s.min(fall_s)).filter_map(felt).collect();
+    let doubted = mean(all.iter().map(|felt| f64::from(u8::from(felt.doubt.is_some()))));
+    let trusted: Vec<FeltForces> = all.into_iter().filter(|felt| felt.doubt.is_none()).collect();
+    let is_long = trusted.len() as f64 * trial.trace.period_s >= LEAST_S;
+    (if is_long { trusted } else { Vec::new() }, doubted)
+}
+
+/// Returns the felt minus the true force \[N\].
+fn error(felt: &FeltForces) -> [f64; 3] {
+    std::array::from_fn(|axis| felt.force[axis] - felt.true_force[axis])
+}
+
+/// Returns error, force along the true one and gain of the forces felt while something pulls, in the horizontal plane.
+fn while_pulled(forces: &[FeltForces]) -> [Option<f64>; OF_PULLS] {
+    let product = |a: [f64; 3], b: [f64; 3]| a[0] * b[0] + a[1] * b[1];
+    let squares = mean(forces.iter().map(|felt| product(error(felt), error(felt))));
+    let works = mean(forces.iter().map(|felt| product(felt.force, felt.true_force)));
+    let truths = mean(forces.iter().map(|felt| product(felt.true_force, felt.true_force)));
+    let along = works.zip(truths).filter(|(_, truth)| *truth > 0.0);
+    [squares.map(f64::sqrt), along.map(|(work, truth)| work / truth.sqrt()), along.map(|(work, truth)| work / truth)]
+}
+
+/// Returns mean and standard deviation (larger of forward and left), the 95 % quantile of the horizontal force, the means and
+/// the standard deviations of each axis, of the forces felt beyond the true ones.
+fn while_not_pulled(forces: &[FeltForces]) -> [Option<f64>; 9] {
+    let means: [Option<f64>; 3] = std::array::from_fn(|axis| mean(forces.iter().map(|felt| error(felt)[axis])));
+    let deviations = [0, 1, 2].map(|axis| {
+        let squares = mean(forces.iter().map(|felt| (error(felt)[axis] - means[axis].unwrap_or(0.0)).powi(2)));
+        squares.map(f64::sqrt)
+    });
+    let larger = |of: [Option<f64>; 3]| of[0].zip(of[1]).map(|(forward, left)| forward.abs().max(left.abs()));
+    let mut sizes: Vec<f64> = forces.iter().map(|felt| error(felt)[0].hypot(error(felt)[1])).collect();
+    sizes.sort_by(f64::total_cmp);
+    let quantile = sizes.len().checked_sub(1).map(|last| sizes[(0.95 * last as f64).round() as usize]);
+    let [forward, left, up] = means;
+    let [sd_forward, sd_left, sd_up] = deviations;
+    [larger(means), larger(deviations), quantile, forward, left, up, sd_forward, sd_left, sd_up]
+}
+
+impl Experiment for Felt {
+    fn info(&self) -> ExperimentInfo {
+        ExperimentInfo {
+            id: "E15",
+            number: 18,
+            name: "felt",
+            title: "What the robot feels",
+            paper: "not in the paper",
+            method: "The robot feels the force on its trunk from joints, motors and IMU. Felt and true force, both in the \
+                     heading frame and low-passed over 0.1 s, are compared in the horizontal plane: while a pull is \
+                     steady (from half a second after its start), and for a second after a push or blow. Where nothing \
+                     pulls (from 2 s on), all that is felt beyond the true contact force on the trunk is an error. Frames \
+                     that the observer marks as doubtful are counted and left out, and so is the last half second \
+                     before a fall.",
+            quantities: QUANTITIES,
+            trials: self.trials,
+        }
+    }
+
+    fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
+        Ok(self.groups()?.into_iter().flat_map(|group| group.conditions).collect())
+    }
+
+    fn check(&self) -> Result<(), ParameterError> {
+        in_range("for_s", self.for_s, STEADY_S + LEAST_S, 60.0, "0.75 to 60 s")?;
+        check_directions(self.directions)
+    }
+
+    fn observes_forces(&self) -> bool {
+        true
+    }
+
+    fn until_s(&self, script: &Script) -> f64 {
+        script.pushes.first().map_or(script.duration_s, |push| push.time_s + BLOW_S)
+    }
+
+    fn measure(&self, trial: &Trial) -> TrialValues {
+        let is_pulled = matches!(
+            trial.scenario,
+            Scenario::Leash(_) | Scenario::Pulley(_) | Scenario::Push(_) | Scenario::Pendulum(_)
+        );
+        let calm_s = (!is_pulled).then_some([metrics::SETTLE_S, trial.script.duration_s]);
+        let window_s = pulled_s(trial).or(calm_s);
+        let (forces, in_doubt) = window_s.map_or((Vec::new(), None), |window_s| forces(trial, window_s));
+        let [pulled, calm] = if is_pulled { [&forces[..], &[]] } else { [&[], &forces[..]] };
+        let mut values = Vec::from(while_pulled(pulled));
+        values.extend(while_not_pulled(calm));
+        values.extend([in_doubt, trial.end.fell()]);
+        values.into()
+    }
+
+    fn report(&self, section: &mut SectionBuilder) {
+        let Ok(groups) = self.groups() else { return };
+        let results = section.results;
+        let mut first = 0;
+        let mut located = Vec::new();
+        for Group { name, role, conditions } in groups {
+            let conditions: Vec<usize> = (first..first + conditions.len()).collect();
+            first += conditions.len();
+            located.push((role, ConditionGroup { name, conditions }));
+        }
+        let over = |roles: &[Role]| -> Vec<usize> {
+            let chosen = located.iter().filter(|(role, _)| roles.contains(role));
+            chosen.flat_map(|(_, group)| group.conditions.iter().copied()).collect()
+        };
+        let is_pulled = |role: Role| matches!(role, Role::Steady | Role::Pulled);
+        let [steady, calm, rough] = [Role::Steady, Role::Calm, Role::Rough].map(|role| over(&[role]));
+        let [mean_n, sd_n] = CALM_BOUNDS_N;
+        let is_on_sensors = results.names.iter().map(String::as_str).eq(sensing::NAMES);
+        for (place, text, quantity, [bound, on_sensors], over) in [
+            ("Pulled steadily", "robots of both sets feel the force with an RMSE", RMSE, RMSE_BOUNDS_N, &steady),
+            ("Undisturbed on the flat", "robots of both sets feel a mean force", MEAN, [mean_n; 2], &calm),
+            ("Undisturbed on the flat", "the felt force of both sets has a standard deviation", SD, [sd_n; 2], &calm),
+            (
+                "On balls, rubble and uneven ground",
+                "what robots of both sets feel beyond the true force is for 95 % of the time",
+                Q95,
+                [ROUGH_BOUND_N; 2],
+                &rough,
+            ),
+        ] {
+            let comparison = results.compare_over(over, quantity.name);
+            if let (true, Some(found)) = (is_on_sensors, comparison.sets[0].spread) {
+                let (label, found) = (quantity.label, number(found.mean, quantity));
+                section.notes([format!("{place}, on sensors: {label} {found} N; aim: < {on_sensors} N.")]);
+            }
+            let verdict = Verdict::from_bound(bound, &comparison);
+            let (text, paper) = (format!("{place}, {text} below {bound} N"), format!("none; ours: < {bound} N"));
+            section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
+        }
+        let rows = located.iter().flat_map(|(role, group)| {
+            let of = if is_pulled(*role) { 0..OF_PULLS } else { OF_PULLS..OF_PULLS + 3 };
+            let quantities = QUANTITIES[of].iter().chain([&IN_DOUBT, &FELL]).filter(|it| it.name != "felt_n");
+            quantities.map(|quantity| section.row(group, *quantity)).collect::<Vec<_>>()
+        });
+        let rows = rows.collect();
+        section.table_with_rows(
+            "Felt against true force on the trunk. Without a pull, mean and standard deviation are the larger of forward \
+             and left, and the quantile is of the horizontal force.",
+            rows,
+        );
+        section.table_in_file("all", "Felt and true force on the trunk, by condition.");
+
+        let mut panels = Vec::new();
+        for (set, name) in results.names.iter().enumerate() {
+            let point = |force: &f64| {
+                let is_it = |condition: &&usize| match &results.conditions[**condition].scenario {
+                    Scenario::Leash(leash) => leash.force_n == *force,
+                    _ => false,
+                };
+                let felt = |condition| Spread::from_values(&results.per_seed(set, condition, "felt_n"));
+                let means: Vec<f64> = steady.iter().filter(is_it).filter_map(|it| Some(felt(*it)?.mean)).collect();
+                let least = means.iter().copied().reduce(f64::min)?;
+                let largest = means.iter().copied().reduce(f64::max)?;
+                Some([*force, mean(means.into_iter())?, least, largest])
+            };
+            let points = self.forces_n.iter().filter_map(point).collect();
+            panels.push(Curve { title: name.clone(), points, diagonal: true, set, ..Curve::default() });
+        }
+        let svg = curves::draw("Felt over true force", &panels, "true force [N]", "felt along it [N]");
+        section.figure(
+            "",
+            "Felt over true force on the trunk under steady pulls: mean over policies, commands and directions, and the \
+             band between the command and direction that feels least and the one that feels most. Dashed: equal forces.",
+            svg,
+        );
+        let directions = self.directions as usize;
+        let [standing, walking]: [Vec<usize>; 2] = [true, false].map(|stands| {
+            let is_it =
+                |condition: &usize| (results.conditions[*condition].scenario.task().forward_m_s == 0.0) == stands;
+            steady.iter().copied().filter(is_it).collect()
+        });
+        let by_direction = [(gait(0.0), standing), (gait(1.0), walking)].map(|(title, pulls)| {
+            let spread = |set: usize, direction: usize| {
+                let at: Vec<usize> = pulls.iter().copied().skip(direction).step_by(directions).collect();
+                Spread::from_values(&results.per_seed_over(set, &at, RMSE.name))
+            };
+            let sets = section.by_set(|set| (0..directions).map(|direction| spread(set, direction)).collect());
+            Polar { title: title.to_owned(), sets }
+        });
+        let title = "Error of the felt force, by direction of the pull";
+        let svg = polar::draw(title, &by_direction, &results.names, &RMSE.axis(), Scales::Shared);
+        section.figure(
+            "directions",
+            "RMSE of the felt against the true force under steady pulls, by the direction of the pull: mean over forces \
+             and commands, mean and ± standard deviation over seeds.",
+            svg,
+        );
+        let unpulled: Vec<ConditionGroup> =
+            located.into_iter().filter(|(role, _)| !is_pulled(*role)).map(|(_, group)| group).collect();
+        section.grouped_dots(
+            "unpulled",
+            "Force that is felt without a pull",
+            &unpulled,
+            &[MEAN.name, SD.name, Q95.name],
+            "What robots feel beyond the true force on the trunk though nothing pulls: mean and standard deviation (the \
+             larger of forward and left), 95 % quantile of the horizontal force. Mean ± standard deviation over seeds, \
+             single seeds as hollow marks.",
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns forces felt by a robot with this true force.
+    fn felt(force: [f64; 3], true_force: [f64; 3]) -> FeltForces {
+        FeltForces { force, true_force, ..FeltForces::default() }
+    }
+
+    #[test]
+    fn error_and_gain_are_those_of_the_horizontal_force() {
+        // Off by (3, 4) and by nothing: √(25 / 2). Along the true force of 10 N: 13 and 10; the gain is 11.5 / 10.
+        let forces = [felt([13.0, 4.0, 9.0], [10.0, 0.0, 0.0]), felt([10.0, 0.0, 0.0], [10.0, 0.0, 0.0])];
+        let [rmse, along, gain] = while_pulled(&forces).map(Option::unwrap);
+        assert!((rmse - 12.5_f64.sqrt()).abs() < 1e-12 && (along - 11.5).abs() < 1e-12 && (gain - 1.15).abs() < 1e-12);
+        assert_eq!(while_pulled(&[]), [None; OF_PULLS]);
+    }
+
+    #[test]
+    fn true_contacts_are_no_error_where_nothing_pulls() {
+        let forces: Vec<FeltForces> =
+            (0..101).map(|k| felt([5.0 + f64::from(k % 2), -3.0, 1.0], [5.0, 0.0, 0.0])).collect();
+        let [mean, sd, quantile, forward, left, up, sd_forward, sd_left, _] =
+            while_not_pulled(&forces).map(Option::unwrap);
+        assert_eq!((mean, left, up, sd_left), (3.0, -3.0, 1.0, 0.0));
+        assert!((forward - 0.5).abs() < 0.01 && (sd - 0.5).abs() < 0.01 && sd == sd_forward);
+        assert!((quantile - 10.0_f64.sqrt()).abs() < 1e-12);
+    }
+}
