@@ -167,6 +167,9 @@ pub struct ForceObserver {
     feet: [(usize, f64); 4],
     before: Option<ForceReading>,
     forces: ExternalForces,
+    /// Upward force on the trunk, low-passed over [`TIME_CONSTANT_S`] whatever the observer's time constant: a push is no
+    /// lift \[N\].
+    lift_n: f64,
 }
 
 /// Id of a joint in the model and the indices of its angle and rate.
@@ -214,6 +217,7 @@ impl ForceObserver {
             feet,
             before: None,
             forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
+            lift_n: 0.0,
             data: Data::new(model)?,
         })
     }
@@ -226,6 +230,7 @@ impl ForceObserver {
     /// Forgets all readings and forces; to be called after the robot has been put elsewhere.
     pub fn reset(&mut self) {
         self.before = None;
+        self.lift_n = 0.0;
         self.forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
     }
 
@@ -283,7 +288,7 @@ impl ForceObserver {
             return Ok(Some(Doubt::Overflow));
         }
         self.filter(before, [force, moment, feet[0], feet[1], feet[2], feet[3]], dt_s);
-        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.forces.force.z > LIFTED * self.weight_n;
+        let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.lift_n > LIFTED * self.weight_n;
         Ok(lying.then_some(Doubt::Lying))
     }
 
@@ -333,7 +338,11 @@ impl ForceObserver {
         for (index, (filtered, found)) in filtered.into_iter().zip(found).enumerate() {
             let limit = if index == 1 { self.limit_n * LIMIT_ARM_M } else { self.limit_n };
             let limited = found * (limit / found.norm().max(limit));
-            *filtered += gain * (heading_from_base * limited - *filtered);
+            let limited = heading_from_base * limited;
+            if index == 0 {
+                self.lift_n += (1.0 - (-dt_s / TIME_CONSTANT_S).exp()) * (limited.z - self.lift_n);
+            }
+            *filtered += gain * (limited - *filtered);
         }
     }
 }
