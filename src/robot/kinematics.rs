@@ -7,8 +7,9 @@ about parallel axes, so that their angles add. `golden.c` prints what MuJoCo mak
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::legs::{Joints, LEGS, PARTS, of_leg};
-use crate::mujoco::{Kind, Model};
+use super::error::RobotError;
+use super::legs::{Joints, LEGS, PARTS, of_leg, sole_name};
+use crate::mujoco::{self, Data, Kind, Model};
 
 /// Position and motion of a foot relative to the trunk.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,6 +20,59 @@ pub struct Foot {
     pub velocity: Vector3<f64>,
     /// Angular velocity of the calf, and with it of the sphere, relative to the trunk, base frame [rad/s].
     pub spin: Vector3<f64>,
+}
+
+/// The sphere that stands for a foot: the geometry of the foot, or, if that is no sphere, a site where it touches the ground.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FootSphere {
+    /// Id of the body that it is fixed to.
+    pub body: usize,
+    /// Centre in the frame of its body \[m\].
+    pub position: [f64; 3],
+    /// Radius \[m\].
+    pub radius_m: f64,
+    /// Id of the geometry, or of the site.
+    centre: Centre,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Centre {
+    Geom(usize),
+    Site(usize),
+}
+
+impl FootSphere {
+    /// Reads the foot of leg `leg` of a model with our names.
+    ///
+    /// # Errors
+    /// The model has no such foot; the error lists the names that it has.
+    pub fn new(model: &Model, leg: usize) -> mujoco::Result<Self> {
+        if let Ok(site) = model.id(Kind::Site, &sole_name(leg)) {
+            let (body, position) = (model.site_body(site), model.site_position(site));
+            let radius_m = model.site_size(site)[0];
+            return Ok(FootSphere { body, position, radius_m, centre: Centre::Site(site) });
+        }
+        let geom = model.id(Kind::Geom, &format!("{}_foot", LEGS[leg]))?;
+        let foot = model.geom(geom);
+        Ok(FootSphere { body: foot.body, position: foot.position, radius_m: foot.size[0], centre: Centre::Geom(geom) })
+    }
+
+    /// Returns the centre after the last [`Data::step1`], world frame \[m\].
+    pub fn centre(&self, data: &Data) -> [f64; 3] {
+        let (all, id) = match self.centre {
+            Centre::Geom(id) => (data.geom_positions(), id),
+            Centre::Site(id) => (data.site_positions(), id),
+        };
+        std::array::from_fn(|axis| all[3 * id + axis])
+    }
+
+    /// Returns the velocity of the centre, world axes [m/s].
+    pub fn velocity(&self, data: &Data) -> [f64; 3] {
+        match self.centre {
+            Centre::Geom(id) => data.geom_velocity(id),
+            Centre::Site(id) => data.site_velocity(id),
+        }
+    }
 }
 
 /// Geometry of a leg at zero angles, base frame \[m\].
@@ -39,7 +93,7 @@ pub struct Leg {
     knee: Vector3<f64>,
     /// The vector from the knee to the foot's centre.
     foot: Vector3<f64>,
-    /// Radius of the foot's sphere \[m\].
+    /// Radius of the sphere that stands for the foot \[m\].
     pub foot_radius_m: f64,
 }
 
@@ -54,9 +108,10 @@ const PARALLEL: f64 = 1e-3;
 
 impl Leg {
     /// Reads leg `leg` of a model with our names.
-    pub(super) fn of(model: &Model, leg: usize) -> Result<Self, String> {
+    pub(super) fn of(model: &Model, leg: usize) -> Result<Self, RobotError> {
         let name = LEGS[leg];
-        let id = |kind, name: String| model.id(kind, &name).map_err(|error| error.to_string());
+        let words = |error: mujoco::Error| RobotError::Engine(error.to_string());
+        let id = |kind, name: String| model.id(kind, &name).map_err(words);
         let trunk = id(Kind::Body, "trunk".into())?;
         // Place and orientation of the frame walked so far.
         let (mut place, mut turn) = (Vector3::zeros(), UnitQuaternion::identity());
@@ -73,11 +128,11 @@ impl Leg {
             axes.push(turn * Vector3::from(model.joint_axis(joint)));
             *zero = model.rest_positions()[model.joint_position_index(joint)];
         }
-        let foot = model.geom(id(Kind::Geom, format!("{name}_foot"))?);
+        let foot = FootSphere::new(model, leg).map_err(words)?;
         walk(model, above, foot.body, &mut place, &mut turn);
         let along = axes[1].dot(&axes[2]);
         if axes[1].cross(&axes[2]).norm() > PARALLEL {
-            return Err(format!("the thigh and the calf of leg {name} turn about different axes"));
+            return Err(RobotError::Axes(name));
         }
         Ok(Leg {
             zero,
@@ -88,7 +143,7 @@ impl Leg {
             thigh: links[1],
             knee: links[2],
             foot: place + turn * Vector3::from(foot.position),
-            foot_radius_m: foot.size[0],
+            foot_radius_m: foot.radius_m,
         })
     }
 

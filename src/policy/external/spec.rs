@@ -10,7 +10,7 @@ use crate::observation::{Layout, Nominal, Numbers, Observed, limit, numbers};
 use crate::policy::AgentError;
 use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
-use crate::robot::{JOINTS, joint_names};
+use crate::robot::{JOINTS, joint_names, recognise};
 use crate::util::files::FileError;
 use crate::util::yaml::{self, Text};
 
@@ -61,7 +61,7 @@ impl Spec {
     }
 
     fn new(raw: RawSpec, config: Config) -> Result<Self, String> {
-        let order = joint_order(&raw.joints)?;
+        let order = joint_order(&raw.joints, &config.robot)?;
         let pose: [f64; JOINTS] = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| {
             format!("nominal_pose_rad has {} angles, expected {JOINTS}, in the order of `joints`", pose.len())
         })?;
@@ -111,21 +111,40 @@ impl Spec {
     }
 }
 
-/// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without
-/// `_joint`.
-fn joint_order(names: &[String]) -> Result<[usize; JOINTS], String> {
+/// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without `_joint`, by
+/// names that are usual elsewhere (`LF_HAA`, `fl_hx`), or as the file of the robot names them.
+fn joint_order(names: &[String], robot: &RobotModel) -> Result<[usize; JOINTS], String> {
     let known = joint_names();
     let place = |name: &String| {
         let short = name.strip_suffix("_joint").unwrap_or(name);
-        known.iter().position(|known| known == short).ok_or_else(|| {
-            format!("`joints` has '{name}', which is no joint of the robot; they are: {}", known.join(", "))
-        })
+        known.iter().position(|known| known == short)
     };
-    let order = names.iter().map(place).collect::<Result<Vec<_>, _>>()?;
+    let words: Vec<&str> = names.iter().map(String::as_str).collect();
+    let usual = || recognise(&words).filter(|_| names.len() == JOINTS).map(inverted);
+    let in_file = || {
+        let robot = robot.load().ok()?;
+        names.iter().map(|name| robot.joints_in_file.iter().position(|own| own == name)).collect::<Option<Vec<_>>>()
+    };
+    let ours = names.iter().map(place).collect::<Option<Vec<_>>>();
+    let Some(order) = ours.or_else(|| usual().map(Vec::from)).or_else(in_file) else {
+        let found = names.iter().find(|name| place(name).is_none()).map_or("", String::as_str);
+        let own = robot.load().map_or_else(|_| String::new(), |robot| format!("; {}", robot.joints_in_file.join(", ")));
+        let known = known.join(", ");
+        return Err(format!("`joints` has '{found}', which is no joint of the robot; they are: {known}{own}"));
+    };
     match <[usize; JOINTS]>::try_from(order) {
         Ok(order) if (0..JOINTS).all(|joint| order.contains(&joint)) => Ok(order),
         _ => Err(format!("`joints` must name each of these once, in the policy's order: {}", known.join(", "))),
     }
+}
+
+/// Turns the places of our joints among others into the indices of the others.
+fn inverted(places: [usize; JOINTS]) -> [usize; JOINTS] {
+    let mut order = [0; JOINTS];
+    for (joint, place) in places.into_iter().enumerate() {
+        order[place] = joint;
+    }
+    order
 }
 
 #[cfg(test)]

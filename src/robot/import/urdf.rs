@@ -1,0 +1,177 @@
+/*! URDF, as MuJoCo itself reads it.
+
+MuJoCo compiles URDF: links, joints, limits, inertias and the primitives of collisions. The compiled model is then written as MJCF,
+with all digits. What it does not take over is read here: `<limit effort>` is the limit of a joint's torque. Meshes are left out,
+whatever their `package://` paths are: the masses of a URDF stand in its links, and its feet are primitives. The trunk, which MuJoCo
+would fix to the world, gets a free joint.
+*/
+
+use super::newer::Translated;
+use super::normalise::load;
+use super::source::Files;
+use crate::mujoco::{Kind, Model, Shape};
+use crate::robot::error::RobotError;
+use crate::util::xml::{Element, Place};
+
+/// Name of the link that stands for the world.
+const WORLD: &str = "world";
+
+/// Reads a URDF and writes it as MJCF.
+pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, RobotError> {
+    let (mut robot, meshes) = without_meshes(tree);
+    free_the_trunk(&mut robot)?;
+    let mut compiler = Element::new("compiler").with("fusestatic", "false").with("discardvisual", "false");
+    // What a URDF may tell MuJoCo about its masses.
+    for own in tree.all("mujoco").flat_map(|own| own.all("compiler")) {
+        for name in ["balanceinertia", "boundmass", "boundinertia"] {
+            if let Some(value) = own.get(name) {
+                compiler.set(name, value);
+            }
+        }
+    }
+    robot.children.insert(0, Element { children: vec![compiler], ..Element::new("mujoco") });
+    let model = load(&robot, files)?;
+    let mut notes = vec!["file: a URDF, read by MuJoCo, with a free joint for its trunk".to_owned()];
+    if meshes > 0 {
+        notes.push(format!("meshes: {meshes} left out, for looks and collisions; masses stand in the links"));
+    }
+    let (mut torques, mut speeds) = (Vec::new(), 0);
+    for joint in tree.all("joint") {
+        let Some((name, limit)) = joint.get("name").zip(joint.all("limit").next()) else { continue };
+        if let Some(effort) = limit.get("effort").and_then(|effort| effort.trim().parse::<f64>().ok()) {
+            torques.push((name.to_owned(), [-effort, effort]));
+        }
+        speeds += usize::from(limit.get("velocity").is_some());
+    }
+    if speeds > 0 {
+        notes.push("joint speeds: not limited here".to_owned());
+    }
+    Ok(Translated { tree: written(&model, tree), torques, notes })
+}
+
+/// Returns what MuJoCo reads of a URDF, and the number of meshes that were left out.
+fn without_meshes(tree: &Element) -> (Element, usize) {
+    let mut meshes = 0;
+    let mut robot = tree.clone();
+    robot.children.retain(|child| matches!(child.name.as_str(), "link" | "joint"));
+    for link in robot.children.iter_mut().filter(|child| child.name == "link") {
+        link.children.retain(|child| {
+            let is_mesh = child.all("geometry").any(|geometry| geometry.all("mesh").next().is_some());
+            meshes += usize::from(is_mesh);
+            child.name == "inertial" || child.name == "collision" && !is_mesh
+        });
+        // Names of shapes may be used twice in a URDF, and mean nothing.
+        link.children.iter_mut().for_each(|child| child.remove("name"));
+    }
+    for joint in robot.children.iter_mut().filter(|child| child.name == "joint") {
+        joint.children.retain(|child| matches!(child.name.as_str(), "origin" | "parent" | "child" | "axis" | "limit"));
+    }
+    (robot, meshes)
+}
+
+/// Lets the first link move: MuJoCo fixes it to the world, and would drop its mass.
+fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
+    let ends =
+        |joint: &Element, end: &str| joint.all(end).filter_map(|link| link.get("link")).next().map(str::to_owned);
+    let is_moving =
+        |name: &str, robot: &Element| robot.all("joint").any(|joint| ends(joint, "child").as_deref() == Some(name));
+    // A first link of its own for the world is common, and joined to the trunk in any way.
+    let of_world = |joint: &Element| joint.name == "joint" && ends(joint, "parent").as_deref() == Some(WORLD);
+    robot.children.retain(|child| !of_world(child) && !(child.name == "link" && child.get("name") == Some(WORLD)));
+    let links: Vec<String> = robot.all("link").filter_map(|link| link.get("name")).map(str::to_owned).collect();
+    let roots: Vec<&String> = links.iter().filter(|name| !is_moving(name, robot)).collect();
+    let [root] = roots[..] else { return Err(RobotError::Links(roots.len())) };
+    let mut root = root.clone();
+    // A first link without a mass, such as ROS wants it, is joined to the trunk.
+    loop {
+        let has_mass =
+            robot.all("link").any(|link| link.get("name") == Some(&root) && link.all("inertial").next().is_some());
+        let below: Vec<&Element> =
+            robot.all("joint").filter(|joint| ends(joint, "parent").as_deref() == Some(&root)).collect();
+        let [only] = below[..] else { break };
+        let (true, false, Some(next)) = (only.get("type") == Some("fixed"), has_mass, ends(only, "child")) else {
+            break;
+        };
+        let joint = only.get("name").map(str::to_owned);
+        robot.children.retain(|child| match child.name.as_str() {
+            "joint" => child.get("name").map(str::to_owned) != joint,
+            _ => child.get("name") != Some(&root),
+        });
+        root = next;
+    }
+    robot.children.insert(0, Element::new("link").with("name", WORLD));
+    let mut free = Element::new("joint").with("name", "root").with("type", "floating");
+    free.children = vec![Element::new("parent").with("link", WORLD), Element::new("child").with("link", root)];
+    robot.children.push(free);
+    Ok(())
+}
+
+/// Writes a compiled model as MJCF. Elements keep the places of the URDF's.
+fn written(model: &Model, tree: &Element) -> Element {
+    let compiler = Element::new("compiler").with("angle", "radian");
+    let world = Element { children: bodies(model, 0, tree), ..Element::new("worldbody") };
+    Element { children: vec![compiler, world], ..Element::new("mujoco") }
+}
+
+/// Writes the bodies that are attached to a body.
+fn bodies(model: &Model, parent: usize, tree: &Element) -> Vec<Element> {
+    let own = (1..model.count(Kind::Body)).filter(|body| model.body_parent(*body) == parent);
+    own.map(|body| {
+        let name = model.name(Kind::Body, body);
+        let mut element = Element { place: place(tree, "link", name), ..Element::new("body") };
+        element.set("name", name);
+        element.set("pos", list(&model.body_position(body)));
+        element.set("quat", list(&model.body_quaternion(body)));
+        let link = tree.all("link").find(|link| link.get("name") == Some(name));
+        if link.is_some_and(|link| link.all("inertial").next().is_some()) {
+            let inertial = Element::new("inertial").with("pos", list(&model.body_centre_of_mass(body)));
+            let inertial = inertial.with("quat", list(&model.body_inertia_quaternion(body)));
+            let inertial = inertial.with("mass", model.body_mass()[body]);
+            element.children.push(inertial.with("diaginertia", list(&model.body_inertia(body))));
+        }
+        for joint in (0..model.count(Kind::Joint)).filter(|joint| model.joint_body(*joint) == body) {
+            element.children.push(written_joint(model, joint, tree));
+        }
+        for geom in (0..model.count(Kind::Geom)).filter(|geom| model.geom_body(*geom) == body) {
+            let shape = model.geom(geom);
+            let kind = match shape.shape {
+                Shape::Sphere => "sphere",
+                Shape::Capsule => "capsule",
+                Shape::Cylinder => "cylinder",
+                _ => "box",
+            };
+            let written = Element::new("geom").with("type", kind).with("size", list(&shape.size));
+            let written = written.with("pos", list(&shape.position)).with("quat", list(&shape.quaternion));
+            // Without a mass in its link, a part has none.
+            element.children.push(written.with("mass", 0));
+        }
+        element.children.extend(bodies(model, body, tree));
+        element
+    })
+    .collect()
+}
+
+fn written_joint(model: &Model, joint: usize, tree: &Element) -> Element {
+    let name = model.name(Kind::Joint, joint);
+    if model.is_free(joint) {
+        return Element::new("freejoint").with("name", name);
+    }
+    let mut element = Element { place: place(tree, "joint", name), ..Element::new("joint") };
+    element.set("name", name);
+    element.set("type", if model.is_hinge(joint) { "hinge" } else { "slide" });
+    element.set("pos", list(&model.joint_anchor(joint)));
+    element.set("axis", list(&model.joint_axis(joint)));
+    if model.joint_is_limited(joint) {
+        element.set("range", list(&model.joint_range(joint)));
+    }
+    element
+}
+
+/// Returns where the URDF has a link or joint.
+fn place(tree: &Element, kind: &str, name: &str) -> Place {
+    tree.all(kind).find(|element| element.get("name") == Some(name)).map_or(Place::default(), |element| element.place)
+}
+
+fn list(numbers: &[f64]) -> String {
+    numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
+}
