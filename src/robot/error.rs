@@ -234,13 +234,12 @@ pub enum RobotError {
     },
     /// Nothing at the end of a leg touches the ground.
     #[error(
-        "nothing on the calf of leg {leg} collides: put a geometry where its foot is, such as <geom type=\"sphere\" size=\"0.02\" pos=\"…\"/>{hint}"
+        "nothing on the calf of leg {leg} collides: put a shape where its foot is, such as <geom type=\"sphere\" size=\"0.02\" \
+         pos=\"…\"/>, or in a URDF, whose meshes are left out, <collision> with <sphere radius=\"0.02\"/>"
     )]
     NoFoot {
         /// Name of the leg.
         leg: &'static str,
-        /// More advice, or nothing.
-        hint: &'static str,
     },
     /// Thigh and calf do not turn about one direction.
     #[error("the thigh and the calf of leg {0} turn about different axes, expected parallel ones")]

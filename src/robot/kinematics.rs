@@ -8,8 +8,9 @@ about parallel axes, so that their angles add. `golden.c` prints what MuJoCo mak
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use super::error::RobotError;
-use super::legs::{Joints, LEGS, PARTS, of_leg, sole_name};
+use super::legs::{JOINTS, Joints, LEGS, PARTS, of_leg, sole_name};
 use crate::mujoco::{self, Data, Kind, Model};
+use crate::util::numbers::maximum;
 
 /// Position and motion of a foot relative to the trunk.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -103,10 +104,40 @@ const STRAIGHT: f64 = 0.4;
 /// Knee bend of the Go1 in its nominal pose \[rad\].
 const BENT: f64 = 1.44;
 
+/// Part of the height with bent knees below which a robot lies rather than stands.
+const LYING: f64 = 0.5;
+
+/// Returns a pose with bent knees for a robot whose file gives none, if it does not stand with all joints at zero: its legs are
+/// straight, or its trunk is nearly on the ground. The knees are bent as far as the Go1's, or as the joints allow.
+pub(super) fn bent_pose(legs: &[Leg; 4], pose: &Joints, limits: &[[f64; 2]; JOINTS]) -> Option<Joints> {
+    let straight = (0..LEGS.len()).all(|leg| legs[leg].is_straight(of_leg(pose, leg)));
+    let bent = |part: f64| -> Joints {
+        // To a milliradian: it will be read.
+        let angle = |joint: usize| legs[joint / PARTS.len()].bent(part)[joint % PARTS.len()];
+        std::array::from_fn(|joint| (1e3 * angle(joint)).round() / 1e3)
+    };
+    let fits = |pose: &Joints| pose.iter().zip(limits).all(|(angle, [low, high])| (low..=high).contains(&angle));
+    let best = (10..=20).rev().map(|part| bent(f64::from(part) / 20.0)).find(fits).unwrap_or_else(|| bent(1.0));
+    let lies = standing_height_m(legs, pose) < LYING * standing_height_m(legs, &best);
+    (straight || lies).then_some(best)
+}
+
+/// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
+pub(super) fn standing_height_m(legs: &[Leg; 4], pose: &Joints) -> f64 {
+    let depth = |leg: usize| legs[leg].foot_radius_m - legs[leg].foot_position(of_leg(pose, leg)).z;
+    (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, maximum)
+}
+
 /// Largest angle between axes that count as parallel \[rad\].
 const PARALLEL: f64 = 1e-3;
 
 impl Leg {
+    /// Reads all legs of a model with our names.
+    pub(super) fn all(model: &Model) -> Result<[Self; 4], RobotError> {
+        let leg = |leg| Self::of(model, leg);
+        Ok([leg(0)?, leg(1)?, leg(2)?, leg(3)?])
+    }
+
     /// Reads leg `leg` of a model with our names.
     pub(super) fn of(model: &Model, leg: usize) -> Result<Self, RobotError> {
         let name = LEGS[leg];
@@ -184,11 +215,11 @@ impl Leg {
         (self.lean(&thigh) - self.lean(&calf)).abs() < STRAIGHT
     }
 
-    /// Returns the angles \[rad\] of a leg whose knee is bent like the Go1's in its nominal pose: the foot below the
+    /// Returns the angles \[rad\] of a leg whose knee is bent by `part` of the Go1's bend in its nominal pose: the foot below the
     /// thigh joint, the knee behind both.
-    pub(super) fn bent(&self) -> [f64; 3] {
+    pub(super) fn bent(&self, part: f64) -> [f64; 3] {
         // About an axis that points to the left, what hangs down goes back as its angle grows.
-        let bend = self.thigh_axis.y.signum() * BENT;
+        let bend = self.thigh_axis.y.signum() * BENT * part;
         let calf = self.lean(&self.knee) - self.lean(&self.foot) - bend;
         let to_foot = self.knee + about(&self.thigh_axis, calf, &self.foot);
         [self.zero[0], self.zero[1] - self.lean(&to_foot), self.zero[2] + self.calf_sign * calf]
@@ -283,9 +314,9 @@ mod tests {
     #[test]
     fn a_leg_is_bent_as_the_go1_stands() {
         for leg in Robot::load("go1").unwrap().legs {
-            let [hip, thigh, calf] = leg.bent();
+            let [hip, thigh, calf] = leg.bent(1.0);
             assert!(hip == 0.0 && (thigh - 0.72).abs() < 1e-12 && (calf + 1.44).abs() < 1e-12, "{thigh} {calf}");
-            assert!(leg.is_straight([0.0, 0.5, -0.3]) && !leg.is_straight(leg.bent()));
+            assert!(leg.is_straight([0.0, 0.5, -0.3]) && !leg.is_straight(leg.bent(1.0)));
         }
     }
 

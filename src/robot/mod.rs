@@ -10,6 +10,7 @@ mod describe;
 mod error;
 mod extent;
 mod import;
+mod inertia;
 pub mod kinematics;
 mod legs;
 mod state;
@@ -24,6 +25,7 @@ pub use extent::Extent;
 use import::Imported;
 pub use import::isolate_imports;
 pub(crate) use import::recognise;
+use kinematics::bent_pose;
 pub use kinematics::{Foot, FootSphere, Leg};
 use legs::sole_name;
 pub use legs::{
@@ -33,7 +35,6 @@ pub use state::{FootState, Foothold, GRAVITY_M_S2, RobotState};
 
 use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
-use crate::util::numbers::maximum;
 use crate::util::paths;
 
 /// Name and MJCF of the robots inside the program.
@@ -125,6 +126,11 @@ pub struct Robot {
     pub joints_in_file: [String; JOINTS],
 }
 
+/// Returns the range of a joint; infinite if it has no limits.
+fn limits(model: &Model, joint: usize) -> [f64; 2] {
+    if model.joint_is_limited(joint) { model.joint_range(joint) } else { [f64::NEG_INFINITY, f64::INFINITY] }
+}
+
 static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::new(|| {
     let robot = |(name, mjcf): &(&str, &str)| {
         let sha256 = files::sha256(&[mjcf.as_bytes()]);
@@ -167,22 +173,18 @@ impl Robot {
         Ok(robot)
     }
 
-    /// Bends knees that the file leaves straight. `places` are the indices of the joint angles in `stand`.
+    /// Bends the knees of a robot whose file gives no pose and that does not stand without one. `places` are the indices of the
+    /// joint angles in `stand`.
     fn bend_knees(&mut self, places: &[usize; JOINTS]) {
-        let straight = |leg: usize| self.legs[leg].is_straight(of_leg(&self.nominal_pose, leg));
-        if !(0..LEGS.len()).all(straight) {
-            return;
-        }
-        // To a milliradian: it will be read.
-        let bent = |joint: usize| self.legs[joint / PARTS.len()].bent()[joint % PARTS.len()];
-        self.nominal_pose = std::array::from_fn(|joint| (1e3 * bent(joint)).round() / 1e3);
+        let Some(bent) = bent_pose(&self.legs, &self.nominal_pose, &self.joint_limits) else { return };
+        self.nominal_pose = bent;
         self.stand[2] = self.standing_height_m(&self.nominal_pose);
         for (place, angle) in places.iter().zip(self.nominal_pose) {
             self.stand[*place] = angle;
         }
         self.report.push(format!(
-            "pose: its file says none, and its legs are straight; knees bent to the rear, base at {:.3} m (nominal_pose_rad in a \
-             YAML file chooses another)",
+            "pose: its file says none, and its legs are straight or folded; knees bent to the rear, base at {:.3} m \
+             (nominal_pose_rad in a YAML file chooses another)",
             self.stand[2]
         ));
     }
@@ -207,9 +209,7 @@ impl Robot {
         let (mut joint_limits, mut torque_limits, mut places) = ([[0.0; 2]; JOINTS], [0.0; JOINTS], [0; JOINTS]);
         for joint in 0..JOINTS {
             let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
-            let limited = model.joint_is_limited(id);
-            joint_limits[joint] = if limited { model.joint_range(id) } else { [f64::NEG_INFINITY, f64::INFINITY] };
-            places[joint] = model.joint_position_index(id);
+            (joint_limits[joint], places[joint]) = (limits(&model, id), model.joint_position_index(id));
             let motor = model.id(Kind::Actuator, &joint_name(joint)).map_err(words)?;
             torque_limits[joint] = model.control_range(motor)[1];
         }
@@ -221,8 +221,7 @@ impl Robot {
             Ok(pose) => Joints::try_from(pose).map_err(|_| fail(RobotError::joints("nominal_pose", pose.len())))?,
             Err(_) => places.map(|place| stand[place]),
         };
-        let leg = |leg: usize| Leg::of(&model, leg).map_err(fail);
-        let legs = [leg(0)?, leg(1)?, leg(2)?, leg(3)?];
+        let legs = Leg::all(&model).map_err(fail)?;
         let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
         let collides = |geom: &usize| model.geom_contact(*geom).collides();
         let colliding = (0..model.count(Kind::Geom)).filter(collides);
@@ -263,8 +262,7 @@ impl Robot {
 
     /// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
     pub fn standing_height_m(&self, pose: &Joints) -> f64 {
-        let depth = |leg: usize| self.legs[leg].foot_radius_m - self.legs[leg].foot_position(of_leg(pose, leg)).z;
-        (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, maximum)
+        kinematics::standing_height_m(&self.legs, pose)
     }
 
     /// Mirrors a joint between left and right: returns the joint that takes over its angle, and the sign. The legs of

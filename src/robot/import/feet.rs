@@ -46,16 +46,20 @@ pub(super) struct Sole {
 /// Finds the geometries that are the feet, in the order of the legs: those of the given names, or the lowest that collides
 /// below each calf. `data` is the robot in its nominal pose.
 pub(super) fn find(data: &Data, description: &Description, joints: &[usize]) -> Result<[usize; 4], RobotError> {
+    let Some(names) = &description.feet else {
+        return Ok([
+            lowest(data, 0, joints)?,
+            lowest(data, 1, joints)?,
+            lowest(data, 2, joints)?,
+            lowest(data, 3, joints)?,
+        ]);
+    };
     let mut feet = [0; 4];
     for leg in 0..LEGS.len() {
-        feet[leg] = match &description.feet {
-            Some(names) => named(data.model(), &names[leg], leg, joints)?,
-            None => lowest(data, leg, joints)?,
-        };
-        if let Some(first) = (0..leg).find(|first| feet[*first] == feet[leg]) {
-            let name = data.model().name(Kind::Geom, feet[leg]).to_owned();
-            return Err(RobotError::FootTwice { name, first: LEGS[first], second: LEGS[leg] });
+        if let Some(first) = (0..leg).find(|first| names[*first] == names[leg]) {
+            return Err(RobotError::FootTwice { name: names[leg].clone(), first: LEGS[first], second: LEGS[leg] });
         }
+        feet[leg] = named(data.model(), &names[leg], leg, joints)?;
     }
     Ok(feet)
 }
@@ -93,8 +97,7 @@ fn lowest(data: &Data, leg: usize, joints: &[usize]) -> Result<usize, RobotError
         .filter_map(|geom| Some((geom, lower_end(data, geom)?.point.z)))
         .collect();
     let least = |geoms: &mut dyn Iterator<Item = &(usize, f64)>| geoms.min_by(|a, b| a.1.total_cmp(&b.1)).copied();
-    let hint = "";
-    let all = least(&mut candidates.iter()).ok_or(RobotError::NoFoot { leg: LEGS[leg], hint })?;
+    let all = least(&mut candidates.iter()).ok_or(RobotError::NoFoot { leg: LEGS[leg] })?;
     let is_sphere = |candidate: &&(usize, f64)| model.geom(candidate.0).shape == Shape::Sphere;
     // A calf's shape may reach down into the sphere that is its foot, and even below it, as the A1's does.
     match least(&mut candidates.iter().filter(is_sphere)) {

@@ -10,8 +10,8 @@ use super::source::{Files, Source, described};
 use super::urdf;
 use crate::mujoco::{self, Data, GeomContact, Kind, Model, Shape};
 use crate::robot::error::RobotError;
-use crate::robot::kinematics::Leg;
-use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name, of_leg, sole_name};
+use crate::robot::kinematics::{Leg, bent_pose};
+use crate::robot::{HARNESS, JOINTS, Joints, LEGS, PARTS, joint_name, limits, sole_name};
 use crate::util::xml::Element;
 
 /// Class that takes over the file's top-level defaults, because a robot must not change those of a scene.
@@ -72,12 +72,10 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     let mut document = survey.document(&tree, &start, description)?;
     let model = load(&document, files)?;
     if !has_pose && survey.feet.iter().any(|foot| survey.model.geom(*foot).shape != Shape::Sphere) {
-        // Knees will be bent; the feet then stand on other points than those of straight legs.
-        let legs = (0..LEGS.len()).map(|leg| Leg::of(&model, leg)).collect::<Result<Vec<_>, _>>()?;
-        if legs.iter().enumerate().all(|(leg, own)| own.is_straight(of_leg(&start.pose, leg))) {
-            let bent: Joints = std::array::from_fn(|joint| legs[joint / PARTS.len()].bent()[joint % PARTS.len()]);
-            let soles = survey.pose(&bent)?.soles;
-            start.soles = soles;
+        // Knees will be bent; the feet then stand on other points.
+        let limits = survey.joints.map(|joint| limits(&survey.model, joint));
+        if let Some(bent) = bent_pose(&Leg::all(&model)?, &start.pose, &limits) {
+            start.soles = survey.pose(&bent)?.soles;
             document = survey.document(&tree, &start, description)?;
             load(&document, files)?;
         }
@@ -469,7 +467,7 @@ impl<'a> Survey<'a> {
         let mut soles = [Sole { centre: [0.0; 3], radius: 0.0 }; 4];
         let mut lowest = f64::INFINITY;
         for (leg, foot) in self.feet.iter().enumerate() {
-            let missing = || RobotError::NoFoot { leg: LEGS[leg], hint: "" };
+            let missing = || RobotError::NoFoot { leg: LEGS[leg] };
             soles[leg] = feet::sole(&data, *foot).ok_or_else(missing)?;
             lowest = lowest.min(feet::lower_end(&data, *foot).ok_or_else(missing)?.point.z);
         }
