@@ -515,7 +515,8 @@ fn physics_is_fast_enough_for_light_joints() {
     // A fifth as large: lengths by 0.2, masses by 0.008, inertias by 0.00032.
     let light = foreign().mjcf();
     let scaled = |text: &str, name: &str, by: f64| {
-        let mut parts = text.split(&format!(" {name}='"));
+        let mark = format!(" {name}='");
+        let mut parts = text.split(&mark);
         let mut out = parts.next().unwrap().to_owned();
         for part in parts {
             let (numbers, rest) = part.split_once('\'').unwrap();
@@ -610,6 +611,36 @@ fn a_urdf_is_the_robot_that_it_describes() {
         let far = |model: &supple::mujoco::Model, body| model.body_centre_of_mass(body);
         assert!((0..3).all(|k| (far(&own, a)[k] - far(&other, b)[k]).abs() < 1e-12));
     }
+    // A trunk whose mass is a link of its own, and a sensor whose inertia was made up.
+    let apart =
+        urdf("<sphere radius='0.02'/>").replace("<link name='base'/>", "").replacen("floating_base", "inertia", 1);
+    let apart = apart.replacen(
+        "<parent link='base'/><child link='trunk'/>",
+        "<origin xyz='0 0 0.1' rpy='0 0 0'/><parent link='trunk'/><child link='mass'/>",
+        1,
+    );
+    let start = apart.find("<link name='trunk'>").unwrap() + "<link name='trunk'>".len();
+    let end = start + apart[start..].find("</inertial>").unwrap() + "</inertial>".len();
+    let inertial = apart[start..end].replace("xyz='0 0 0'", "xyz='0 0 -0.1'");
+    let camera =
+        "<inertial><mass value='0.1'/><inertia ixx='1e-6' iyy='1e-6' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>";
+    let apart = format!(
+        "{}{}<link name='mass'>{inertial}</link>\n<link name='camera'>{camera}</link>\n<joint name='c' type='fixed'><parent link='mass'/>\
+         <child link='camera'/></joint></robot>",
+        &apart[..start],
+        apart[end..].replace("</robot>", "")
+    );
+    std::fs::write(at("apart.urdf"), apart).unwrap();
+    let apart = Robot::load(&at("apart.urdf")).unwrap();
+    assert!((apart.mass_kg - 13.7).abs() < 1e-9, "{}", apart.mass_kg);
+    assert!(
+        apart.report.iter().any(|line| line.contains("'camera'") && line.contains("made equal")),
+        "{:?}",
+        apart.report
+    );
+    let model = Scene::flat(apart, 1.0 / 240.0).compile().unwrap();
+    let trunk = model.id(Kind::Body, "trunk").unwrap();
+    assert!(model.body_mass()[trunk] == 8.0 && model.body_centre_of_mass(trunk).iter().all(|x| x.abs() < 1e-12));
     // Without a pose, knees are bent as far as its joints go.
     let alone = Robot::load(&at("robot.urdf")).unwrap();
     assert!((alone.nominal_pose[2] + 1.44).abs() < 1e-9, "{:?}", alone.nominal_pose);

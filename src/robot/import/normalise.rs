@@ -106,12 +106,30 @@ fn explained(error: mujoco::Error, document: &Element, files: &Files) -> RobotEr
         text[..text.find(|letter: char| !letter.is_ascii_digit()).unwrap_or(text.len())].parse::<usize>().ok()
     };
     let line = message.match_indices("line").filter_map(|(at, word)| Some((at, number(&message[at + word.len()..])?)));
-    let Some((at, line)) = line.last() else { return RobotError::Engine(message.to_owned()) };
+    let Some((at, line)) = line.last() else { return named(message, document, files) };
     let end = ["Object name", "Element '"].iter().filter_map(|mark| message[..at].find(mark)).min().unwrap_or(at);
     let message = message[..end].trim_end_matches([' ', ',', '(']).to_owned();
     match document.lines().get(line.wrapping_sub(1)) {
         Some(element) => RobotError::MuJoCo { at: files.at(element), element: described(element), message },
         None => RobotError::Engine(message),
+    }
+}
+
+/// Explains a message of MuJoCo that names an element, but no line.
+fn named(message: &str, document: &Element, files: &Files) -> RobotError {
+    let Some((text, rest)) = message.split_once("Object name = ") else {
+        return RobotError::Engine(message.to_owned());
+    };
+    let name = rest.split_once(", id").map_or(rest, |(name, _)| name);
+    let mut found = None;
+    document.visit(&mut |element| {
+        if found.is_none() && element.get("name") == Some(name) {
+            found = Some((files.at(element), described(element)));
+        }
+    });
+    match found {
+        Some((at, element)) => RobotError::MuJoCo { at, element, message: text.trim().to_owned() },
+        None => RobotError::Engine(text.trim().to_owned()),
     }
 }
 

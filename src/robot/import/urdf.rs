@@ -6,6 +6,8 @@ whatever their `package://` paths are: the masses of a URDF stand in its links, 
 would fix to the world, gets a free joint.
 */
 
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+
 use super::newer::Translated;
 use super::normalise::load;
 use super::source::Files;
@@ -29,9 +31,25 @@ pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, Rob
             }
         }
     }
+    share_masses(&mut robot);
     robot.children.insert(0, Element { children: vec![compiler], ..Element::new("mujoco") });
-    let model = load(&robot, files)?;
     let mut notes = vec!["file: a URDF, read by MuJoCo, with a free joint for its trunk".to_owned()];
+    let model = load(&robot, files).or_else(|error| {
+        if !error.to_string().contains("balanceinertia") {
+            return Err(error);
+        }
+        // Rounded, or made up for a sensor: no body has such moments of inertia.
+        robot.children[0].children[0].set("balanceinertia", "true");
+        let model = load(&robot, files)?;
+        let found = match &error {
+            RobotError::MuJoCo { element, .. } => element.clone(),
+            _ => "a link".to_owned(),
+        };
+        notes.push(format!(
+            "inertia of {found} and maybe others: no body has it (A + B < C); its three moments made equal"
+        ));
+        Ok(model)
+    })?;
     if meshes > 0 {
         notes.push(format!("meshes: {meshes} left out, for looks and collisions; masses stand in the links"));
     }
@@ -46,7 +64,7 @@ pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, Rob
     if speeds > 0 {
         notes.push("joint speeds: not limited here".to_owned());
     }
-    Ok(Translated { tree: written(&model, tree), torques, notes })
+    Ok(Translated { tree: written(&model, &robot), torques, notes })
 }
 
 /// Returns what MuJoCo reads of a URDF, and the number of meshes that were left out.
@@ -106,23 +124,67 @@ fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
     Ok(())
 }
 
+/// Gives links that move without a mass the inertia of a link that is fixed to them, as some URDFs have their trunk.
+fn share_masses(robot: &mut Element) {
+    let end = |joint: &Element, end: &str| joint.all(end).filter_map(|link| link.get("link")).next().map(str::to_owned);
+    let is_fixed = |joint: &&Element| joint.get("type") == Some("fixed");
+    let weighs = |robot: &Element, name: &str| {
+        robot.all("link").find(|link| link.get("name") == Some(name))?.all("inertial").next().cloned()
+    };
+    let moving = robot.all("joint").filter(|joint| !is_fixed(joint)).filter_map(|joint| end(joint, "child"));
+    for name in moving.collect::<Vec<_>>() {
+        if weighs(robot, &name).is_some() {
+            continue;
+        }
+        let below = robot.all("joint").filter(is_fixed).filter(|joint| end(joint, "parent").as_deref() == Some(&name));
+        let found = below.filter_map(|joint| {
+            let child = end(joint, "child")?;
+            Some((origin(joint), weighs(robot, &child)?, child))
+        });
+        let Some((joint, mut inertial, child)) = found.into_iter().next() else { continue };
+        let own = joint * origin(&inertial);
+        let (roll, pitch, yaw) = own.rotation.euler_angles();
+        inertial.children.retain(|part| part.name != "origin");
+        let place = Element::new("origin").with("xyz", list(own.translation.vector.as_slice()));
+        inertial.children.push(place.with("rpy", list(&[roll, pitch, yaw])));
+        for link in robot.children.iter_mut().filter(|link| link.name == "link") {
+            if link.get("name") == Some(&child) {
+                link.children.retain(|part| part.name != "inertial");
+            } else if link.get("name") == Some(&name) {
+                link.children.push(inertial.clone());
+            }
+        }
+    }
+}
+
+/// Reads the `<origin>` of a joint or inertia.
+fn origin(element: &Element) -> Isometry3<f64> {
+    let numbers = |name: &str| -> [f64; 3] {
+        let text = element.all("origin").find_map(|origin| origin.get(name)).unwrap_or("");
+        let mut words = text.split_whitespace().map(|word| word.parse().unwrap_or(0.0));
+        std::array::from_fn(|_| words.next().unwrap_or(0.0))
+    };
+    let ([x, y, z], [roll, pitch, yaw]) = (numbers("xyz"), numbers("rpy"));
+    Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw))
+}
+
 /// Writes a compiled model as MJCF. Elements keep the places of the URDF's.
-fn written(model: &Model, tree: &Element) -> Element {
+fn written(model: &Model, robot: &Element) -> Element {
     let compiler = Element::new("compiler").with("angle", "radian");
-    let world = Element { children: bodies(model, 0, tree), ..Element::new("worldbody") };
+    let world = Element { children: bodies(model, 0, robot), ..Element::new("worldbody") };
     Element { children: vec![compiler, world], ..Element::new("mujoco") }
 }
 
 /// Writes the bodies that are attached to a body.
-fn bodies(model: &Model, parent: usize, tree: &Element) -> Vec<Element> {
+fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
     let own = (1..model.count(Kind::Body)).filter(|body| model.body_parent(*body) == parent);
     own.map(|body| {
         let name = model.name(Kind::Body, body);
-        let mut element = Element { place: place(tree, "link", name), ..Element::new("body") };
+        let mut element = Element { place: place(robot, "link", name), ..Element::new("body") };
         element.set("name", name);
         element.set("pos", list(&model.body_position(body)));
         element.set("quat", list(&model.body_quaternion(body)));
-        let link = tree.all("link").find(|link| link.get("name") == Some(name));
+        let link = robot.all("link").find(|link| link.get("name") == Some(name));
         if link.is_some_and(|link| link.all("inertial").next().is_some()) {
             let inertial = Element::new("inertial").with("pos", list(&model.body_centre_of_mass(body)));
             let inertial = inertial.with("quat", list(&model.body_inertia_quaternion(body)));
@@ -130,7 +192,7 @@ fn bodies(model: &Model, parent: usize, tree: &Element) -> Vec<Element> {
             element.children.push(inertial.with("diaginertia", list(&model.body_inertia(body))));
         }
         for joint in (0..model.count(Kind::Joint)).filter(|joint| model.joint_body(*joint) == body) {
-            element.children.push(written_joint(model, joint, tree));
+            element.children.push(written_joint(model, joint, robot));
         }
         for geom in (0..model.count(Kind::Geom)).filter(|geom| model.geom_body(*geom) == body) {
             let shape = model.geom(geom);
@@ -145,18 +207,18 @@ fn bodies(model: &Model, parent: usize, tree: &Element) -> Vec<Element> {
             // Without a mass in its link, a part has none.
             element.children.push(written.with("mass", 0));
         }
-        element.children.extend(bodies(model, body, tree));
+        element.children.extend(bodies(model, body, robot));
         element
     })
     .collect()
 }
 
-fn written_joint(model: &Model, joint: usize, tree: &Element) -> Element {
+fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
     let name = model.name(Kind::Joint, joint);
     if model.is_free(joint) {
         return Element::new("freejoint").with("name", name);
     }
-    let mut element = Element { place: place(tree, "joint", name), ..Element::new("joint") };
+    let mut element = Element { place: place(robot, "joint", name), ..Element::new("joint") };
     element.set("name", name);
     element.set("type", if model.is_hinge(joint) { "hinge" } else { "slide" });
     element.set("pos", list(&model.joint_anchor(joint)));
@@ -168,8 +230,8 @@ fn written_joint(model: &Model, joint: usize, tree: &Element) -> Element {
 }
 
 /// Returns where the URDF has a link or joint.
-fn place(tree: &Element, kind: &str, name: &str) -> Place {
-    tree.all(kind).find(|element| element.get("name") == Some(name)).map_or(Place::default(), |element| element.place)
+fn place(robot: &Element, kind: &str, name: &str) -> Place {
+    robot.all(kind).find(|element| element.get("name") == Some(name)).map_or(Place::default(), |element| element.place)
 }
 
 fn list(numbers: &[f64]) -> String {
