@@ -17,7 +17,7 @@ pub enum RobotError {
     In {
         /// Path of the included file.
         file: PathBuf,
-        /// What is wrong with it.
+        /// The reason why it is refused.
         error: Box<RobotError>,
     },
     /// A file cannot be read.
@@ -53,7 +53,7 @@ pub enum RobotError {
     /// The files have more parts than any robot, or include one another in a circle.
     #[error("it has more than {most} {what}{}", if *what == "files" { ": does one include itself?" } else { "" })]
     TooMany {
-        /// What there is too much of.
+        /// The parts that are too many.
         what: &'static str,
         /// The largest number that is taken.
         most: usize,
@@ -229,7 +229,7 @@ pub enum RobotError {
         name: String,
         /// Name of the leg.
         leg: &'static str,
-        /// What it is.
+        /// The reason why nothing can stand on it.
         found: &'static str,
     },
     /// Nothing at the end of a leg touches the ground.

@@ -17,9 +17,9 @@ struct Foreign {
     /// Sections before the world.
     sections: &'static str,
     trunk: &'static str,
-    /// What is in the trunk beside its legs.
+    /// Elements of the trunk beside its legs.
     parts: &'static str,
-    /// Attributes of every joint, and of those without a range of their own.
+    /// Attributes of every joint.
     joint: &'static str,
     ranges: [&'static str; 3],
     /// The foot, in the frame of the calf.
@@ -322,6 +322,11 @@ fn the_tightest_bound_of_a_torque_holds() {
         ("<position joint='{}' ctrlrange='-3 3' kp='100' forcerange='-15 15'/>", 15.0),
         ("<motor joint='{}' ctrlrange='-5 5'/><motor joint='{}' ctrlrange='-7 7'/>", 12.0),
         ("<motor joint='{}' ctrlrange='-20 30'/>", 20.0),
+        (
+            "<general joint='{}' dyntype='filterexact' dynprm='0.1' gaintype='so3' biastype='so3' forcerange='-13 13'/>",
+            13.0,
+        ),
+        ("<intvelocity joint='{}' kp='9' inheritrange='1' forcerange='-11 11'/>", 11.0),
         ("<pid joint='{}' kp='9' input='pos vel' forcerange='-14 14'/>", 14.0),
     ] {
         assert_usual(&Foreign { actuator, ..foreign() }.robot(), expected);
@@ -389,7 +394,7 @@ fn feet_of_any_shape_stand_on_their_lowest_point() {
         }
         let state = sim.state();
         assert!(state.feet.iter().all(|foot| foot.contact && foot.height.abs() < 0.004), "{foot}: {:?}", state.feet);
-        assert!((state.height - expected).abs() < 0.01, "{foot}: {} {expected}", state.height);
+        assert!((state.height - expected).abs() < 0.03, "{foot}: {} {expected}", state.height);
         // The legs in closed form, as estimates use them, are where the simulation has them.
         let centres = sim.parts().foot_centres(sim.data());
         for (leg, centre) in centres.iter().enumerate() {
@@ -511,7 +516,7 @@ fn degrees_are_radians_in_other_words() {
 fn physics_is_fast_enough_for_light_joints() {
     let config = Config::load("fast").unwrap();
     let rate = |text: &str| config.fitted_to(&read(text).unwrap()).map(|config| config.simulation.physics_rate_hz);
-    assert_eq!(rate(&foreign().mjcf()).unwrap(), 240);
+    assert_eq!(rate(&Foreign { joint: "armature='0.01'", ..foreign() }.mjcf()).unwrap(), 240);
     // A fifth as large: lengths by 0.2, masses by 0.008, inertias by 0.00032.
     let light = foreign().mjcf();
     let scaled = |text: &str, name: &str, by: f64| {

@@ -13,7 +13,7 @@ use std::collections::HashMap;
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 use super::source::{Files, described};
-use super::words::{Verdict, is_actuator, is_newer_actuator, since, verdict};
+use super::words::{Verdict, is_actuator, is_known_law, is_newer_actuator, since, verdict};
 use crate::robot::error::{RobotError, SAVE_AGAIN};
 use crate::util::xml::Element;
 
@@ -36,7 +36,7 @@ pub(super) struct Translated {
     pub(super) tree: Element,
     /// Limits of the torque on a joint, by its name [N·m].
     pub(super) torques: Vec<(String, [f64; 2])>,
-    /// What was left out although it acts, one on a line.
+    /// Settings that were left out although they act, one on a line.
     pub(super) notes: Vec<String>,
 }
 
@@ -517,6 +517,9 @@ impl Translator<'_> {
                 Verdict::Known => {
                     // Springs and dampers of newer MuJoCos are polynomials, of which the first term is the old one.
                     let first = matches!(name.as_str(), "stiffness" | "damping");
+                    // Whatever law moves a servo, its force is not that of its control.
+                    let law = matches!(name.as_str(), "gaintype" | "biastype") && !is_known_law(value);
+                    let value = if law { "affine" } else { value };
                     let value = if first { value.split_whitespace().next().unwrap_or("0") } else { value };
                     own.attributes.push((name.clone(), value.to_owned()));
                 }
@@ -525,7 +528,8 @@ impl Translator<'_> {
                     notes.push(format!("{at}: {name} {value} of {} left out", described(element)));
                 }
                 Verdict::Acting => {}
-                Verdict::LeftOut if matches!(name.as_str(), "user" | "actuatorfrcrange" | "assetdir") => {}
+                Verdict::LeftOut if matches!(name.as_str(), "user" | "dyntype" | "dynprm") => {}
+                Verdict::LeftOut if matches!(name.as_str(), "actuatorfrcrange" | "assetdir") => {}
                 Verdict::LeftOut if element.name == "key" => {}
                 Verdict::LeftOut => left_out.push(name.clone()),
                 // Checked where it is read.

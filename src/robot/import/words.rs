@@ -39,11 +39,10 @@ const KNOWN: &[(&str, &[&str])] = &[
         ],
     ),
     ("site", &["name class type group pos quat material size fromto axisangle xyaxes zaxis euler rgba"]),
-    ("general", &[ACTUATOR, "actlimited actrange body dyntype gaintype biastype dynprm gainprm biasprm"]),
+    ("general", &[ACTUATOR, "body gaintype biastype gainprm biasprm"]),
     ("motor", &[ACTUATOR]),
     ("position", &[ACTUATOR, "kp"]),
     ("velocity", &[ACTUATOR, "kv"]),
-    ("intvelocity", &[ACTUATOR, "actrange kp"]),
     (
         "damper",
         &["name class group forcelimited ctrlrange forcerange lengthrange gear cranklength", TRANSMISSION, "kv"],
@@ -76,25 +75,29 @@ const LEFT_OUT: &[(&str, &str)] = &[
 ];
 
 /// Attributes of actuators that bound no force: motors take their place.
-const OF_SERVOS: &str = "user kp kv ki dampratio timeconst inheritrange actlimited actearly actdim actrange delay nsample interp \
+const OF_SERVOS: &str = "user dyntype dynprm kp kv ki dampratio timeconst inheritrange actlimited actearly actdim actrange delay nsample interp \
                          input velrange ffrange posrange slewmax imax damping";
 
 /// Attributes that are left out although they act on a robot: something else holds, or nothing does, and the report says so.
 const ACTING: [&str; 3] = ["gravcomp", "surfacevel", "adhesion"];
 
-/// Kinds of actuators that MuJoCo 2.2.2 knows.
+/// Kinds of actuators that are passed to MuJoCo 2.2.2.
 pub(super) fn is_actuator(name: &str) -> bool {
-    let actuators =
-        ["general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion"];
-    actuators.contains(&name)
+    matches!(name, "general" | "motor" | "position" | "velocity" | "damper" | "cylinder" | "muscle" | "adhesion")
 }
 
-/// Kinds of actuators that only newer MuJoCos know. They become servos of the same force range.
+/// Kinds of actuators that only newer MuJoCos know, or that need more than a range of force to be read. They become servos
+/// of the same force range.
 pub(super) fn is_newer_actuator(name: &str) -> bool {
-    matches!(name, "pid" | "orientation" | "dcmotor" | "plugin")
+    matches!(name, "intvelocity" | "pid" | "orientation" | "dcmotor" | "plugin")
 }
 
-/// What to do with an attribute.
+/// Returns true if MuJoCo 2.2.2 knows the value of an actuator's `gaintype` or `biastype`.
+pub(super) fn is_known_law(value: &str) -> bool {
+    matches!(value, "none" | "fixed" | "affine" | "muscle" | "user")
+}
+
+/// The way that an attribute is treated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// It is passed to MuJoCo.
