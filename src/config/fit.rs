@@ -89,7 +89,7 @@ impl Simulation {
             let (h, kp, kd) = (simulation.timestep_s(), simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad);
             (2.0 * kd * h + kp * h * h) / (4.0 * inertia)
         };
-        while !(part(self) <= LARGEST_PART) {
+        while part(self).is_nan() || part(self) > LARGEST_PART {
             if self.physics_rate_hz > FASTEST_HZ / 2 {
                 return Err(format!(
                     "its joints feel an inertia of {inertia:.1e} kg m² at least, too little for K_p {} N m/rad and K_d {} N m s/rad at \

@@ -279,11 +279,6 @@ impl Model {
         row(self.slice(self.raw().body_iquat, 4 * self.raw().nbody), id)
     }
 
-    /// Orientation of a body in the frame of the body above it (w, x, y, z).
-    pub fn body_quaternion(&self, id: usize) -> [f64; 4] {
-        row(self.slice(self.raw().body_quat, 4 * self.raw().nbody), id)
-    }
-
     /// Lower and upper limit of an actuator's control.
     pub fn control_range(&self, id: usize) -> [f64; 2] {
         row(self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu), id)

@@ -52,7 +52,6 @@ mod tests {
     fn the_go1s_calves_are_the_lightest_that_a_joint_moves() {
         let robot = Robot::load("go1").unwrap();
         let least = robot.least_inertia(&robot.nominal_pose).unwrap();
-        println!("go1 {least} go2 {}", Robot::load("go2").map(|r| r.least_inertia(&r.nominal_pose).unwrap()).unwrap());
         // The rotor and the calf about the knee, less what the thigh gives way.
         assert!((0.005..0.0176).contains(&least), "{least}");
     }

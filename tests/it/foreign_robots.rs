@@ -228,6 +228,21 @@ fn frames_are_poses_of_what_they_hold() {
 }
 
 #[test]
+fn legs_may_be_fixed_to_the_trunk_by_bodies_of_their_own() {
+    let text = foreign().mjcf().replacen(
+        "<body name='FL_hip' pos='0.2 0.06 0'>",
+        "<body name='mount' pos='0.1 0 0'><inertial pos='0 0 0' mass='0.1' diaginertia='1e-4 1e-4 1e-4'/><body name='FL_hip' pos='0.1 0.06 0'>",
+        1,
+    );
+    let robot = read(&text.replacen("</body></body></body>", "</body></body></body></body>", 1)).unwrap();
+    assert!((height(&robot) - HEIGHT).abs() < 1e-6 && (robot.mass_kg - 13.7).abs() < 1e-9);
+    let plain = foreign().robot();
+    assert!(
+        (robot.legs[1].foot_position([0.0, 0.6, -1.2]) - plain.legs[1].foot_position([0.0, 0.6, -1.2])).norm() < 1e-12
+    );
+}
+
+#[test]
 fn words_that_cannot_be_translated_are_refused_with_line_and_version() {
     for (robot, words) in [
         (
@@ -645,7 +660,14 @@ fn a_urdf_is_the_robot_that_it_describes() {
     );
     let model = Scene::flat(apart, 1.0 / 240.0).compile().unwrap();
     let trunk = model.id(Kind::Body, "trunk").unwrap();
-    assert!(model.body_mass()[trunk] == 8.0 && model.body_centre_of_mass(trunk).iter().all(|x| x.abs() < 1e-12));
+    // The camera, 0.1 m up, is a part of the trunk: 0.1 · 0.1 / 8.1.
+    let [x, y, z] = model.body_centre_of_mass(trunk);
+    assert!((model.body_mass()[trunk] - 8.1).abs() < 1e-12, "{}", model.body_mass()[trunk]);
+    assert!(x.abs() < 1e-12 && y.abs() < 1e-12 && (z - 0.01 / 8.1).abs() < 1e-12, "{x} {y} {z}");
+    // About its sides 0.04 + 8 z² + 0.1 (0.1 − z)², and the camera's own third of 1 + 2e-6.
+    let (own, third) = (0.04 + 8.0 * z * z + 0.1 * (0.1 - z) * (0.1 - z), 1.000_002 / 3.0);
+    let least = model.body_inertia(trunk).into_iter().fold(f64::INFINITY, f64::min);
+    assert!((least - own - third).abs() < 1e-9, "{least} {own}");
     // Without a pose, knees are bent as far as its joints go.
     let alone = Robot::load(&at("robot.urdf")).unwrap();
     assert!((alone.nominal_pose[2] + 1.44).abs() < 1e-9, "{:?}", alone.nominal_pose);

@@ -65,7 +65,7 @@ impl Description {
         // The caller adds the file's name to the error.
         let raw: RawDescription = layered(&[text]).map_err(|error| RobotError::Yaml(error.without_name()))?;
         let pose = raw.nominal_pose_rad.map(|pose| of_joints("nominal_pose_rad", &pose)).transpose()?;
-        if let Some(angle) = pose.iter().flatten().find(|angle| !(angle.abs() <= std::f64::consts::TAU)) {
+        if let Some(angle) = pose.iter().flatten().find(|angle| angle.is_nan() || angle.abs() > std::f64::consts::TAU) {
             let expected = "angles of at most one turn, 6.283 rad";
             return Err(RobotError::Key { key: "nominal_pose_rad", found: angle.to_string(), expected });
         }
@@ -205,12 +205,13 @@ mod tests {
 
     #[test]
     fn joints_of_known_robots_are_recognised() {
-        let legs = |legs: [&str; 4], parts: [&str; 3], name: fn(&str, &str) -> String| -> Vec<String> {
+        type Name = fn(&str, &str) -> String;
+        let legs = |legs: [&str; 4], parts: [&str; 3], name: Name| -> Vec<String> {
             legs.iter().flat_map(|leg| parts.map(|part| name(leg, part))).collect()
         };
-        let (plain, joint): (fn(&str, &str) -> String, fn(&str, &str) -> String) =
+        let (plain, joint): (Name, Name) =
             (|leg, part| format!("{leg}_{part}"), |leg, part| format!("{leg}_{part}_joint"));
-        let back: fn(&str, &str) -> String = |leg, part| format!("{part}_{leg}");
+        let back: Name = |leg, part| format!("{part}_{leg}");
         let unitree = ["FR", "FL", "RR", "RL"];
         for (robot, names) in [
             ("Go1", legs(unitree, ["hip", "thigh", "calf"], joint)),

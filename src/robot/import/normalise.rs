@@ -253,14 +253,23 @@ impl<'a> Survey<'a> {
         let name = |joint: usize| model.name(Kind::Joint, joint).to_owned();
         let free: Vec<usize> = (0..model.count(Kind::Joint)).filter(|joint| model.is_free(*joint)).collect();
         let joints = description.joints(&model)?;
-        let hip_parent = model.body_parent(model.joint_body(joints[0]));
+        // Bodies in between may be fixed to one another.
+        let above = |body: usize| {
+            let moves = |body: usize| (0..model.count(Kind::Joint)).any(|joint| model.joint_body(joint) == body);
+            let mut above = model.body_parent(body);
+            while above != 0 && !moves(above) {
+                above = model.body_parent(above);
+            }
+            above
+        };
+        let hip_parent = above(model.joint_body(joints[0]));
         let Some(root) = free.iter().copied().find(|joint| model.joint_body(*joint) == hip_parent) else {
             return Err(RobotError::NoTrunk);
         };
         let trunk = model.joint_body(root);
         for leg in joints.chunks(PARTS.len()) {
             let [hip, thigh, calf] = [0, 1, 2].map(|part| model.joint_body(leg[part]));
-            if model.body_parent(hip) != trunk || model.body_parent(thigh) != hip || model.body_parent(calf) != thigh {
+            if above(hip) != trunk || above(thigh) != hip || above(calf) != thigh {
                 return Err(RobotError::NotInLine(name(leg[0]), name(leg[1]), name(leg[2])));
             }
         }

@@ -6,7 +6,7 @@ whatever their `package://` paths are: the masses of a URDF stand in its links, 
 would fix to the world, gets a free joint.
 */
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
 use super::newer::Translated;
 use super::normalise::load;
@@ -95,7 +95,7 @@ fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
         |name: &str, robot: &Element| robot.all("joint").any(|joint| ends(joint, "child").as_deref() == Some(name));
     // A first link of its own for the world is common, and joined to the trunk in any way.
     let of_world = |joint: &Element| joint.name == "joint" && ends(joint, "parent").as_deref() == Some(WORLD);
-    robot.children.retain(|child| !of_world(child) && !(child.name == "link" && child.get("name") == Some(WORLD)));
+    robot.children.retain(|child| !(of_world(child) || child.name == "link" && child.get("name") == Some(WORLD)));
     let links: Vec<String> = robot.all("link").filter_map(|link| link.get("name")).map(str::to_owned).collect();
     let roots: Vec<&String> = links.iter().filter(|name| !is_moving(name, robot)).collect();
     let [root] = roots[..] else { return Err(RobotError::Links(roots.len())) };
@@ -175,42 +175,119 @@ fn written(model: &Model, robot: &Element) -> Element {
     Element { children: vec![compiler, world], ..Element::new("mujoco") }
 }
 
-/// Writes the bodies that are attached to a body.
+/// Writes the bodies that move against a body. Links that are fixed to one another are one body, as when MuJoCo reads a URDF by
+/// itself.
 fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
-    let own = (1..model.count(Kind::Body)).filter(|body| model.body_parent(*body) == parent);
-    own.map(|body| {
-        let name = model.name(Kind::Body, body);
-        let mut element = Element { place: place(robot, "link", name), ..Element::new("body") };
-        element.set("name", name);
-        element.set("pos", list(&model.body_position(body)));
-        element.set("quat", list(&model.body_quaternion(body)));
-        let link = robot.all("link").find(|link| link.get("name") == Some(name));
-        if link.is_some_and(|link| link.all("inertial").next().is_some()) {
-            let inertial = Element::new("inertial").with("pos", list(&model.body_centre_of_mass(body)));
-            let inertial = inertial.with("quat", list(&model.body_inertia_quaternion(body)));
-            let inertial = inertial.with("mass", model.body_mass()[body]);
-            element.children.push(inertial.with("diaginertia", list(&model.body_inertia(body))));
-        }
-        for joint in (0..model.count(Kind::Joint)).filter(|joint| model.joint_body(*joint) == body) {
-            element.children.push(written_joint(model, joint, robot));
-        }
-        for geom in (0..model.count(Kind::Geom)).filter(|geom| model.geom_body(*geom) == body) {
-            let shape = model.geom(geom);
-            let kind = match shape.shape {
-                Shape::Sphere => "sphere",
-                Shape::Capsule => "capsule",
-                Shape::Cylinder => "cylinder",
-                _ => "box",
-            };
-            let written = Element::new("geom").with("type", kind).with("size", list(&shape.size));
-            let written = written.with("pos", list(&shape.position)).with("quat", list(&shape.quaternion));
-            // Without a mass in its link, a part has none.
-            element.children.push(written.with("mass", 0));
-        }
-        element.children.extend(bodies(model, body, robot));
-        element
+    let moving = parts(model, parent).into_iter().flat_map(|(part, pose)| {
+        let below = (1..model.count(Kind::Body)).filter(move |body| model.body_parent(*body) == part);
+        below.filter(|body| moves(model, *body)).map(move |body| (body, pose * local(model, body)))
+    });
+    moving
+        .map(|(body, pose)| {
+            let name = model.name(Kind::Body, body);
+            let mut element = Element { place: place(robot, "link", name), ..Element::new("body") };
+            element.set("name", name);
+            element.set("pos", list(pose.translation.vector.as_slice()));
+            element.set("quat", quaternion(&pose.rotation));
+            let parts = parts(model, body);
+            element.children.extend(inertial(model, &parts, robot));
+            for joint in (0..model.count(Kind::Joint)).filter(|joint| model.joint_body(*joint) == body) {
+                element.children.push(written_joint(model, joint, robot));
+            }
+            for (part, pose) in &parts {
+                for geom in (0..model.count(Kind::Geom)).filter(|geom| model.geom_body(*geom) == *part) {
+                    element.children.push(written_geom(model, geom, pose));
+                }
+            }
+            element.children.extend(bodies(model, body, robot));
+            element
+        })
+        .collect()
+}
+
+/// Returns true if a joint moves a body.
+fn moves(model: &Model, body: usize) -> bool {
+    (0..model.count(Kind::Joint)).any(|joint| model.joint_body(joint) == body)
+}
+
+/// Returns the pose of a body in the frame of the body above it.
+fn local(model: &Model, body: usize) -> Isometry3<f64> {
+    let [x, y, z] = model.body_position(body);
+    Isometry3::from_parts(Translation3::new(x, y, z), model.body_rotation(body))
+}
+
+/// Returns a body and all that is fixed to it, with the poses in its frame.
+fn parts(model: &Model, body: usize) -> Vec<(usize, Isometry3<f64>)> {
+    let mut parts = vec![(body, Isometry3::identity())];
+    let mut next = 0;
+    while next < parts.len() {
+        let (part, pose) = parts[next];
+        let fixed =
+            (1..model.count(Kind::Body)).filter(|below| model.body_parent(*below) == part && !moves(model, *below));
+        parts.extend(fixed.map(|below| (below, pose * local(model, below))));
+        next += 1;
+    }
+    parts
+}
+
+/// Writes the mass and inertia of parts that are fixed to one another; `None` if no link states any.
+fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -> Option<Element> {
+    let states = |body: usize| {
+        let link = robot.all("link").find(|link| link.get("name") == Some(model.name(Kind::Body, body)));
+        link.is_some_and(|link| link.all("inertial").next().is_some())
+    };
+    let heavy: Vec<_> = parts.iter().filter(|(body, _)| states(*body)).collect();
+    if let [(body, pose)] = heavy[..]
+        && *pose == Isometry3::identity()
+    {
+        let inertial = Element::new("inertial").with("pos", list(&model.body_centre_of_mass(*body)));
+        let inertial = inertial.with("quat", list(&model.body_inertia_quaternion(*body)));
+        let inertial = inertial.with("mass", model.body_mass()[*body]);
+        return Some(inertial.with("diaginertia", list(&model.body_inertia(*body))));
+    }
+    let centre = |(body, pose): &(usize, Isometry3<f64>)| pose * Point3::from(model.body_centre_of_mass(*body));
+    let mass: f64 = heavy.iter().map(|part| model.body_mass()[part.0]).sum();
+    let weighted = heavy.iter().map(|part| centre(part).coords * model.body_mass()[part.0]);
+    let middle = weighted.sum::<Vector3<f64>>() / mass;
+    let tensor: Matrix3<f64> = heavy
+        .iter()
+        .map(|part| {
+            let (body, pose) = part;
+            let [w, x, y, z] = model.body_inertia_quaternion(*body);
+            let axes = pose.rotation * UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+            let axes = axes.to_rotation_matrix();
+            let own = axes * Matrix3::from_diagonal(&model.body_inertia(*body).into()) * axes.transpose();
+            let arm = centre(part).coords - middle;
+            own + (Matrix3::identity() * arm.norm_squared() - arm * arm.transpose()) * model.body_mass()[*body]
+        })
+        .sum();
+    (mass > 0.0).then(|| {
+        let full = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| tensor[at]);
+        let inertial = Element::new("inertial").with("pos", list(middle.as_slice())).with("mass", mass);
+        inertial.with("fullinertia", list(&full))
     })
-    .collect()
+}
+
+/// Writes a geometry of a part, in the frame of the body that the part is fixed to.
+fn written_geom(model: &Model, geom: usize, part: &Isometry3<f64>) -> Element {
+    let shape = model.geom(geom);
+    let kind = match shape.shape {
+        Shape::Sphere => "sphere",
+        Shape::Capsule => "capsule",
+        Shape::Cylinder => "cylinder",
+        _ => "box",
+    };
+    let ([x, y, z], [w, i, j, k]) = (shape.position, shape.quaternion);
+    let turn = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
+    let pose = part * Isometry3::from_parts(Translation3::new(x, y, z), turn);
+    let written = Element::new("geom").with("type", kind).with("size", list(&shape.size));
+    let written = written.with("pos", list(pose.translation.vector.as_slice()));
+    // Without a mass in its link, a part has none.
+    written.with("quat", quaternion(&pose.rotation)).with("mass", 0)
+}
+
+fn quaternion(turn: &UnitQuaternion<f64>) -> String {
+    list(&[turn.w, turn.i, turn.j, turn.k])
 }
 
 fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
