@@ -271,6 +271,9 @@ pub enum RobotError {
         /// Name of the shape.
         shape: &'static str,
     },
+    /// A URDF is not written out.
+    #[error("it is a xacro, expected a URDF: write it out, with `xacro robot.urdf.xacro > robot.urdf`")]
+    Xacro,
     /// A URDF has no first link, or several.
     #[error("its links have {0} roots, expected one: the trunk, which is no joint's child")]
     Links(usize),

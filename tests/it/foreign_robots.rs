@@ -692,6 +692,8 @@ fn a_urdf_that_cannot_be_read_is_refused_by_its_lines() {
     assert!(heavy.contains("line 6, ") && heavy.contains("MuJoCo 2.2.2 refuses it"), "{heavy}");
     let two = complaint(&urdf("<sphere radius='0.02'/>").replace("<gazebo", "<link name='other'/><gazebo"));
     assert!(two.contains("its links have 2 roots, expected one"), "{two}");
+    let xacro = "<robot xmlns:xacro='http://x' name='r'><xacro:include filename='leg.xacro'/><link name='a'/></robot>";
+    assert!(complaint(xacro).contains("it is a xacro, expected a URDF"), "{}", complaint(xacro));
     assert!(complaint("<sdf/>").contains("its root element is <sdf>, expected <mujoco> (MJCF) or <robot> (URDF)"));
 }
 

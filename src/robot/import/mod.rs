@@ -9,12 +9,15 @@ MuJoCo reads from it, and written again with our names for trunk, joints and fee
 without the parts that contradict that. Masses, inertias, shapes, joint limits and armature stay as they are.
 */
 
+mod angles;
 mod feet;
+mod load;
 mod names;
 mod newer;
 mod normalise;
 mod sandbox;
 mod source;
+mod torque;
 mod urdf;
 mod words;
 

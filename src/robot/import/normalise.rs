@@ -3,10 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use super::Imported;
+use super::angles::settle_angles;
 use super::feet::{self, Sole};
+use super::load::load;
 use super::names::Description;
 use super::newer::{self, Translated};
-use super::source::{Files, Source, described};
+use super::source::{Files, Source};
+use super::torque::torque_limits;
 use super::urdf;
 use crate::mujoco::{self, Data, GeomContact, Kind, Model, Shape};
 use crate::robot::error::RobotError;
@@ -89,50 +92,6 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, sha256, joints })
 }
 
-/// Compiles a document. MuJoCo's messages about its lines become messages about the lines of the person's file.
-pub(super) fn load(document: &Element, files: &Files) -> Result<Model, RobotError> {
-    let mut text = String::new();
-    document.write(&mut text);
-    Model::from_xml(&[("robot.xml", &text)]).map_err(|error| explained(error, document, files))
-}
-
-/// Explains an error of MuJoCo in a document that was written by [`Element::write`].
-fn explained(error: mujoco::Error, document: &Element, files: &Files) -> RobotError {
-    let mujoco::Error::Load { message, .. } = error else { return RobotError::Engine(error.to_string()) };
-    let message = message.trim_start_matches("XML Error:").trim_start_matches("Error:").trim();
-    // "…, line 18", "… Object name = trunk, id = 2, line = 8, column = -1"
-    let number = |text: &str| {
-        let text = text.trim_start_matches([' ', '=']);
-        text[..text.find(|letter: char| !letter.is_ascii_digit()).unwrap_or(text.len())].parse::<usize>().ok()
-    };
-    let line = message.match_indices("line").filter_map(|(at, word)| Some((at, number(&message[at + word.len()..])?)));
-    let Some((at, line)) = line.last() else { return named(message, document, files) };
-    let end = ["Object name", "Element '"].iter().filter_map(|mark| message[..at].find(mark)).min().unwrap_or(at);
-    let message = message[..end].trim_end_matches([' ', ',', '(']).to_owned();
-    match document.lines().get(line.wrapping_sub(1)) {
-        Some(element) => RobotError::MuJoCo { at: files.at(element), element: described(element), message },
-        None => RobotError::Engine(message),
-    }
-}
-
-/// Explains a message of MuJoCo that names an element, but no line.
-fn named(message: &str, document: &Element, files: &Files) -> RobotError {
-    let Some((text, rest)) = message.split_once("Object name = ") else {
-        return RobotError::Engine(message.to_owned());
-    };
-    let name = rest.split_once(", id").map_or(rest, |(name, _)| name);
-    let mut found = None;
-    document.visit(&mut |element| {
-        if found.is_none() && element.get("name") == Some(name) {
-            found = Some((files.at(element), described(element)));
-        }
-    });
-    match found {
-        Some((at, element)) => RobotError::MuJoCo { at, element, message: text.trim().to_owned() },
-        None => RobotError::Engine(text.trim().to_owned()),
-    }
-}
-
 /// A pose that the robot stands in.
 struct Stand {
     /// Joint angles in Supple's order \[rad\].
@@ -196,49 +155,6 @@ fn find_assets(tree: &mut Element, folder: &Path) -> Result<Vec<PathBuf>, RobotE
         }
     }
     Ok(found)
-}
-
-/// Writes all angles in radians, and turns of another order than MuJoCo's as quaternions, because the unit and the order of a
-/// file would hold for the whole scene. Returns a line for the report if the file has another order.
-fn settle_angles(tree: &mut Element) -> Option<String> {
-    let setting = |name: &str| tree.all("compiler").filter_map(|compiler| compiler.get(name)).last().map(str::to_owned);
-    let degrees = setting("angle").as_deref() != Some("radian");
-    let sequence = setting("eulerseq").filter(|sequence| sequence != "xyz");
-    for child in tree.children.iter_mut() {
-        match child.name.as_str() {
-            "compiler" => {
-                child.set("angle", "radian");
-                child.remove("eulerseq");
-            }
-            "default" | "worldbody" => settle(child, degrees, sequence.as_deref()),
-            _ => {}
-        }
-    }
-    sequence.map(|sequence| format!("angles: turns in the order {sequence} written as quaternions"))
-}
-
-fn settle(element: &mut Element, degrees: bool, sequence: Option<&str>) {
-    let unit = if degrees { std::f64::consts::PI / 180.0 } else { 1.0 };
-    let angles: &[&str] =
-        if element.name == "joint" { &["range", "ref", "springref"] } else { &["axisangle", "euler"] };
-    if degrees {
-        for (name, value) in element.attributes.iter_mut().filter(|(name, _)| angles.contains(&name.as_str())) {
-            // Of an axis and an angle, the last number is the angle.
-            let from = if name == "axisangle" { 3 } else { 0 };
-            let numbers = value.split_whitespace().enumerate().map(|(index, word)| match word.parse::<f64>() {
-                Ok(number) if index >= from => (number * unit).to_string(),
-                _ => word.to_owned(),
-            });
-            *value = numbers.collect::<Vec<_>>().join(" ");
-        }
-    }
-    if let (Some(sequence), Some(euler)) = (sequence, element.get("euler"))
-        && let Some(turn) = newer::euler(euler, sequence)
-    {
-        element.remove("euler");
-        element.set("quat", [turn.w, turn.i, turn.j, turn.k].map(|number| number.to_string()).join(" "));
-    }
-    element.children.iter_mut().for_each(|child| settle(child, degrees, sequence));
 }
 
 impl<'a> Survey<'a> {
@@ -598,53 +514,6 @@ impl<'a> Survey<'a> {
     }
 }
 
-/// Returns the largest torque of each joint [N·m]: the description's, or the tightest of what bounds it in the file, the sum of
-/// its actuators and the limit of the joint itself.
-fn torque_limits(
-    model: &Model,
-    joints: &[usize; JOINTS],
-    description: &Description,
-    of_joints: &[(String, [f64; 2])],
-    notes: &mut Vec<String>,
-) -> Result<Joints, RobotError> {
-    if let Some(limits) = description.torque_limits {
-        return Ok(limits);
-    }
-    let mut limits = [0.0; JOINTS];
-    for (index, limit) in limits.iter_mut().enumerate() {
-        let name = model.name(Kind::Joint, joints[index]);
-        let actuators = (0..model.count(Kind::Actuator)).map(|id| model.actuator(id));
-        let ranges: Vec<Option<[f64; 2]>> = actuators
-            .filter(|actuator| actuator.joint == Some(joints[index]))
-            .map(|actuator| {
-                actuator.torque_range().filter(|range| range != &[0.0; 2] && range.iter().all(|t| t.is_finite()))
-            })
-            .collect();
-        // One actuator without a limit is enough for any torque.
-        let sum = ranges.iter().copied().collect::<Option<Vec<_>>>().filter(|ranges| !ranges.is_empty());
-        let sum = sum.map(|ranges| ranges.iter().fold([0.0, 0.0], |sum, range| [sum[0] + range[0], sum[1] + range[1]]));
-        let own = of_joints.iter().rev().find(|(joint, _)| joint == name).map(|(_, range)| *range);
-        let [low, high] = match (sum, own) {
-            (Some(sum), Some(own)) => [sum[0].max(own[0]), sum[1].min(own[1])],
-            (Some(range), None) | (None, Some(range)) => range,
-            (None, None) => return Err(RobotError::NoTorque(name.to_owned())),
-        };
-        if !(low < 0.0 && high > 0.0) {
-            return Err(RobotError::one_sided(name, [low, high]));
-        }
-        *limit = high.min(-low);
-        if (high + low).abs() > 1e-9 * high {
-            let (low, high, limit) = (short(low), short(high), short(*limit));
-            notes.push(format!("torque of {}: {low} to {high} N m, taken as ±{limit}", joint_name(index)));
-        }
-        if ranges.len() > 1 && sum.is_some() {
-            let (count, limit) = (ranges.len(), short(*limit));
-            notes.push(format!("torque of {}: {limit} N m, of {count} actuators together", joint_name(index)));
-        }
-    }
-    Ok(limits)
-}
-
 /// Removes the settings of actuators, which motors replace, from default classes.
 fn without_actuators(section: &mut Element) {
     section
@@ -757,6 +626,6 @@ fn list(values: &[f64]) -> String {
 }
 
 /// Formats a number without floating-point noise.
-fn short(value: f64) -> String {
+pub(super) fn short(value: f64) -> String {
     ((value * 1e6).round() / 1e6).to_string()
 }

@@ -138,7 +138,15 @@ impl Reader<'_> {
         let bytes = files::read_bounded(path, MAX_BYTES).map_err(|error| fail(error.into()))?;
         let mut root = xml::parse(&String::from_utf8_lossy(&bytes)).map_err(|error| fail(error.into()))?;
         number_elements(&mut root, u32::try_from(number).unwrap_or(u32::MAX));
-        self.include(&mut root)?;
+        if root.name == "robot" {
+            // What a URDF includes, it includes by xacro.
+            root.visit(&mut |_| self.elements += 1);
+        } else {
+            self.include(&mut root)?;
+        }
+        if self.elements > MAX_ELEMENTS {
+            return Err(RobotError::TooMany { what: "elements", most: MAX_ELEMENTS });
+        }
         Ok(root)
     }
 

@@ -8,8 +8,8 @@ would fix to the world, gets a free joint.
 
 use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
+use super::load::load;
 use super::newer::Translated;
-use super::normalise::load;
 use super::source::Files;
 use crate::mujoco::{Kind, Model, Shape};
 use crate::robot::error::RobotError;
@@ -20,6 +20,11 @@ const WORLD: &str = "world";
 
 /// Reads a URDF and writes it as MJCF.
 pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, RobotError> {
+    let is_xacro =
+        |child: &Element| matches!(child.name.as_str(), "include" | "macro" | "property" | "arg" | "if" | "unless");
+    if tree.children.iter().any(is_xacro) {
+        return Err(RobotError::Xacro);
+    }
     let (mut robot, meshes) = without_meshes(tree);
     free_the_trunk(&mut robot)?;
     let mut compiler = Element::new("compiler").with("fusestatic", "false").with("discardvisual", "false");
