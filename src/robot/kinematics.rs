@@ -111,13 +111,24 @@ const LYING: f64 = 0.5;
 /// straight, or its trunk is nearly on the ground. The knees are bent as far as the Go1's, or as the joints allow.
 pub(super) fn bent_pose(legs: &[Leg; 4], pose: &Joints, limits: &[[f64; 2]; JOINTS]) -> Option<Joints> {
     let straight = (0..LEGS.len()).all(|leg| legs[leg].is_straight(of_leg(pose, leg)));
-    let bent = |part: f64| -> Joints {
-        // To a milliradian: it will be read.
-        let angle = |joint: usize| legs[joint / PARTS.len()].bent(part)[joint % PARTS.len()];
-        std::array::from_fn(|joint| (1e3 * angle(joint)).round() / 1e3)
+    let fits = |angles: &[f64], limits: &[[f64; 2]]| {
+        angles.iter().zip(limits).all(|(angle, [low, high])| (low..=high).contains(&angle))
     };
-    let fits = |pose: &Joints| pose.iter().zip(limits).all(|(angle, [low, high])| (low..=high).contains(&angle));
-    let best = (10..=20).rev().map(|part| bent(f64::from(part) / 20.0)).find(fits).unwrap_or_else(|| bent(1.0));
+    let bent = |part: f64| -> Joints {
+        let mut pose = [0.0; JOINTS];
+        for (leg, angles) in pose.chunks_exact_mut(PARTS.len()).enumerate() {
+            let limits = &limits[PARTS.len() * leg..][..PARTS.len()];
+            // To a milliradian: it will be read.
+            let bend = |part: f64| legs[leg].bent(part).map(|angle| (1e3 * angle).round() / 1e3);
+            let (back, forward) = (bend(part), bend(-part));
+            // Some robots' rear knees point forward.
+            let chosen = if !fits(&back, limits) && fits(&forward, limits) { forward } else { back };
+            angles.copy_from_slice(&chosen);
+        }
+        pose
+    };
+    let part = (10..=20).rev().map(|part| bent(f64::from(part) / 20.0)).find(|pose| fits(pose, limits));
+    let best = part.unwrap_or_else(|| bent(1.0));
     let lies = standing_height_m(legs, pose) < LYING * standing_height_m(legs, &best);
     (straight || lies).then_some(best)
 }

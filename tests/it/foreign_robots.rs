@@ -676,6 +676,11 @@ fn a_urdf_is_the_robot_that_it_describes() {
     let stiff = Robot::load(&at("stiff.urdf")).unwrap();
     assert!((-1.2..-1.0).contains(&stiff.nominal_pose[2]), "{:?}", stiff.nominal_pose);
     Config::load("fast").unwrap().fitted_to(&stiff).unwrap();
+    // Knees that only bend the other way point forward.
+    let forward = urdf("<sphere radius='0.02'/>").replace("lower='-2.6' upper='-0.5'", "lower='0.5' upper='2.6'");
+    std::fs::write(at("forward.urdf"), forward).unwrap();
+    let forward = Robot::load(&at("forward.urdf")).unwrap();
+    assert!((forward.nominal_pose[2] - 1.44).abs() < 1e-9 && (forward.nominal_pose[1] + 0.72).abs() < 1e-9);
 }
 
 #[test]
