@@ -285,7 +285,10 @@ impl Environments {
         let bound = |side: usize, sign: f64| -> Vec<f32> {
             let of = |joint: usize| {
                 let beyond = sign * self.robot.torque_limits[joint] / simulation.kp_n_m_per_rad;
-                ((self.robot.joint_limits[joint][side] + beyond - nominal[joint]) / action.scale_rad) as f32
+                // A joint without limits: a turn about where it stands.
+                let limit = Some(self.robot.joint_limits[joint][side]).filter(|limit| limit.is_finite());
+                let limit = limit.unwrap_or_else(|| nominal[joint] + sign * std::f64::consts::TAU);
+                ((limit + beyond - nominal[joint]) / action.scale_rad) as f32
             };
             (0..JOINTS).map(of).collect()
         };

@@ -45,7 +45,7 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use super::SensorFault;
 use super::sensors::{EncoderReading, ImuReading, finite};
 use crate::mujoco::{self, Data, Kind, Model};
-use crate::robot::{GRAVITY_M_S2, JOINTS, Joints, LEGS, PARTS, Robot, joint_name};
+use crate::robot::{FootSphere, GRAVITY_M_S2, JOINTS, Joints, PARTS, Robot, joint_name};
 
 /// Default time constant of the low-pass \[s\].
 pub const TIME_CONSTANT_S: f64 = 0.1;
@@ -164,7 +164,7 @@ pub struct ForceObserver {
     /// Ranges of the joints \[rad\].
     limits: [[f64; 2]; JOINTS],
     /// Geometry and radius \[m\] of each foot.
-    feet: [(usize, f64); 4],
+    feet: [FootSphere; 4],
     before: Option<ForceReading>,
     forces: ExternalForces,
     /// Upward force on the trunk, low-passed over [`TIME_CONSTANT_S`] whatever the observer's time constant: a push is no
@@ -193,16 +193,15 @@ impl ForceObserver {
         let alone = r#"<mujoco><include file="robot.xml"/><compiler discardvisual="true"/></mujoco>"#;
         let mut model = Model::from_xml(&[("alone.xml", alone), ("robot.xml", robot.mjcf())])?;
         model.set_gravity([0.0; 3]);
-        let (mut joints, mut feet) = ([JointPlace::default(); JOINTS], [(0, 0.0); 4]);
+        let mut joints = [JointPlace::default(); JOINTS];
         for (index, place) in joints.iter_mut().enumerate() {
             let joint = model.id(Kind::Joint, &format!("{}_joint", joint_name(index)))?;
             model.set_losses(joint, robot.losses.friction_n_m, robot.losses.damping_n_m_s_per_rad);
             let (position, velocity) = (model.joint_position_index(joint), model.joint_velocity_index(joint));
             *place = JointPlace { joint, position, velocity };
         }
-        for (leg, foot) in feet.iter_mut().enumerate() {
-            *foot = (model.id(Kind::Geom, &format!("{}_foot", LEGS[leg]))?, robot.legs[leg].foot_radius_m);
-        }
+        let foot = |leg| FootSphere::new(&model, leg);
+        let feet = [foot(0)?, foot(1)?, foot(2)?, foot(3)?];
         let root = model.id(Kind::Joint, "root")?;
         let weight_n = robot.mass_kg * GRAVITY_M_S2;
         Ok(ForceObserver {
@@ -266,8 +265,8 @@ impl ForceObserver {
         let (mut force, mut moment) = (self.base_rows(0), self.base_rows(3));
         let (mut feet, mut lowest, mut knee) = ([Vector3::zeros(); 4], f64::INFINITY, f64::INFINITY);
         for (leg, foot) in feet.iter_mut().enumerate() {
-            let (geom, radius) = self.feet[leg];
-            let contact = vector(self.data.geom_positions(), geom) - radius * up;
+            let sole = self.feet[leg];
+            let contact = Vector3::from(sole.centre(&self.data)) - sole.radius_m * up;
             let places = &self.joints[PARTS.len() * leg..][..PARTS.len()];
             let anchor = |part: usize| vector(self.data.joint_anchors(), places[part].joint);
             let column =

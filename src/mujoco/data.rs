@@ -137,6 +137,11 @@ impl Data {
         self.slice(self.raw().geom_xpos, 3 * self.model.count(Kind::Geom))
     }
 
+    /// Geometry orientations, rotation matrices to the world frame by rows, shape (ngeom, 9).
+    pub fn geom_rotations(&self) -> &[f64] {
+        self.slice(self.raw().geom_xmat, 9 * self.model.count(Kind::Geom))
+    }
+
     /// Sites, world frame, shape (nsite, 3). \[m\]
     pub fn site_positions(&self) -> &[f64] {
         self.slice(self.raw().site_xpos, 3 * self.model.count(Kind::Site))
@@ -395,14 +400,28 @@ impl Data {
     /// There is no geometry of this id.
     pub fn geom_velocity(&self, geom: usize) -> [f64; 3] {
         assert!(geom < self.model.count(Kind::Geom), "geom {geom} out of range");
+        self.velocity_of(sys::mjOBJ_GEOM as i32, geom)
+    }
+
+    /// Returns the velocity of a site, world axes [m/s].
+    ///
+    /// # Panics
+    /// There is no site of this id.
+    pub fn site_velocity(&self, site: usize) -> [f64; 3] {
+        assert!(site < self.model.count(Kind::Site), "site {site} out of range");
+        self.velocity_of(sys::mjOBJ_SITE as i32, site)
+    }
+
+    /// Returns the velocity of an element whose id was checked.
+    fn velocity_of(&self, kind: i32, id: usize) -> [f64; 3] {
         let (mut velocity, mut message) = ([0.0; 6], EMPTY_MESSAGE);
         // SAFETY: model and data belong together, the id was checked, the result holds 6 numbers (angular, linear).
         let failed = unsafe {
             sys::supple_object_velocity(
                 self.model.as_ptr(),
                 self.raw.as_ptr(),
-                sys::mjOBJ_GEOM as i32,
-                geom as i32,
+                kind,
+                id as i32,
                 velocity.as_mut_ptr(),
                 0,
                 message.as_mut_ptr(),

@@ -113,15 +113,17 @@ impl Actuator {
         self.has_bias
     }
 
-    /// Returns the largest torque, if it is limited [N·m].
-    pub fn largest_torque(&self) -> Option<f64> {
-        let size = |[low, high]: [f64; 2]| low.abs().max(high.abs());
-        let force = match (self.force_range, self.control_range) {
-            (Some(range), _) => size(range),
-            (None, Some(range)) if !self.has_bias => self.gain.abs() * size(range),
-            _ => return None,
+    /// Returns the torques that the actuator can give, if they are limited \[N·m\]: its limits of the force, and for a motor
+    /// also those of the control, whichever is tighter.
+    pub fn torque_range(&self) -> Option<[f64; 2]> {
+        let scaled = |[low, high]: [f64; 2], by: f64| [(low * by).min(high * by), (low * by).max(high * by)];
+        let force = self.force_range;
+        let control = self.control_range.filter(|_| !self.has_bias).map(|range| scaled(range, self.gain));
+        let tightest = match (force, control) {
+            (Some(force), Some(control)) => Some([force[0].max(control[0]), force[1].min(control[1])]),
+            (range, None) | (None, range) => range,
         };
-        Some(force * self.gear.abs()).filter(|torque| *torque > 0.0 && torque.is_finite())
+        tightest.map(|range| scaled(range, self.gear))
     }
 }
 
@@ -257,6 +259,26 @@ impl Model {
         row(self.slice(self.raw().jnt_range, 2 * self.raw().njnt), id)
     }
 
+    /// True if a joint has limits.
+    pub fn joint_is_limited(&self, id: usize) -> bool {
+        self.slice(self.raw().jnt_limited, self.raw().njnt)[id] != 0
+    }
+
+    /// Spring stiffness of a joint [N·m/rad].
+    pub fn joint_stiffness(&self, id: usize) -> f64 {
+        self.slice(self.raw().jnt_stiffness, self.raw().njnt)[id]
+    }
+
+    /// Moments of inertia about the principal axes of a body [kg·m²].
+    pub fn body_inertia(&self, id: usize) -> [f64; 3] {
+        row(self.slice(self.raw().body_inertia, 3 * self.raw().nbody), id)
+    }
+
+    /// Orientation of the principal axes in a body's frame (w, x, y, z).
+    pub fn body_inertia_quaternion(&self, id: usize) -> [f64; 4] {
+        row(self.slice(self.raw().body_iquat, 4 * self.raw().nbody), id)
+    }
+
     /// Lower and upper limit of an actuator's control.
     pub fn control_range(&self, id: usize) -> [f64; 2] {
         row(self.slice(self.raw().actuator_ctrlrange, 2 * self.raw().nu), id)
@@ -282,6 +304,11 @@ impl Model {
         row(self.slice(self.raw().jnt_axis, 3 * self.raw().njnt), id)
     }
 
+    /// Sizes of a site, as of a geometry of its shape \[m\].
+    pub fn site_size(&self, id: usize) -> [f64; 3] {
+        row(self.slice(self.raw().site_size, 3 * self.raw().nsite), id)
+    }
+
     /// Where a site is, in its body's frame \[m\].
     pub fn site_position(&self, id: usize) -> [f64; 3] {
         row(self.slice(self.raw().site_pos, 3 * self.raw().nsite), id)
@@ -304,7 +331,7 @@ impl Model {
         unsafe { sys::mj_defaultVFS(&mut *vfs) };
         let names: Vec<&str> = files.iter().map(|file| file.0).collect();
         let mut add = |name: &str, text: &str| {
-            let tree = xml::parse(text).map_err(failed)?;
+            let tree = xml::parse(text).map_err(|error| failed(error.to_string()))?;
             let checked = sizes::check_sizes(&tree).and_then(|()| sizes::check_includes(&tree, &names));
             checked.map_err(|error| failed(error.to_string()))?;
             let size = i32::try_from(text.len()).map_err(|_| failed(format!("{name} is larger than 2 GiB")))?;
@@ -505,6 +532,11 @@ impl Model {
         usize::try_from(self.slice(self.raw().body_mocapid, self.raw().nbody)[body]).ok()
     }
 
+    /// Returns true if a joint is a hinge.
+    pub fn is_hinge(&self, joint: usize) -> bool {
+        self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_HINGE as i32
+    }
+
     /// Returns true if a joint is a free joint, which leaves its body free in space.
     pub fn is_free(&self, joint: usize) -> bool {
         self.slice(self.raw().jnt_type, self.raw().njnt)[joint] == sys::mjJNT_FREE as i32
@@ -541,17 +573,12 @@ impl Model {
         }
     }
 
-    /// Returns a geometry's position in the frame of its nearest ancestor body with a joint \[m\].
-    pub fn geom_position_at_rest(&self, id: usize) -> [f64; 3] {
+    /// Returns the corners of a mesh in the frame of a geometry that has its shape, shape (n, 3) \[m\].
+    pub fn mesh_vertices(&self, mesh: usize) -> &[f32] {
         let raw = self.raw();
-        let mut position: [f64; 3] = row(self.slice(raw.geom_pos, 3 * raw.ngeom), id);
-        let mut body = self.geom_body(id);
-        while body != 0 && self.slice(raw.body_jntnum, raw.nbody)[body] == 0 {
-            let offset = self.body_position(body);
-            (0..3).for_each(|axis| position[axis] += offset[axis]);
-            body = self.body_parent(body);
-        }
-        position
+        let start = 3 * self.slice(raw.mesh_vertadr, raw.nmesh)[mesh] as usize;
+        let length = 3 * self.slice(raw.mesh_vertnum, raw.nmesh)[mesh] as usize;
+        &self.slice(raw.mesh_vert, 3 * raw.nmeshvert)[start..start + length]
     }
 
     /// Returns true if a body is `ancestor` or a descendant of it.

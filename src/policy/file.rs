@@ -77,10 +77,31 @@ pub struct Usage {
     pub activation: String,
     /// Formula from the last layer's outputs to joint targets.
     pub joint_target: String,
-    /// Ranges of the joints \[rad\]; missing in old files of imported robots.
+    /// Ranges of the joints \[rad\], infinite for joints without limits; missing in old files of imported robots.
+    #[serde(with = "limits")]
     pub joint_limits_rad: [[f64; 2]; JOINTS],
     /// Torque limits of the PD controller [N·m]; missing in old files of imported robots.
     pub torque_limits_n_m: Joints,
+}
+
+/// Ranges of joints in JSON, which has no infinite numbers: a joint without limits is `null`.
+mod limits {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    use crate::robot::JOINTS;
+
+    type Limits = [[f64; 2]; JOINTS];
+
+    pub(super) fn serialize<S: Serializer>(limits: &Limits, serializer: S) -> Result<S::Ok, S::Error> {
+        limits
+            .map(|range| Some(range).filter(|range| range.iter().all(|limit| limit.is_finite())))
+            .serialize(serializer)
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Limits, D::Error> {
+        let limits = <[Option<[f64; 2]>; JOINTS]>::deserialize(deserializer)?;
+        Ok(limits.map(|range| range.unwrap_or([f64::NEG_INFINITY, f64::INFINITY])))
+    }
 }
 
 impl Usage {

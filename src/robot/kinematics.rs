@@ -7,8 +7,10 @@ about parallel axes, so that their angles add. `golden.c` prints what MuJoCo mak
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
-use super::legs::{Joints, LEGS, PARTS, of_leg};
-use crate::mujoco::{Kind, Model};
+use super::error::RobotError;
+use super::legs::{JOINTS, Joints, LEGS, PARTS, of_leg, sole_name};
+use crate::mujoco::{self, Data, Kind, Model};
+use crate::util::numbers::maximum;
 
 /// Position and motion of a foot relative to the trunk.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -19,6 +21,59 @@ pub struct Foot {
     pub velocity: Vector3<f64>,
     /// Angular velocity of the calf, and with it of the sphere, relative to the trunk, base frame [rad/s].
     pub spin: Vector3<f64>,
+}
+
+/// The sphere that stands for a foot: the geometry of the foot, or, if that is no sphere, a site where it touches the ground.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FootSphere {
+    /// Id of the body that it is fixed to.
+    pub body: usize,
+    /// Centre in the frame of its body \[m\].
+    pub position: [f64; 3],
+    /// Radius \[m\].
+    pub radius_m: f64,
+    /// Id of the geometry, or of the site.
+    centre: Centre,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Centre {
+    Geom(usize),
+    Site(usize),
+}
+
+impl FootSphere {
+    /// Reads the foot of leg `leg` of a model with our names.
+    ///
+    /// # Errors
+    /// The model has no such foot; the error lists the names that it has.
+    pub fn new(model: &Model, leg: usize) -> mujoco::Result<Self> {
+        if let Ok(site) = model.id(Kind::Site, &sole_name(leg)) {
+            let (body, position) = (model.site_body(site), model.site_position(site));
+            let radius_m = model.site_size(site)[0];
+            return Ok(FootSphere { body, position, radius_m, centre: Centre::Site(site) });
+        }
+        let geom = model.id(Kind::Geom, &format!("{}_foot", LEGS[leg]))?;
+        let foot = model.geom(geom);
+        Ok(FootSphere { body: foot.body, position: foot.position, radius_m: foot.size[0], centre: Centre::Geom(geom) })
+    }
+
+    /// Returns the centre after the last [`Data::step1`], world frame \[m\].
+    pub fn centre(&self, data: &Data) -> [f64; 3] {
+        let (all, id) = match self.centre {
+            Centre::Geom(id) => (data.geom_positions(), id),
+            Centre::Site(id) => (data.site_positions(), id),
+        };
+        std::array::from_fn(|axis| all[3 * id + axis])
+    }
+
+    /// Returns the velocity of the centre, world axes [m/s].
+    pub fn velocity(&self, data: &Data) -> [f64; 3] {
+        match self.centre {
+            Centre::Geom(id) => data.geom_velocity(id),
+            Centre::Site(id) => data.site_velocity(id),
+        }
+    }
 }
 
 /// Geometry of a leg at zero angles, base frame \[m\].
@@ -39,7 +94,7 @@ pub struct Leg {
     knee: Vector3<f64>,
     /// The vector from the knee to the foot's centre.
     foot: Vector3<f64>,
-    /// Radius of the foot's sphere \[m\].
+    /// Radius of the sphere that stands for the foot \[m\].
     pub foot_radius_m: f64,
 }
 
@@ -49,14 +104,56 @@ const STRAIGHT: f64 = 0.4;
 /// Knee bend of the Go1 in its nominal pose \[rad\].
 const BENT: f64 = 1.44;
 
+/// Part of the height with bent knees below which a robot lies rather than stands.
+const LYING: f64 = 0.5;
+
+/// Returns a pose with bent knees for a robot whose file gives none, if it does not stand with all joints at zero: its legs are
+/// straight, or its trunk is nearly on the ground. The knees are bent as far as the Go1's, or as the joints allow.
+pub(super) fn bent_pose(legs: &[Leg; 4], pose: &Joints, limits: &[[f64; 2]; JOINTS]) -> Option<Joints> {
+    let straight = (0..LEGS.len()).all(|leg| legs[leg].is_straight(of_leg(pose, leg)));
+    let fits = |angles: &[f64], limits: &[[f64; 2]]| {
+        angles.iter().zip(limits).all(|(angle, [low, high])| (low..=high).contains(&angle))
+    };
+    let bent = |part: f64| -> Joints {
+        let mut pose = [0.0; JOINTS];
+        for (leg, angles) in pose.chunks_exact_mut(PARTS.len()).enumerate() {
+            let limits = &limits[PARTS.len() * leg..][..PARTS.len()];
+            // To a milliradian: it will be read.
+            let bend = |part: f64| legs[leg].bent(part).map(|angle| (1e3 * angle).round() / 1e3);
+            let (back, forward) = (bend(part), bend(-part));
+            // Some robots' rear knees point forward.
+            let chosen = if !fits(&back, limits) && fits(&forward, limits) { forward } else { back };
+            angles.copy_from_slice(&chosen);
+        }
+        pose
+    };
+    let part = (10..=20).rev().map(|part| bent(f64::from(part) / 20.0)).find(|pose| fits(pose, limits));
+    let best = part.unwrap_or_else(|| bent(1.0));
+    let lies = standing_height_m(legs, pose) < LYING * standing_height_m(legs, &best);
+    (straight || lies).then_some(best)
+}
+
+/// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
+pub(super) fn standing_height_m(legs: &[Leg; 4], pose: &Joints) -> f64 {
+    let depth = |leg: usize| legs[leg].foot_radius_m - legs[leg].foot_position(of_leg(pose, leg)).z;
+    (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, maximum)
+}
+
 /// Largest angle between axes that count as parallel \[rad\].
 const PARALLEL: f64 = 1e-3;
 
 impl Leg {
+    /// Reads all legs of a model with our names.
+    pub(super) fn all(model: &Model) -> Result<[Self; 4], RobotError> {
+        let leg = |leg| Self::of(model, leg);
+        Ok([leg(0)?, leg(1)?, leg(2)?, leg(3)?])
+    }
+
     /// Reads leg `leg` of a model with our names.
-    pub(super) fn of(model: &Model, leg: usize) -> Result<Self, String> {
+    pub(super) fn of(model: &Model, leg: usize) -> Result<Self, RobotError> {
         let name = LEGS[leg];
-        let id = |kind, name: String| model.id(kind, &name).map_err(|error| error.to_string());
+        let words = |error: mujoco::Error| RobotError::Engine(error.to_string());
+        let id = |kind, name: String| model.id(kind, &name).map_err(words);
         let trunk = id(Kind::Body, "trunk".into())?;
         // Place and orientation of the frame walked so far.
         let (mut place, mut turn) = (Vector3::zeros(), UnitQuaternion::identity());
@@ -73,11 +170,11 @@ impl Leg {
             axes.push(turn * Vector3::from(model.joint_axis(joint)));
             *zero = model.rest_positions()[model.joint_position_index(joint)];
         }
-        let foot = model.geom(id(Kind::Geom, format!("{name}_foot"))?);
+        let foot = FootSphere::new(model, leg).map_err(words)?;
         walk(model, above, foot.body, &mut place, &mut turn);
         let along = axes[1].dot(&axes[2]);
         if axes[1].cross(&axes[2]).norm() > PARALLEL {
-            return Err(format!("the thigh and the calf of leg {name} turn about different axes"));
+            return Err(RobotError::Axes(name));
         }
         Ok(Leg {
             zero,
@@ -88,7 +185,7 @@ impl Leg {
             thigh: links[1],
             knee: links[2],
             foot: place + turn * Vector3::from(foot.position),
-            foot_radius_m: foot.size[0],
+            foot_radius_m: foot.radius_m,
         })
     }
 
@@ -129,11 +226,11 @@ impl Leg {
         (self.lean(&thigh) - self.lean(&calf)).abs() < STRAIGHT
     }
 
-    /// Returns the angles \[rad\] of a leg whose knee is bent like the Go1's in its nominal pose: the foot below the
+    /// Returns the angles \[rad\] of a leg whose knee is bent by `part` of the Go1's bend in its nominal pose: the foot below the
     /// thigh joint, the knee behind both.
-    pub(super) fn bent(&self) -> [f64; 3] {
+    pub(super) fn bent(&self, part: f64) -> [f64; 3] {
         // About an axis that points to the left, what hangs down goes back as its angle grows.
-        let bend = self.thigh_axis.y.signum() * BENT;
+        let bend = self.thigh_axis.y.signum() * BENT * part;
         let calf = self.lean(&self.knee) - self.lean(&self.foot) - bend;
         let to_foot = self.knee + about(&self.thigh_axis, calf, &self.foot);
         [self.zero[0], self.zero[1] - self.lean(&to_foot), self.zero[2] + self.calf_sign * calf]
@@ -228,9 +325,9 @@ mod tests {
     #[test]
     fn a_leg_is_bent_as_the_go1_stands() {
         for leg in Robot::load("go1").unwrap().legs {
-            let [hip, thigh, calf] = leg.bent();
+            let [hip, thigh, calf] = leg.bent(1.0);
             assert!(hip == 0.0 && (thigh - 0.72).abs() < 1e-12 && (calf + 1.44).abs() < 1e-12, "{thigh} {calf}");
-            assert!(leg.is_straight([0.0, 0.5, -0.3]) && !leg.is_straight(leg.bent()));
+            assert!(leg.is_straight([0.0, 0.5, -0.3]) && !leg.is_straight(leg.bent(1.0)));
         }
     }
 

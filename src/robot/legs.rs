@@ -31,6 +31,11 @@ pub fn joint_name(joint: usize) -> String {
     format!("{}_{}", LEGS[joint / PARTS.len()], PARTS[joint % PARTS.len()])
 }
 
+/// Returns the name of the site that stands for a foot which is no sphere, such as `FR_sole`.
+pub(super) fn sole_name(leg: usize) -> String {
+    format!("{}_sole", LEGS[leg])
+}
+
 /// Returns the names of all joints.
 pub fn joint_names() -> [String; JOINTS] {
     std::array::from_fn(joint_name)

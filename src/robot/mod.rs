@@ -2,13 +2,15 @@
 
 Start with [`Robot`], then [`Joints`] (the order of joints) and [`RobotState`]; [`kinematics`] computes foot positions.
 A robot is a free-floating trunk with four legs of three hinges. The Go1 and the Go2 ship (`models/`); any other one is
-an MJCF file, or a YAML description of one, converted by `import`. Scenes include [`Robot::mjcf`], which has Supple's
+an MJCF or URDF file, or a YAML description of one, converted by `import`. Scenes include [`Robot::mjcf`], which has Supple's
 names for trunk, joints, feet and motors, whatever the file called them.
 */
 
 mod describe;
+mod error;
 mod extent;
 mod import;
+mod inertia;
 pub mod kinematics;
 mod legs;
 mod state;
@@ -18,10 +20,14 @@ use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use nalgebra::Vector3;
 
 pub use describe::joint_table;
+pub use error::RobotError;
 pub use extent::Extent;
 use import::Imported;
 pub use import::isolate_imports;
-pub use kinematics::{Foot, Leg};
+pub(crate) use import::recognise;
+use kinematics::bent_pose;
+pub use kinematics::{Foot, FootSphere, Leg};
+use legs::sole_name;
 pub use legs::{
     JOINTS, Joints, LEGS, PARTS, joint_name, joint_names, joint_target, of_leg, opposite, same_in_every_leg,
 };
@@ -29,7 +35,6 @@ pub use state::{FootState, Foothold, GRAVITY_M_S2, RobotState};
 
 use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
-use crate::util::numbers::maximum;
 use crate::util::paths;
 
 /// Name and MJCF of the robots inside the program.
@@ -91,7 +96,7 @@ pub struct Robot {
     sha256: String,
     /// The changes made to the file and the parts left out, one on a line.
     pub report: Vec<String>,
-    /// Ranges of the joints (low, high) \[rad\].
+    /// Ranges of the joints (low, high) \[rad\]; infinite for a joint without limits.
     pub joint_limits: [[f64; 2]; JOINTS],
     /// Largest torques of the motors [N·m].
     pub torque_limits: Joints,
@@ -117,13 +122,21 @@ pub struct Robot {
     pub shanks_may_touch: bool,
     /// Names of the geometries that can touch the ground.
     pub colliding: Vec<String>,
+    /// Names that its file gives the joints, in Supple's order.
+    pub joints_in_file: [String; JOINTS],
+}
+
+/// Returns the range of a joint; infinite if it has no limits.
+fn limits(model: &Model, joint: usize) -> [f64; 2] {
+    if model.joint_is_limited(joint) { model.joint_range(joint) } else { [f64::NEG_INFINITY, f64::INFINITY] }
 }
 
 static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::new(|| {
     let robot = |(name, mjcf): &(&str, &str)| {
         let sha256 = files::sha256(&[mjcf.as_bytes()]);
         let (mjcf, report) = ((*mjcf).to_owned(), Vec::new());
-        let ours = Imported { mjcf, report, has_pose: true, fall_height_m: None, sha256 };
+        let joints = joint_names().map(|name| format!("{name}_joint"));
+        let ours = Imported { mjcf, report, has_pose: true, fall_height_m: None, sha256, joints };
         Robot::new(name, ours).map(Arc::new)
     };
     SHIPPED.iter().map(robot).collect()
@@ -133,7 +146,7 @@ static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::
 static IMPORTED_ROBOTS: Mutex<Vec<([String; 2], Arc<Robot>)>> = Mutex::new(Vec::new());
 
 impl Robot {
-    /// Loads a shipped robot by name, or a robot from an MJCF file or a YAML description of one.
+    /// Loads a shipped robot by name, or a robot from an MJCF or URDF file or a YAML description of one.
     ///
     /// # Errors
     /// The file is missing or unreadable, or its robot is not a quadruped of this kind; the error says what does not
@@ -145,7 +158,8 @@ impl Robot {
         let path = &paths::as_path(name);
         let fail = FileError::of(ROBOT, path);
         if !path.exists() {
-            return Err(fail("there is no such file: put it there, or name another robot".to_owned()));
+            let missing = FileError::of(ROBOT, path);
+            return Err(missing("there is no such file: put it there, or name another robot"));
         }
         let source = import::Source::read(path).map_err(fail)?;
         let key = [name.to_owned(), source.text()];
@@ -159,22 +173,18 @@ impl Robot {
         Ok(robot)
     }
 
-    /// Bends knees that the file leaves straight. `places` are the indices of the joint angles in `stand`.
+    /// Bends the knees of a robot whose file gives no pose and that does not stand without one. `places` are the indices of the
+    /// joint angles in `stand`.
     fn bend_knees(&mut self, places: &[usize; JOINTS]) {
-        let straight = |leg: usize| self.legs[leg].is_straight(of_leg(&self.nominal_pose, leg));
-        if !(0..LEGS.len()).all(straight) {
-            return;
-        }
-        // To a milliradian: it will be read.
-        let bent = |joint: usize| self.legs[joint / PARTS.len()].bent()[joint % PARTS.len()];
-        self.nominal_pose = std::array::from_fn(|joint| (1e3 * bent(joint)).round() / 1e3);
+        let Some(bent) = bent_pose(&self.legs, &self.nominal_pose, &self.joint_limits) else { return };
+        self.nominal_pose = bent;
         self.stand[2] = self.standing_height_m(&self.nominal_pose);
         for (place, angle) in places.iter().zip(self.nominal_pose) {
             self.stand[*place] = angle;
         }
         self.report.push(format!(
-            "pose: its file says none, and its legs are straight; knees bent to the rear, base at {:.3} m (nominal_pose_rad in a \
-             YAML file chooses another)",
+            "pose: its file says none, and its legs are straight or folded; knees bent to the rear, base at {:.3} m \
+             (nominal_pose_rad in a YAML file chooses another)",
             self.stand[2]
         ));
     }
@@ -191,7 +201,7 @@ impl Robot {
 
     /// Reads all properties from an MJCF document with Supple's names.
     fn new(name: &str, imported: Imported) -> Result<Self, FileError> {
-        let Imported { mjcf, report, has_pose, fall_height_m, sha256 } = imported;
+        let Imported { mjcf, report, has_pose, fall_height_m, sha256, joints } = imported;
         let path = &paths::as_path(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
@@ -199,22 +209,19 @@ impl Robot {
         let (mut joint_limits, mut torque_limits, mut places) = ([[0.0; 2]; JOINTS], [0.0; JOINTS], [0; JOINTS]);
         for joint in 0..JOINTS {
             let id = model.id(Kind::Joint, &format!("{}_joint", joint_name(joint))).map_err(words)?;
-            (joint_limits[joint], places[joint]) = (model.joint_range(id), model.joint_position_index(id));
+            (joint_limits[joint], places[joint]) = (limits(&model, id), model.joint_position_index(id));
             let motor = model.id(Kind::Actuator, &joint_name(joint)).map_err(words)?;
             torque_limits[joint] = model.control_range(motor)[1];
         }
         let stand = model.numeric("stand_qpos").map_err(words)?.to_vec();
         if stand.len() != model.nq() {
-            return Err(fail(format!("its stand_qpos has {} numbers, expected {}", stand.len(), model.nq())));
+            return Err(fail(RobotError::Count { what: "stand_qpos", found: stand.len(), expected: model.nq() }));
         }
         let nominal_pose = match model.numeric("nominal_pose") {
-            Ok(pose) => {
-                Joints::try_from(pose).map_err(|_| fail("its nominal_pose has not twelve angles".to_owned()))?
-            }
+            Ok(pose) => Joints::try_from(pose).map_err(|_| fail(RobotError::joints("nominal_pose", pose.len())))?,
             Err(_) => places.map(|place| stand[place]),
         };
-        let legs = (0..LEGS.len()).map(|leg| Leg::of(&model, leg)).collect::<Result<Vec<_>, _>>().map_err(fail)?;
-        let legs = <[Leg; 4]>::try_from(legs).map_err(|_| fail("it has not four legs".to_owned()))?;
+        let legs = Leg::all(&model).map_err(fail)?;
         let imu = model.id(Kind::Site, "imu").ok().filter(|site| model.site_body(*site) == trunk);
         let collides = |geom: &usize| model.geom_contact(*geom).collides();
         let colliding = (0..model.count(Kind::Geom)).filter(collides);
@@ -233,6 +240,7 @@ impl Robot {
             fall_height_m,
             shanks_may_touch: model.numeric("shanks_may_touch").is_ok_and(|numbers| numbers == [1.0]),
             colliding: colliding.map(|geom| model.name(Kind::Geom, geom).to_owned()).collect(),
+            joints_in_file: joints,
             mjcf,
             sha256,
         };
@@ -254,8 +262,7 @@ impl Robot {
 
     /// Returns the height of the trunk's origin above the ground when it stands level on its lowest foot \[m\].
     pub fn standing_height_m(&self, pose: &Joints) -> f64 {
-        let depth = |leg: usize| self.legs[leg].foot_radius_m - self.legs[leg].foot_position(of_leg(pose, leg)).z;
-        (0..LEGS.len()).map(depth).fold(f64::NEG_INFINITY, maximum)
+        kinematics::standing_height_m(&self.legs, pose)
     }
 
     /// Mirrors a joint between left and right: returns the joint that takes over its angle, and the sign. The legs of

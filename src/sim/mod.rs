@@ -213,9 +213,8 @@ impl Sim {
     /// Gives each foot the friction of the ground under its last known position.
     fn feel_ground(&mut self) {
         let Some(patches) = self.ground.patches() else { return };
-        for foot in self.parts.feet() {
-            let place = &self.data.geom_positions()[3 * foot..];
-            let friction = patches.at(place[0], place[1]);
+        for (foot, [x, y, _]) in self.parts.feet().into_iter().zip(self.parts.foot_centres(&self.data)) {
+            let friction = patches.at(x, y);
             self.data.set_sliding_friction(foot, friction);
         }
     }

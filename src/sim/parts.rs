@@ -5,7 +5,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use super::ground::Ground;
 use super::scene::GROUND;
 use crate::mujoco::{Data, Kind, Model, Result};
-use crate::robot::{FootState, Foothold, JOINTS, Joints, LEGS, Robot, RobotState, joint_name};
+use crate::robot::{FootSphere, FootState, Foothold, JOINTS, Joints, LEGS, Robot, RobotState, joint_name};
 
 /// Ids of the robot's parts in a compiled model.
 #[derive(Debug, Clone)]
@@ -18,7 +18,8 @@ pub struct Parts {
     joint_velocity: [usize; JOINTS],
     actuators: [usize; JOINTS],
     feet: [usize; 4],
-    foot_radius: [f64; 4],
+    /// The spheres that heights and velocities of the feet are those of.
+    soles: [FootSphere; 4],
     ground: usize,
     /// True for each geometry that is a part of the robot other than a foot.
     is_body_part: Vec<bool>,
@@ -37,6 +38,7 @@ impl Parts {
         let joints = try_array(|k| model.id(Kind::Joint, &format!("{}_joint", joint_name(k))))?;
         let actuators = try_array(|k| model.id(Kind::Actuator, &joint_name(k)))?;
         let feet: [usize; 4] = try_array(|leg| model.id(Kind::Geom, &format!("{}_foot", LEGS[leg])))?;
+        let sole = |leg| FootSphere::new(model, leg);
         let in_robot = |geom| model.is_below(model.geom_body(geom), trunk);
         let is_body_part: Vec<bool> =
             (0..model.count(Kind::Geom)).map(|geom| in_robot(geom) && !feet.contains(&geom)).collect();
@@ -53,7 +55,7 @@ impl Parts {
             joint_velocity: joints.map(|joint| model.joint_velocity_index(joint)),
             actuators,
             feet,
-            foot_radius: feet.map(|geom| model.geom(geom).size[0]),
+            soles: [sole(0)?, sole(1)?, sole(2)?, sole(3)?],
             ground: model.id(Kind::Geom, GROUND)?,
             is_body_part,
             is_high,
@@ -78,6 +80,11 @@ impl Parts {
     /// Returns the geometry ids of the feet.
     pub fn feet(&self) -> [usize; 4] {
         self.feet
+    }
+
+    /// Returns the centres of the spheres that stand for the feet after the last [`Data::step1`], world frame \[m\].
+    pub fn foot_centres(&self, data: &Data) -> [[f64; 3]; 4] {
+        self.soles.map(|sole| sole.centre(data))
     }
 
     /// Returns true if a geometry belongs to the robot.
@@ -136,7 +143,7 @@ impl Parts {
         let footholds = self.footholds(data, ground);
         let feet = std::array::from_fn(|leg| {
             let Foothold { height, contact } = footholds[leg];
-            FootState { height, contact, velocity: data.geom_velocity(self.feet[leg]) }
+            FootState { height, contact, velocity: self.soles[leg].velocity(data) }
         });
         RobotState {
             height: position.z - ground.height(position.x, position.y),
@@ -161,8 +168,8 @@ impl Parts {
             }
         }
         std::array::from_fn(|leg| {
-            let centre = &data.geom_positions()[3 * self.feet[leg]..];
-            let height = centre[2] - self.foot_radius[leg] - ground.height(centre[0], centre[1]);
+            let centre = self.soles[leg].centre(data);
+            let height = centre[2] - self.soles[leg].radius_m - ground.height(centre[0], centre[1]);
             Foothold { height, contact: contact[leg] }
         })
     }

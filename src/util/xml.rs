@@ -1,4 +1,5 @@
-//! XML as a tree of elements that can be read, changed and written; safe for untrusted texts.
+//! XML as a tree of elements that can be read, changed and written; safe for untrusted texts. Every element knows where
+//! it was read, so that errors about a changed text can name the line that a person wrote.
 
 use std::fmt::Write as _;
 
@@ -13,9 +14,40 @@ const MAX_ATTRIBUTES: usize = 500;
 /// Maximum depth of nested elements.
 const MAX_DEPTH: usize = 64;
 
+/// The reason why a text was refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum XmlError {
+    /// The text is not well-formed XML, or has more parts than any robot.
+    #[error("it is not XML: {0}")]
+    Syntax(String),
+    /// An element has more attributes than any element of MJCF.
+    #[error("line {line}: an element has more than {MAX_ATTRIBUTES} attributes")]
+    Crowded {
+        /// Line of the element.
+        line: u32,
+    },
+    /// Elements are nested deeper than in any robot.
+    #[error("line {line}: its elements are nested more than {MAX_DEPTH} deep")]
+    Deep {
+        /// Line of the first element that is too deep.
+        line: u32,
+    },
+}
+
+/// The place where an element was read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Place {
+    /// Number of the file, as the reader counts them.
+    pub file: u32,
+    /// Line of the element's beginning, from 1; 0 if the element was not read but made.
+    pub line: u32,
+}
+
 /// An element without its comments and text, which have no meaning in MJCF.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Element {
+    /// The place where it was read.
+    pub place: Place,
     /// Name of the tag.
     pub name: String,
     /// Names and values of the attributes, in order.
@@ -25,6 +57,17 @@ pub struct Element {
 }
 
 impl Element {
+    /// Makes an element without attributes and children.
+    pub fn new(name: &str) -> Self {
+        Element { name: name.to_owned(), ..Element::default() }
+    }
+
+    /// Adds an attribute to a new element.
+    pub fn with(mut self, name: &str, value: impl ToString) -> Self {
+        self.set(name, value);
+        self
+    }
+
     /// Returns the value of an attribute.
     pub fn get(&self, name: &str) -> Option<&str> {
         self.attributes.iter().find(|(known, _)| known == name).map(|(_, value)| value.as_str())
@@ -46,7 +89,23 @@ impl Element {
         self.children.iter().filter(move |child| child.name == name)
     }
 
-    /// Writes the element as XML.
+    /// Calls a function for the element and everything below it.
+    pub fn visit(&self, work: &mut impl FnMut(&Element)) {
+        work(self);
+        self.children.iter().for_each(|child| child.visit(work));
+    }
+
+    /// Returns the elements of the lines that [`Element::write`] writes, in order.
+    pub fn lines(&self) -> Vec<&Element> {
+        let mut lines = vec![self];
+        if !self.children.is_empty() {
+            lines.extend(self.children.iter().flat_map(Element::lines));
+            lines.push(self);
+        }
+        lines
+    }
+
+    /// Writes the element as XML: its beginning on a line, then its children, then its end on a line.
     pub fn write(&self, text: &mut String) {
         // Writing into a String cannot fail.
         let _ = write!(text, "<{}", self.name);
@@ -67,40 +126,50 @@ impl Element {
 ///
 /// # Errors
 /// The text is not XML, or too large.
-pub fn parse(text: &str) -> Result<Element, String> {
+pub fn parse(text: &str) -> Result<Element, XmlError> {
     if let Some(line) = crowded(text) {
-        return Err(format!("line {line}: an element has more than {MAX_ATTRIBUTES} attributes"));
+        return Err(XmlError::Crowded { line });
     }
     let options = ParsingOptions { nodes_limit: MAX_NODES, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text, options).map_err(|error| format!("it is not XML: {error}"))?;
-    convert(document.root_element(), 0)
+    let document = Document::parse_with_options(text, options).map_err(|error| XmlError::Syntax(error.to_string()))?;
+    let ends: Vec<usize> = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+    convert(document.root_element(), 0, &ends)
 }
 
-fn convert(node: Node<'_, '_>, depth: usize) -> Result<Element, String> {
+/// Converts an element; `ends` are the places of all line ends in the text.
+fn convert(node: Node<'_, '_>, depth: usize, ends: &[usize]) -> Result<Element, XmlError> {
+    let line = u32::try_from(1 + ends.partition_point(|end| *end < node.range().start)).unwrap_or(u32::MAX);
     if depth > MAX_DEPTH {
-        return Err(format!("its elements are nested more than {MAX_DEPTH} deep"));
+        return Err(XmlError::Deep { line });
     }
     let attributes = node.attributes().map(|a| (a.name().to_owned(), a.value().to_owned())).collect();
-    let children = node.children().filter(Node::is_element).map(|child| convert(child, depth + 1));
-    Ok(Element { name: node.tag_name().name().to_owned(), attributes, children: children.collect::<Result<_, _>>()? })
+    let children = node.children().filter(Node::is_element).map(|child| convert(child, depth + 1, ends));
+    Ok(Element {
+        place: Place { file: 0, line },
+        name: node.tag_name().name().to_owned(),
+        attributes,
+        children: children.collect::<Result<_, _>>()?,
+    })
 }
 
 /// Returns the line of an element with too many attributes: with more of them between one `<` and the next than
 /// allowed.
-fn crowded(text: &str) -> Option<usize> {
+fn crowded(text: &str) -> Option<u32> {
     let mut line = 1;
     for part in text.split('<') {
         let values = part.split('=').skip(1).filter(|value| value.trim_start().starts_with(['"', '\'']));
         if values.count() > MAX_ATTRIBUTES {
             return Some(line);
         }
-        line += part.matches('\n').count();
+        line += u32::try_from(part.matches('\n').count()).unwrap_or(u32::MAX);
     }
     None
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;")
+    let text = text.replace('&', "&amp;").replace('"', "&quot;").replace('<', "&lt;");
+    // A line end within a value would move all lines after it.
+    text.replace('\n', "&#10;").replace('\r', "&#13;")
 }
 
 #[cfg(test)]
@@ -114,8 +183,21 @@ mod tests {
             format!("<r>\n<!-- {} --><e{attributes}/>it's = text\n</r>", "=".repeat(2 * MAX_ATTRIBUTES))
         };
         assert_eq!(parse(&element(MAX_ATTRIBUTES)).unwrap().children[0].attributes.len(), MAX_ATTRIBUTES);
-        let error = parse(&element(MAX_ATTRIBUTES + 1)).unwrap_err();
-        assert!(error.starts_with("line 2: "), "{error}");
+        assert_eq!(parse(&element(MAX_ATTRIBUTES + 1)).unwrap_err(), XmlError::Crowded { line: 2 });
+    }
+
+    #[test]
+    fn elements_know_the_lines_they_were_read_from_and_are_written_on() {
+        let text = "<a>\n <!-- x\n -->\n <b n='1\n2'/> <c\n v='&#10;'><d/>\n</c>\n</a>\n";
+        let root = parse(text).unwrap();
+        let read: Vec<(&str, u32)> = root.lines().iter().map(|line| (line.name.as_str(), line.place.line)).collect();
+        assert_eq!(read, [("a", 1), ("b", 4), ("c", 5), ("d", 6), ("c", 5), ("a", 1)]);
+        let mut written = String::new();
+        root.write(&mut written);
+        assert_eq!(written.lines().count(), read.len(), "{written}");
+        for (line, (name, _)) in written.lines().zip(read) {
+            assert!(line.trim_start_matches(['<', '/']).starts_with(name), "{written}");
+        }
     }
 
     #[test]

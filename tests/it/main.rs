@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod faults;
+mod foreign_robots;
 mod kill;
 mod killing;
 mod licences;

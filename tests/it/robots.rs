@@ -155,8 +155,8 @@ fn non_quadruped_is_refused_in_one_line() {
         (Robots { joints: vec!["HAA", "KFE"], ..robot.clone() }, "no joint 'FR_thigh'"),
         (Robots { free: "", ..robot.clone() }, "<freejoint/>"),
         (
-            Robots { foot: "<geom size='0.01 0.1' type='capsule'/>", ..robot.clone() },
-            "name the feet's geometries in a YAML file",
+            Robots { foot: "<geom size='0.01' contype='0' conaffinity='0'/>", ..robot.clone() },
+            "nothing on the calf of leg FR collides: put a shape where its foot is",
         ),
         (Robots { assets: "<mesh name='m' file='nowhere.stl'/>", ..robot.clone() }, "nowhere.stl"),
         (

@@ -10,8 +10,9 @@ use crate::observation::{Layout, LayoutError, Nominal, Numbers, Observed, limit,
 use crate::policy::AgentError;
 use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
-use crate::robot::{JOINTS, Joints, joint_names};
+use crate::robot::{JOINTS, Joints, Robot, joint_names, recognise};
 use crate::util::files::FileError;
+use crate::util::paths;
 use crate::util::yaml::{self, Text};
 
 #[derive(Debug, Deserialize)]
@@ -56,8 +57,8 @@ pub(super) enum Fault {
     Angles(usize),
     #[error("nominal_pose_rad is {0:?}, expected angles of at most one turn")]
     Pose(Joints),
-    #[error("`joints` has '{0}', which is no joint of the robot; they are: {known}", known = joint_names().join(", "))]
-    Joint(String),
+    #[error("`joints` has '{found}', which is no joint of the robot; they are: {known}")]
+    Joint { found: String, known: String },
     #[error("`joints` must name each of these once, in the policy's order: {}", joint_names().join(", "))]
     Joints,
     #[error(
@@ -79,11 +80,12 @@ impl Spec {
         config.simulation = raw.simulation.clone();
         config.robot = raw.robot.clone().unwrap_or(config.robot);
         config.check().map_err(|error| ConfigError::Value { name, error })?;
-        Ok(Self::new(raw, config).map_err(FileError::of(POLICY, path))?)
+        Ok(Self::new(raw, config, path.parent().unwrap_or(Path::new(""))).map_err(FileError::of(POLICY, path))?)
     }
 
-    fn new(raw: RawSpec, config: Config) -> Result<Self, Fault> {
-        let order = joint_order(&raw.joints)?;
+    /// Checks a description in a folder, in which its robot may lie.
+    fn new(raw: RawSpec, config: Config, folder: &Path) -> Result<Self, Fault> {
+        let order = joint_order(&raw.joints, &config.robot, folder)?;
         let pose: Joints = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| Fault::Angles(pose.len()))?;
         if !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU) {
             return Err(Fault::Pose(pose));
@@ -127,19 +129,43 @@ impl Spec {
     }
 }
 
-/// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without
-/// `_joint`.
-fn joint_order(names: &[String]) -> Result<[usize; JOINTS], Fault> {
+/// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without `_joint`, by
+/// names that are usual elsewhere (`LF_HAA`, `fl_hx`), or as the file of the robot names them.
+fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[usize; JOINTS], Fault> {
     let known = joint_names();
     let place = |name: &String| {
         let short = name.strip_suffix("_joint").unwrap_or(name);
-        known.iter().position(|known| known == short).ok_or_else(|| Fault::Joint(name.clone()))
+        known.iter().position(|known| known == short)
     };
-    let order = names.iter().map(place).collect::<Result<Vec<_>, _>>()?;
+    let words = || names.iter().map(String::as_str).collect::<Vec<_>>();
+    let usual = || (names.len() == JOINTS).then(|| recognise(&words()).map(inverted)).flatten();
+    let load = || {
+        let beside = folder.join(paths::as_path(&robot.model));
+        if Robot::ships(&robot.model) { robot.load() } else { Robot::load(&paths::as_text(beside)) }
+    };
+    let in_file = || {
+        let robot = load().ok()?;
+        names.iter().map(|name| robot.joints_in_file.iter().position(|own| own == name)).collect::<Option<Vec<_>>>()
+    };
+    let ours = names.iter().map(place).collect::<Option<Vec<_>>>();
+    let Some(order) = ours.or_else(|| usual().map(Vec::from)).or_else(in_file) else {
+        let found = names.iter().find(|name| place(name).is_none()).map_or("", String::as_str);
+        let own = load().map_or_else(|_| String::new(), |robot| format!("; {}", robot.joints_in_file.join(", ")));
+        return Err(Fault::Joint { found: found.to_owned(), known: known.join(", ") + &own });
+    };
     match <[usize; JOINTS]>::try_from(order) {
         Ok(order) if (0..JOINTS).all(|joint| order.contains(&joint)) => Ok(order),
         _ => Err(Fault::Joints),
     }
+}
+
+/// Turns the places of our joints among others into the indices of the others.
+fn inverted(places: [usize; JOINTS]) -> [usize; JOINTS] {
+    let mut order = [0; JOINTS];
+    for (joint, place) in places.into_iter().enumerate() {
+        order[place] = joint;
+    }
+    order
 }
 
 #[cfg(test)]
@@ -182,6 +208,24 @@ mod tests {
         assert_eq!(robot("robot: {model: go2}").unwrap().model, "go2");
         let error = robot("robot: {model: go2, damping_n_m_s_per_rad: -1.0}").unwrap_err();
         assert!(error.to_string().contains("damping_n_m_s_per_rad"), "{error}");
+    }
+
+    #[test]
+    fn joints_may_be_named_as_elsewhere() {
+        let (before, rest) = EXAMPLE.split_once("\njoints:").unwrap();
+        let (_, after) = rest.split_once(']').unwrap();
+        let order = |names: &str| {
+            let text = format!("{before}\njoints: [{names}]{after}");
+            Spec::parse(Path::new("test"), &text).map(|spec| spec.action.nominal_pose)
+        };
+        let legs = |legs: [&str; 4], parts: [&str; 3]| {
+            legs.iter().flat_map(|leg| parts.map(|part| format!("{leg}_{part}"))).collect::<Vec<_>>().join(", ")
+        };
+        let ours = order(&legs(["FL", "FR", "RL", "RR"], ["hip", "thigh", "calf"])).unwrap();
+        assert_eq!(order(&legs(["LF", "RF", "LH", "RH"], ["HAA", "HFE", "KFE"])).unwrap(), ours);
+        assert_eq!(order(&legs(["fl", "fr", "hl", "hr"], ["hx", "hy", "kn"])).unwrap(), ours);
+        let error = order(&legs(["LF", "RF", "LH", "tail"], ["HAA", "HFE", "KFE"])).unwrap_err().to_string();
+        assert!(error.contains("'LF_HAA'") && error.contains("FR_hip"), "{error}");
     }
 
     #[test]

@@ -1,5 +1,6 @@
-/*! Robot import: adapts an MJCF file written for other purposes, and reports every change. Read `resolve` (the files),
-`names` (joints and feet), `normalise` (the changes) and `sandbox` (the child process), in this order.
+/*! Robot import: adapts an MJCF or URDF file written for other purposes, and reports every change. Read `source` (the files),
+`newer` and `words` (what newer MuJoCos write), `urdf`, `names` (joints), `feet`, `normalise` (the changes) and `sandbox` (the
+child process), in this order.
 
 A file such as the widely used Go1 brings its own servos, damping, contact softness, solver options and floor. Here the
 only controller is the PD law with its torque limits, the only damping is K_d, and the ground's friction is the
@@ -8,16 +9,27 @@ MuJoCo reads from it, and written again with our names for trunk, joints and fee
 without the parts that contradict that. Masses, inertias, shapes, joint limits and armature stay as they are.
 */
 
+mod angles;
+mod feet;
+mod load;
 mod names;
+mod newer;
 mod normalise;
-mod resolve;
 mod sandbox;
+mod source;
+mod torque;
+mod urdf;
+mod words;
 
 use std::path::Path;
 
-pub(super) use resolve::Source;
+pub(crate) use names::recognise;
 pub use sandbox::isolate_imports;
 use serde::{Deserialize, Serialize};
+pub(super) use source::Source;
+
+use super::JOINTS;
+use super::error::RobotError;
 
 /// An imported robot that fits our scenes.
 #[derive(Debug, Serialize, Deserialize)]
@@ -32,9 +44,11 @@ pub(super) struct Imported {
     pub(super) fall_height_m: Option<f64>,
     /// SHA-256 of the content of all its files, independent of their paths.
     pub(super) sha256: String,
+    /// Names that the file gives the joints, in Supple's order.
+    pub(super) joints: [String; JOINTS],
 }
 
 /// Imports the robot at `path`, in a child process if the program called [`isolate_imports`].
-pub(super) fn import(source: &Source, path: &Path) -> Result<Imported, String> {
+pub(super) fn import(source: &Source, path: &Path) -> Result<Imported, RobotError> {
     sandbox::import(path).unwrap_or_else(|| normalise::adapt(source))
 }

@@ -20,8 +20,9 @@ use std::time::Duration;
 
 use rustix::process::{Resource, Rlimit, setrlimit};
 
-use super::{Imported, normalise, resolve};
+use super::{Imported, normalise, source};
 use crate::mujoco::{Data, Model};
+use crate::robot::error::RobotError;
 
 /// First argument of a child process.
 const CHILD: &str = "--import-robot-in-this-process";
@@ -52,7 +53,7 @@ pub fn isolate_imports() {
         return;
     }
     let path = PathBuf::from(arguments.next().unwrap_or_default());
-    let answer = bound_this_process().and_then(|()| try_out(&path));
+    let answer = bound_this_process().and_then(|()| try_out(&path)).map_err(|error| error.to_string());
     // An answer that cannot be given is a failure like others: the parent sees that there is none.
     let mut out = std::io::stdout().lock();
     let told = serde_json::to_writer(&mut out, &answer).is_ok() && out.flush().is_ok();
@@ -60,9 +61,10 @@ pub fn isolate_imports() {
 }
 
 /// Imports a robot file in a child process; returns `None` if the program did not call [`isolate_imports`].
-pub(super) fn import(path: &Path) -> Option<Result<Imported, String>> {
+pub(super) fn import(path: &Path) -> Option<Result<Imported, RobotError>> {
     ISOLATED.load(Ordering::Relaxed).then(|| {
-        let cannot = |error: std::io::Error| format!("cannot start a process to read it in: {error}");
+        let cannot =
+            |error: std::io::Error| RobotError::Child(format!("cannot start a process to read it in: {error}"));
         let mut command = Command::new("/proc/self/exe");
         command.arg(CHILD).arg(path).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
         let mut child = command.spawn().map_err(cannot)?;
@@ -72,8 +74,10 @@ pub(super) fn import(path: &Path) -> Option<Result<Imported, String>> {
             let _ = child.kill();
         }
         let status = child.wait().map_err(cannot)?;
-        let answer = answer.ok_or_else(|| format!("MuJoCo has not read it within {} s", PATIENCE.as_secs()))?;
-        serde_json::from_slice(&answer).unwrap_or_else(|_| Err(end(status)))
+        let late = || RobotError::Child(format!("MuJoCo has not read it within {} s", PATIENCE.as_secs()));
+        let answer: Result<Imported, String> =
+            serde_json::from_slice(&answer.ok_or_else(late)?).unwrap_or_else(|_| Err(end(status)));
+        answer.map_err(RobotError::Child)
     })
 }
 
@@ -105,7 +109,7 @@ fn end(status: ExitStatus) -> String {
 const SIGKILL: i32 = 9;
 const SIGXCPU: i32 = 24;
 
-fn bound_this_process() -> Result<(), String> {
+fn bound_this_process() -> Result<(), RobotError> {
     let bounds = [
         (Resource::As, MEMORY_BYTES, MEMORY_BYTES),
         (Resource::Cpu, TIME_S, TIME_S + 1),
@@ -114,15 +118,16 @@ fn bound_this_process() -> Result<(), String> {
     ];
     for (resource, current, maximum) in bounds {
         let limit = Rlimit { current: Some(current), maximum: Some(maximum) };
-        setrlimit(resource, limit).map_err(|error| format!("cannot bound the process that reads it: {error}"))?;
+        setrlimit(resource, limit)
+            .map_err(|error| RobotError::Child(format!("cannot bound the process that reads it: {error}")))?;
     }
     Ok(())
 }
 
 /// Imports, compiles and steps a robot, as this program will.
-fn try_out(path: &Path) -> Result<Imported, String> {
-    let imported = normalise::adapt(&resolve::Source::read(path)?)?;
-    let words = |error: crate::mujoco::Error| error.to_string();
+fn try_out(path: &Path) -> Result<Imported, RobotError> {
+    let imported = normalise::adapt(&source::Source::read(path)?)?;
+    let words = |error: crate::mujoco::Error| RobotError::Engine(error.to_string());
     let mut data = Data::new(Model::from_xml(&[("robot.xml", &imported.mjcf)]).map_err(words)?).map_err(words)?;
     for _ in 0..STEPS {
         // Faults are those of a robot in the air, not of its file.

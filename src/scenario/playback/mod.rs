@@ -352,7 +352,7 @@ impl<'a> Playback<'a> {
             joint_angles: state.joint_angles,
             joint_targets: target,
             torques: meter.torques,
-            foot_positions: self.sim.parts().feet().map(|geom| array(&data.geom_positions()[3 * geom..])),
+            foot_positions: self.sim.parts().foot_centres(data),
             foot_heights: state.feet.map(|foot| foot.height),
             foot_forces: meter.foot_forces.map(|force| force.map(|value| value / substeps)),
             peak_foot_force_n: meter.peak_foot_force_n,

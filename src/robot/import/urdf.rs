@@ -1,0 +1,321 @@
+/*! URDF, as MuJoCo itself reads it.
+
+MuJoCo compiles URDF: links, joints, limits, inertias and the primitives of collisions. The compiled model is then written as MJCF,
+with all digits. What it does not take over is read here: `<limit effort>` is the limit of a joint's torque. Meshes are left out,
+whatever their `package://` paths are: the masses of a URDF stand in its links, and its feet are primitives. The trunk, which MuJoCo
+would fix to the world, gets a free joint.
+*/
+
+use nalgebra::{Isometry3, Matrix3, Point3, Quaternion, Translation3, UnitQuaternion, Vector3};
+
+use super::load::load;
+use super::newer::Translated;
+use super::source::Files;
+use crate::mujoco::{Kind, Model, Shape};
+use crate::robot::error::RobotError;
+use crate::util::xml::{Element, Place};
+
+/// Name of the link that stands for the world.
+const WORLD: &str = "world";
+
+/// Reads a URDF and writes it as MJCF.
+pub(super) fn translate(tree: &Element, files: &Files) -> Result<Translated, RobotError> {
+    let is_xacro =
+        |child: &Element| matches!(child.name.as_str(), "include" | "macro" | "property" | "arg" | "if" | "unless");
+    if tree.children.iter().any(is_xacro) {
+        return Err(RobotError::Xacro);
+    }
+    let (mut robot, meshes) = without_meshes(tree);
+    free_the_trunk(&mut robot)?;
+    let mut compiler = Element::new("compiler").with("fusestatic", "false").with("discardvisual", "false");
+    // What a URDF may tell MuJoCo about its masses.
+    for own in tree.all("mujoco").flat_map(|own| own.all("compiler")) {
+        for name in ["balanceinertia", "boundmass", "boundinertia"] {
+            if let Some(value) = own.get(name) {
+                compiler.set(name, value);
+            }
+        }
+    }
+    share_masses(&mut robot);
+    robot.children.insert(0, Element { children: vec![compiler], ..Element::new("mujoco") });
+    let mut notes = vec!["file: a URDF, read by MuJoCo, with a free joint for its trunk".to_owned()];
+    let model = load(&robot, files).or_else(|error| {
+        if !error.to_string().contains("balanceinertia") {
+            return Err(error);
+        }
+        // Rounded, or made up for a sensor: no body has such moments of inertia.
+        robot.children[0].children[0].set("balanceinertia", "true");
+        let model = load(&robot, files)?;
+        let found = match &error {
+            RobotError::MuJoCo { element, .. } => element.clone(),
+            _ => "a link".to_owned(),
+        };
+        notes.push(format!(
+            "inertia of {found} and maybe others: no body has it (A + B < C); its three moments made equal"
+        ));
+        Ok(model)
+    })?;
+    if meshes > 0 {
+        notes.push(format!("meshes: {meshes} left out, for looks and collisions; masses stand in the links"));
+    }
+    let (mut torques, mut speeds) = (Vec::new(), 0);
+    for joint in tree.all("joint") {
+        let Some((name, limit)) = joint.get("name").zip(joint.all("limit").next()) else { continue };
+        if let Some(effort) = limit.get("effort").and_then(|effort| effort.trim().parse::<f64>().ok()) {
+            torques.push((name.to_owned(), [-effort, effort]));
+        }
+        speeds += usize::from(limit.get("velocity").is_some());
+    }
+    if speeds > 0 {
+        notes.push("joint speeds: not limited here".to_owned());
+    }
+    Ok(Translated { tree: written(&model, &robot), torques, notes })
+}
+
+/// Returns what MuJoCo reads of a URDF, and the number of meshes that were left out.
+fn without_meshes(tree: &Element) -> (Element, usize) {
+    let mut meshes = 0;
+    let mut robot = tree.clone();
+    robot.children.retain(|child| matches!(child.name.as_str(), "link" | "joint"));
+    for link in robot.children.iter_mut().filter(|child| child.name == "link") {
+        link.children.retain(|child| {
+            let is_mesh = child.all("geometry").any(|geometry| geometry.all("mesh").next().is_some());
+            meshes += usize::from(is_mesh);
+            child.name == "inertial" || child.name == "collision" && !is_mesh
+        });
+        // Names of shapes may be used twice in a URDF, and mean nothing.
+        link.children.iter_mut().for_each(|child| child.remove("name"));
+    }
+    for joint in robot.children.iter_mut().filter(|child| child.name == "joint") {
+        joint.children.retain(|child| matches!(child.name.as_str(), "origin" | "parent" | "child" | "axis" | "limit"));
+    }
+    (robot, meshes)
+}
+
+/// Lets the first link move: MuJoCo fixes it to the world, and would drop its mass.
+fn free_the_trunk(robot: &mut Element) -> Result<(), RobotError> {
+    let ends =
+        |joint: &Element, end: &str| joint.all(end).filter_map(|link| link.get("link")).next().map(str::to_owned);
+    let is_moving =
+        |name: &str, robot: &Element| robot.all("joint").any(|joint| ends(joint, "child").as_deref() == Some(name));
+    // A first link of its own for the world is common, and joined to the trunk in any way.
+    let of_world = |joint: &Element| joint.name == "joint" && ends(joint, "parent").as_deref() == Some(WORLD);
+    robot.children.retain(|child| !(of_world(child) || child.name == "link" && child.get("name") == Some(WORLD)));
+    let links: Vec<String> = robot.all("link").filter_map(|link| link.get("name")).map(str::to_owned).collect();
+    let roots: Vec<&String> = links.iter().filter(|name| !is_moving(name, robot)).collect();
+    let [root] = roots[..] else { return Err(RobotError::Links(roots.len())) };
+    let mut root = root.clone();
+    // A first link without a mass, such as ROS wants it, is joined to the trunk.
+    loop {
+        let has_mass =
+            robot.all("link").any(|link| link.get("name") == Some(&root) && link.all("inertial").next().is_some());
+        let below: Vec<&Element> =
+            robot.all("joint").filter(|joint| ends(joint, "parent").as_deref() == Some(&root)).collect();
+        let [only] = below[..] else { break };
+        let (true, false, Some(next)) = (only.get("type") == Some("fixed"), has_mass, ends(only, "child")) else {
+            break;
+        };
+        let joint = only.get("name").map(str::to_owned);
+        robot.children.retain(|child| match child.name.as_str() {
+            "joint" => child.get("name").map(str::to_owned) != joint,
+            _ => child.get("name") != Some(&root),
+        });
+        root = next;
+    }
+    robot.children.insert(0, Element::new("link").with("name", WORLD));
+    let mut free = Element::new("joint").with("name", "root").with("type", "floating");
+    free.children = vec![Element::new("parent").with("link", WORLD), Element::new("child").with("link", root)];
+    robot.children.push(free);
+    Ok(())
+}
+
+/// Gives links that move without a mass the inertia of a link that is fixed to them, as some URDFs have their trunk.
+fn share_masses(robot: &mut Element) {
+    let end = |joint: &Element, end: &str| joint.all(end).filter_map(|link| link.get("link")).next().map(str::to_owned);
+    let is_fixed = |joint: &&Element| joint.get("type") == Some("fixed");
+    let weighs = |robot: &Element, name: &str| {
+        robot.all("link").find(|link| link.get("name") == Some(name))?.all("inertial").next().cloned()
+    };
+    let moving = robot.all("joint").filter(|joint| !is_fixed(joint)).filter_map(|joint| end(joint, "child"));
+    for name in moving.collect::<Vec<_>>() {
+        if weighs(robot, &name).is_some() {
+            continue;
+        }
+        let below = robot.all("joint").filter(is_fixed).filter(|joint| end(joint, "parent").as_deref() == Some(&name));
+        let found = below.filter_map(|joint| {
+            let child = end(joint, "child")?;
+            Some((origin(joint), weighs(robot, &child)?, child))
+        });
+        let Some((joint, mut inertial, child)) = found.into_iter().next() else { continue };
+        let own = joint * origin(&inertial);
+        let (roll, pitch, yaw) = own.rotation.euler_angles();
+        inertial.children.retain(|part| part.name != "origin");
+        let place = Element::new("origin").with("xyz", list(own.translation.vector.as_slice()));
+        inertial.children.push(place.with("rpy", list(&[roll, pitch, yaw])));
+        for link in robot.children.iter_mut().filter(|link| link.name == "link") {
+            if link.get("name") == Some(&child) {
+                link.children.retain(|part| part.name != "inertial");
+            } else if link.get("name") == Some(&name) {
+                link.children.push(inertial.clone());
+            }
+        }
+    }
+}
+
+/// Reads the `<origin>` of a joint or inertia.
+fn origin(element: &Element) -> Isometry3<f64> {
+    let numbers = |name: &str| -> [f64; 3] {
+        let text = element.all("origin").find_map(|origin| origin.get(name)).unwrap_or("");
+        let mut words = text.split_whitespace().map(|word| word.parse().unwrap_or(0.0));
+        std::array::from_fn(|_| words.next().unwrap_or(0.0))
+    };
+    let ([x, y, z], [roll, pitch, yaw]) = (numbers("xyz"), numbers("rpy"));
+    Isometry3::from_parts(Translation3::new(x, y, z), UnitQuaternion::from_euler_angles(roll, pitch, yaw))
+}
+
+/// Writes a compiled model as MJCF. Elements keep the places of the URDF's.
+fn written(model: &Model, robot: &Element) -> Element {
+    let compiler = Element::new("compiler").with("angle", "radian");
+    let world = Element { children: bodies(model, 0, robot), ..Element::new("worldbody") };
+    Element { children: vec![compiler, world], ..Element::new("mujoco") }
+}
+
+/// Writes the bodies that move against a body. Links that are fixed to one another are one body, as when MuJoCo reads a URDF by
+/// itself.
+fn bodies(model: &Model, parent: usize, robot: &Element) -> Vec<Element> {
+    let moving = parts(model, parent).into_iter().flat_map(|(part, pose)| {
+        let below = (1..model.count(Kind::Body)).filter(move |body| model.body_parent(*body) == part);
+        below.filter(|body| moves(model, *body)).map(move |body| (body, pose * local(model, body)))
+    });
+    moving
+        .map(|(body, pose)| {
+            let name = model.name(Kind::Body, body);
+            let mut element = Element { place: place(robot, "link", name), ..Element::new("body") };
+            element.set("name", name);
+            element.set("pos", list(pose.translation.vector.as_slice()));
+            element.set("quat", quaternion(&pose.rotation));
+            let parts = parts(model, body);
+            element.children.extend(inertial(model, &parts, robot));
+            for joint in (0..model.count(Kind::Joint)).filter(|joint| model.joint_body(*joint) == body) {
+                element.children.push(written_joint(model, joint, robot));
+            }
+            for (part, pose) in &parts {
+                for geom in (0..model.count(Kind::Geom)).filter(|geom| model.geom_body(*geom) == *part) {
+                    element.children.push(written_geom(model, geom, pose));
+                }
+            }
+            element.children.extend(bodies(model, body, robot));
+            element
+        })
+        .collect()
+}
+
+/// Returns true if a joint moves a body.
+fn moves(model: &Model, body: usize) -> bool {
+    (0..model.count(Kind::Joint)).any(|joint| model.joint_body(joint) == body)
+}
+
+/// Returns the pose of a body in the frame of the body above it.
+fn local(model: &Model, body: usize) -> Isometry3<f64> {
+    let [x, y, z] = model.body_position(body);
+    Isometry3::from_parts(Translation3::new(x, y, z), model.body_rotation(body))
+}
+
+/// Returns a body and all that is fixed to it, with the poses in its frame.
+fn parts(model: &Model, body: usize) -> Vec<(usize, Isometry3<f64>)> {
+    let mut parts = vec![(body, Isometry3::identity())];
+    let mut next = 0;
+    while next < parts.len() {
+        let (part, pose) = parts[next];
+        let fixed =
+            (1..model.count(Kind::Body)).filter(|below| model.body_parent(*below) == part && !moves(model, *below));
+        parts.extend(fixed.map(|below| (below, pose * local(model, below))));
+        next += 1;
+    }
+    parts
+}
+
+/// Writes the mass and inertia of parts that are fixed to one another; `None` if no link states any.
+fn inertial(model: &Model, parts: &[(usize, Isometry3<f64>)], robot: &Element) -> Option<Element> {
+    let states = |body: usize| {
+        let link = robot.all("link").find(|link| link.get("name") == Some(model.name(Kind::Body, body)));
+        link.is_some_and(|link| link.all("inertial").next().is_some())
+    };
+    let heavy: Vec<_> = parts.iter().filter(|(body, _)| states(*body)).collect();
+    if let [(body, pose)] = heavy[..]
+        && *pose == Isometry3::identity()
+    {
+        let inertial = Element::new("inertial").with("pos", list(&model.body_centre_of_mass(*body)));
+        let inertial = inertial.with("quat", list(&model.body_inertia_quaternion(*body)));
+        let inertial = inertial.with("mass", model.body_mass()[*body]);
+        return Some(inertial.with("diaginertia", list(&model.body_inertia(*body))));
+    }
+    let centre = |(body, pose): &(usize, Isometry3<f64>)| pose * Point3::from(model.body_centre_of_mass(*body));
+    let mass: f64 = heavy.iter().map(|part| model.body_mass()[part.0]).sum();
+    let weighted = heavy.iter().map(|part| centre(part).coords * model.body_mass()[part.0]);
+    let middle = weighted.sum::<Vector3<f64>>() / mass;
+    let tensor: Matrix3<f64> = heavy
+        .iter()
+        .map(|part| {
+            let (body, pose) = part;
+            let [w, x, y, z] = model.body_inertia_quaternion(*body);
+            let axes = pose.rotation * UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
+            let axes = axes.to_rotation_matrix();
+            let own = axes * Matrix3::from_diagonal(&model.body_inertia(*body).into()) * axes.transpose();
+            let arm = centre(part).coords - middle;
+            own + (Matrix3::identity() * arm.norm_squared() - arm * arm.transpose()) * model.body_mass()[*body]
+        })
+        .sum();
+    (mass > 0.0).then(|| {
+        let full = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)].map(|at| tensor[at]);
+        let inertial = Element::new("inertial").with("pos", list(middle.as_slice())).with("mass", mass);
+        inertial.with("fullinertia", list(&full))
+    })
+}
+
+/// Writes a geometry of a part, in the frame of the body that the part is fixed to.
+fn written_geom(model: &Model, geom: usize, part: &Isometry3<f64>) -> Element {
+    let shape = model.geom(geom);
+    let kind = match shape.shape {
+        Shape::Sphere => "sphere",
+        Shape::Capsule => "capsule",
+        Shape::Cylinder => "cylinder",
+        _ => "box",
+    };
+    let ([x, y, z], [w, i, j, k]) = (shape.position, shape.quaternion);
+    let turn = UnitQuaternion::new_normalize(Quaternion::new(w, i, j, k));
+    let pose = part * Isometry3::from_parts(Translation3::new(x, y, z), turn);
+    let written = Element::new("geom").with("type", kind).with("size", list(&shape.size));
+    let written = written.with("pos", list(pose.translation.vector.as_slice()));
+    // Without a mass in its link, a part has none.
+    written.with("quat", quaternion(&pose.rotation)).with("mass", 0)
+}
+
+fn quaternion(turn: &UnitQuaternion<f64>) -> String {
+    list(&[turn.w, turn.i, turn.j, turn.k])
+}
+
+fn written_joint(model: &Model, joint: usize, robot: &Element) -> Element {
+    let name = model.name(Kind::Joint, joint);
+    if model.is_free(joint) {
+        return Element::new("freejoint").with("name", name);
+    }
+    let mut element = Element { place: place(robot, "joint", name), ..Element::new("joint") };
+    element.set("name", name);
+    element.set("type", if model.is_hinge(joint) { "hinge" } else { "slide" });
+    element.set("pos", list(&model.joint_anchor(joint)));
+    element.set("axis", list(&model.joint_axis(joint)));
+    if model.joint_is_limited(joint) {
+        element.set("range", list(&model.joint_range(joint)));
+    }
+    element
+}
+
+/// Returns where the URDF has a link or joint.
+fn place(robot: &Element, kind: &str, name: &str) -> Place {
+    robot.all(kind).find(|element| element.get("name") == Some(name)).map_or(Place::default(), |element| element.place)
+}
+
+fn list(numbers: &[f64]) -> String {
+    numbers.iter().map(f64::to_string).collect::<Vec<_>>().join(" ")
+}
