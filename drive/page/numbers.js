@@ -14,6 +14,17 @@ const ofPush = (of) => ({ reading }) => {
 const against = (axis) => ({ reading }) =>
   reading ? `${fixed(2)(reading.velocity[axis])} / ${fixed(2)(reading.command[axis])}` : dash;
 
+const SIDES = ["forward", "forward left", "left", "back left", "back", "back right", "right", "forward right"];
+
+/** The felt force in words: "18 to the left"; below 2 N none. */
+const felt = ({ reading }) => {
+  if (!reading?.felt_n) return dash;
+  const [forward, left] = reading.felt_n;
+  const size = Math.hypot(forward, left);
+  const side = Math.round((4 * Math.atan2(left, forward)) / Math.PI + 8) % 8;
+  return size < 2 ? "0" : `${size.toFixed(0)} ${SIDES[side]}`;
+};
+
 /** Each row: name, unit, and the text for a robot. */
 const ROWS = [
   ["forward / command", "m/s", against(0)],
@@ -23,6 +34,7 @@ const ROWS = [
   ["carried by push", "m", ofPush((push) => fixed(2)(push.carried_m))],
   ["decays within", "s", ofPush((push) => fixed(2)(push.decay_s))],
   ["pull", "N", ({ reading }) => fixed(0)(reading?.pull?.force_n)],
+  ["feels", "N", felt],
   ["velocity offset", "m/s", ({ reading }) => fixed(2)(reading?.pull?.gives_m_s)],
   ["power", "W", ({ reading }) => fixed(0)(reading?.power_w)],
   ["falls", "", ({ falls }) => String(falls)],

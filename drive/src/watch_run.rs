@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime};
 
 use supple::policy::shipped;
 use supple::scenario::session::AgentCache;
-use supple::util::{files, paths};
+use supple::util::files;
 
 use crate::message::{Message, NewPolicy};
 
@@ -33,7 +33,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
                 if seen.insert(path.clone(), time) == Some(time) {
                     continue;
                 }
-                let message = match AgentCache::read(&paths::as_text(&path)) {
+                let message = match AgentCache::read(&&path.display().to_string()) {
                     Ok((agent, file)) => Message::PolicySaved(Box::new(NewPolicy { path, agent, file })),
                     Err(error) => Message::Notice(error.to_string()),
                 };

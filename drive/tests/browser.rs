@@ -56,6 +56,8 @@ fn keys_walk_and_pad_pushes_and_pulls_robots() {
     // Held still, a drag forward pulls, for as long as it is held: half of the largest force.
     browser.mouse(&[("mousePressed", middle), ("mouseMoved", [x, y - half])]);
     browser.wait("state.robots.every(({ reading }) => Math.abs(reading.pull?.force_n - 50) < 1)");
+    browser.wait("state.robots.every(({ reading }) => Math.abs(reading.felt_n?.[0] - 50) < 5)");
+    browser.wait("document.querySelector('#numbers').innerText.includes(' forward')");
     browser.mouse(&[("mouseReleased", [x, y - half])]);
     browser.wait("state.robots.every(({ reading }) => reading.pull === null)");
     assert_eq!(browser.value("state.robots[0].reading.push.size_m_s[1] > 0.9"), true, "letting go is no push");

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use supple::policy::compliance::{ComplianceError, split_compliance};
 use supple::policy::{Agent, AgentError, Provenance, shipped};
 use supple::robot::Losses;
-use supple::util::{files, paths};
+use supple::util::files;
 
 /// The configuration keys, or their beginnings, that affect the trials of a policy.
 const TRIAL_KEYS: [&str; 4] = ["simulation.", "robot.", "episode.min_height_m", "randomisation.default_friction"];
@@ -241,9 +241,9 @@ impl SetMember {
 impl PolicySet {
     /// Reads all policies of a path.
     fn from_path(name: &str, path: &Path) -> Result<Self, PolicySetError> {
-        let text = paths::as_text(path);
+        let text = path.display().to_string();
         let (text, compliance) = split_compliance(&text);
-        let path = &paths::as_path(text);
+        let path = &PathBuf::from(text);
         let files = if path.is_file() {
             vec![path.to_owned()]
         } else if path.join("run.json").exists() {
@@ -274,7 +274,7 @@ impl PolicySet {
         }
         let mut members: Vec<SetMember> = Vec::new();
         for (seed, file) in files {
-            let mut agent = shipped::find(&paths::as_text(&file))?;
+            let mut agent = shipped::find(&&file.display().to_string())?;
             agent.commanded_compliance = compliance;
             if let Err(source) = agent.resolve_compliance(None, None) {
                 return Err(PolicySetError::Compliance { file, source });

@@ -26,7 +26,6 @@ use super::{Config, LegPose, Simulation, robot_in};
 use crate::robot::{JOINTS, Joints, Robot, joint_name};
 use crate::util::files::FileError;
 use crate::util::numbers::maximum;
-use crate::util::paths;
 
 impl Config {
     /// Returns this configuration, adapted to another robot.
@@ -39,7 +38,7 @@ impl Config {
             return Ok(self.clone());
         }
         let own = self.robot.load()?;
-        let path = paths::as_path(&robot.name);
+        let path = Path::new(&robot.name);
         let fail = FileError::of("robot", &path);
         let pose = symmetric(robot);
         if let Some(joint) = beyond_limits(robot, &pose) {

@@ -22,7 +22,6 @@ pub use sections::{
 };
 
 use crate::robot::Robot;
-use crate::util::paths;
 use crate::util::yaml::{self, Text, Value, YamlError};
 
 /// Name and text of the configurations inside the program.
@@ -168,8 +167,8 @@ impl Config {
 
     /// Removes the folder from the path of a robot that does not ship, because policy files are used on other machines.
     pub fn without_folder(mut self) -> Self {
-        if let (false, Some(name)) = (Robot::ships(&self.robot.model), paths::as_path(&self.robot.model).file_name()) {
-            self.robot.model = paths::as_text(name);
+        if let (false, Some(name)) = (Robot::ships(&self.robot.model), PathBuf::from(&self.robot.model).file_name()) {
+            self.robot.model = name.display().to_string();
         }
         self
     }
@@ -184,7 +183,7 @@ impl Config {
 /// `texts`.
 fn merged(name_or_path: &str, folder: &Path, bases_left: usize, texts: &mut Vec<Text>) -> Result<Value, ConfigError> {
     let embedded = EMBEDDED.iter().find(|(name, _)| *name == name_or_path);
-    let path = folder.join(paths::as_path(name_or_path));
+    let path = folder.join(PathBuf::from(name_or_path));
     let text = match embedded {
         Some((name, text)) => Text::new(name, text),
         None => Text::read(&path).map_err(|source| {
@@ -237,8 +236,8 @@ fn robot_in(folder: &Path, model: &str) -> String {
     if Robot::ships(model) {
         return model.to_owned();
     }
-    let path = folder.join(paths::as_path(model));
-    paths::as_text(std::path::absolute(&path).unwrap_or(path))
+    let path = folder.join(PathBuf::from(model));
+    std::path::absolute(&path).unwrap_or(path).display().to_string()
 }
 
 #[cfg(test)]

@@ -12,7 +12,6 @@ use super::inference::{Inference, PolicyController};
 use crate::config::{Config, ConfigError};
 use crate::robot::Robot;
 use crate::util::files::{self, FileError};
-use crate::util::paths;
 
 /// The reason why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -66,7 +65,7 @@ pub enum AgentError {
 /// assert_eq!(agent.config.robot.model, "go1");
 /// let controller = agent.controller(); // from the state and a command to joint targets
 /// assert_eq!(controller.rest(), agent.config.action.nominal_pose_rad.joints());
-/// assert!(agent.check_compliance(0.0).is_ok()); // 0: the policy's own compliance
+/// assert_eq!(agent.resolve_compliance(None, Some(0.04))?, Some(0.04)); // commanded [m/s/N], in its range
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug)]
@@ -125,13 +124,13 @@ impl Agent {
     /// has it. If it does not exist, the policy can still be inspected, or run on another robot.
     fn find_robot(&mut self, folder: &Path) {
         let model = &mut self.config.robot.model;
-        if Robot::ships(model) || paths::as_path(model).is_absolute() {
+        if Robot::ships(model) || Path::new(model).is_absolute() {
             return;
         }
-        let beside = folder.join(paths::as_path(model));
-        let of_run = || Some(Config::load(&paths::as_text(folder.join("config.yaml"))).ok()?.robot.model);
+        let beside = folder.join(&*model);
+        let of_run = || Some(Config::load(&folder.join("config.yaml").display().to_string()).ok()?.robot.model);
         let of_run = if beside.exists() { None } else { of_run() };
-        *model = of_run.unwrap_or_else(|| paths::as_text(beside));
+        *model = of_run.unwrap_or_else(|| beside.display().to_string());
     }
 
     /// Creates a controller of one robot.

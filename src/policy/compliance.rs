@@ -16,7 +16,6 @@ use crate::observation::Command;
 use crate::robot::{Joints, RobotState};
 use crate::task::VirtualMass;
 use crate::util::files::{self, FileError};
-use crate::util::paths;
 
 /// The measured response of a policy to pulls.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -85,7 +84,7 @@ pub enum CalibrationError {
 /// Splits `baseline@0.03` into the policy's name and the commanded compliance [m/s/N], if there is one. The path of a file or
 /// folder that exists is not split.
 pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
-    if paths::as_path(name).exists() {
+    if PathBuf::from(name).exists() {
         return (name, None);
     }
     let split = name.rsplit_once('@').and_then(|(name, number)| Some((name, Some(number.parse().ok()?))));

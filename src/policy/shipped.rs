@@ -4,7 +4,6 @@ use std::path::{Path, PathBuf};
 
 use crate::policy::compliance::{PolicyCalibration, split_compliance};
 use crate::policy::{Agent, AgentError, Policy};
-use crate::util::paths;
 
 /// Name and file of every policy in `policies/` at build time, sorted by name, such as `hardware/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
@@ -60,7 +59,7 @@ fn embedded(name: &str) -> Option<usize> {
 
 /// Returns the file that [`find`] would read; `None` for a policy inside the program.
 pub fn file_of(name: &str) -> Option<PathBuf> {
-    let path = paths::as_path(name);
+    let path = PathBuf::from(name);
     if path.is_dir() { Some(path.join("policy.safetensors")) } else { path.exists().then_some(path) }
 }
 

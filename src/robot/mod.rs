@@ -15,6 +15,7 @@ pub mod kinematics;
 mod legs;
 mod state;
 
+use std::path::Path;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
 use nalgebra::Vector3;
@@ -35,7 +36,6 @@ pub use state::{FootState, Foothold, GRAVITY_M_S2, RobotState};
 
 use crate::mujoco::{Kind, Model};
 use crate::util::files::{self, FileError};
-use crate::util::paths;
 
 /// Name and MJCF of the robots inside the program.
 const SHIPPED: &[(&str, &str)] =
@@ -155,7 +155,7 @@ impl Robot {
         if let Some(index) = SHIPPED.iter().position(|(shipped, _)| *shipped == name) {
             return SHIPPED_ROBOTS[index].clone();
         }
-        let path = &paths::as_path(name);
+        let path = Path::new(name);
         let fail = FileError::of(ROBOT, path);
         if !path.exists() {
             let missing = FileError::of(ROBOT, path);
@@ -202,7 +202,7 @@ impl Robot {
     /// Reads all properties from an MJCF document with Supple's names.
     fn new(name: &str, imported: Imported) -> Result<Self, FileError> {
         let Imported { mjcf, report, has_pose, fall_height_m, sha256, joints } = imported;
-        let path = &paths::as_path(name);
+        let path = Path::new(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
         let trunk = model.id(Kind::Body, "trunk").map_err(words)?;

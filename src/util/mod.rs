@@ -4,7 +4,6 @@
 
 pub mod files;
 pub mod numbers;
-pub mod paths;
 pub mod progress;
 pub mod provenance;
 pub mod random;

@@ -8,10 +8,6 @@ use std::io::{self, Write};
 use std::os::unix::ffi::OsStrExt;
 use std::process::ExitCode;
 
-use clap::builder::{OsStringValueParser, TypedValueParser};
-
-use super::paths;
-
 /// Writes text to standard output, made [`plain`]. A closed pipe is no error.
 ///
 /// # Errors
@@ -64,15 +60,9 @@ pub fn shell_word(word: impl AsRef<OsStr>) -> String {
     format!("$'{}'", bytes.iter().map(escape).collect::<String>())
 }
 
-/// Parses a word of the command line as text that can represent any path, see [`paths::as_path`].
-pub fn path_as_text() -> impl TypedValueParser<Value = String> {
-    OsStringValueParser::new().map(paths::as_text)
-}
-
-/// Removes terminal commands from a text: control characters (except line ends and tabs) and the characters that stand
-/// for the bytes of a path that is not UTF-8 are escaped as in JSON.
+/// Removes terminal commands from a text: control characters (except line ends and tabs) are escaped as in JSON.
 pub fn plain(text: &str) -> Cow<'_, str> {
-    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t') || paths::is_byte(c);
+    let commands = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
     if !text.contains(commands) {
         return text.into();
     }
@@ -107,9 +97,6 @@ mod tests {
     #[test]
     fn control_characters_are_spelt_out() {
         assert_eq!(plain("a\tb\u{1b}[31mred\u{7}\u{9b}\n"), "a\tb\\u001b[31mred\\u0007\\u009b\n");
-        let odd = paths::as_text(OsStr::from_bytes(b"caf\xe9"));
-        assert_eq!(plain(&odd), "caf\\uf7e9");
-        assert_eq!(serde_json::from_str::<String>(&plain(&format!("\"{odd}\""))).unwrap(), odd);
     }
 
     #[test]

@@ -33,7 +33,7 @@ const COMMANDS: [[f64; 3]; 8] = [
 /// Writes the card of a policy, titled `name` or as the policy was given; with its learning curve if it is in a run's
 /// folder.
 pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
-    let path = paths::as_path(policy);
+    let path = PathBuf::from(policy);
     let named = if path.is_file() { path.file_stem() } else { path.file_name().filter(|_| path.is_dir()) };
     let named = named.map_or(policy.into(), |name| name.to_string_lossy());
     let name = name.unwrap_or(&named);

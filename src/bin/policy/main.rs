@@ -31,7 +31,6 @@ enum Command {
     /// Print what the policy observes, what its outputs mean and how it was trained
     Show {
         /// Policy file, run folder, or name of a shipped policy
-        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Print the metadata as JSON
         #[arg(long)]
@@ -40,10 +39,9 @@ enum Command {
     /// Recompute the golden pairs of observation and joint targets stored in the file
     Verify {
         /// Policy file, run folder, or name of a shipped policy
-        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Configuration with which the policy must have been trained
-        #[arg(long, value_name = "FILE", value_parser = terminal::path_as_text())]
+        #[arg(long, value_name = "FILE")]
         config: Option<String>,
         /// Another value for a key of that configuration, as in ppo.epochs=4; may be repeated
         #[arg(long, value_name = "KEY=VALUE", requires = "config")]
@@ -56,7 +54,6 @@ enum Command {
     /// line is {"observation": [...], "force_n": [forward, left]} with the force on the trunk, mean over the last policy step
     Run {
         /// Policy file, run folder, or name of a shipped policy
-        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Commanded compliance (m/s/N); observations must then be consecutive policy steps; 0: the policy's own
         #[arg(long, value_name = "C")]
@@ -65,7 +62,6 @@ enum Command {
     /// Print a policy's card: origin, learning curve if the run's folder has it, test walks (Markdown)
     Card {
         /// Run folder, policy file, or name of a shipped policy
-        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Name under which the policy ships [default: the folder's, the file's or its own]
         #[arg(long)]
@@ -74,7 +70,6 @@ enum Command {
     /// Measure the policy's compliance, and write the calibration that `--compliance` needs next to it
     Calibrate {
         /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
-        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Threads [default: all cores]
         #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
@@ -86,16 +81,14 @@ enum Command {
     /// Print what is read from a robot's file, and how a configuration is fitted to it
     Robot {
         /// Shipped robot, MJCF file, or YAML description of one
-        #[arg(value_parser = terminal::path_as_text())]
         robot: String,
         /// Configuration to adapt to it
-        #[arg(long, value_name = "FILE", default_value = "fast", value_parser = terminal::path_as_text())]
+        #[arg(long, value_name = "FILE", default_value = "fast")]
         config: String,
     },
     /// Write the policy in another format
     Export {
         /// Policy file, run folder, or name of a shipped policy
-        #[arg(value_parser = terminal::path_as_text())]
         policy: String,
         /// Format to write
         #[arg(long, value_enum)]

@@ -31,10 +31,10 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 struct Args {
     /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, go2, go2-baseline
     /// (unfinished), or a YAML file; with --resume, the one that the run must have [default: fast]
-    #[arg(long, value_name = "NAME|FILE", value_parser = terminal::path_as_text())]
+    #[arg(long, value_name = "NAME|FILE")]
     config: Option<String>,
     /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file about one
-    #[arg(long, value_name = "FILE", conflicts_with = "resume", value_parser = terminal::path_as_text())]
+    #[arg(long, value_name = "FILE", conflicts_with = "resume")]
     robot: Option<String>,
     /// Another value for a key of the configuration, as in ppo.epochs=4; may be repeated
     #[arg(long, value_name = "KEY=VALUE", conflicts_with = "resume")]

@@ -103,7 +103,9 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     // Of a robot's own, --set speaks once everything is fitted to it.
     let set = if args.robot.is_some() { &[] } else { &args.set[..] };
     let mut config = Config::load_with(name, set)?;
-    let stem = |name: &str| paths::as_path(name).file_stem().map_or(name.to_owned(), paths::as_text);
+    let stem = |name: &str| {
+        PathBuf::from(name).file_stem().map_or(name.to_owned(), |stem| stem.to_string_lossy().into_owned())
+    };
     let mut name = stem(name);
     if let Some(model) = &args.robot {
         let robot = Robot::load(model)?;
@@ -115,7 +117,7 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     }
     config.run.samples = args.samples.unwrap_or(config.run.samples);
     let seed = args.seed.unwrap_or(0);
-    let out = args.out.clone().unwrap_or_else(|| paths::as_path(&format!("runs/{name}-seed{seed}")));
+    let out = args.out.clone().unwrap_or_else(|| PathBuf::from(&format!("runs/{name}-seed{seed}")));
     if !ranks.is_alone() && config.ppo.shards == 1 {
         config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
     }

@@ -32,7 +32,7 @@ const HELD_OUT: u32 = 5;
 struct Args {
     /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times [default: all
     /// that ship]
-    #[arg(long = "policy", value_name = "FILE|NAME", value_parser = terminal::path_as_text())]
+    #[arg(long = "policy", value_name = "FILE|NAME")]
     policies: Vec<String>,
     /// Episodes of each policy, a fifth of them held out
     #[arg(long, value_name = "N", default_value_t = 40, value_parser = clap::value_parser!(u32).range(5..=1000))]

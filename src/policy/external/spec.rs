@@ -12,7 +12,6 @@ use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
 use crate::robot::{JOINTS, Joints, Robot, joint_names, recognise};
 use crate::util::files::FileError;
-use crate::util::paths;
 use crate::util::yaml::{self, Text};
 
 #[derive(Debug, Deserialize)]
@@ -140,8 +139,8 @@ fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[u
     let words = || names.iter().map(String::as_str).collect::<Vec<_>>();
     let usual = || (names.len() == JOINTS).then(|| recognise(&words()).map(inverted)).flatten();
     let load = || {
-        let beside = folder.join(paths::as_path(&robot.model));
-        if Robot::ships(&robot.model) { robot.load() } else { Robot::load(&paths::as_text(beside)) }
+        let beside = folder.join(PathBuf::from(&robot.model));
+        if Robot::ships(&robot.model) { robot.load() } else { Robot::load(&beside.display().to_string()) }
     };
     let in_file = || {
         let robot = load().ok()?;

@@ -74,6 +74,8 @@ pub struct Reading {
     pub push: Option<PushReading>,
     /// The present pull and its effect.
     pub pull: Option<PullReading>,
+    /// Force on the trunk that the robot feels, forward and left in the heading frame \[N\]; `None` where it cannot be trusted.
+    pub felt_n: Option<[f64; 2]>,
 }
 
 /// Computes the numbers of one robot, step by step.
@@ -222,6 +224,7 @@ impl LiveReadout {
             power_w: metrics::mean(metrics::window(trace, last.time_s - 1.0, last.time_s), |frame| frame.power_w)?,
             push: self.push_reading(),
             pull,
+            felt_n: last.felt.filter(|felt| felt.doubt.is_none()).map(|felt| [felt.force[0], felt.force[1]]),
         })
     }
 }

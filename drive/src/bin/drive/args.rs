@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 use clap::Parser;
 use supple::scenario::session::SceneKind;
-use supple::util::terminal;
 
 const ROBOTS: &str = "Robots and scene";
 const VIEW: &str = "Page and viewer";
@@ -21,13 +20,13 @@ pub struct Args {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: compliant]
     ///
     /// The policy of a running training run is reloaded whenever the run saves a newer one.
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME", value_parser = terminal::path_as_text())]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME")]
     pub policy: Option<String>,
     /// Policy of the second robot, `none` for one robot alone [default: baseline, if --policy is not given]
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME", value_parser = terminal::path_as_text())]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME")]
     pub compare: Option<String>,
     /// Robot: an MJCF file, or a YAML file that names one and its joints [default: the policy's]
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE", value_parser = terminal::path_as_text())]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE")]
     pub model: Option<String>,
     /// Scene in which the robots stand
     #[arg(long, help_heading = ROBOTS, value_name = "SCENE", default_value = "flat")]

@@ -7,8 +7,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Parser, ValueEnum};
 use supple::robot::JointLosses;
 use supple::scenario::Sensing;
-use supple::util::paths;
-use supple::util::terminal::{path_as_text, shell_word};
+use supple::util::terminal::shell_word;
 use supple_evaluate::protocol::Protocol;
 
 /// Compare sets of policies under disturbance, and write a report.
@@ -35,10 +34,10 @@ pub struct Args {
     #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1, default_value = "compliant,baseline")]
     pub names: Vec<String>,
     /// Name and path of a further set, shown beside the two that are compared; may be repeated
-    #[arg(long, value_name = "NAME=PATH[@C]", value_parser = path_as_text().try_map(name_and_path))]
+    #[arg(long, value_name = "NAME=PATH[@C]", value_parser = name_and_path)]
     pub also: Vec<(String, PathBuf)>,
     /// Name and folder of another report, whose claims are shown beside these; may be repeated
-    #[arg(long, value_name = "NAME=DIR", value_parser = path_as_text().try_map(name_and_path))]
+    #[arg(long, value_name = "NAME=DIR", value_parser = name_and_path)]
     pub beside: Vec<(String, PathBuf)>,
     /// Folder of the report
     #[arg(long, value_name = "DIR", default_value = "report")]
@@ -107,9 +106,9 @@ impl Args {
 }
 
 /// Parses `NAME=PATH`.
-fn name_and_path(text: String) -> Result<(String, PathBuf), String> {
+fn name_and_path(text: &str) -> Result<(String, PathBuf), String> {
     match text.split_once('=') {
-        Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), paths::as_path(path))),
+        Some((name, path)) if !name.is_empty() && !path.is_empty() => Ok((name.to_owned(), PathBuf::from(path))),
         _ => Err("expected NAME=PATH, as in mine=my-policy.yaml".to_owned()),
     }
 }

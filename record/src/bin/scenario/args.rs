@@ -9,7 +9,6 @@ use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use supple::robot::JointLosses;
 use supple::scenario::Sensing;
 use supple::scenario::catalog::{DEFAULTS, Scenario};
-use supple::util::terminal::path_as_text;
 use supple::util::yaml::{Text, flat_parameters};
 
 /// Headings of the help for arguments that are not the scenario's own.
@@ -24,13 +23,13 @@ const OUTPUT: &str = "Output";
 pub struct Args {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy; with @C behind it, this robot has
     /// the commanded compliance C (m/s/N) instead of --compliance [default: compliant]
-    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME[@C]", value_parser = path_as_text())]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME[@C]")]
     pub policy: Option<String>,
     /// Second policy in the same recording, `none` for none [default: baseline, if --policy is not given and both ship]
-    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME[@C]", value_parser = path_as_text())]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE|NAME[@C]")]
     pub compare: Option<String>,
     /// Another robot: its MJCF file, or a YAML file that names one and its joints [default: the policy's]
-    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE", value_parser = path_as_text())]
+    #[arg(long, global = true, help_heading = INPUT, value_name = "FILE")]
     pub model: Option<String>,
     /// Losses in the joints [default: as each policy was trained]
     #[arg(long, global = true, help_heading = INPUT, value_enum)]

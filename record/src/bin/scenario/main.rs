@@ -25,7 +25,6 @@ use supple::scenario::estimation::{Estimation, felt_forces};
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::Trace;
 use supple::scenario::{Playback, Script, Sensing};
-use supple::util::paths;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 
@@ -179,7 +178,7 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
         let (file, _) = split_compliance(asked);
-        let stem = paths::as_path(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let stem = PathBuf::from(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let label = stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..];
         Ok((label, shipped::find(asked)?))
     };
