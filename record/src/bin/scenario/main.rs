@@ -178,7 +178,7 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
     let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
         let (file, _) = split_compliance(asked);
-        let stem = PathBuf::from(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
+        let stem = std::path::Path::new(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
         let label = stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..];
         Ok((label, shipped::find(asked)?))
     };
