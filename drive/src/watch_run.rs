@@ -33,7 +33,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
                 if seen.insert(path.clone(), time) == Some(time) {
                     continue;
                 }
-                let message = match AgentCache::read(&&path.display().to_string()) {
+                let message = match AgentCache::read(&path.display().to_string()) {
                     Ok((agent, file)) => Message::PolicySaved(Box::new(NewPolicy { path, agent, file })),
                     Err(error) => Message::Notice(error.to_string()),
                 };

@@ -274,7 +274,7 @@ impl PolicySet {
         }
         let mut members: Vec<SetMember> = Vec::new();
         for (seed, file) in files {
-            let mut agent = shipped::find(&&file.display().to_string())?;
+            let mut agent = shipped::find(&file.display().to_string())?;
             agent.commanded_compliance = compliance;
             if let Err(source) = agent.resolve_compliance(None, None) {
                 return Err(PolicySetError::Compliance { file, source });

@@ -39,7 +39,7 @@ impl Config {
         }
         let own = self.robot.load()?;
         let path = Path::new(&robot.name);
-        let fail = FileError::of("robot", &path);
+        let fail = FileError::of("robot", path);
         let pose = symmetric(robot);
         if let Some(joint) = beyond_limits(robot, &pose) {
             let ([low, high], angle) = (robot.joint_limits[joint], pose[joint]);
@@ -71,7 +71,7 @@ impl Config {
         scale(&mut config.reward.torque, (mass * height).powi(-2));
         scale(&mut config.reward.height_sharpness, height.powi(-2));
         scale(&mut config.reward.foot_clearance, height.powi(-2));
-        let inertia = robot.least_inertia(&pose).map_err(FileError::of("robot", &path))?;
+        let inertia = robot.least_inertia(&pose).map_err(FileError::of("robot", path))?;
         config.simulation.hold_gains(inertia).map_err(fail)?;
         config.ppo.initial_log_std = maximum(config.ppo.initial_log_std, -0.5);
         if let Some(fallen) = robot.fall_height_m {

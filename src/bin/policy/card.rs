@@ -9,7 +9,7 @@ use supple::policy::{Agent, shipped};
 use supple::scenario::Playback;
 use supple::scenario::catalog::{Scenario, Task, Walk, defaults};
 use supple::train::metrics::IterationMetrics;
-use supple::util::{files, paths};
+use supple::util::files;
 
 /// Number of rows of the learning curve.
 const ROWS: usize = 10;
@@ -33,7 +33,7 @@ const COMMANDS: [[f64; 3]; 8] = [
 /// Writes the card of a policy, titled `name` or as the policy was given; with its learning curve if it is in a run's
 /// folder.
 pub fn card(policy: &str, name: Option<&str>) -> anyhow::Result<String> {
-    let path = PathBuf::from(policy);
+    let path = Path::new(policy);
     let named = if path.is_file() { path.file_stem() } else { path.file_name().filter(|_| path.is_dir()) };
     let named = named.map_or(policy.into(), |name| name.to_string_lossy());
     let name = name.unwrap_or(&named);

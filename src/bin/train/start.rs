@@ -11,7 +11,7 @@ use supple::train::checkpoint::Checkpoint;
 use supple::train::run::RunFolder;
 use supple::train::{MemoryEstimate, TrainError, Trainer};
 use supple::util::provenance::git_revision;
-use supple::util::{files, paths, terminal};
+use supple::util::{files, terminal};
 
 use super::Args;
 
