@@ -108,7 +108,7 @@ pub struct ExternalForces {
     pub force: Vector3<f64>,
     /// Moment on the trunk about its centre of mass [N·m].
     pub moment: Vector3<f64>,
-    /// Force on each foot, in the order of [`LEGS`] \[N\].
+    /// Force on each foot, in the order of [`LEGS`](crate::robot::LEGS) \[N\].
     pub feet: [Vector3<f64>; 4],
     /// The reason not to trust them; `None` if they can be trusted.
     pub doubt: Option<Doubt>,

@@ -1,5 +1,5 @@
 //! Small helpers, independent of robots. Programs need [`files`] and [`terminal`] first, numerical code [`random`] and
-//! [`numbers`]; [`yaml`], [`xml`], [`tensors`] and [`paths`] read and write formats, [`progress`] and [`provenance`]
+//! [`numbers`]; [`yaml`], [`xml`] and [`tensors`] read and write formats, [`progress`] and [`provenance`]
 //! serve long runs.
 
 pub mod files;

@@ -234,6 +234,7 @@ fn light(frame: &Frame) -> Frame {
     Frame {
         time_s: frame.time_s,
         command: frame.command,
+        felt: frame.felt,
         velocity_in_heading: frame.velocity_in_heading,
         yaw_rate: frame.yaw_rate,
         power_w: frame.power_w,
