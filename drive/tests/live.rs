@@ -422,19 +422,13 @@ fn many_saves_are_written_one_after_another() {
     for _ in 0..60 {
         page.send(&json!({ "keep": "all" }));
     }
-    page.notice("not saved, because others are being saved");
     for _ in 0..10 {
         page.ask_for([0.0; 3], Duration::from_millis(50));
         // Those of two recordings at most: the one being written, and the one being closed.
         assert!(drive.threads() <= threads + 6, "{} threads, {threads} before", drive.threads());
     }
-    page.notice("drive-3.rrd is written");
     page.send(&json!({ "keep": "minute" }));
-    page.wait("another save", |state, _| {
-        let texts = state["notices"][1].as_array()?;
-        texts.last()?.as_str()?.ends_with(".rrd is written").then_some(())
-    });
-    // The notice may be that of an earlier recording: the last one is still written.
+    // How many are refused depends on how fast the disk is; those that are not are written in the end.
     let is_empty = |file: std::io::Result<std::fs::DirEntry>| file.unwrap().metadata().unwrap().len() == 0;
     page.wait("a file that is not empty", |_, _| {
         (!std::fs::read_dir(folder.path()).unwrap().any(is_empty)).then_some(())

@@ -115,7 +115,7 @@ impl Act {
     pub fn is_finite(&self) -> bool {
         let all = |numbers: &[f64]| numbers.iter().all(|number| number.is_finite());
         match self {
-            Act::Command(Command { forward, left, yaw, compliance }) => {
+            Act::Command(Command { forward, left, yaw, compliance, .. }) => {
                 all(&[*forward, *left, *yaw]) && compliance.is_none_or(f64::is_finite)
             }
             Act::Push { size: numbers, .. } | Act::Pull(Some(numbers)) => all(numbers),
