@@ -22,7 +22,7 @@ use targets::{TARGETS, Target};
 /// The repository.
 const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 
-/// Of each target, in the repository.
+/// Maximum size of a target's corpus in the repository \[bytes\].
 const MAX_KEPT_BYTES: usize = 32 << 10;
 
 static TARGET: LazyLock<&Target> = LazyLock::new(|| {

@@ -28,14 +28,12 @@ pub const MAX_EPOCHS: usize = 1000;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ValueError {
     /// A number outside its range.
-    #[error("{key} is {found}, expected {expected}")]
+    #[error("{key} {problem}")]
     Range {
         /// Dotted key, such as `ppo.epochs`.
         key: String,
-        /// The value found.
-        found: String,
-        /// Description of the valid values.
-        expected: String,
+        /// The value found and the valid ones, as in `is 0, expected 1 to 1000`.
+        problem: String,
     },
     /// A list of quantities that cannot be observed.
     #[error(transparent)]
@@ -52,19 +50,14 @@ impl Config {
         if let Err(report) = self.validate_with(self)
             && let Some((path, error)) = report.iter().next()
         {
-            // Every message of the checks below has both parts.
-            let (found, expected) = error.message().split_once(SEPARATOR).unwrap_or_default();
-            return Err(ValueError::Range { key: path.to_string(), found: found.into(), expected: expected.into() });
+            return Err(ValueError::Range { key: path.to_string(), problem: error.message().to_owned() });
         }
         Ok(self.layout().map(drop)?)
     }
 }
 
-/// Separates the value found from the expected ones in a message of the checks below.
-const SEPARATOR: char = '\0';
-
 fn require(valid: bool, found: impl Display, expected: impl Display) -> garde::Result {
-    if valid { Ok(()) } else { Err(garde::Error::new(format!("{found}{SEPARATOR}{expected}"))) }
+    if valid { Ok(()) } else { Err(garde::Error::new(format!("is {found}, expected {expected}"))) }
 }
 
 /// A value within a range, with its unit.

@@ -1,7 +1,7 @@
 //! The force observer in play: fed after every physics step with the true state, or with what the sensors read.
 
 use crate::estimate::external_force::{ExternalForces, ForceFault, ForceObserver, ForceReading};
-use crate::mujoco::Data;
+use crate::mujoco::{self, Data};
 use crate::robot::Joints;
 use crate::scenario::senses::{ExactSensors, Senses};
 use crate::sim::{Conditions, Parts, Sim, StepObserver};
@@ -18,12 +18,12 @@ pub struct ForceSense {
 }
 
 impl ForceSense {
-    /// Starts in the present state. `time_constant_s` as in [`ForceObserver::new`].
+    /// Starts in the present state.
     ///
     /// # Errors
-    /// As [`ForceObserver::new`].
-    pub fn new(sim: &Sim, conditions: &Conditions, time_constant_s: f64) -> Result<Self, ForceFault> {
-        let observer = ForceObserver::new(sim.robot(), time_constant_s)?;
+    /// MuJoCo cannot compile the robot alone.
+    pub fn new(sim: &Sim, conditions: &Conditions) -> mujoco::Result<Self> {
+        let observer = ForceObserver::new(sim.robot())?;
         Ok(ForceSense { observer, exact: ExactSensors::new(sim, conditions), sum: ExternalForces::default(), count: 0 })
     }
 
@@ -32,7 +32,7 @@ impl ForceSense {
     /// without, the true state.
     ///
     /// # Errors
-    /// As [`ForceObserver::update`].
+    /// A reading is not finite, or MuJoCo fails; the forces are then in doubt.
     pub fn read(
         &mut self,
         data: &Data,
@@ -40,9 +40,13 @@ impl ForceSense {
         torques: &Joints,
         senses: Option<&Senses>,
     ) -> Result<&ExternalForces, ForceFault> {
-        let (imu, encoders) = self.exact.read(data, parts);
-        let truth = || ForceReading { imu, encoders, torques: *torques, world_from_base: parts.world_from_base(data) };
-        let reading = senses.map_or_else(truth, |senses| senses.force_reading(torques));
+        let reading = match senses {
+            Some(senses) => senses.force_reading(torques),
+            None => {
+                let (imu, encoders) = self.exact.read(data, parts);
+                ForceReading { imu, encoders, torques: *torques, world_from_base: parts.world_from_base(data) }
+            }
+        };
         let fault = self.observer.update(&reading, data.model().timestep_s()).err();
         self.sum.add(self.observer.forces());
         self.count += 1;
@@ -83,7 +87,7 @@ mod tests {
     use super::*;
     use crate::estimate::SensorNoise;
     use crate::estimate::contact::ContactNetwork;
-    use crate::estimate::external_force::{Doubt, TIME_CONSTANT_S};
+    use crate::estimate::external_force::Doubt;
     use crate::policy::{Agent, shipped};
     use crate::robot::{JOINTS, JointLosses, Losses, PARTS, Robot};
     use crate::sim::{Push, Scene};
@@ -141,7 +145,7 @@ mod tests {
             let torques = std::array::from_fn(|_| rng.random_range(-15.0..15.0));
             parts.set_torques(sim.data_mut(), &torques);
 
-            let mut sense = ForceSense::new(&sim, &CONDITIONS, 0.0).unwrap();
+            let mut sense = ForceSense::new(&sim, &CONDITIONS).unwrap();
             sense.read(sim.data(), &parts, &torques, None).unwrap();
             sim.data_mut().step2().unwrap();
             let found = *sense.read(sim.data(), &parts, &torques, None).unwrap();
@@ -149,6 +153,16 @@ mod tests {
             assert!(close(found.force, pull) && close(found.moment, moment), "{trial}: {found:?}");
             assert!((0..4).all(|leg| close(found.feet[leg], feet[leg])), "{trial}: {found:?}");
         }
+    }
+
+    /// Passes the forces of physics steps, grouped by policy step, through the low-pass.
+    fn low_passed(mut felt: Vec<Vec<ExternalForces>>) -> Vec<Vec<ExternalForces>> {
+        let mut low = ExternalForces::default();
+        for felt in felt.iter_mut().flatten() {
+            low.follow(felt, 1.0 / 240.0);
+            *felt = low;
+        }
+        felt
     }
 
     /// A robot that walks at 0.5 m/s, and what it feels.
@@ -173,7 +187,7 @@ mod tests {
 
     impl Walk {
         /// Noise of this seed, or the true state; the joints are as the policy's configuration has them, or lossy.
-        fn new(policy: &str, losses: JointLosses, noise: Option<u64>, time_constant_s: f64) -> Self {
+        fn new(policy: &str, losses: JointLosses, noise: Option<u64>) -> Self {
             let agent = shipped::find(policy).unwrap();
             let robot = agent.config.robot.load().unwrap().with_losses(losses.into());
             let scene = Scene::flat(robot, agent.config.simulation.timestep_s());
@@ -185,7 +199,7 @@ mod tests {
                 Senses::new(network, SensorNoise::default(), seed, &sim, &CONDITIONS, &rest).unwrap()
             };
             let senses = noise.map(senses);
-            let sense = ForceSense::new(&sim, &CONDITIONS, time_constant_s).unwrap();
+            let sense = ForceSense::new(&sim, &CONDITIONS).unwrap();
             Walk { agent, sim, tap: Tap { sense, senses, felt: Vec::new() } }
         }
 
@@ -218,6 +232,7 @@ mod tests {
                     sim.set_trunk_force(pull);
                 }
             });
+            let felt = low_passed(felt);
             let late = felt
                 .iter()
                 .zip(&headings)
@@ -245,7 +260,7 @@ mod tests {
             let cases = [(JointLosses::Ideal, None), (JointLosses::Realistic, None), (JointLosses::Ideal, Some(1))];
             for ((losses, noise), (limit, calm)) in cases.into_iter().zip([(0.5, 0.1), (0.5, 0.3), (1.5, 1.0)]) {
                 for pull in [[0.0, 0.0], [20.0, 0.0], [-14.0, 14.0], [0.0, -20.0]] {
-                    let (rms, statistics) = Walk::new(policy, losses, noise, TIME_CONSTANT_S).errors(pull);
+                    let (rms, statistics) = Walk::new(policy, losses, noise).errors(pull);
                     let limit = if pull == [0.0; 2] { calm } else { limit };
                     assert!(rms < limit, "{policy}, {losses:?}, {noise:?}, {pull:?}: {rms:.3} {statistics:.3?}");
                 }
@@ -256,7 +271,7 @@ mod tests {
     #[test]
     fn unfiltered_force_of_a_push_integrates_to_its_impulse() {
         for linear in [[0.0, 0.5], [0.5, 0.0], [-0.5, 0.0], [0.0, -0.5]] {
-            let mut walk = Walk::new("baseline", JointLosses::Ideal, None, 0.0);
+            let mut walk = Walk::new("baseline", JointLosses::Ideal, None);
             let push = Push { linear, angular: [0.0; 3] };
             let felt = walk.play(2.1, |sim, step| {
                 if step == 120 {
@@ -274,14 +289,14 @@ mod tests {
 
     #[test]
     fn fallen_robot_is_doubted_and_a_fresh_start_is_not() {
-        let mut walk = Walk::new("baseline", JointLosses::Ideal, None, TIME_CONSTANT_S);
+        let mut walk = Walk::new("baseline", JointLosses::Ideal, None);
         let pull =
             |sim: &mut Sim, step| sim.set_trunk_force(if step < 60 { Vector3::y() * 150.0 } else { Vector3::zeros() });
         let felt = walk.play(4.0, pull);
         assert!(felt[200..].iter().flatten().all(|felt| felt.doubt.is_some()), "{:?}", felt[239]);
         walk.sim.reset(CONDITIONS, &walk.agent.controller().rest()).unwrap();
         walk.tap.sense.reset(&walk.sim, &CONDITIONS);
-        let felt = walk.play(1.0, |_, _| ());
+        let felt = low_passed(walk.play(1.0, |_, _| ()));
         assert_eq!(felt[0][0].doubt, Some(Doubt::Starting));
         assert!(felt.iter().flatten().skip(1).all(|felt| felt.doubt.is_none() && felt.force.norm() < 1.0));
     }

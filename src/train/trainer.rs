@@ -367,8 +367,8 @@ fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
     if shards.is_multiple_of(count) {
         return Ok(());
     }
-    let expected = format!("a multiple of the number of ranks ({count})");
-    Err(ValueError::Range { key: "ppo.shards".into(), found: shards.to_string(), expected }.into())
+    let problem = format!("is {shards}, expected a multiple of the number of ranks ({count})");
+    Err(ValueError::Range { key: "ppo.shards".into(), problem }.into())
 }
 
 /// Creates the environments of this rank.

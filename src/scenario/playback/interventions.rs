@@ -3,7 +3,6 @@
 use super::Playback;
 use crate::mujoco;
 use crate::policy::Controller;
-use crate::scenario::trace::Felt;
 use crate::sim::Push;
 use crate::task::{Command, SwingTracker};
 
@@ -13,7 +12,7 @@ impl<'a> Playback<'a> {
         &self.command
     }
 
-    /// Changes the command from the next step on.
+    /// Changes the command from the next step on. A commanded compliance needs [`Playback::with_felt_forces`] from the start.
     pub fn ask(&mut self, command: Command) {
         self.command = command;
     }
@@ -67,7 +66,7 @@ impl<'a> Playback<'a> {
         if let Some(force_sense) = &mut self.force_sense {
             force_sense.reset(&self.sim, &self.script.conditions);
         }
-        self.felt = Felt::default();
+        (self.felt, self.true_force) = Default::default();
         self.swings = SwingTracker::new(&self.state.feet, self.config.reward.foot_height_m);
         self.fallen_since = None;
         self.failed = false;

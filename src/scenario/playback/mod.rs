@@ -16,7 +16,7 @@ use super::spring::SpringState;
 use super::{Goal, Script, Sensing, SensingError, TimedPush};
 use crate::config::Config;
 use crate::estimate::contact::ContactNetwork;
-use crate::estimate::external_force::{ForceFault, TIME_CONSTANT_S};
+use crate::estimate::external_force::ExternalForces;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
@@ -70,10 +70,12 @@ pub struct Playback<'a> {
     controller_must_begin: bool,
     /// The sensors; `None` if the controller sees the true state.
     pub(super) senses: Option<Senses>,
-    /// The observer of the forces from outside; `None` if nobody asks for them.
+    /// The observer of the forces from outside; `None` unless they are wanted.
     force_sense: Option<ForceSense>,
     /// The felt forces, low-passed.
-    felt: Felt,
+    felt: ExternalForces,
+    /// The true force on the trunk, low-passed alike.
+    true_force: ExternalForces,
     /// Impulse of the pushes in this step, world frame [N·s].
     push_impulse: Vector3<f64>,
     with_bodies: bool,
@@ -130,7 +132,8 @@ impl<'a> Playback<'a> {
             controller_must_begin: true,
             senses: None,
             force_sense: None,
-            felt: Felt::default(),
+            felt: ExternalForces::default(),
+            true_force: ExternalForces::default(),
             push_impulse: Vector3::zeros(),
             with_bodies: false,
             step: 0,
@@ -164,11 +167,7 @@ impl<'a> Playback<'a> {
     /// MuJoCo cannot compile the robot alone.
     pub fn with_felt_forces(mut self) -> mujoco::Result<Self> {
         if self.force_sense.is_none() {
-            let force_sense = ForceSense::new(&self.sim, &self.script.conditions, 0.0);
-            self.force_sense = Some(force_sense.map_err(|fault| match fault {
-                ForceFault::Physics(error) => error,
-                other => mujoco::Error::Input { what: "the force observer".into(), found: other.to_string() },
-            })?);
+            self.force_sense = Some(ForceSense::new(&self.sim, &self.script.conditions)?);
         }
         Ok(self)
     }
@@ -311,14 +310,11 @@ impl<'a> Playback<'a> {
             let along = Vector3::from(to.map(f64::from)) - Vector3::from(from.map(f64::from));
             truth += rope.force_n * along.try_normalize(1e-9).unwrap_or_default();
         }
-        let step = 1.0 - (-self.sim.policy_period_s() / TIME_CONSTANT_S).exp();
-        let follow = |kept: &mut [f64; 3], now: Vector3<f64>| {
-            (0..3).for_each(|axis| kept[axis] += step * (now[axis] - kept[axis]))
-        };
-        follow(&mut self.felt.force, felt.force);
-        follow(&mut self.felt.true_force, self.state.heading().inverse() * truth);
-        self.felt.feet.iter_mut().zip(felt.feet).for_each(|(kept, now)| follow(kept, now));
-        self.felt.doubt = felt.doubt;
+        // Both through the same low-pass.
+        let truth = ExternalForces { force: self.state.heading().inverse() * truth, ..ExternalForces::default() };
+        let period_s = self.sim.policy_period_s();
+        self.felt.follow(&felt, period_s);
+        self.true_force.follow(&truth, period_s);
     }
 
     /// Builds the frame of the step that has just been played.
@@ -362,7 +358,12 @@ impl<'a> Playback<'a> {
             rope,
             spring,
             sensed: self.senses.as_ref().map(|senses| senses.sensed(state)),
-            felt: self.force_sense.as_ref().map(|_| self.felt),
+            felt: self.force_sense.as_ref().map(|_| Felt {
+                force: self.felt.force.into(),
+                true_force: self.true_force.force.into(),
+                feet: self.felt.feet.map(Into::into),
+                doubt: self.felt.doubt,
+            }),
             disturbance: self.disturbance(time_s, spring),
             stage: self.stage(time_s),
         }
