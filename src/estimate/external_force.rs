@@ -9,8 +9,8 @@ trunk:  w = r_base − Σ J_base,iᵀ f_i
 ```
 
 `M a + h` is MuJoCo's recursive Newton-Euler algorithm on a model of the robot alone; armature and joint losses `d` (damping
-times rate; dry friction, smoothed below 0.05 rad/s) are added. `J_i` is that of the point where the sphere of the
-foot would touch level ground. All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
+times rate; dry friction, smoothed below 0.05 rad/s) are added. `J_i` is that of the point where the sphere of the foot
+would touch the ground: the plane along the lines between feet that carried weight together, over the last half second. All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
 equations are the same in every frame that moves uniformly, and gravity is an acceleration of the frame. The
 accelerometer's specific force, brought from the IMU to the trunk's origin, thus stands for base acceleration and gravity
 together. Neither velocity nor height of the base is needed, and a wrong orientation turns the result but is not taken for
@@ -41,7 +41,7 @@ would be off by 7 N instead of 0.02.
   observer for quadruped robots", Mechanism and Machine Theory 164, 2021.
 */
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, SymmetricEigen, UnitQuaternion, Vector3};
 
 use super::SensorFault;
 use super::sensors::{EncoderReading, ImuReading, finite};
@@ -68,6 +68,18 @@ const AT_LIMIT_RAD: f64 = 0.005;
 
 /// A knee lower than this above the lowest foot may lie on the ground \[m\].
 const LOW_KNEE_M: f64 = 0.05;
+
+/// Time constant of the ground's plane \[s\].
+const GROUND_TIME_S: f64 = 0.5;
+
+/// Weight of level ground in that plane, against the squared distances of feet [m²].
+const LEVEL_M2: f64 = 1e-4;
+
+/// A foot that carries at least this fraction of the robot's weight stands on the ground.
+const CARRIES: f64 = 0.125;
+
+/// The ground is taken for level if it seems steeper than this \[rad\].
+const STEEPEST_RAD: f64 = 0.5;
 
 /// A trunk lifted by more than this fraction of the robot's weight may lie on something.
 const LIFTED: f64 = 1.0 / 3.0;
@@ -170,6 +182,8 @@ pub struct ForceObserver {
     feet: [FootSphere; 4],
     before: Option<ForceReading>,
     forces: ExternalForces,
+    /// Low-passed sum of v vᵀ over the lines v between feet that carry weight, world frame [m²].
+    lines: Matrix3<f64>,
     /// Upward force on the trunk, low-passed over [`TIME_CONSTANT_S`]: a push is no lift \[N\].
     lift_n: f64,
 }
@@ -212,6 +226,7 @@ impl ForceObserver {
             limits: robot.joint_limits,
             feet,
             before: None,
+            lines: Matrix3::zeros(),
             forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
             lift_n: 0.0,
             data: Data::new(model)?,
@@ -226,6 +241,7 @@ impl ForceObserver {
     /// Forgets all readings and forces; to be called after the robot has been put elsewhere.
     pub fn reset(&mut self) {
         self.before = None;
+        self.lines = Matrix3::zeros();
         self.lift_n = 0.0;
         self.forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
     }
@@ -260,10 +276,11 @@ impl ForceObserver {
         self.data.inverse_dynamics()?;
         let up = before.world_from_base.inverse() * Vector3::z();
         let (mut force, mut moment) = (self.base_rows(0), self.base_rows(3));
+        let centres = self.feet.map(|foot| Vector3::from(foot.centre(&self.data)));
+        let normal = before.world_from_base.inverse() * ground_normal(&self.lines);
         let (mut feet, mut lowest, mut knee) = ([Vector3::zeros(); 4], f64::INFINITY, f64::INFINITY);
         for (leg, foot) in feet.iter_mut().enumerate() {
-            let sole = self.feet[leg];
-            let contact = Vector3::from(sole.centre(&self.data)) - sole.radius_m * up;
+            let contact = centres[leg] - self.feet[leg].radius_m * normal;
             let places = &self.joints[PARTS.len() * leg..][..PARTS.len()];
             let anchor = |part: usize| vector(self.data.joint_anchors(), places[part].joint);
             let column =
@@ -283,6 +300,14 @@ impl ForceObserver {
         if !force.iter().chain(&moment).all(|value| value.is_finite()) {
             return Ok(Some(Doubt::Overflow));
         }
+        let carrying = (0..4).filter(|&leg| feet[leg].dot(&up) > CARRIES * self.weight_n);
+        let standing: Vec<_> = carrying.map(|leg| before.world_from_base * centres[leg]).collect();
+        let lines = standing
+            .iter()
+            .enumerate()
+            .flat_map(|(index, foot)| standing[..index].iter().map(move |other| foot - other));
+        let sum: Matrix3<f64> = lines.map(|line| line * line.transpose()).sum();
+        self.lines += (1.0 - (-dt_s / GROUND_TIME_S).exp()) * (sum - self.lines);
         self.note(before, force, moment, feet);
         self.lift_n += (1.0 - (-dt_s / TIME_CONSTANT_S).exp()) * (self.forces.force.z - self.lift_n);
         let lying = knee < lowest + LOW_KNEE_M || up.z < 0.5 || self.lift_n > LIFTED * self.weight_n;
@@ -346,6 +371,15 @@ fn check(reading: &ForceReading, dt_s: f64) -> Result<(), SensorFault> {
     finite(reading.world_from_base.coords.as_slice(), |index| format!("orientation {}", ["x", "y", "z", "w"][index]))
 }
 
+/// Returns the upward unit normal of the plane that fits lines of this sum of v vᵀ best; straight up if that plane is steep.
+fn ground_normal(lines: &Matrix3<f64>) -> Vector3<f64> {
+    let level = Matrix3::from_diagonal(&Vector3::new(LEVEL_M2, LEVEL_M2, 0.0));
+    let eigen = SymmetricEigen::new(lines + level);
+    let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin());
+    let upward = normal * normal.z.signum();
+    if upward.z > STEEPEST_RAD.cos() { upward } else { Vector3::z() }
+}
+
 fn vector(rows: &[f64], index: usize) -> Vector3<f64> {
     Vector3::from_column_slice(&rows[3 * index..][..3])
 }
@@ -371,6 +405,21 @@ mod tests {
         let mut observer = ForceObserver::new(robot).unwrap();
         assert_eq!(observer.update(reading, DT_S).unwrap().doubt, Some(Doubt::Starting));
         *observer.update(reading, DT_S).unwrap()
+    }
+
+    #[test]
+    fn normal_of_the_ground_follows_lines_between_feet() {
+        let sum =
+            |lines: &[[f64; 3]]| lines.iter().map(|&line| Vector3::from(line)).map(|it| it * it.transpose()).sum();
+        assert_eq!(ground_normal(&Matrix3::zeros()), Vector3::z());
+        // Both diagonals of a stance of 0.4 m by 0.3 m on ground that rises by a tenth along x.
+        let normal = ground_normal(&sum(&[[0.4, 0.3, 0.04], [0.4, -0.3, 0.04]]));
+        assert!((normal - Vector3::new(-0.1, 0.0, 1.0).normalize()).norm() < 1e-3, "{normal}");
+        // One diagonal alone says nothing across: level there.
+        let normal = ground_normal(&sum(&[[0.4, 0.0, 0.04]]));
+        assert!((normal - Vector3::new(-0.1, 0.0, 1.0).normalize()).norm() < 1e-3, "{normal}");
+        // A wall.
+        assert_eq!(ground_normal(&sum(&[[0.0, 0.3, 0.0], [0.1, 0.0, 0.4]])), Vector3::z());
     }
 
     #[test]
