@@ -1,9 +1,10 @@
-//! (f) A tick of the sensing path: contact network, orientation and Kalman filter.
+//! (f) A tick of the sensing path: contact network, orientation and Kalman filter; and the observer of external forces.
 
-use nalgebra::Vector3;
+use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 use supple::config::Config;
 use supple::estimate::contact::{ContactEstimator, ContactNetwork, RATE_HZ};
+use supple::estimate::external_force::{ForceObserver, ForceReading};
 use supple::estimate::{EncoderReading, Estimator, EstimatorConfig, ImuReading};
 use supple::robot::{JOINTS, PARTS, Robot};
 
@@ -16,6 +17,8 @@ pub struct Sensing {
     pub network_us: f64,
     /// Network and filters [µs].
     pub tick_us: f64,
+    /// The observer of external forces, one physics step [µs].
+    pub observer_us: f64,
 }
 
 /// Readings of a robot that bends its knees once a second.
@@ -35,7 +38,7 @@ pub fn measure(config: &Config, effort: &Effort) -> anyhow::Result<Sensing> {
     let readings: Vec<_> = (0..ticks).map(|tick| reading(config, tick)).collect();
     let target = config.action.nominal_pose_rad.joints();
     let per_tick_us = |seconds: f64| 1e6 * seconds / ticks as f64;
-    let (mut network_s, mut whole_s) = (Vec::new(), Vec::new());
+    let (mut network_s, mut whole_s, mut observer_s) = (Vec::new(), Vec::new(), Vec::new());
     for _ in 0..effort.repetitions {
         let mut contacts = ContactEstimator::new(ContactNetwork::shipped()?);
         let touched = || readings.iter().filter(|(_, encoders)| contacts.update(encoders, &target)[0]).count();
@@ -53,6 +56,21 @@ pub fn measure(config: &Config, effort: &Effort) -> anyhow::Result<Sensing> {
         });
         result?;
         whole_s.push(elapsed_s);
+
+        let mut observer = ForceObserver::new(&*Robot::load("go1")?)?;
+        let (elapsed_s, result) = timed(|| {
+            readings.iter().try_for_each(|&(imu, encoders)| {
+                let world_from_base = UnitQuaternion::identity();
+                let reading = ForceReading { imu, encoders, torques: [1.0; JOINTS], world_from_base };
+                observer.update(&reading, 1.0 / RATE_HZ).map(drop)
+            })
+        });
+        result?;
+        observer_s.push(elapsed_s);
     }
-    Ok(Sensing { network_us: per_tick_us(median(network_s)), tick_us: per_tick_us(median(whole_s)) })
+    Ok(Sensing {
+        network_us: per_tick_us(median(network_s)),
+        tick_us: per_tick_us(median(whole_s)),
+        observer_us: per_tick_us(median(observer_s)),
+    })
 }

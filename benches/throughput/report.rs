@@ -102,6 +102,7 @@ impl Display for Report {
         row("  rest [s]", one.rest_s, all.rest_s)?;
         row("sensing, a tick at 240 Hz [µs]", sensing.tick_us, f64::NAN)?;
         row("  contact network [µs]", sensing.network_us, f64::NAN)?;
+        row("force observer, a physics step [µs]", sensing.observer_us, f64::NAN)?;
         if let Some(Peers { torch_update, sb3, sb3_on_supple }) = &self.peers {
             let figure = |peer: &Option<Value>, name: &str| peer.as_ref().and_then(|peer| peer[name].as_f64());
             let mut row = |name: &str, value: Option<f64>| match value {
