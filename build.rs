@@ -1,4 +1,4 @@
-//! Puts the version of MuJoCo and the shipped policies into the library.
+//! Puts the version of MuJoCo and the shipped policies into the library, and lets programs find that MuJoCo.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,6 +12,12 @@ fn main() {
     println!("cargo::rerun-if-changed=policies");
     let mujoco = std::env::var("DEP_MUJOCO_VERSION").unwrap_or_else(|_| "unknown".into());
     println!("cargo::rustc-env=SUPPLE_MUJOCO_VERSION={mujoco}");
+    // Each package with programs does the same with the metadata.
+    let folder = std::env::var("DEP_MUJOCO_FOLDER").unwrap_or_default();
+    println!("cargo::metadata=mujoco_folder={folder}");
+    if !folder.is_empty() {
+        println!("cargo::rustc-link-arg=-Wl,-rpath,{folder}");
+    }
     let out = PathBuf::from(std::env::var_os("OUT_DIR").unwrap_or_default());
     for (file, suffix, include) in
         [("policies.rs", ".safetensors", "include_bytes"), ("calibrations.rs", ".calibration.json", "include_str")]

@@ -12,7 +12,7 @@ fn main() {
     println!("cargo::rerun-if-changed=src/shim.c");
     println!("cargo::rerun-if-changed=src/shim.h");
     println!("cargo::rerun-if-env-changed=MUJOCO_PREFIX");
-    let prefix = PathBuf::from(env::var_os("MUJOCO_PREFIX").unwrap_or_else(|| "/usr".into()));
+    let prefix = find_prefix();
     let include = prefix.join("include");
     check_header(&include.join("mujoco/mujoco.h"));
     let library = find_library(&prefix);
@@ -20,6 +20,9 @@ fn main() {
     println!("cargo::rustc-link-search=native={}", library.display());
     println!("cargo::rustc-link-lib=dylib=mujoco");
     println!("cargo::metadata=version=2.2.2");
+    // The programs look for the library there, unless it is where the system looks anyway.
+    let folder = if prefix == Path::new("/usr") { String::new() } else { library.display().to_string() };
+    println!("cargo::metadata=folder={folder}");
 
     cc::Build::new().file("src/shim.c").include(&include).flag("-std=c11").warnings(true).compile("mujoco_shim");
     // The shim calls into libmujoco: it has to come before it on the linker's line.
@@ -47,6 +50,22 @@ fn main() {
     let out = PathBuf::from(env::var_os("OUT_DIR").unwrap_or_default()).join("bindings.rs");
     if let Err(error) = bindings.write_to_file(&out) {
         fail(&format!("cannot write {}: {error}", out.display()));
+    }
+}
+
+/// Returns the folder with `include` and `lib` of MuJoCo: that of `MUJOCO_PREFIX`, else the one that `scripts/setup mujoco` has made in
+/// this checkout, else the system's.
+fn find_prefix() -> PathBuf {
+    let checkout = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+    let fetched = checkout.join(".mujoco");
+    if fetched.exists() {
+        println!("cargo::rerun-if-changed={}", fetched.display());
+    }
+    let own = fetched.join("2.2.2");
+    match env::var_os("MUJOCO_PREFIX") {
+        Some(prefix) => checkout.join(&prefix).canonicalize().unwrap_or_else(|_| prefix.into()),
+        None if own.exists() => own.canonicalize().unwrap_or(own),
+        None => "/usr".into(),
     }
 }
 

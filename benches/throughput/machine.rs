@@ -1,7 +1,7 @@
 //! Where and when a run took place, and how alone it was.
 
 use serde::Serialize;
-use supple::util::provenance::{MUJOCO_VERSION, git_revision};
+use supple::util::provenance::{git_revision, mujoco_version};
 
 use crate::stopwatch::Effort;
 
@@ -37,7 +37,7 @@ impl Machine {
             threads,
             taken_by_others: others / (now.all - start.all),
             git_revision: git_revision(),
-            mujoco_version: MUJOCO_VERSION,
+            mujoco_version: mujoco_version(),
             quick: effort.quick,
             repetitions: effort.repetitions,
         }

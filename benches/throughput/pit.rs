@@ -125,7 +125,7 @@ fn standing(config: &Config) -> anyhow::Result<Policy> {
         seed: 0,
         samples: 0,
         git_revision: supple::util::provenance::git_revision().into(),
-        mujoco_version: supple::util::provenance::MUJOCO_VERSION.into(),
+        mujoco_version: supple::util::provenance::mujoco_version().into(),
     };
     Ok(Policy::new(&network.zeros_like(), &robot, layout, provenance))
 }

@@ -461,7 +461,7 @@ mod tests {
                 live.writer.as_mut().unwrap().part(from, tick, state).unwrap().write_new(&path).unwrap();
                 let mut replay = SavedSession::load(&path).unwrap().play().unwrap();
                 while replay.step().unwrap().is_some() {}
-                assert_eq!(replay.is_as_it_was(), Some(true));
+                assert_eq!(replay.verify(), Some(Ok(())));
             }
         }
     }

@@ -22,8 +22,8 @@ pub struct Replayed {
     pub shown_s: f64,
     /// Falls of each robot since the last set-up.
     pub falls: Vec<u32>,
-    /// True if the final state is the saved one, bit for bit; `None` if the session was cut off.
-    pub is_as_it_was: Option<bool>,
+    /// Whether the final state is the saved one, bit for bit; `None` if the session was cut off.
+    pub verified: Option<Result<(), String>>,
     /// Recordings written, one per set-up.
     pub recordings: Vec<PathBuf>,
 }
@@ -50,7 +50,7 @@ pub fn play(
     let mut playback = session.play()?;
     let mut recorder: Option<Recorder> = None;
     let mut replayed =
-        Replayed { steps: 0, shown_s: 0.0, falls: Vec::new(), is_as_it_was: None, recordings: Vec::new() };
+        Replayed { steps: 0, shown_s: 0.0, falls: Vec::new(), verified: None, recordings: Vec::new() };
     let (mut first, mut last) = (None, 0);
     while let Some(step) = playback.step()? {
         if step.inputs.iter().any(|input| matches!(input, Input::Setup(_))) {
@@ -77,7 +77,7 @@ pub fn play(
     }
     recorder.map_or(Ok(()), Recorder::finish)?;
     replayed.falls = playback.world.falls().collect();
-    replayed.is_as_it_was = playback.is_as_it_was();
+    replayed.verified = playback.verify();
     replayed.shown_s = first.map_or(0.0, |first| (last - first) as f64 / supple::scenario::session::RATE_HZ as f64);
     Ok(replayed)
 }
@@ -152,12 +152,9 @@ pub fn begin(path: &Path) -> anyhow::Result<SessionReplay> {
 fn show(playback: &mut SessionReplay, publisher: &mut Publisher) -> anyhow::Result<()> {
     let Some(step) = playback.step()? else {
         publisher.clock.pause(true, playback.world.tick());
-        publisher.notice(match playback.is_as_it_was() {
-            Some(true) => "end of the session: matches the original bit for bit".to_owned(),
-            Some(false) => {
-                "end of the session: differs from the original, because this build or machine computes differently"
-                    .to_owned()
-            }
+        publisher.notice(match playback.verify() {
+            Some(Ok(())) => "end of the session: matches the original bit for bit".to_owned(),
+            Some(Err(difference)) => format!("end of the session: {difference}"),
             None => "end of the session: the file was cut off here".to_owned(),
         });
         publisher.publish(&playback.world);

@@ -21,7 +21,7 @@ use super::{Condition, Experiment};
 use supple::estimate::{EstimatorConfig, SensorNoise, contact};
 use supple::scenario::Sensing;
 use supple::util::files;
-use supple::util::provenance::git_revision;
+use supple::util::provenance::{mujoco_version, revision_and_mujoco};
 
 /// The largest measurement that is read \[bytes\].
 const MAX_BYTES: u64 = 1 << 30;
@@ -37,7 +37,7 @@ pub struct StoredMeasurement {
     pub sha256: String,
     /// The policy's seed.
     pub seed: u64,
-    /// The revision of the program that measured.
+    /// Revision and MuJoCo of the program that measured.
     pub revision: String,
     /// The time that the trials took \[s\].
     pub wall_s: f64,
@@ -104,7 +104,7 @@ impl MeasurementStore {
             experiment: experiment.info().name.to_owned(),
             sha256: member.agent.sha256.clone(),
             seed: member.seed,
-            revision: git_revision().to_owned(),
+            revision: revision_and_mujoco(),
             wall_s,
             checksum: checksum(&samples),
             samples,
@@ -136,6 +136,7 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], member: &SetMe
     let robot = &member.agent.config.robot;
     let mut parts = serde_json::json!({
         "program": env!("SUPPLE_MEASUREMENT_SOURCES"),
+        "mujoco": mujoco_version(),
         // A robot that cannot be read fails in its first trial, with the reason.
         "robot": robot.load().map(|robot| robot.sha256().to_owned()).unwrap_or_default(),
         "losses": [robot.friction_loss_n_m, robot.damping_n_m_s_per_rad],

@@ -10,11 +10,13 @@ module is the only one that holds `unsafe` code.
 
 mod data;
 mod error;
+mod library;
 mod model;
 mod sizes;
 
 pub use data::{Contact, Data};
 pub use error::{Buffer, Error, Result, StateKind};
+pub use library::library_file;
 pub use model::{Actuator, Geom, GeomContact, Kind, Model, Shape};
 pub use sizes::{SizeError, check_sizes};
 

@@ -74,6 +74,9 @@ pub struct RunState {
     pub config: Config,
     /// Git revision of the program that wrote the checkpoint.
     pub git_revision: String,
+    /// MuJoCo that it was written with, as [`mujoco_version`](crate::util::provenance::mujoco_version) names it.
+    #[serde(default)]
+    pub mujoco_version: String,
     /// SHA-256 of the robot's files.
     pub robot_sha256: String,
     /// Seed of the run.

@@ -128,7 +128,7 @@ impl RunFolder {
             "config_name": trainer.run().config_name,
             "seed": trainer.run().seed,
             "git_revision": provenance::git_revision(),
-            "mujoco_version": provenance::MUJOCO_VERSION,
+            "mujoco_version": provenance::mujoco_version(),
             "command": std::env::args_os().map(terminal::shell_word).collect::<Vec<_>>().join(" "),
         });
         let fill = || -> Result<(), RunError> {

@@ -141,6 +141,7 @@ impl Trainer {
             config_name: config_name.to_owned(),
             config,
             git_revision: provenance::git_revision().to_owned(),
+            mujoco_version: provenance::mujoco_version().to_owned(),
             robot_sha256: robot.sha256().to_owned(),
             seed,
             iteration: 0,
@@ -201,6 +202,7 @@ impl Trainer {
         }
         run.environments.clear();
         (run.git_revision, run.robot_sha256) = (provenance::git_revision().to_owned(), robot.sha256().to_owned());
+        run.mujoco_version = provenance::mujoco_version().to_owned();
         let learner = learner(&run.config.ppo, state, threads, Arc::clone(&ranks))?;
         Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
@@ -331,7 +333,7 @@ impl Trainer {
             seed: self.run.seed,
             samples: self.run.samples,
             git_revision: provenance::git_revision().to_owned(),
-            mujoco_version: provenance::MUJOCO_VERSION.to_owned(),
+            mujoco_version: provenance::mujoco_version().to_owned(),
         };
         Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)
     }

@@ -2,8 +2,32 @@
 
 use std::sync::OnceLock;
 
-/// The version of MuJoCo that the library was built against.
-pub const MUJOCO_VERSION: &str = env!("SUPPLE_MUJOCO_VERSION");
+use crate::mujoco::library_file;
+use crate::util::files;
+
+/// The release of MuJoCo that the library was built against.
+pub const MUJOCO_RELEASE: &str = env!("SUPPLE_MUJOCO_VERSION");
+
+/// Returns the release of MuJoCo and, behind a plus sign, the first twelve hexadecimal digits of the SHA-256 of the library's file:
+/// `2.2.2+a074ea3d63ec`. The same release from two sources computes slightly different numbers.
+pub fn mujoco_version() -> &'static str {
+    static VERSION: OnceLock<String> = OnceLock::new();
+    VERSION.get_or_init(|| match library_file().and_then(|file| std::fs::read(file).ok()) {
+        Some(bytes) => format!("{MUJOCO_RELEASE}+{:.12}", files::sha256(&[&bytes])),
+        None => MUJOCO_RELEASE.to_owned(),
+    })
+}
+
+/// Returns what computes the numbers: `2f1c0d9e8a7b with MuJoCo 2.2.2+a074ea3d63ec`.
+pub fn revision_and_mujoco() -> String {
+    format!("{} with MuJoCo {}", git_revision(), mujoco_version())
+}
+
+/// Returns what `--version` prints behind the program's name: its version and revision, and the MuJoCo that it has loaded.
+pub fn version() -> String {
+    let file = library_file().map(|file| format!(" from {}", file.display())).unwrap_or_default();
+    format!("{} (revision {}{file})", env!("CARGO_PKG_VERSION"), revision_and_mujoco())
+}
 
 static GIT_REVISION: OnceLock<&str> = OnceLock::new();
 

@@ -18,7 +18,7 @@ use supple::util::terminal;
 
 /// Show a policy, check it, export it.
 #[derive(Parser)]
-#[command(version)]
+#[command(version = supple::util::provenance::version())]
 struct Args {
     #[command(subcommand)]
     command: Command,

@@ -27,7 +27,7 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 /// Metrics go to DIR/metrics.jsonl and to TensorBoard event files in DIR, the policy to DIR/policy.safetensors.
 /// Ctrl-C finishes the iteration, writes a checkpoint and says how to go on; a second one stops at once.
 #[derive(Parser)]
-#[command(version)]
+#[command(version = supple::util::provenance::version())]
 struct Args {
     /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, go2, go2-baseline
     /// (unfinished), or a YAML file; with --resume, the one that the run must have [default: fast]

@@ -10,7 +10,7 @@ use supple::robot::Robot;
 use supple::train::checkpoint::Checkpoint;
 use supple::train::run::RunFolder;
 use supple::train::{MemoryEstimate, TrainError, Trainer};
-use supple::util::provenance::git_revision;
+use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::{files, terminal};
 
 use super::Args;
@@ -175,6 +175,13 @@ fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
         terminal::note(format_args!(
             "note: the checkpoint was written by revision {begun_by}, this program is {revision}: what follows may \
              differ from what that one would have done"
+        ));
+    }
+    let (begun_with, mujoco) = (&checkpoint.run.mujoco_version, mujoco_version());
+    if begun_with != mujoco {
+        terminal::note(format_args!(
+            "note: the checkpoint was written with MuJoCo {begun_with}, this program runs with {mujoco}: what follows differs \
+             from what that one would have done"
         ));
     }
     Ok((folder, checkpoint))

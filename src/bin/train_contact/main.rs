@@ -17,7 +17,7 @@ use supple::policy::Agent;
 use supple::policy::shipped;
 use supple::robot::LEGS;
 use supple::util::progress::progress;
-use supple::util::provenance::{MUJOCO_VERSION, git_revision};
+use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::terminal;
 
 /// One in this number of episodes is held out.
@@ -28,7 +28,7 @@ const HELD_OUT: u32 = 5;
 /// Policies walk or stand at random commands on random slopes and friction and are pushed; the network learns contacts
 /// from joint angles, rates and targets with sensor noise. Scores are of episodes that it was not trained on.
 #[derive(Parser)]
-#[command(version)]
+#[command(version = supple::util::provenance::version())]
 struct Args {
     /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times [default: all
     /// that ship]
@@ -97,7 +97,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
             held_out: Vec::new(),
             noise,
             git_revision: git_revision().to_owned(),
-            mujoco_version: MUJOCO_VERSION.to_owned(),
+            mujoco_version: mujoco_version().to_owned(),
         },
     );
     network.provenance.held_out = scores(&network, &held_out)?;

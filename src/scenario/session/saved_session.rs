@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{AgentCache, AgentCacheError, Input, LiveSession, LiveSessionError, RATE_HZ, RobotStep, Setup};
 use crate::policy::compliance::PolicyCalibration;
+use crate::util::provenance;
 use crate::util::files::{self, FileError};
 
 /// Version of the format; additions do not change it.
@@ -53,6 +54,7 @@ pub enum SessionError {
 enum Line {
     Session {
         format: u32,
+        /// Revision and MuJoCo of the program that kept it.
         program: String,
         /// Index of the first tick that a replay shows.
         from_tick: u64,
@@ -141,7 +143,7 @@ impl Writer {
         if end - since > LONGEST {
             return Err(io::Error::other(format!("it is longer than {LONGEST_DAYS} days")));
         }
-        let program = crate::util::provenance::git_revision().to_owned();
+        let program = provenance::revision_and_mujoco();
         let first = serde_json::to_string(&Line::Session { format: FORMAT, program, from_tick })?;
         let last = serde_json::to_string(&Line::End { tick: end, state })?;
         let mut parts: Vec<(u64, u64)> = self.policies.values().copied().filter(|(at, _)| *at < begin).collect();
@@ -193,6 +195,8 @@ impl SessionPart {
 /// A session loaded from a file.
 #[derive(Debug)]
 pub struct SavedSession {
+    /// Revision and MuJoCo of the program that kept the session.
+    pub program: String,
     /// Index of the first tick that a replay shows.
     pub from_tick: u64,
     /// Tick and fingerprint of the state at the end; `None` if the file was cut off.
@@ -209,7 +213,13 @@ impl SavedSession {
     pub fn load(path: &Path) -> Result<Self, SessionError> {
         let fail = FileError::of(SESSION, path);
         let mut reader = BufReader::new(files::open(path).map_err(fail)?);
-        let mut session = SavedSession { from_tick: 0, end: None, inputs: Vec::new(), shelf: AgentCache::default() };
+        let mut session = SavedSession {
+            program: String::new(),
+            from_tick: 0,
+            end: None,
+            inputs: Vec::new(),
+            shelf: AgentCache::default(),
+        };
         let mut text = String::new();
         for number in 1_u64.. {
             text.clear();
@@ -242,11 +252,11 @@ impl SavedSession {
 
     fn add(&mut self, number: u64, line: Line) -> Result<(), String> {
         match line {
-            Line::Session { format, from_tick, .. } if number == 1 => {
+            Line::Session { format, program, from_tick } if number == 1 => {
                 if format != FORMAT {
                     return Err(format!("it has format {format}, this program knows {FORMAT}"));
                 }
-                self.from_tick = from_tick;
+                (self.program, self.from_tick) = (program, from_tick);
             }
             _ if number == 1 => return Err("it does not say that it is a session".to_owned()),
             Line::Session { .. } => return Err("a second session begins".to_owned()),
@@ -358,9 +368,17 @@ impl SessionReplay {
         Ok(Some(ReplayStep { tick, inputs, played: self.world.step()? }))
     }
 
-    /// Returns true at the end if the state equals the saved one to the last bit; `None` if the file has no saved
-    /// state.
-    pub fn is_as_it_was(&self) -> Option<bool> {
-        self.session.end.as_ref().map(|(_, state)| *state == self.world.fingerprint())
+    /// Compares the state at the end with the saved one, to the last bit; `None` if the file has no saved state.
+    ///
+    /// # Errors
+    /// They differ; the sentence names the programs that computed them.
+    pub fn verify(&self) -> Option<Result<(), String>> {
+        let (_, state) = self.session.end.as_ref()?;
+        if *state == self.world.fingerprint() {
+            return Some(Ok(()));
+        }
+        let (original, this) = (&self.session.program, provenance::revision_and_mujoco());
+        let reason = if *original == this { "another machine, or the file was edited" } else { "another program" };
+        Some(Err(format!("the final state differs from the original of {original}, replayed by {this}: {reason}")))
     }
 }

@@ -100,7 +100,7 @@ fn sessions_replay_to_the_last_bit_from_any_setup() {
             }
         }
         assert_eq!((shown[0], *shown.last().unwrap()), (from.unwrap_or(0), 356));
-        assert_eq!(playback.is_as_it_was(), Some(true));
+        assert_eq!(playback.verify(), Some(Ok(())));
     }
 }
 
@@ -121,7 +121,7 @@ fn commanded_compliance_changes_one_robot_only() {
     writer.part(None, world.tick(), world.fingerprint()).unwrap().write_new(&path).unwrap();
     let mut playback = SavedSession::load(&path).unwrap().play().unwrap();
     let takes = takes(&mut playback).unwrap();
-    assert_eq!(playback.is_as_it_was(), Some(true));
+    assert_eq!(playback.verify(), Some(Ok(())));
     let told: Vec<_> = takes.iter().map(|take| (take.seat.policy.as_str(), take.seat.compliance)).collect();
     assert_eq!(told, [("baseline", None), ("compliant", None), ("baseline", Some(0.04))]);
     let yields = |take: &Take| take.pulls.iter().map(|pull| pull.gives_m_s / pull.force_n).collect::<Vec<_>>();

@@ -15,7 +15,7 @@ const SESSION: &str = "Sessions";
 /// Prints an address and opens it: the robots in rerun's viewer beside the controls. Policies, robots and scene can be changed
 /// while it runs.
 #[derive(Parser, Debug)]
-#[command(version)]
+#[command(version = supple::util::provenance::version())]
 pub struct Args {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: compliant]
     ///

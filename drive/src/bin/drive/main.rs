@@ -146,11 +146,9 @@ fn replay_headless(session: &Path, recording: Option<&Path>) -> anyhow::Result<(
     let steps = replayed.steps;
     terminal::print(format_args!("{:.2} s shown, {steps} steps, falls: {}\n", replayed.shown_s, falls.join(", ")))?;
     replayed.recordings.iter().for_each(|path| terminal::note(format_args!("recorded {}", path.display())));
-    match replayed.is_as_it_was {
-        Some(true) => terminal::print("the final state matches the original bit for bit\n")?,
-        Some(false) => anyhow::bail!(
-            "the final state differs from the original: this build or machine computes differently, or the session was edited"
-        ),
+    match replayed.verified {
+        Some(Ok(())) => terminal::print("the final state matches the original bit for bit\n")?,
+        Some(Err(difference)) => anyhow::bail!(difference),
         None => terminal::note("note: the session was cut off: there is no final state to compare with"),
     }
     Ok(())

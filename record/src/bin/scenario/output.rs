@@ -9,7 +9,7 @@ use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::{self, Metric};
 use supple::scenario::trace::{Frame, Trace};
 use supple::util::files::{self, Target};
-use supple::util::provenance::git_revision;
+use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::terminal;
 
 use crate::args::Args;
@@ -105,6 +105,7 @@ pub fn to_json(scenario: &Scenario, seed: u64, sensing: Sensing, outcomes: &[Out
     json!({
         "scenario": scenario.name(),
         "revision": git_revision(),
+        "mujoco": mujoco_version(),
         "seed": seed,
         "sensing": sensing,
         "parameters": scenario,

@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 use serde_json::{Map, Value, json};
 use supple::scenario::catalog::Scenario;
 use supple::scenario::metrics::Metric;
-use supple::util::provenance::git_revision;
+use supple::util::provenance::{git_revision, mujoco_version};
 
 use crate::output::undefined;
 
@@ -108,6 +108,7 @@ pub fn to_json(scenario: &Scenario, seeds: &RangeInclusive<u64>, sensing: Value,
     json!({
         "scenario": scenario.name(),
         "revision": git_revision(),
+        "mujoco": mujoco_version(),
         "seeds": [seeds.start(), seeds.end()],
         "sensing": sensing,
         "parameters": scenario,

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde_json::json;
 use supple::scenario::session::{SavedSession, Take, takes};
-use supple::util::provenance::git_revision;
+use supple::util::provenance::{git_revision, mujoco_version};
 
 use crate::args::Args;
 use crate::output::{self, Outcome};
@@ -36,14 +36,9 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
             run
         };
         let runs: Vec<_> = takes.iter().zip(&outcomes).map(run).collect();
-        json!({ "scenario": "session", "revision": git_revision(), "units": output::units(&outcomes), "runs": runs })
+        json!({ "scenario": "session", "revision": git_revision(), "mujoco": mujoco_version(), "units": output::units(&outcomes), "runs": runs })
     })?;
-    match playback.is_as_it_was() {
-        Some(false) => anyhow::bail!(
-            "the final state differs from the original: this program or this machine computes other numbers"
-        ),
-        Some(true) | None => Ok(()),
-    }
+    playback.verify().unwrap_or(Ok(())).map_err(anyhow::Error::msg)
 }
 
 fn name(take: &Take) -> String {
