@@ -1,12 +1,20 @@
-//! Build script: finds Debian's MuJoCo 2.2.2, generates the bindings, compiles the shim that catches fatal errors.
+//! Build script: finds MuJoCo (2.2.2, or 3.2 up to 4), generates the bindings, compiles the shim that catches fatal errors.
 
 use std::env;
 use std::path::{Path, PathBuf};
 use std::process::exit;
 
-/// Version of MuJoCo (`mjVERSION_HEADER`) for whose structs and semantics this crate is written.
-const VERSION: u32 = 222;
 const PACKAGE: &str = "Debian 12's package libmujoco-dev (MuJoCo 2.2.2): apt-get install libmujoco-dev";
+
+/// The release that is the default, and the first and last series of the others for whose structs and semantics this crate is written.
+const DEFAULT: [u32; 3] = [2, 2, 2];
+const OTHERS: [[u32; 2]; 2] = [[3, 2], [4, u32::MAX]];
+
+/// Returns the major, minor and patch number of an `mjVERSION_HEADER`: 222 is 2.2.2, 337 is 3.3.7, 3017000 is 3.17.0.
+fn numbers(header: u32) -> [u32; 3] {
+    let base = if header < 1000 { 10 } else { 1000 };
+    [header / (base * base), header / base % base, header % base]
+}
 
 fn main() {
     println!("cargo::rerun-if-changed=src/shim.c");
@@ -14,12 +22,12 @@ fn main() {
     println!("cargo::rerun-if-env-changed=MUJOCO_PREFIX");
     let prefix = find_prefix();
     let include = prefix.join("include");
-    check_header(&include.join("mujoco/mujoco.h"));
+    let [major, minor, patch] = check_header(&include.join("mujoco/mujoco.h"));
     let library = find_library(&prefix);
 
     println!("cargo::rustc-link-search=native={}", library.display());
     println!("cargo::rustc-link-lib=dylib=mujoco");
-    println!("cargo::metadata=version=2.2.2");
+    println!("cargo::metadata=version={major}.{minor}.{patch}");
     // The programs look for the library there, unless it is where the system looks anyway.
     let folder = if prefix == Path::new("/usr") { String::new() } else { library.display().to_string() };
     println!("cargo::metadata=folder={folder}");
@@ -35,7 +43,7 @@ fn main() {
             "supple_.*|mj_(deleteModel|deleteData|deleteVFS|defaultVFS|freeLastXML|name2id|id2name|version)",
         )
         .allowlist_type(
-            "mjModel|mjData|mjVFS|mjContact|mjtObj_|mjtWarning_|mjtGeom_|mjtJoint_|mjtConstraint_|mjtTrn_|mjtBias_",
+            "mjModel|mjData|mjVFS|mjContact|mjt(Obj|Warning|Geom|Joint|Constraint|Trn|Bias)_?",
         )
         .allowlist_var("mjVERSION_HEADER|mjNGAIN|mjNIMP|SUPPLE_ERROR_SIZE")
         .default_enum_style(bindgen::EnumVariation::Consts)
@@ -69,20 +77,26 @@ fn find_prefix() -> PathBuf {
     }
 }
 
-fn check_header(header: &Path) {
+fn check_header(header: &Path) -> [u32; 3] {
     let Ok(text) = std::fs::read_to_string(header) else {
         fail(&format!("the header {} is missing; supple needs {PACKAGE}", header.display()));
     };
     let version = text
         .lines()
         .find_map(|line| line.strip_prefix("#define mjVERSION_HEADER"))
-        .and_then(|rest| rest.trim().parse::<u32>().ok());
-    if version != Some(VERSION) {
-        fail(&format!(
-            "{} is of version {}, expected {VERSION}; supple needs {PACKAGE}",
+        .and_then(|rest| rest.trim().parse::<u32>().ok())
+        .map(numbers);
+    match version {
+        Some(found @ [major, minor, _])
+            if found == DEFAULT || (OTHERS[0] <= [major, minor] && [major, minor] <= OTHERS[1]) =>
+        {
+            found
+        }
+        found => fail(&format!(
+            "{} is of version {}, expected 2.2.2, or 3.2 up to 4; supple needs {PACKAGE}",
             header.display(),
-            version.map_or("unknown".into(), |v| v.to_string()),
-        ));
+            found.map_or("unknown".into(), |[major, minor, patch]| format!("{major}.{minor}.{patch}")),
+        )),
     }
 }
 

@@ -49,6 +49,11 @@ void supple_init(void) {
     return 0;                \
   } while (0)
 
+#if SUPPLE_ARENA
+static int add_file(mjVFS* vfs, const char* name, const char* text, int size) {
+  return mj_addBufferVFS(vfs, name, text, size);
+}
+#else
 static int add_file(mjVFS* vfs, const char* name, const char* text, int size) {
   int code = mj_makeEmptyFileVFS(vfs, name, size);
   if (code != 0) {
@@ -61,6 +66,7 @@ static int add_file(mjVFS* vfs, const char* name, const char* text, int size) {
   memcpy(vfs->filedata[index], text, size);
   return 0;
 }
+#endif
 
 int supple_add_file(mjVFS* vfs, const char* name, const char* text, int size, int* code, char* error) {
   GUARDED(*code = add_file(vfs, name, text, size));
@@ -107,4 +113,33 @@ static void rne(const mjModel* m, mjData* d) {
 
 int supple_rne(const mjModel* m, mjData* d, char* error) { GUARDED(rne(m, d)); }
 
+#if SUPPLE_ARENA
+int supple_raise(const char* message, char* error) { GUARDED(mju_error("%s", message)); }
+
+size_t supple_working_bytes(const mjData* d) { return (size_t)d->narena; }
+
+void supple_exhaust_stack(mjData* d) { d->pstack = (size_t)d->narena - d->parena; }
+
+void supple_collide_pairs_only(mjModel* m) {
+  memset(m->geom_contype, 0, m->ngeom * sizeof(int));
+  memset(m->geom_conaffinity, 0, m->ngeom * sizeof(int));
+  memset(m->body_contype, 0, m->nbody * sizeof(int));
+  memset(m->body_conaffinity, 0, m->nbody * sizeof(int));
+}
+#else
 int supple_raise(const char* message, char* error) { GUARDED(mju_error(message)); }
+
+size_t supple_working_bytes(const mjData* d) { return (size_t)d->nstack * sizeof(mjtNum); }
+
+void supple_exhaust_stack(mjData* d) { d->nstack = 8; }
+
+void supple_collide_pairs_only(mjModel* m) { m->opt.collision = mjCOL_PAIR; }
+#endif
+
+int supple_actuator_count(const mjModel* m) {
+#if SUPPLE_ACTUATORS
+  return (int)m->nactuator;
+#else
+  return (int)m->nu;
+#endif
+}

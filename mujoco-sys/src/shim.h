@@ -9,6 +9,11 @@
 
 #define SUPPLE_ERROR_SIZE 1024
 
+// What has changed since MuJoCo 2.2.2. Contacts, constraints and the stack share one arena, whose size is chosen by <size memory>:
+#define SUPPLE_ARENA (mjVERSION_HEADER >= 300)
+// An actuator may have several controls and forces, and has its own number of them:
+#define SUPPLE_ACTUATORS (mjVERSION_HEADER >= 3017000)
+
 // Installs the error and warning handlers. Call once, before any other call and any thread.
 void supple_init(void);
 
@@ -28,5 +33,13 @@ int supple_object_velocity(const mjModel* m, const mjData* d, int objtype, int o
 int supple_rne(const mjModel* m, mjData* d, char* error);
 // Raises a MuJoCo error on purpose, for tests of the way back.
 int supple_raise(const char* message, char* error);
+
+// Memory of contacts, constraints and temporaries of a simulation [bytes].
+size_t supple_working_bytes(const mjData* d);
+// Makes that memory too small for the next step, for tests.
+void supple_exhaust_stack(mjData* d);
+// Lets only those geometries touch that the model names in pairs.
+void supple_collide_pairs_only(mjModel* m);
+int supple_actuator_count(const mjModel* m);
 
 #endif

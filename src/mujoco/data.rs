@@ -197,7 +197,8 @@ impl Data {
     /// Returns the memory of the simulation and its model \[bytes\].
     pub fn bytes(&self) -> usize {
         let raw = self.raw();
-        self.model.bytes() + raw.nbuffer as usize + raw.nstack as usize * size_of::<f64>()
+        // SAFETY: the pointer is valid.
+        self.model.bytes() + raw.nbuffer as usize + unsafe { sys::supple_working_bytes(raw) } as usize
     }
 
     /// Returns the model.
@@ -448,7 +449,7 @@ impl Data {
     /// Shrinks MuJoCo's stack so much that the next step raises a fatal error.
     pub(crate) fn exhaust_stack(&mut self) {
         // SAFETY: the pointer is valid and `self` is borrowed mutably; less than what is allocated is always safe.
-        unsafe { self.raw.as_mut() }.nstack = 8;
+        unsafe { sys::supple_exhaust_stack(self.raw.as_ptr()) };
     }
 }
 

@@ -261,7 +261,7 @@ impl Model {
 
     /// True if a joint has limits.
     pub fn joint_is_limited(&self, id: usize) -> bool {
-        self.slice(self.raw().jnt_limited, self.raw().njnt)[id] != 0
+        self.slice::<u8>(self.raw().jnt_limited.cast(), self.raw().njnt)[id] != 0
     }
 
     /// Spring stiffness of a joint [N·m/rad].
@@ -397,7 +397,8 @@ impl Model {
             Kind::Joint => raw.njnt,
             Kind::Geom => raw.ngeom,
             Kind::Site => raw.nsite,
-            Kind::Actuator => raw.nu,
+            // SAFETY: the model is valid.
+            Kind::Actuator => unsafe { sys::supple_actuator_count(raw) }.into(),
             Kind::Numeric => raw.nnumeric,
             Kind::HeightField => raw.nhfield,
             Kind::Tendon => raw.ntendon,
@@ -435,6 +436,12 @@ impl Model {
     /// Returns the physics step \[s\].
     pub fn timestep_s(&self) -> f64 {
         self.raw().opt.timestep
+    }
+
+    /// Lets only those geometries touch that the scene names in pairs.
+    pub(crate) fn collide_pairs_only(&mut self) {
+        // SAFETY: the model is valid and `self` is borrowed mutably.
+        unsafe { sys::supple_collide_pairs_only(self.raw_mut()) };
     }
 
     /// Returns gravity [m/s²], world frame.
@@ -545,18 +552,19 @@ impl Model {
     /// Returns the effect of an actuator.
     pub fn actuator(&self, id: usize) -> Actuator {
         let raw = self.raw();
-        let on_joint = self.slice(raw.actuator_trntype, raw.nu)[id] == sys::mjTRN_JOINT as i32;
-        let target = self.slice(raw.actuator_trnid, 2 * raw.nu)[2 * id];
-        let limits = |limited: *const sys::mjtByte, range: *const f64| {
-            (self.slice(limited, raw.nu)[id] != 0).then(|| row::<f64, 2>(self.slice(range, 2 * raw.nu), id))
+        let count = self.count(Kind::Actuator) as i64;
+        let on_joint = self.slice(raw.actuator_trntype, count)[id] == sys::mjTRN_JOINT as i32;
+        let target = self.slice(raw.actuator_trnid, 2 * count)[2 * id];
+        let limits = |limited: *const u8, range: *const f64| {
+            (self.slice(limited, count)[id] != 0).then(|| row::<f64, 2>(self.slice(range, 2 * count), id))
         };
         Actuator {
             joint: usize::try_from(target).ok().filter(|_| on_joint),
-            gear: self.slice(raw.actuator_gear, 6 * raw.nu)[6 * id],
-            gain: self.slice(raw.actuator_gainprm, sys::mjNGAIN as i32 * raw.nu)[sys::mjNGAIN as usize * id],
-            has_bias: self.slice(raw.actuator_biastype, raw.nu)[id] != sys::mjBIAS_NONE as i32,
-            control_range: limits(raw.actuator_ctrllimited, raw.actuator_ctrlrange),
-            force_range: limits(raw.actuator_forcelimited, raw.actuator_forcerange),
+            gear: self.slice(raw.actuator_gear, 6 * count)[6 * id],
+            gain: self.slice(raw.actuator_gainprm, i64::from(sys::mjNGAIN) * count)[sys::mjNGAIN as usize * id],
+            has_bias: self.slice(raw.actuator_biastype, count)[id] != sys::mjBIAS_NONE as i32,
+            control_range: limits(raw.actuator_ctrllimited.cast(), raw.actuator_ctrlrange),
+            force_range: limits(raw.actuator_forcelimited.cast(), raw.actuator_forcerange),
         }
     }
 
@@ -569,7 +577,7 @@ impl Model {
             condim: self.slice(raw.geom_condim, raw.ngeom)[id],
             priority: self.slice(raw.geom_priority, raw.ngeom)[id],
             friction: row(self.slice(raw.geom_friction, 3 * raw.ngeom), id),
-            solimp: row(self.slice(raw.geom_solimp, sys::mjNIMP as i32 * raw.ngeom), id),
+            solimp: row(self.slice(raw.geom_solimp, i64::from(sys::mjNIMP) * i64::from(raw.ngeom)), id),
         }
     }
 
@@ -673,8 +681,9 @@ impl Model {
         Ok(&self.slice(raw.numeric_data, raw.nnumericdata)[start..start + size])
     }
 
-    /// Borrows a model array as a slice.
-    fn slice<T>(&self, start: *const T, length: i32) -> &[T] {
+    /// Borrows a model array as a slice. MuJoCo counts with 32 bits, later with 64.
+    fn slice<T>(&self, start: *const T, length: impl Into<i64>) -> &[T] {
+        let length = length.into();
         if length == 0 || start.is_null() {
             return &[];
         }
@@ -688,8 +697,8 @@ impl Model {
 impl Model {
     /// Shrinks the contact buffer to `contacts` points.
     pub(crate) fn limit_contacts(&mut self, contacts: i32) {
-        assert!(contacts <= self.raw().nconmax);
-        self.raw_mut().nconmax = contacts;
+        assert!(contacts as usize <= self.nconmax());
+        self.raw_mut().nconmax = contacts.into();
     }
 }
 

@@ -16,7 +16,7 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use super::ground::{Ground, HeightField};
-use crate::mujoco::{Kind, Model, Result};
+use crate::mujoco::{Kind, Model, Result, VERSION};
 use crate::robot::Robot;
 
 /// Name of the ground's geometry.
@@ -108,6 +108,9 @@ impl Scene {
 
     fn compile_xml(&self, scene: &str) -> Result<Model> {
         let mut model = Model::from_xml(&[("scene.xml", scene), (ROBOT, self.robot.mjcf())])?;
+        if self.is_robot_on_plane() {
+            model.collide_pairs_only();
+        }
         if let Ground::Field(field) = &self.ground {
             let [low, high] = field.range();
             let id = model.id(Kind::HeightField, GROUND)?;
@@ -145,16 +148,23 @@ impl Scene {
         xml
     }
 
+    /// Returns true for a robot alone on a plane, where the pairs of geometries that may touch are listed.
+    fn is_robot_on_plane(&self) -> bool {
+        self.ground == Ground::Flat && self.obstacles.is_empty() && self.extras.is_empty()
+    }
+
     /// Lists the geometry pairs that may touch, for a robot alone on a plane.
     fn pairs(&self) -> String {
-        if self.ground != Ground::Flat || !self.obstacles.is_empty() || !self.extras.is_empty() {
+        if !self.is_robot_on_plane() {
             return String::new();
         }
         let [sliding, torsional, rolling] = FRICTION;
         let friction = format!("{sliding} {sliding} {torsional} {rolling} {rolling}");
         let pair = |part| format!(r#"<pair geom1="{GROUND}" geom2="{part}" condim="3" friction="{friction}"/>"#);
         let pairs: String = self.robot.colliding.iter().map(pair).collect();
-        format!("  <option collision=\"predefined\"/>\n  <contact>{pairs}</contact>\n")
+        // MuJoCo 3 looks for islands of touching bodies, in vain with one robot.
+        let solver = if VERSION < 300 { "" } else { "  <option><flag island=\"disable\"/></option>\n" };
+        format!("{solver}  <contact>{pairs}</contact>\n")
     }
 
     fn ground_asset(&self) -> String {
