@@ -49,8 +49,7 @@ pub fn play(
     }
     let mut playback = session.play()?;
     let mut recorder: Option<Recorder> = None;
-    let mut replayed =
-        Replayed { steps: 0, shown_s: 0.0, falls: Vec::new(), verified: None, recordings: Vec::new() };
+    let mut replayed = Replayed { steps: 0, shown_s: 0.0, falls: Vec::new(), verified: None, recordings: Vec::new() };
     let (mut first, mut last) = (None, 0);
     while let Some(step) = playback.step()? {
         if step.inputs.iter().any(|input| matches!(input, Input::Setup(_))) {

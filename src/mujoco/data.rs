@@ -456,7 +456,7 @@ impl Data {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mujoco::Model;
+    use crate::mujoco::{FIXED_BUFFERS, Model};
 
     const BALL: &str = r#"<mujoco>
   <size nconmax="4" njmax="40"/>
@@ -512,6 +512,10 @@ mod tests {
         for ball in 0..7 {
             data.positions_mut()[7 * ball + 2] = 0.09;
         }
+        if !FIXED_BUFFERS {
+            data.step1().unwrap();
+            return assert_eq!(data.contacts().count(), 7);
+        }
         let error = data.step1().unwrap_err();
         assert_eq!(error, Error::BufferFull { buffer: Buffer::Contacts, size: 4 });
         assert!(error.to_string().contains("nconmax"));
@@ -523,7 +527,8 @@ mod tests {
         let mut other = ball();
         data.exhaust_stack();
         let error = data.step().unwrap_err();
-        assert!(matches!(&error, Error::Engine { call: "mj_step", message } if message == "Stack overflow"), "{error}");
+        let Error::Engine { call: "mj_step", message } = &error else { panic!("{error}") };
+        assert!(message.to_lowercase().contains("stack overflow"), "{message}");
         data.reset().unwrap();
         for _ in 0..100 {
             data.step().unwrap();

@@ -26,6 +26,10 @@ use std::sync::OnceLock;
 /// The MuJoCo version these bindings were written for, as `mj_version` counts.
 pub const VERSION: i32 = mujoco_sys::mjVERSION_HEADER as i32;
 
+/// True if contacts and constraints have buffers of fixed size, as before MuJoCo 3; later they share one with everything else.
+#[cfg(test)]
+pub(crate) const FIXED_BUFFERS: bool = VERSION < 300;
+
 /// Installs the error handlers and checks the version of the library that was loaded, once per process.
 fn initialise() -> Result<()> {
     static FOUND: OnceLock<i32> = OnceLock::new();
