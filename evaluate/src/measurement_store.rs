@@ -190,3 +190,37 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], member: &SetMe
     }
     files::sha256(&[parts.to_string().as_bytes()])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::Protocol;
+    use crate::trial::{Sample, TrialEnd};
+
+    #[test]
+    fn checksum_covers_every_field() {
+        let folder = tempfile::tempdir().unwrap();
+        let (store, protocol) = (MeasurementStore::new(folder.path()), Protocol::quick().unwrap());
+        let agent = supple::policy::shipped::find("compliant").unwrap();
+        let member = SetMember { seed: 3, file: PathBuf::from("x"), agent };
+        let sample = Sample {
+            end: TrialEnd::Upright,
+            values: vec![Some(0.5), None],
+            series: Vec::new(),
+            fault: None,
+            estimation: None,
+        };
+        let key = "0123456789abcdef0123";
+        store.write(&protocol.decay, key, &member, 1.25, vec![vec![sample]]).unwrap();
+        let path = store.path(&protocol.decay, key);
+        let whole = fs::read_to_string(&path).unwrap();
+        assert_eq!(store.read(&protocol.decay, key).unwrap().seed, 3);
+        let wrong =
+            [("\"seed\":3", "\"seed\":4"), ("1.25", "1.5"), ("0.5", "0.25"), ("\"sha256\":\"", "\"sha256\":\"0")];
+        for (from, to) in wrong {
+            assert!(whole.contains(from), "{from} in {whole}");
+            fs::write(&path, whole.replacen(from, to, 1)).unwrap();
+            assert!(store.read(&protocol.decay, key).is_none(), "{to}");
+        }
+    }
+}

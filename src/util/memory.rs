@@ -95,7 +95,9 @@ fn number_after(text: &str, word: &str) -> Option<u64> {
 
 /// Formats a size in GiB.
 pub fn gibibytes(bytes: u64) -> String {
-    format!("{:.1} GiB", bytes as f64 / f64::from(1 << 30))
+    let gibibytes = bytes as f64 / f64::from(1 << 30);
+    let digits = if gibibytes < 10.0 { 2 } else { 1 };
+    format!("{gibibytes:.digits$} GiB")
 }
 
 #[cfg(test)]

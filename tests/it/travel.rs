@@ -239,6 +239,8 @@ fn nan_from_a_network_is_a_fault() {
     assert!(trace.frames.is_empty() && trace.fall().is_none());
     let fault = trace.fault().unwrap();
     assert!(fault.time_s == 0.0 && fault.text.contains("FR_hip is NaN"), "{fault:?}");
-    let output = run("policy", folder.path(), &["verify", "broken.yaml"]);
-    assert!(output.status.code() == Some(2) && complaint(&output).contains("NaN"), "{}", complaint(&output));
+    for command in ["verify", "calibrate"] {
+        let output = run("policy", folder.path(), &[command, "broken.yaml"]);
+        assert!(output.status.code() == Some(2) && complaint(&output).contains("NaN"), "{}", complaint(&output));
+    }
 }

@@ -31,7 +31,7 @@ use supple::scenario::catalog::{ParameterError, Scenario, in_range};
 mod prelude {
     pub use serde::{Deserialize, Serialize};
 
-    pub(super) use super::{brief, by_gait_and_direction, check_directions, gait, indicator};
+    pub(super) use super::{by_gait_and_direction, check_directions, gait, indicator};
     pub use crate::section_builder::{ConditionGroup, SectionBuilder};
     pub use crate::statistics::Expected;
     pub use crate::trial::Trial;
@@ -39,6 +39,7 @@ mod prelude {
     pub use supple::config::ConfigError;
     pub use supple::scenario::catalog::{ParameterError, Scenario, Task, defaults, in_range};
     pub use supple::scenario::metrics;
+    pub use supple::util::numbers::brief;
 }
 
 /// Every experiment with its parameters, in the order of the report.
@@ -92,12 +93,6 @@ impl Protocol {
     }
 }
 
-/// Formats a number for a label: as it is, or with an exponent if it would have many zeros.
-fn brief(value: f64) -> String {
-    let is_usual = value == 0.0 || (1e-4..1e7).contains(&value.abs());
-    if is_usual { value.to_string() } else { format!("{value:e}") }
-}
-
 /// Returns the name of the gait at a forward command \[m/s\].
 fn gait(command_m_s: f64) -> &'static str {
     if command_m_s == 0.0 { "standing" } else { "walking" }
@@ -129,12 +124,6 @@ fn indicator(is: bool) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    #[test]
-    fn extreme_numbers_of_labels_have_exponents() {
-        let labels = [0.0, 0.6, -1.5, 20.0, 1e-300, -2.5e8].map(super::brief);
-        assert_eq!(labels, ["0", "0.6", "-1.5", "20", "1e-300", "-2.5e8"]);
-    }
-
     use std::collections::BTreeMap;
 
     use super::*;

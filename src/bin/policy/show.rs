@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use supple::config::Simulation;
 use supple::policy::{Action, Agent, Inference, Meaning, Policy};
-use supple::robot::{JOINTS, Robot, joint_name, joint_table};
+use supple::robot::{JOINTS, Robot, joint_name, joint_names, joint_table};
 
 /// Describes a policy file of Supple.
 pub fn description(policy: &Policy) -> String {
@@ -65,7 +65,7 @@ pub fn external_description(name: &str, agent: &Agent) -> String {
          rates     {}\n\
          action    joint target [rad] = {offset}scale * output{clipped}\n\
          \nobservation ({} numbers), as the network sees it: (value - offset) * scale, clipped to +-limit\n  \
-         {:40} {:>10} {:>10} {:>10}\n",
+         {:45} {:>10} {:>10} {:>10}\n",
         agent.config.robot.model,
         agent.sha256,
         layout.length(),
@@ -95,6 +95,9 @@ pub fn external_description(name: &str, agent: &Agent) -> String {
         );
         let _ = writeln!(text, "  {index:2}  {name:12}{nominal:+.4}        {scale:<11}  {range}");
     }
+    let targets = joint_names().join(", ");
+    let _ =
+        writeln!(text, "\n`policy run` takes the values before they are scaled, and prints joint targets as {targets}");
     text
 }
 
