@@ -72,15 +72,16 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     progress.finish();
 
-    // The report includes what other processes have measured meanwhile; the last process reports everything.
     let mut faults = Vec::new();
+    // The report includes what other processes have measured meanwhile; the last process reports everything.
     let _lock = settings.store.lock_report(progress::waits)?;
     for experiment in protocol.experiments() {
         let finished = |sensing| runner::finished(experiment, &policies, &settings.store, sensing);
         let (truth, estimated) = (finished(Sensing::True)?, finished(Sensing::Estimated)?);
-        for Measurement { results, .. } in truth.iter().chain(&estimated) {
+        for (measured, on) in [(&truth, ""), (&estimated, " on sensors")] {
+            let Some(Measurement { results, .. }) = measured else { continue };
             let name = experiment.info().name;
-            let of_set = |set| Some(format!("experiment {name}: {}", results.faults(set)?));
+            let of_set = |set| Some(format!("experiment {name}{on}: {}", results.faults(set)?));
             faults.extend((0..results.sets.len()).filter_map(of_set));
         }
         if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
@@ -126,7 +127,8 @@ fn policies(args: &Args) -> anyhow::Result<PolicySets> {
     for (flag, name) in args.names.iter().map(|name| ("--names", name)).chain(further).chain(beside) {
         anyhow::ensure!(
             name.chars().count() <= MOST_NAME && !name.contains(char::is_control),
-            "{flag}: the name {name:?} has {} characters, expected at most {MOST_NAME} and no line end: it is printed in figures",
+            "{flag}: the name {name:?} has {} characters, expected at most {MOST_NAME}, and no line end or other control \
+             character: it is printed in figures",
             name.chars().count()
         );
     }
