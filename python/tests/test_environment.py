@@ -498,7 +498,7 @@ def test_a_panic_becomes_an_exception():
     "work",
     [
         "env = supple.make_vec(num_envs=256)\nwhile True: env.step(numpy.zeros((256, 12)))",
-        "supple.make_vec(num_envs=100_000)",
+        "while True: supple.make_vec(num_envs=1000)",
         "supple.run_scenario('walk', duration_s=3600.0)",
         "supple.run_scenario('walk', lambda seen: numpy.zeros(12), duration_s=3600.0)",
         "supple.evaluate('compliant', protocol='full')",
