@@ -234,7 +234,9 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
 
     def close_extras(self, **_: Any) -> None:
         """Frees the environments."""
-        self._native.close()
+        # Gymnasium 1.2 also closes what could not be created.
+        if hasattr(self, "_native"):
+            self._native.close()
 
     def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
         """Returns a seed for each environment."""
