@@ -35,7 +35,8 @@ pub struct Replayed {
 /// may replace a file, those of further set-ups are numbered and new.
 ///
 /// # Errors
-/// A policy or robot is missing or has changed, or a recording cannot be written, is no `.rrd` file or would replace a file that was not named.
+/// A policy or robot is missing or has changed, or a recording cannot be written, is no `.rrd` file or would replace a file that
+/// was not named.
 pub fn play(
     session: SavedSession,
     recording: Option<&Path>,
