@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use supple::policy::Agent;
-use supple::scenario::session::{AgentCache, LiveSession};
+use supple::scenario::session::{AgentCache, LiveSession, SessionReplay};
 
 use crate::request::{PageId, Request};
 
@@ -25,6 +25,8 @@ pub enum Message {
         /// The new robots, or the reason why there are none.
         result: Result<Box<Built>, String>,
     },
+    /// A replayed session is at its first shown step again, or the reason why it cannot be.
+    Rewound(Result<Box<SessionReplay>, String>),
     /// A text to show on all pages.
     Notice(String),
     /// Ends the program.

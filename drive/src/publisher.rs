@@ -136,7 +136,11 @@ impl Publisher {
             }
             for event in played.events.iter().filter(|event| event.kind != EventKind::Disturbance) {
                 let text = format!("{}: {}", self.shown.cast.names[robot], event.text);
-                self.notice(text);
+                // A policy that fails does so in every step.
+                let is_known = event.kind == EventKind::Fault && self.notices.contains(&text);
+                if !is_known {
+                    self.notice(text);
+                }
             }
         }
         self.shown.is_behind = self.clock.is_behind();

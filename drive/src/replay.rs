@@ -1,12 +1,15 @@
 //! Replays a saved session: same inputs, same code, same bits.
 
 use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::Receiver;
+use std::sync::mpsc::{Receiver, SyncSender};
+use std::thread;
 
 use anyhow::Context;
 use supple::scenario::session::{Act, Input, ReplayStep, RobotStep, SavedSession, SessionReplay};
-use supple_record::{RecordError, Recorder, Sink};
+use supple::util::terminal;
+use supple_record::{RecordError, Recorder, Sink, check_name};
 
 use crate::message::Message;
 use crate::publisher::{Due, Publisher};
@@ -32,13 +35,15 @@ pub struct Replayed {
 /// may replace a file, those of further set-ups are numbered and new.
 ///
 /// # Errors
-/// A policy or robot is missing or has changed, or a recording cannot be written or would replace a file that was not named.
+/// A policy or robot is missing or has changed, or a recording cannot be written, is no `.rrd` file or would replace a file that
+/// was not named.
 pub fn play(
     session: SavedSession,
     recording: Option<&Path>,
     mut look: impl FnMut(&SessionReplay, &ReplayStep),
 ) -> anyhow::Result<Replayed> {
     if let Some(path) = recording {
+        check_name(path)?;
         let set_ups = session.inputs().iter().filter(|(_, input)| matches!(input, Input::Setup(_))).count();
         if let Some(taken) = (1..set_ups).map(|count| numbered(path, count)).find(|path| path.exists()) {
             anyhow::bail!(
@@ -95,16 +100,18 @@ pub fn record(recorder: &mut Recorder, played: &RobotStep) -> Result<(), RecordE
 }
 
 /// Replays a session in real time on pages and viewers, and pauses at its end. The driving page can pause, slow down and start
-/// over.
+/// over, for which the session is read again on a thread of its own, which sends it `to_self`.
 ///
 /// # Errors
-/// A policy or robot is missing or has changed.
+/// MuJoCo fails even after a reset.
 pub fn watch(
     path: &Path,
     mut playback: SessionReplay,
     mut publisher: Publisher,
+    to_self: &SyncSender<Message>,
     messages: &Receiver<Message>,
 ) -> anyhow::Result<()> {
+    let mut is_loading = false;
     loop {
         let message = match publisher.wait(&playback.world, messages) {
             Some(Due::Message(message)) => message,
@@ -123,18 +130,42 @@ pub fn watch(
             Message::Request(page, request) if publisher.driver == Some(page) => match request {
                 Request::Pause(is_paused) => publisher.clock.pause(is_paused, tick),
                 Request::Speed(speed) => publisher.clock.set_speed(speed, tick),
-                Request::Act(Act::Reset) => {
-                    playback = begin(path)?;
-                    publisher.begin(&playback.world);
-                    publisher.clock.pause(false, playback.world.tick());
-                }
+                Request::Act(Act::Reset) if !is_loading => match rewind(path, to_self.clone()) {
+                    Ok(()) => is_loading = true,
+                    Err(error) => publisher.notice(format!("cannot start over without a thread: {error}")),
+                },
                 _ => {}
             },
+            Message::Rewound(result) => {
+                is_loading = false;
+                match result {
+                    Ok(rewound) => {
+                        playback = *rewound;
+                        publisher.begin(&playback.world);
+                        publisher.clock.pause(false, playback.world.tick());
+                    }
+                    Err(problem) => {
+                        terminal::note(format_args!("cannot start over: {problem}"));
+                        publisher.notice("cannot start over: the terminal says why".to_owned());
+                    }
+                }
+            }
             Message::Notice(text) => publisher.notice(text),
             Message::Request(..) | Message::PolicySaved(_) | Message::Built { .. } => {}
         }
         publisher.publish(&playback.world);
     }
+}
+
+/// Loads a session again on a thread of its own, which sends it as a [`Message::Rewound`].
+fn rewind(path: &Path, to_self: SyncSender<Message>) -> io::Result<()> {
+    let path = path.to_owned();
+    let work = move || {
+        let rewound = begin(&path).map(Box::new).map_err(|error| format!("{error:#}"));
+        // The receiver is gone if the program is ending.
+        let _ = to_self.send(Message::Rewound(rewound));
+    };
+    thread::Builder::new().name("loading".to_owned()).spawn(work).map(drop)
 }
 
 /// Loads a session and plays it silently up to its first shown step.

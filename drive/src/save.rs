@@ -7,12 +7,13 @@ use std::collections::VecDeque;
 use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::Duration;
 
 use supple::scenario::session::{RobotStep, SavedSession, SessionPart};
+use supple::util::terminal;
 use supple_record::Sink;
 
 use crate::message::Message;
@@ -83,10 +84,14 @@ struct Saved {
     minute: Option<Minute>,
 }
 
+/// Paths of recordings that are reserved and not yet whole; `None` once the program ends, when no further one is begun.
+type Unfinished = Arc<Mutex<Option<Vec<PathBuf>>>>;
+
 /// The threads that write sessions and recordings.
 #[derive(Debug)]
 pub struct Saver {
     to: SyncSender<Save>,
+    unfinished: Unfinished,
     /// Disconnected when the last session is written.
     ended: Receiver<()>,
 }
@@ -104,11 +109,15 @@ impl Saver {
         let (to, saves) = sync_channel::<Save>(WAITING);
         let (to_recorder, saved) = sync_channel::<Saved>(WAITING);
         let (end, ended) = channel();
-        let notices = to_robots.clone();
+        let (notices, unfinished) = (to_robots.clone(), Unfinished::new(Mutex::new(Some(Vec::new()))));
+        let (reserved, done) = (Arc::clone(&unfinished), Arc::clone(&unfinished));
         let save = move || {
             for Save { part, minute } in saves {
                 let text = match write_session(&folder, &part) {
-                    Ok((session, recording)) => hand_on(Saved { session, recording, minute }, &to_recorder),
+                    Ok((session, recording)) => {
+                        with(&reserved, |all| all.push(recording.clone()));
+                        hand_on(Saved { session, recording, minute }, &to_recorder, &reserved)
+                    }
                     Err(error) => format!("cannot save a session in {}: {error}", folder.display()),
                 };
                 // The receiver is gone if the program is ending.
@@ -118,17 +127,21 @@ impl Saver {
         };
         let record = move || {
             for saved in saved {
+                if with(&done, |_| ()).is_none() {
+                    return;
+                }
                 let name = saved.recording.display();
                 let text = match saved.record(&is_late) {
                     Ok(()) => format!("the recording {name} is written"),
                     Err(error) => format!("the recording {name} could not be written: {error:#}"),
                 };
+                with(&done, |all| all.retain(|path| *path != saved.recording));
                 let _ = to_robots.send(Message::Notice(text));
             }
         };
         thread::Builder::new().name("saving sessions".to_owned()).spawn(save)?;
         thread::Builder::new().name("recording".to_owned()).spawn(record)?;
-        Ok(Saver { to, ended })
+        Ok(Saver { to, unfinished, ended })
     }
 
     /// Saves a session.
@@ -141,10 +154,20 @@ impl Saver {
             .map_err(|_| "not saved, because others are being saved: try again in a moment".to_owned())
     }
 
-    /// Waits for a moment until all sessions are written; recordings are given up.
+    /// Waits for a moment until all sessions are written; recordings that are not whole are removed.
     pub fn finish(self) {
         drop(self.to);
         let _ = self.ended.recv_timeout(PATIENCE);
+        let unfinished = self.unfinished.lock().ok().and_then(|mut unfinished| unfinished.take());
+        for recording in unfinished.into_iter().flatten() {
+            let (session, name) = (recording.with_extension("jsonl"), recording.display());
+            let (session, word) = (terminal::shell_word(session), terminal::shell_word(&recording));
+            // What cannot be removed is empty or cut off, as the note says.
+            let _ = fs::remove_file(&recording);
+            terminal::note(format_args!(
+                "the recording {name} was given up; write it with: drive --replay {session} --record {word}"
+            ));
+        }
     }
 }
 
@@ -165,12 +188,18 @@ impl Saved {
     }
 }
 
+/// Changes the list of unfinished recordings; `None` if the program is ending.
+fn with<T>(unfinished: &Unfinished, change: impl FnOnce(&mut Vec<PathBuf>) -> T) -> Option<T> {
+    unfinished.lock().ok()?.as_mut().map(change)
+}
+
 /// Has the recording of a saved session written; returns the notice.
-fn hand_on(saved: Saved, to: &SyncSender<Saved>) -> String {
+fn hand_on(saved: Saved, to: &SyncSender<Saved>, unfinished: &Unfinished) -> String {
     let (session, recording) = (saved.session.display().to_string(), saved.recording.clone());
     if to.try_send(saved).is_ok() {
         return format!("saved the session as {session}; its recording is being written");
     }
+    with(unfinished, |all| all.retain(|path| *path != recording));
     // It is empty, and was only to reserve the name.
     let _ = fs::remove_file(recording);
     format!(
@@ -199,9 +228,41 @@ fn write_session(folder: &Path, part: &SessionPart) -> io::Result<(PathBuf, Path
 
 #[cfg(test)]
 mod tests {
+    use std::sync::mpsc::Sender;
+
     use supple::scenario::session::Writer;
 
     use super::*;
+
+    /// A saver whose recorder waits until a message arrives, as behind a recording that takes long.
+    fn busy_saver(folder: &Path) -> (Saver, Receiver<Message>, Sender<()>) {
+        let (to_robots, messages) = sync_channel(512);
+        let (go_on, wait) = channel::<()>();
+        let saver = Saver::start(folder.to_owned(), to_robots, move || wait.recv().is_ok()).unwrap();
+        (saver, messages, go_on)
+    }
+
+    #[test]
+    fn recordings_that_wait_at_the_end_leave_no_empty_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let (saver, messages, _go_on) = busy_saver(folder.path());
+        let mut cache = supple::scenario::session::AgentCache::default();
+        let robots = vec![cache.find("compliant", None).unwrap()];
+        let scene = supple::scenario::session::SceneKind::Flat;
+        let setup = supple::scenario::session::Setup { scene, seed: 0, robots };
+        let mut writer = Writer::new(tempfile::tempfile().unwrap());
+        writer.input(0, &supple::scenario::session::Input::Setup(setup), &cache).unwrap();
+        for _ in 0..2 {
+            let part = writer.part(None, 40, String::new()).unwrap();
+            saver.save(Save { part, minute: None }).unwrap();
+            assert!(matches!(messages.recv().unwrap(), Message::Notice(text) if text.contains("is being written")));
+        }
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 4);
+        saver.finish();
+        let mut left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        left.sort();
+        assert_eq!(left, ["drive-1.jsonl", "drive-2.jsonl"]);
+    }
 
     #[test]
     fn names_of_others_are_never_taken() {

@@ -9,8 +9,8 @@ Several processes may share a folder, also on several machines: one process at a
 read its results.
 */
 
-use std::fs::{self, File};
-use std::io;
+use std::fs::{self, File, TryLockError};
+use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -20,8 +20,14 @@ use super::results::PolicyResult;
 use super::{Condition, Experiment};
 use supple::estimate::{EstimatorConfig, SensorNoise, contact};
 use supple::scenario::Sensing;
-use supple::util::files;
+use supple::util::files::{self, FileError};
 use supple::util::provenance::{mujoco_version, revision_and_mujoco};
+
+/// Name of the file type in error messages.
+const RESULTS: &str = "results";
+
+/// The largest description of a lock's holder that is read \[bytes\].
+const MAX_HOLDER_BYTES: u64 = 1 << 10;
 
 /// The largest measurement that is read \[bytes\].
 const MAX_BYTES: u64 = 1 << 30;
@@ -41,7 +47,7 @@ pub struct StoredMeasurement {
     pub revision: String,
     /// The time that the trials took \[s\].
     pub wall_s: f64,
-    /// The hash of the samples.
+    /// The hash of all other fields.
     pub checksum: String,
     /// The samples, shape (conditions, trials).
     pub samples: PolicyResult,
@@ -68,23 +74,25 @@ impl MeasurementStore {
     pub fn read(&self, experiment: &dyn Experiment, key: &str) -> Option<StoredMeasurement> {
         let bytes = files::read_bounded(&self.path(experiment, key), MAX_BYTES).ok()?;
         let stored: StoredMeasurement = serde_json::from_slice(&bytes).ok()?;
-        (stored.key == key && stored.checksum == checksum(&stored.samples)).then_some(stored)
+        (stored.key == key && stored.checksum == stored.computed_checksum()).then_some(stored)
     }
 
-    /// Locks an experiment: waits until no other process measures it, and keeps others waiting while the file is open.
+    /// Locks an experiment: waits until no other process measures it, and keeps others waiting while the file is open. If it has
+    /// to wait, `waits` receives a description of the other process.
     ///
     /// # Errors
     /// The folder or its lock file cannot be created.
-    pub fn lock_experiment(&self, experiment: &dyn Experiment) -> io::Result<File> {
-        lock(&self.folder.join(experiment.info().name))
+    pub fn lock_experiment(&self, experiment: &dyn Experiment, waits: impl Fn(&str)) -> Result<File, FileError> {
+        let name = experiment.info().name;
+        lock(&self.folder.join(name), |other| waits(&format!("{other}, which measures {name}")))
     }
 
-    /// Locks the report: waits until no other process writes it, and keeps others waiting while the file is open.
+    /// Locks the report like [`MeasurementStore::lock_experiment`].
     ///
     /// # Errors
     /// The folder or its lock file cannot be created.
-    pub fn lock_report(&self) -> io::Result<File> {
-        lock(&self.folder)
+    pub fn lock_report(&self, waits: impl Fn(&str)) -> Result<File, FileError> {
+        lock(&self.folder, |other| waits(&format!("{other}, which writes the report")))
     }
 
     /// Writes a finished measurement.
@@ -98,37 +106,58 @@ impl MeasurementStore {
         member: &SetMember,
         wall_s: f64,
         samples: PolicyResult,
-    ) -> io::Result<()> {
-        let stored = StoredMeasurement {
+    ) -> Result<(), FileError> {
+        let mut stored = StoredMeasurement {
             key: key.to_owned(),
             experiment: experiment.info().name.to_owned(),
             sha256: member.agent.sha256.clone(),
             seed: member.seed,
             revision: revision_and_mujoco(),
             wall_s,
-            checksum: checksum(&samples),
+            checksum: String::new(),
             samples,
         };
+        stored.checksum = stored.computed_checksum();
         let path = self.path(experiment, key);
+        let fail = FileError::of(RESULTS, &path);
         if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder)?;
+            fs::create_dir_all(folder).map_err(fail)?;
         }
-        files::write_atomically(&path, &serde_json::to_vec(&stored)?)
+        let bytes = serde_json::to_vec(&stored).map_err(FileError::of(RESULTS, &path))?;
+        files::write_atomically(&path, &bytes).map_err(fail)
     }
 }
 
-fn lock(folder: &Path) -> io::Result<File> {
-    fs::create_dir_all(folder)?;
-    let file = File::options().create(true).append(true).open(folder.join(".lock"))?;
-    // On a file system without locks, two processes may measure the same: it costs time only.
-    let _ = file.lock();
-    files::clear_temporaries(folder)?;
-    Ok(file)
+impl StoredMeasurement {
+    /// Returns the hash of all other fields.
+    fn computed_checksum(&self) -> String {
+        let StoredMeasurement { key, experiment, sha256, seed, revision, wall_s, checksum: _, samples } = self;
+        let all = (key, experiment, sha256, seed, revision, wall_s, samples);
+        // Serialising structs of numbers and texts cannot fail.
+        files::sha256(&[&serde_json::to_vec(&all).unwrap_or_default()])
+    }
 }
 
-fn checksum(samples: &PolicyResult) -> String {
-    // Serialising structs of numbers cannot fail.
-    files::sha256(&[&serde_json::to_vec(samples).unwrap_or_default()])
+/// Locks a folder. The holder writes into the lock file who it is, and `waits` receives that of another process.
+fn lock(folder: &Path, waits: impl Fn(&str)) -> Result<File, FileError> {
+    let path = folder.join(".lock");
+    let fail = FileError::of(RESULTS, &path);
+    fs::create_dir_all(folder).map_err(FileError::of(RESULTS, folder))?;
+    let mut file = File::options().create(true).read(true).append(true).open(&path).map_err(fail)?;
+    // On a file system without locks, two processes may measure the same: it costs time only.
+    if let Err(TryLockError::WouldBlock) = file.try_lock() {
+        let mut holder = String::new();
+        let _ = (&file).take(MAX_HOLDER_BYTES).read_to_string(&mut holder);
+        let holder = if holder.is_empty() { "another process" } else { holder.trim() };
+        waits(holder);
+        let _ = file.lock();
+    }
+    // Others only read it; what cannot be written does no harm.
+    let _ = file.set_len(0);
+    let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    let _ = write!(file, "process {} on {}", std::process::id(), host.trim());
+    files::clear_temporaries(folder).map_err(FileError::of(RESULTS, folder))?;
+    Ok(file)
 }
 
 /// Returns the hash of everything that the results of an experiment with a policy depend on.
@@ -161,4 +190,38 @@ pub fn key(experiment: &dyn Experiment, conditions: &[Condition], member: &SetMe
         });
     }
     files::sha256(&[parts.to_string().as_bytes()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::Protocol;
+    use crate::trial::{Sample, TrialEnd};
+
+    #[test]
+    fn checksum_covers_every_field() {
+        let folder = tempfile::tempdir().unwrap();
+        let (store, protocol) = (MeasurementStore::new(folder.path()), Protocol::quick().unwrap());
+        let agent = supple::policy::shipped::find("compliant").unwrap();
+        let member = SetMember { seed: 3, file: PathBuf::from("x"), agent };
+        let sample = Sample {
+            end: TrialEnd::Upright,
+            values: vec![Some(0.5), None],
+            series: Vec::new(),
+            fault: None,
+            estimation: None,
+        };
+        let key = "0123456789abcdef0123";
+        store.write(&protocol.decay, key, &member, 1.25, vec![vec![sample]]).unwrap();
+        let path = store.path(&protocol.decay, key);
+        let whole = fs::read_to_string(&path).unwrap();
+        assert_eq!(store.read(&protocol.decay, key).unwrap().seed, 3);
+        let wrong =
+            [("\"seed\":3", "\"seed\":4"), ("1.25", "1.5"), ("0.5", "0.25"), ("\"sha256\":\"", "\"sha256\":\"0")];
+        for (from, to) in wrong {
+            assert!(whole.contains(from), "{from} in {whole}");
+            fs::write(&path, whole.replacen(from, to, 1)).unwrap();
+            assert!(store.read(&protocol.decay, key).is_none(), "{to}");
+        }
+    }
 }

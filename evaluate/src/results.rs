@@ -29,7 +29,7 @@ pub struct EndCounts {
     pub trials: usize,
     /// The number of trials that ended in a fall.
     pub falls: usize,
-    /// The number of trials in which the physics failed.
+    /// The number of trials in which the policy, the physics or the sensors failed.
     pub faults: usize,
     /// The number of trials that were not played, because the policy does not support their commanded compliance.
     #[serde(skip_serializing_if = "is_zero")]
@@ -131,6 +131,28 @@ impl Results {
         common.first().filter(|seed| self.sets[set].contains_key(seed)).or(self.sets[set].keys().next()).copied()
     }
 
+    /// Describes the faults in the trials of a set: how many there were, and which was the first; `None` if there were none.
+    pub fn faults(&self, set: usize) -> Option<String> {
+        let name = &self.names[set];
+        let EndCounts { trials, faults, .. } = self.ends(set);
+        let mut first = self.sets[set].iter().flat_map(|(seed, policy)| {
+            policy.iter().zip(&self.conditions).flat_map(move |(samples, condition)| {
+                let faulty = samples.iter().enumerate().filter(|(_, sample)| sample.end == TrialEnd::Fault);
+                faulty.map(move |(trial, sample)| {
+                    let label = &condition.label;
+                    let label = if label.is_empty() { String::new() } else { format!("condition {label}, ") };
+                    let reason = sample.fault.as_deref().unwrap_or("its reason was not kept");
+                    format!("policy of seed {seed}, {label}trial {trial}: {reason}")
+                })
+            })
+        });
+        let first = first.next()?;
+        Some(format!(
+            "{faults} of {trials} trials of {name} ended in a fault; they count as no success and have no other numbers. The first, \
+             {first}"
+        ))
+    }
+
     /// Counts how the trials of a set ended.
     pub fn ends(&self, set: usize) -> EndCounts {
         let mut ends = EndCounts::default();
@@ -170,6 +192,7 @@ mod tests {
                 end,
                 values: vec![*value, None, None, None, None, Some(fell)],
                 series: Vec::new(),
+                fault: None,
                 estimation: None,
             }
         };

@@ -12,6 +12,7 @@ use super::trial::{self, Sample, TrialError};
 use super::{Condition, Experiment};
 use supple::config::ConfigError;
 use supple::scenario::Sensing;
+use supple::util::files::FileError;
 
 /// The reason why an experiment was not finished.
 #[derive(Debug, thiserror::Error)]
@@ -31,12 +32,21 @@ pub enum RunError {
     Store {
         /// The name of the experiment.
         experiment: &'static str,
-        /// The system's reason.
-        source: std::io::Error,
+        /// The file and the reason.
+        source: FileError,
     },
     /// A scenario file inside the program is invalid.
     #[error(transparent)]
     Config(#[from] ConfigError),
+}
+
+/// What happens while an experiment is measured.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Update {
+    /// A trial of this cost was played \[seconds of simulated time\].
+    Played(f64),
+    /// Another process measures the experiment: this one waits for it. The text says which one it is.
+    Waits(String),
 }
 
 /// The settings of measurements.
@@ -107,8 +117,7 @@ pub fn finished(
     Ok(Some(Measurement { results, wall_s, revisions }))
 }
 
-/// Measures an experiment with each policy for which the store has no measurement. `progress` receives the cost of each
-/// trial when it has been played.
+/// Measures an experiment with each policy for which the store has no measurement, and reports its progress.
 ///
 /// # Errors
 /// A trial cannot be played, or the results cannot be written.
@@ -116,7 +125,7 @@ pub fn measure(
     experiment: &dyn Experiment,
     policies: &PolicySets,
     settings: &Settings,
-    progress: &(dyn Fn(f64) + Sync),
+    progress: &(dyn Fn(Update) + Sync),
 ) -> Result<(), RunError> {
     let (name, conditions) = (experiment.info().name, experiment.conditions()?);
     let store = |source| RunError::Store { experiment: name, source };
@@ -126,7 +135,8 @@ pub fn measure(
         if is_there() {
             continue;
         }
-        let _lock = settings.store.lock_experiment(experiment).map_err(store)?;
+        let waits = |other: &str| progress(Update::Waits(other.to_owned()));
+        let _lock = settings.store.lock_experiment(experiment, waits).map_err(store)?;
         // Another process may have measured it meanwhile.
         if is_there() {
             continue;
@@ -147,14 +157,14 @@ fn play_all(
     conditions: &[Condition],
     member: &SetMember,
     settings: &Settings,
-    progress: &(dyn Fn(f64) + Sync),
+    progress: &(dyn Fn(Update) + Sync),
 ) -> Result<PolicyResult, TrialError> {
     let (number, trials) = (experiment.info().number, experiment.info().trials as usize);
     let play = |index: usize| {
         let condition = &conditions[index / trials];
         let seed = trial::trial_seed(member.seed, number, index / trials, (index % trials) as u32);
         let sample = trial::play(experiment, condition, seed, &member.agent, settings.sensing)?;
-        progress(condition.scenario.cost());
+        progress(Update::Played(condition.scenario.cost()));
         Ok(sample)
     };
     let played =

@@ -111,9 +111,13 @@ pub struct Line {
 /// The text of a cell without a number.
 pub const NOTHING: &str = "–";
 
-/// Returns a value as text in its quantity's printed unit and digits, without the unit.
+/// Returns a value as text in its quantity's printed unit and digits, without the unit; huge ones have an exponent.
 pub fn number(value: f64, quantity: Quantity) -> String {
-    let text = format!("{:.*}", quantity.digits, quantity.scale() * value);
+    let value = quantity.scale() * value;
+    if value.abs() >= 1e7 {
+        return format!("{value:.2e}").replace('-', "−");
+    }
+    let text = format!("{value:.*}", quantity.digits);
     // A value that is rounded to zero has no minus sign.
     let text = if is_zero(&text) { text.trim_start_matches('-').to_owned() } else { text };
     text.replace('-', "−")
@@ -174,6 +178,7 @@ mod tests {
         let metres = Quantity::new("x", "x", "m", 2);
         assert_eq!(number(-1.234, metres), "−1.23");
         assert_eq!(number(-0.001, metres), "0.00");
+        assert_eq!(number(-1.5e300, metres), "−1.50e300");
         assert_eq!(number(0.785, Quantity::new("x", "x", "%", 0)), "78");
     }
 

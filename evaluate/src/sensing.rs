@@ -169,6 +169,7 @@ mod tests {
             end: TrialEnd::Upright,
             values: vec![Some(value); experiment.info().quantities.len()],
             series: Vec::new(),
+            fault: None,
             estimation: is_estimated.then_some(Estimation {
                 velocity_rmse_m_s: 0.01 * value,
                 height_rmse_m: 0.0,

@@ -37,7 +37,7 @@ pub enum TrialEnd {
     Upright,
     /// The robot fell.
     Fell,
-    /// The physics or the sensors failed; the trial counts as neither a fall nor a success.
+    /// The policy, the physics or the sensors failed; the trial counts as neither a fall nor a success.
     Fault,
     /// The trial was not played, because the policy does not support the compliance that the condition commands.
     OutOfReach,
@@ -74,6 +74,9 @@ pub struct Sample {
     /// The time series that the experiment's figures draw, in the experiment's order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub series: Vec<Vec<f32>>,
+    /// The time and the reason of a fault that ended the trial.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fault: Option<String>,
     /// The errors of the state estimates; none if the policy acted on the true state.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub estimation: Option<Estimation>,
@@ -161,7 +164,7 @@ pub fn play(
     let mut script = scenario.script(seed, &agent.config)?;
     let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else {
         let values = vec![None; experiment.info().quantities.len()];
-        return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), estimation: None });
+        return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), fault: None, estimation: None });
     };
     script.command.compliance = compliance;
     // End the playback at the last measured instant or at the fall.
@@ -172,7 +175,9 @@ pub fn play(
     let trace = playback.trace();
     let trial = Trial::new(&scenario, &script, &trace);
     let TrialValues { values, series } = experiment.measure(&trial);
-    Ok(Sample { end: trial.end, values, series, estimation: Estimation::of(&trace) })
+    let fault = trace.fault().filter(|_| trial.end == TrialEnd::Fault);
+    let fault = fault.map(|fault| format!("stopped after {:.2} s: {}", fault.time_s, fault.text));
+    Ok(Sample { end: trial.end, values, series, fault, estimation: Estimation::of(&trace) })
 }
 
 #[cfg(test)]

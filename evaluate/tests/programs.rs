@@ -12,7 +12,7 @@ use supple::config::Config;
 use supple::policy::Policy;
 use supple::policy::compliance::{Point, PolicyCalibration};
 use supple_evaluate::experiments::Protocol;
-use support::{complaint, example, run, standing_policy, zero_policy};
+use support::{broken_policy, complaint, example, run, standing_policy, zero_policy};
 
 /// The smallest protocol that runs every experiment.
 const TINY: &str = "
@@ -183,7 +183,7 @@ fn two_processes_share_a_folder_without_repeating_work() {
     let spawn = |arguments: &[&str]| {
         let arguments = [&["--protocol", "tiny.yaml", "--out", "shared"], arguments].concat();
         let mut command = Command::new(support::program("evaluate"));
-        command.args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+        command.args(arguments).current_dir(folder).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()
     };
     // The process that ends last reports everything.
     evaluate(folder, &["walk", "decay", "leash", "box", "--out", "alone"]);
@@ -197,7 +197,8 @@ fn two_processes_share_a_folder_without_repeating_work() {
     std::fs::create_dir(&place).unwrap();
     let lock = std::fs::File::create(place.join(".lock")).unwrap();
     lock.lock().unwrap();
-    let mut waiting = spawn(&["walk"]);
+    std::fs::write(place.join(".lock"), "process 7 on elsewhere").unwrap();
+    let waiting = spawn(&["walk"]);
     let is_waiting =
         |text: String| text.lines().any(|line| line.contains("->") && line.contains(&format!(" {} ", waiting.id())));
     while !is_waiting(std::fs::read_to_string("/proc/locks").unwrap()) {
@@ -208,7 +209,9 @@ fn two_processes_share_a_folder_without_repeating_work() {
     }
     let before = kept(&folder.join("shared"));
     drop(lock);
-    assert!(waiting.wait().unwrap().success() && kept(&folder.join("shared")) == before);
+    let output = waiting.wait_with_output().unwrap();
+    assert!(output.status.success() && kept(&folder.join("shared")) == before);
+    assert!(complaint(&output).contains("waiting for process 7 on elsewhere, which measures walk"));
     assert!(summary(folder, "shared") == summary(folder, "alone"));
 }
 
@@ -589,4 +592,48 @@ fn invalid_arguments_exit_with_code_2() {
         assert_eq!(complaint.lines().count(), 1, "{complaint}");
         assert!(!folder.join("x").exists(), "{arguments:?} left a folder");
     }
+}
+
+#[test]
+fn faults_are_named_and_end_with_two() {
+    let folder = folder_with(&[("standing.safetensors", standing_policy())]);
+    let folder = folder.path();
+    broken_policy(folder);
+    let sets = ["--a", "broken.yaml", "--b", "policies/standing.safetensors", "--names", "mine,ours"];
+    let output = attempt(folder, &[&["walk", "--out", "report"], &sets[..]].concat());
+    let words = complaint(&output);
+    assert_eq!(output.status.code(), Some(2), "{words}");
+    // Twenty trials of two commands.
+    assert!(words.contains("experiment walk: 40 of 40 trials of mine ended in a fault"), "{words}");
+    assert!(words.contains("FR_hip is NaN"), "{words}");
+    let walk = summary(folder, "report");
+    let walk = experiment(&walk, "walk");
+    assert_eq!((&walk["trials"]["mine"]["faults"], &walk["trials"]["ours"]["faults"]), (&40.into(), &0.into()));
+    let page = std::fs::read_to_string(folder.join("report/report.html")).unwrap();
+    assert!(page.contains("FR_hip is NaN"));
+}
+
+#[test]
+fn names_and_labels_are_checked_before_measuring() {
+    let folder = folder_with_pair(standing_policy(), standing_policy());
+    let folder = folder.path();
+    let long = "n".repeat(41);
+    let pair = ["--a", "policies/compliant-seed0.safetensors", "--b", "policies/baseline-seed0.safetensors"];
+    for name in ["a\u{7}", "a\nb", &long] {
+        refuses(
+            folder,
+            &[&["walk", "--out", "r", "--names", &format!("{name},b")], &pair[..]].concat(),
+            "--names: the name",
+        );
+        let also = format!("{name}=policies/baseline-seed0.safetensors");
+        refuses(folder, &["walk", "--out", "r", "--also", &also], "--also: the name");
+    }
+    for results in [".", "nowhere/x.md"] {
+        refuses(folder, &["walk", "--out", "r", "--results", results], &format!("--results {results}: "));
+    }
+    assert!(!folder.join("r").exists());
+    // A label with all its zeros would be longer than its figure is wide.
+    std::fs::write(folder.join("tiny.yaml"), "wall: {commands_m_s: [1.0e-300], trials: 1}").unwrap();
+    evaluate(folder, &["wall", "--out", "r"]);
+    assert!(std::fs::read_to_string(folder.join("r/figures/wall.svg")).unwrap().contains("1e-300 m/s"));
 }

@@ -8,7 +8,7 @@ at [`Environments::step`]; `python/lib/supple/environment.py` turns its arrays i
 use std::sync::{Arc, Mutex, PoisonError, TryLockError};
 
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
-use pyo3::exceptions::{PyRuntimeError, PyValueError};
+use pyo3::exceptions::{PyRuntimeError, PyUserWarning, PyValueError};
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use supple::config::Config;
@@ -18,11 +18,13 @@ use supple::robot::{JOINTS, Robot, joint_names};
 use supple::task::reward::TERMS;
 use supple::task::{Command, Curriculum, Stage, Terms};
 use supple::train::environment::{EnvStep, EpisodeEnd, EpisodeReport, LocomotionEnv};
+use supple::train::environment_bytes;
 use supple::train::metrics::EpisodeMeans;
+use supple::util::memory::{FreeMemory, gibibytes};
 
 use crate::failure::{apart, failed, refused};
 
-/// Number of environments created between two checks for Ctrl-C.
+/// Number of environments created between two checks for Ctrl-C; so few fit into any machine.
 const MADE: usize = 64;
 
 /// The autoreset modes of Gymnasium.
@@ -144,6 +146,9 @@ impl Environments {
         let layout = config.layout().map_err(refused)?;
         let layout = Arc::new(layout);
         let first_curriculum = Curriculum::new(&config.command);
+        if num_envs > MADE {
+            check_memory(py, &config, num_envs)?;
+        }
         let world = apart(py, || {
             let environment = |index| {
                 if index % MADE == 0 {
@@ -178,16 +183,18 @@ impl Environments {
         Ok(Environments { world: Mutex::new(Some(world)), process: std::process::id(), config, robot, layout })
     }
 
-    /// Starts episodes: with a seed the first ones of that seed, else the next ones; with a mask only where it is true.
+    /// Starts episodes: with a seed for each environment the first ones of that seed, else the next ones; with a mask only where
+    /// it is true.
     ///
     /// Returns normalised observations, float32 (n, length), and commands, float64 (n, 3): forward, left [m/s], yaw rate [rad/s].
     fn reset<'py>(
         &self,
         py: Python<'py>,
-        seed: Option<u64>,
+        seeds: Option<Vec<u64>>,
         mask: Option<Vec<bool>>,
     ) -> PyResult<(Table<'py, f32>, Table<'py, f64>)> {
-        let (observations, commands) = self.with(py, |world| world.reset(seed, mask.as_deref()).map_err(failed))?;
+        let (observations, commands) =
+            self.with(py, |world| world.reset(seeds.as_deref(), mask.as_deref()).map_err(failed))?;
         Ok((table(py, observations, self.layout.length())?, table(py, commands, 3)?))
     }
 
@@ -338,21 +345,53 @@ impl Environments {
     }
 }
 
+/// Returns the number of cores that this process may use: those that it is bound to, fewer under a quota of a control group.
+#[pyfunction]
+pub fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// Checks that the machine has enough memory for environments, and warns if it may have too little.
+fn check_memory(py: Python<'_>, config: &Config, num_envs: usize) -> PyResult<()> {
+    let first = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command)).map_err(failed)?;
+    let (each, free) = (environment_bytes(&first), FreeMemory::now());
+    let total = each.saturating_mul(num_envs as u64);
+    let problem = |left: u64| {
+        let (each, total, left) = (each >> 10, gibibytes(total), gibibytes(left));
+        format!(
+            "num_envs is {num_envs}: the environments take {total} of memory ({each} KiB each), and the machine has {left} left: \
+             lower num_envs"
+        )
+    };
+    match free {
+        Some(free) if total > free.at_most => Err(PyValueError::new_err(problem(free.at_most))),
+        Some(free) if total > free.surely => {
+            let words = std::ffi::CString::new(problem(free.surely)).unwrap_or_default();
+            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &words, 2)
+        }
+        _ => Ok(()),
+    }
+}
+
 impl VecWorld {
-    fn reset(&mut self, seed: Option<u64>, mask: Option<&[bool]>) -> mujoco::Result<(Vec<f32>, Vec<f64>)> {
-        if seed.is_some() {
+    fn reset(&mut self, seeds: Option<&[u64]>, mask: Option<&[bool]>) -> mujoco::Result<(Vec<f32>, Vec<f64>)> {
+        if seeds.is_some() {
             (self.curriculum, self.steps) = (self.first_curriculum, 0);
             self.episodes.iter_mut().for_each(Vec::clear);
         }
-        let seed = seed.or(self.seed);
+        let seeds: Vec<Option<u64>> = match seeds {
+            Some(seeds) => seeds.iter().copied().map(Some).collect(),
+            None => vec![self.seed; self.environments.len()],
+        };
         let (curriculum, stagger, length) = (self.curriculum, self.stagger, self.length);
         let mut observations = vec![0.0; self.environments.len() * length];
         let mut done: Vec<mujoco::Result<()>> = vec![Ok(()); self.environments.len()];
         let chosen: Vec<bool> = mask.map_or_else(|| vec![true; self.environments.len()], <[bool]>::to_vec);
-        let each = self.environments.iter_mut().zip(&chosen).zip(observations.chunks_mut(length)).zip(&mut done);
-        share(self.helpers.as_ref(), each, |(((environment, chosen), seen), done)| {
+        let each =
+            self.environments.iter_mut().zip(&chosen).zip(&seeds).zip(observations.chunks_mut(length)).zip(&mut done);
+        share(self.helpers.as_ref(), each, |((((environment, chosen), seed), seen), done)| {
             if *chosen {
-                *done = begin(environment, seed, curriculum, stagger);
+                *done = begin(environment, *seed, curriculum, stagger);
             }
             environment.normalised_observation(seen);
         });

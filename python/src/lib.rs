@@ -19,7 +19,7 @@ use pyo3::prelude::*;
 #[pymodule]
 mod _supple {
     #[pymodule_export]
-    use super::environments::Environments;
+    use super::environments::{Environments, cores};
     #[pymodule_export]
     use super::evaluation::{evaluate, experiments};
     #[pymodule_export]

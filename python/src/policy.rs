@@ -5,11 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
 };
-use pyo3::exceptions::PyTypeError;
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use supple::config::Config;
 use supple::policy::{Agent, Buffers, Inference, Meaning, Network, external, shipped};
-use supple::robot::{JOINTS, joint_names};
+use supple::robot::{JOINTS, joint_name, joint_names};
 
 use crate::failure::{apart, refused};
 
@@ -49,7 +49,8 @@ impl Policy {
         Ok(Policy { name: "function".into(), agent, raised: Some(raised) })
     }
 
-    /// Returns actions, float32 (n, 12), for normalised observations, float32 (n, length).
+    /// Returns actions, float32 (n, 12), for normalised observations, float32 (n, length). Actions that are not finite are a
+    /// ValueError.
     fn act<'py>(
         &self,
         py: Python<'py>,
@@ -59,6 +60,13 @@ impl Policy {
         let seen = observations.as_slice()?.to_vec();
         let actions = apart(py, || Ok(inference.actions(rows, &seen, &mut Buffers::default())))?;
         self.check()?;
+        if let Some(at) = actions.iter().position(|action| !action.is_finite()) {
+            let (name, row, joint) = (&self.name, at / JOINTS, joint_name(inference.layout.order()[at % JOINTS]));
+            return Err(PyValueError::new_err(format!(
+                "{name}: the action of {joint} is {}: the policy cannot cope with the observation in row {row}",
+                actions[at]
+            )));
+        }
         actions.into_pyarray(py).reshape([rows, JOINTS])
     }
 

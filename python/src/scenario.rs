@@ -35,6 +35,9 @@ pub fn run_scenario<'py>(
     record: Option<PathBuf>,
 ) -> PyResult<(Numbers, Bound<'py, PyDict>, Events, Option<String>)> {
     let scenario = Scenario::named(name, parameters).map_err(refused)?;
+    if let Some(path) = &record {
+        check_recording(path)?;
+    }
     let sensing = sensing(estimated);
     let (script, trace) = apart(py, || {
         let mut script = scenario.script(seed, &policy.agent.config).map_err(unfit)?;
@@ -77,6 +80,16 @@ fn play(policy: &Policy, script: &Script, sensing: Sensing, seed: u64, with_bodi
         trace.frames.extend(played.frame);
     }
     Ok(trace)
+}
+
+#[cfg(feature = "record")]
+fn check_recording(path: &std::path::Path) -> PyResult<()> {
+    supple_record::check_name(path).map_err(refused)
+}
+
+#[cfg(not(feature = "record"))]
+fn check_recording(_: &std::path::Path) -> PyResult<()> {
+    Ok(())
 }
 
 #[cfg(feature = "record")]

@@ -498,7 +498,7 @@ def test_a_panic_becomes_an_exception():
     "work",
     [
         "env = supple.make_vec(num_envs=256)\nwhile True: env.step(numpy.zeros((256, 12)))",
-        "supple.make_vec(num_envs=100_000)",
+        "while True: supple.make_vec(num_envs=1000)",
         "supple.run_scenario('walk', duration_s=3600.0)",
         "supple.run_scenario('walk', lambda seen: numpy.zeros(12), duration_s=3600.0)",
         "supple.evaluate('compliant', protocol='full')",
@@ -515,3 +515,30 @@ def test_ctrl_c_ends_whatever_is_under_way(work):
     os.kill(child.pid, signal.SIGINT)
     _, errors = child.communicate(timeout=20)
     assert child.returncode == -signal.SIGINT and "KeyboardInterrupt" in errors
+
+
+def test_a_render_mode_is_refused_with_what_there_is_instead():
+    for create in (supple.make, supple.make_vec):
+        with pytest.raises(ValueError, match="render_mode is 'human', expected None.*record="):
+            create(render_mode="human")
+    with pytest.raises(ValueError, match="render_mode is 'rgb_array'"):
+        gymnasium.make("supple/Locomotion-v0", render_mode="rgb_array")
+    for env in (supple.make(), supple.make_vec(num_envs=1, threads=1)):
+        with pytest.raises(NotImplementedError, match="draw nothing"):
+            env.render()
+
+
+def test_a_list_of_seeds_has_one_for_each_environment():
+    env = supple.make_vec(num_envs=3, seed=0, threads=1)
+    alone = {seed: env.reset(seed=seed)[0] for seed in (5, 6)}
+    mixed = env.reset(seed=[5, 6, np.int64(5)])[0]
+    for k, seed in enumerate((5, 6, 5)):
+        assert np.array_equal(mixed[k], alone[seed][k])
+    for wrong in ([5, 6], [5, 6, -1], "abc", [5, 6, 7.5]):
+        with pytest.raises(ValueError, match="seed"):
+            env.reset(seed=wrong)
+
+
+def test_more_environments_than_memory_are_refused():
+    with pytest.raises(ValueError, match="num_envs is 1000000.*GiB.*lower num_envs"):
+        supple.make_vec(num_envs=1_000_000)

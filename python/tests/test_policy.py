@@ -299,3 +299,30 @@ def test_the_examples_learn_and_leave_a_policy_that_plays(programs, tmp_path, ex
     assert len((tmp_path / "curve.csv").read_text().splitlines()) == 3
     programs.run("scenario", "walk", "--policy", tmp_path / "policy.yaml", "--duration-s", 0.5, "--no-record")
     assert supple.Policy.load(tmp_path / "policy.yaml").action_names[0] == "FR_hip"
+
+
+def test_a_network_that_answers_nan_is_a_fault(programs, tmp_path):
+    onnx = pytest.importorskip("onnx")
+    network = onnx.load(programs.root / "tests/fixtures/onnx/rsl_rl.onnx")
+    bias = next(weight for weight in network.graph.initializer if weight.name == "actor.4.bias")
+    bias.raw_data = np.full(12, np.nan, np.float32).tobytes()
+    onnx.save(network, tmp_path / "policy.onnx")
+    description = (programs.root / "examples/policies/rsl_rl.yaml").read_text()
+    (tmp_path / "policy.yaml").write_text(description)
+    run = supple.run_scenario("walk", tmp_path / "policy.yaml", duration_s=1.0)
+    assert run.fell is None and "is NaN" in run.fault
+    with pytest.raises(ValueError, match="the action of FL_hip is NaN"):
+        supple.Policy.load(tmp_path / "policy.yaml")(np.zeros(48))
+
+
+def test_observations_that_overflow_the_network_are_refused():
+    policy = supple.Policy.load("compliant")
+    seen = np.zeros((3, 83), np.float32)
+    seen[1] = 1e38
+    with pytest.raises(ValueError, match="observation in row 1"):
+        policy(seen)
+
+
+def test_a_recording_under_the_name_of_a_video_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="walk.mp4.*name it .*walk.rrd"):
+        supple.run_scenario("walk", duration_s=1.0, record=tmp_path / "walk.mp4")

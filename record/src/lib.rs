@@ -16,7 +16,7 @@ mod style;
 #[cfg(test)]
 mod tests;
 
-pub use stream::{LiveSink, Sink, page_url};
+pub use stream::{LiveSink, Sink, check_name, page_url};
 pub use style::{BLUE, ORANGE, Rgb};
 
 use std::path::PathBuf;
@@ -38,6 +38,16 @@ pub enum RecordError {
         path: PathBuf,
         /// Reason given by the operating system.
         source: std::io::Error,
+    },
+    /// The name of the file has another ending than `.rrd`.
+    #[error(
+        "cannot create the recording {}: it is for the rerun viewer (no video, no table) and its name ends with .rrd; name it {}",
+        path.display(),
+        path.with_extension("rrd").display()
+    )]
+    Ending {
+        /// Path of the file.
+        path: PathBuf,
     },
     /// No viewer answers at the URL.
     #[error("no rerun viewer answers at {url}: {reason}; start one with `rerun`, or record to a file")]

@@ -60,6 +60,21 @@ pub enum LiveSink {
     Connect(Option<String>),
 }
 
+/// Checks that a recording can have this name: that of a file that ends with `.rrd`, as the viewer expects, or of a device.
+///
+/// # Errors
+/// The name has another ending or none, or stands for a folder or standard output.
+pub fn check_name(path: &Path) -> Result<(), RecordError> {
+    let create = |source| RecordError::Create { path: path.to_owned(), source };
+    match Target::of(path).map_err(create)? {
+        Target::Output => Err(create(io::Error::other("a recording cannot go to standard output: name a file"))),
+        Target::File(_) if path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("rrd")) => {
+            Err(RecordError::Ending { path: path.to_owned() })
+        }
+        Target::File(_) | Target::Stream(_) => Ok(()),
+    }
+}
+
 /// Returns the address of the page that [`Sink::Serve`] serves on a port, with the recording open in it.
 pub fn page_url(port: u16) -> String {
     format!("http://{LOCAL}:{port}?url=rerun%2Bhttp://{LOCAL}:{}/proxy", port.saturating_add(1))
@@ -108,9 +123,7 @@ impl Stream {
             Sink::File(path) => {
                 let target = path.display().to_string();
                 let create = |source| RecordError::Create { path: path.clone(), source };
-                if Target::of(&path).map_err(create)? == Target::Output {
-                    return Err(create(io::Error::other("a recording cannot go to standard output: name a file")));
-                }
+                check_name(&path)?;
                 if let Some(folder) = path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
                     fs::create_dir_all(folder).map_err(create)?;
                 }

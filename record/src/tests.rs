@@ -3,6 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::net::TcpListener;
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use rerun::external::re_sdk_types::blueprint::archetypes::{EyeControls3D, ViewContents};
@@ -172,6 +173,16 @@ fn places_where_nothing_can_be_written_are_errors() {
         assert!(matches!(open(Sink::File(path.into())), Err(RecordError::Create { .. })), "{path}");
     }
     assert!(matches!(open(Sink::Connect(Some("nonsense".into()))), Err(RecordError::Viewer { .. })));
+}
+
+#[test]
+fn a_recording_is_named_as_one() {
+    for path in ["walk.mp4", "walk", "walk.rrd.csv"] {
+        assert!(matches!(check_name(Path::new(path)), Err(RecordError::Ending { .. })), "{path}");
+    }
+    for path in ["walk.rrd", "WALK.RRD", "new folder/a.b.rrd", "/dev/null"] {
+        assert!(check_name(Path::new(path)).is_ok(), "{path}");
+    }
 }
 
 #[cfg(target_os = "linux")]

@@ -351,6 +351,27 @@ fn seeds_give_means_and_spread_of_the_numbers_that_each_gives_alone() {
 }
 
 #[test]
+fn seeds_that_draw_nothing_are_one_trial() {
+    let folder = tempfile::tempdir().unwrap();
+    let arguments = ["leash", "--policy", "compliant", "--duration-s", "1", "--seeds", "3..5", "--json"];
+    let output = run("scenario", folder.path(), &arguments);
+    assert!(complaint(&output).contains("seeds draw nothing in leash"), "{}", complaint(&output));
+    let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(found["seeds"], serde_json::json!([3, 3]));
+    let power = &found["runs"][0]["metrics"]["power_w"];
+    assert_eq!((&power["count"], &power["standard_deviation"]), (&1.into(), &Value::Null));
+}
+
+#[test]
+fn recording_with_another_ending_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = run("scenario", folder.path(), &["walk", "--policy", "compliant", "--record", "walk.mp4"]);
+    let words = complaint(&output);
+    assert!(output.status.code() == Some(2) && words.contains("walk.mp4") && words.contains("walk.rrd"), "{words}");
+    assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+}
+
+#[test]
 fn csv_quotes_the_name_of_a_policy() {
     let folder = tempfile::tempdir().unwrap();
     let shipped = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../policies/compliant-seed0.safetensors");

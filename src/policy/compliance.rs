@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::Policy;
+use super::Agent;
 use super::controller::Controller;
 use crate::config::Config;
 use crate::observation::Command;
@@ -199,16 +199,17 @@ impl CompliantObservations {
     /// Starts for a commanded compliance [m/s/N]; observations arrive at the policy's own rate.
     ///
     /// # Errors
-    /// The policy does not observe its command, or the compliance is out of its range.
-    pub fn new(policy: &Policy, calibration: &PolicyCalibration, compliance: f64) -> Result<Self, ComplianceError> {
+    /// The policy has not been calibrated, does not observe its command, or the compliance is out of its range.
+    pub fn new(agent: &Agent, compliance: f64) -> Result<Self, ComplianceError> {
+        let calibration = agent.calibration.as_ref().ok_or(ComplianceError::NotCalibrated)?;
         calibration.check(compliance)?;
-        let names = policy.layout().names();
+        let names = agent.inference().layout.names();
         let place = |name: &str| {
             let wanted = names.iter().position(|known| known == name);
             wanted.ok_or_else(|| ComplianceError::NotSeen { name: name.to_owned() })
         };
         Ok(CompliantObservations {
-            mass: calibration.virtual_mass(&policy.provenance.config),
+            mass: calibration.virtual_mass(&agent.config),
             change: [0.0; 2],
             compliance,
             command: [place("commanded forward [m/s]")?, place("commanded left [m/s]")?],
@@ -292,10 +293,10 @@ mod tests {
 
     #[test]
     fn observations_get_the_command_of_the_controller() {
-        let policy = crate::policy::shipped::find_ours("compliant").unwrap();
-        let calibration = parsed(TEXT).unwrap();
-        let mut compliant = CompliantObservations::new(&policy, &calibration, 0.03).unwrap();
-        let mut observation = vec![0.0; policy.layout().length()];
+        let mut agent = crate::policy::shipped::find("compliant").unwrap();
+        agent.calibration = Some(parsed(TEXT).unwrap());
+        let mut compliant = CompliantObservations::new(&agent, 0.03).unwrap();
+        let mut observation = vec![0.0; agent.inference().layout.length()];
         // As `policy show` has them: commanded left, forward, yaw rate.
         (observation[80], observation[81], observation[82]) = (0.0, 0.5, 0.25);
         compliant.apply(&mut observation, [-10.0, 0.0]);
@@ -303,7 +304,7 @@ mod tests {
         let forward = 0.5 - 0.25 * (1.0 - (-1.0_f64 / 15.0).exp());
         assert!((observation[81] - forward).abs() < 1e-12, "{}", observation[81]);
         assert_eq!((observation[80], observation[82]), (0.0, 0.25));
-        assert!(CompliantObservations::new(&policy, &calibration, 0.06).is_err());
+        assert!(CompliantObservations::new(&agent, 0.06).is_err());
     }
 
     #[test]

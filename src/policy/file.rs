@@ -12,6 +12,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 
 use super::inference::{Action, Buffers, Inference, Meaning, Network};
+use super::pytorch;
 use crate::config::{Config, Simulation, ValueError};
 use crate::network::{ActorCritic, Mlp, NetworkError, PackedMlp};
 use crate::observation::{Layout, LayoutError};
@@ -200,9 +201,7 @@ impl Policy {
     /// # Panics
     /// The observation has another length.
     pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
-        let layout = self.layout();
-        let seen: Vec<f32> = observation.iter().enumerate().map(|(k, raw)| layout.normalised(k, *raw)).collect();
-        self.inference.act(&seen, buffers).1
+        self.inference.joint_targets(observation, buffers)
     }
 
     /// Serialises the policy to the bytes of a policy file.
@@ -268,7 +267,11 @@ impl Policy {
     }
 
     fn parse(bytes: &[u8]) -> Result<Self, Fault> {
-        let (tensors, json) = tensors::deserialize(bytes)?;
+        let read = tensors::deserialize(bytes);
+        if matches!(read, Err(TensorError::Broken(_))) && pytorch::is_pytorch(bytes) {
+            return Err(Fault::PyTorch);
+        }
+        let (tensors, json) = read?;
         let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
         let layout = metadata.check()?;
         let length = layout.length();
@@ -334,6 +337,8 @@ fn inference(actor: &Mlp, layout: Layout, nominal_pose: Joints, scale_rad: f64, 
 enum Fault {
     #[error(transparent)]
     Tensors(#[from] TensorError),
+    #[error("{}", pytorch::ADVICE)]
+    PyTorch,
     #[error("its policy: {0}")]
     Network(#[from] NetworkError),
     #[error(transparent)]
@@ -446,6 +451,19 @@ mod tests {
         newer[at + 11] = b'9';
         let error = Policy::from_bytes(&newer, Path::new("newer")).unwrap_err().to_string();
         assert!(error.contains("its format is 9, this program reads 1"), "{error}");
+    }
+
+    #[test]
+    fn a_file_of_pytorch_is_told_from_a_damaged_one() {
+        // A zip archive as torch.save writes it, and the pickle of older versions.
+        for bytes in [&b"PK\x03\x04\x00\x00\x08\x08archive/data.pkl"[..], b"\x80\x02\x8a\nl\xfc\x9cF\xf9 j\xa8P\x19."] {
+            let policy = Policy::from_bytes(bytes, Path::new("p.pt")).unwrap_err().to_string();
+            let network = super::super::onnx::Network::from_bytes(bytes, Path::new("p.onnx")).unwrap_err().to_string();
+            assert!(
+                policy.contains("torch.onnx.export") && network.contains("torch.onnx.export"),
+                "{policy} {network}"
+            );
+        }
     }
 
     #[test]

@@ -140,6 +140,16 @@ impl Inference {
         (actions, targets)
     }
 
+    /// Returns the joint targets \[rad\], in Supple's order, for an observation in physical units, shape (length of the layout).
+    ///
+    /// # Panics
+    /// The observation has another length.
+    pub fn joint_targets(&self, observation: &[f64], buffers: &mut Buffers) -> Joints {
+        let normalised = |(k, raw): (usize, &f64)| self.layout.normalised(k, *raw);
+        let seen: Vec<f32> = observation.iter().enumerate().map(normalised).collect();
+        self.act(&seen, buffers).1
+    }
+
     /// Returns a controller of one robot.
     pub fn controller(&self) -> PolicyController<&Inference> {
         PolicyController::new(self)

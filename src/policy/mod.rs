@@ -13,6 +13,7 @@ pub mod external;
 mod file;
 mod inference;
 pub mod onnx;
+mod pytorch;
 pub mod shipped;
 
 pub use agent::{Agent, AgentError};

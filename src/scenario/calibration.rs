@@ -56,6 +56,14 @@ pub enum CalibrationError {
     /// The robot falls without a pull, or under the weakest pull.
     #[error("it falls {0}: there is no compliance to measure")]
     Falls(&'static str),
+    /// The policy, the physics or the sensors fail in a walk without commanded compliance.
+    #[error("it stops after {time_s:.2} s of a walk, before any compliance is commanded: {problem}")]
+    Fault {
+        /// Time of the fault \[s\].
+        time_s: f64,
+        /// What failed.
+        problem: String,
+    },
     /// The policy does not give way along an axis.
     #[error(
         "by itself it yields by {0:.4?} m/s/N forward and left, expected positive numbers: it does not track a velocity"
@@ -83,7 +91,7 @@ impl Probe {
 /// Calibrates a policy on its robot, using `threads` threads.
 ///
 /// # Errors
-/// The robot falls, does not give way, or cannot be simulated.
+/// The robot falls, does not give way, or cannot be simulated, or the policy fails.
 pub fn calibrate(agent: &mut Agent, threads: usize) -> Result<PolicyCalibration, CalibrationError> {
     agent.calibration = None;
     let own = compliance(agent, None, threads)?.ok_or(CalibrationError::Falls("when pulled with 10 or 20 N"))?;
@@ -157,6 +165,9 @@ fn offsets(agent: &Agent, probes: &[Probe], threads: usize) -> Result<Vec<Option
         let trace = Playback::new(&script, &agent.config, agent.controller())?.trace();
         let along =
             |direction: [f64; 2]| metrics::offset_along_force(&trace, direction, duration_s - MEAN_S, duration_s);
+        if let (None, Some(fault)) = (compliance, trace.fault()) {
+            return Err(CalibrationError::Fault { time_s: fault.time_s, problem: fault.text.clone() });
+        }
         let upright = trace.fall().is_none() && trace.fault().is_none();
         Ok(if upright { along([1.0, 0.0]).zip(along([0.0, 1.0])).map(Into::into) } else { None })
     };

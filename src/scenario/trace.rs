@@ -214,7 +214,7 @@ impl Trace {
         self.events.iter().find(|event| event.kind == EventKind::Fall)
     }
 
-    /// Returns the fault of physics or sensors that ended the playback, if any.
+    /// Returns the fault of policy, physics or sensors that ended the playback, if any.
     pub fn fault(&self) -> Option<&Event> {
         self.events.iter().find(|event| event.kind == EventKind::Fault)
     }

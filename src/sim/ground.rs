@@ -48,9 +48,9 @@ impl Patches {
 }
 
 impl HeightField {
-    /// Samples `height(x, y)` \[m\] on a grid of about `spacing_m`.
+    /// Samples `height(x, y)` \[m\] on a grid of about `spacing_m`, with two points or more along each side.
     pub fn sample(half_size: [f64; 2], spacing_m: f64, height: impl Fn(f64, f64) -> f64) -> Self {
-        let points = |half: f64| (2.0 * half / spacing_m).round() as usize + 1;
+        let points = |half: f64| (2.0 * half / spacing_m).round().max(1.0) as usize + 1;
         let (rows, columns) = (points(half_size[1]), points(half_size[0]));
         let at = |index: usize, count: usize, half: f64| half * (2.0 * index as f64 / (count - 1) as f64 - 1.0);
         let heights = (0..rows * columns)
@@ -66,7 +66,8 @@ impl HeightField {
         let [dx, dy] =
             [2.0 * self.half_size[0] / (self.columns - 1) as f64, 2.0 * self.half_size[1] / (self.rows - 1) as f64];
         let at = |row: usize, column: usize| self.heights[row * self.columns + column];
-        let cells = (0..self.rows - 1).flat_map(|row| (0..self.columns - 1).map(move |column| (row, column)));
+        let last_column = self.columns.saturating_sub(1);
+        let cells = (0..self.rows.saturating_sub(1)).flat_map(|row| (0..last_column).map(move |column| (row, column)));
         let slope = |along_x: f64, along_y: f64| (along_x / dx).hypot(along_y / dy);
         cells.fold(0.0, |steepest: f64, (r, c)| {
             let (low, right, above, far) = (at(r, c), at(r, c + 1), at(r + 1, c), at(r + 1, c + 1));
@@ -84,14 +85,16 @@ impl HeightField {
     /// Returns the bilinear elevation \[m\]; beyond the edge, that of the nearest point of the edge.
     fn height(&self, x: f64, y: f64) -> f64 {
         let grid = |value: f64, half: f64, count: usize| {
-            let position = ((value / half + 1.0) / 2.0).clamp(0.0, 1.0) * (count - 1) as f64;
-            let cell = (position as usize).min(count - 2);
+            let position = ((value / half + 1.0) / 2.0).clamp(0.0, 1.0) * count.saturating_sub(1) as f64;
+            let cell = (position as usize).min(count.saturating_sub(2));
             (cell, position - cell as f64)
         };
         let (column, u) = grid(x, self.half_size[0], self.columns);
         let (row, v) = grid(y, self.half_size[1], self.rows);
         let at = |r: usize, c: usize| self.heights[r * self.columns + c];
-        let (low, high) = ((row, column), (row + 1, column + 1));
+        // A grid of one row or column is as high everywhere along it.
+        let high = ((row + 1).min(self.rows.saturating_sub(1)), (column + 1).min(self.columns.saturating_sub(1)));
+        let (low, high) = ((row, column), high);
         at(low.0, low.1) * (1.0 - u) * (1.0 - v)
             + at(low.0, high.1) * u * (1.0 - v)
             + at(high.0, low.1) * (1.0 - u) * v
@@ -137,6 +140,17 @@ mod tests {
             assert!((field.height(x, y) - (0.3 * x - 0.2 * y)).abs() < 1e-12);
         }
         assert_eq!(field.height(9.0, 0.0), field.height(2.0, 0.0));
+    }
+
+    #[test]
+    fn a_grid_finer_than_its_field_has_heights_everywhere() {
+        let field = HeightField::sample([0.1, 2.0], 5.0, |_, _| 0.25);
+        assert_eq!((field.rows, field.columns), (2, 2));
+        let thin = HeightField { rows: 1, columns: 2, heights: vec![0.0, 1.0], ..field.clone() };
+        for (field, expected) in [(field, 0.25), (thin, 0.5)] {
+            assert!((field.height(0.0, 1.0) - expected).abs() < 1e-12);
+            assert!(field.steepest().is_finite());
+        }
     }
 
     #[test]

@@ -12,6 +12,7 @@ use super::environment::LocomotionEnv;
 use crate::config::{Config, LearnerKind};
 use crate::robot::JOINTS;
 use crate::task::Curriculum;
+use crate::util::memory::{FreeMemory, gibibytes};
 
 /// Bytes per parameter of the fused learner, including a checkpoint being written; 54 to 56 were measured.
 const FUSED_BYTES: u64 = 60;
@@ -38,7 +39,7 @@ pub struct MemoryEstimate {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
     "this configuration takes {memory}, and the machine has {} left: lower ppo.environments, ppo.batch_size or ppo.hidden_layers",
-    gibibytes(.left)
+    gibibytes(*.left)
 )]
 pub struct MemoryError {
     /// Estimated memory of the run.
@@ -67,7 +68,7 @@ impl MemoryEstimate {
         };
         let bytes = if ppo.learner == LearnerKind::Candle { CANDLE_BYTES } else { FUSED_BYTES };
         Ok(MemoryEstimate {
-            environments: environments.saturating_mul(environment.simulation_bytes() as u64 + ENVIRONMENT_BYTES),
+            environments: environments.saturating_mul(environment_bytes(&environment)),
             samples: samples.saturating_mul(4 * (copies * numbers + epochs)),
             networks: (weights(joints) + weights(1)).saturating_mul(bytes),
         })
@@ -90,41 +91,32 @@ impl MemoryEstimate {
         self.environments.saturating_add(self.samples).saturating_add(self.networks)
     }
 
-    /// Checks that the machine has enough memory.
+    /// Checks that the machine has enough memory. If it may be too little, because it depends on what the system gives back,
+    /// returns the error that it may come to.
     ///
     /// # Errors
-    /// The run needs more memory than is available; the error names both and the keys to lower.
-    pub fn check(self) -> Result<(), MemoryError> {
-        match left() {
-            Some(left) if self.total() > left => Err(MemoryError { memory: self, left }),
-            _ => Ok(()),
+    /// The run needs more memory than can be had; the error names both and the keys to lower.
+    pub fn check(self) -> Result<Option<MemoryError>, MemoryError> {
+        let Some(FreeMemory { surely, at_most }) = FreeMemory::now() else { return Ok(None) };
+        let total = self.total();
+        if total > at_most {
+            return Err(MemoryError { memory: self, left: at_most });
         }
+        Ok((total > surely).then_some(MemoryError { memory: self, left: surely }))
     }
 }
 
 impl fmt::Display for MemoryEstimate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [total, environments, samples, networks] =
-            [&self.total(), &self.environments, &self.samples, &self.networks].map(gibibytes);
+            [self.total(), self.environments, self.samples, self.networks].map(gibibytes);
         write!(f, "{total} of memory (environments {environments}, samples {samples}, networks {networks})")
     }
 }
 
-fn gibibytes(bytes: &u64) -> String {
-    format!("{:.1} GiB", *bytes as f64 / f64::from(1 << 30))
-}
-
-/// Returns the free memory of the machine or container \[bytes\]; `None` if the system does not report it.
-fn left() -> Option<u64> {
-    let read = |path: &str| std::fs::read_to_string(path).ok();
-    let of_machine = read("/proc/meminfo").and_then(|text| {
-        let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"))?;
-        Some(1024 * line.trim().strip_suffix(" kB")?.parse::<u64>().ok()?)
-    });
-    let number = |path: &str| read(path)?.trim().parse::<u64>().ok();
-    let (most, used) = (number("/sys/fs/cgroup/memory.max"), number("/sys/fs/cgroup/memory.current"));
-    let of_container = most.zip(used).map(|(most, used)| most.saturating_sub(used));
-    [of_machine, of_container].into_iter().flatten().min()
+/// Returns the memory of an environment \[bytes\].
+pub fn environment_bytes(environment: &LocomotionEnv) -> u64 {
+    environment.simulation_bytes() as u64 + ENVIRONMENT_BYTES
 }
 
 #[cfg(test)]
@@ -135,7 +127,7 @@ mod tests {
     fn memory_estimate_grows_and_excess_is_refused() {
         let mut config = Config::load("fast").unwrap();
         let usual = MemoryEstimate::new(&config).unwrap();
-        assert!(usual.check().is_ok() && usual.total() < 1 << 30, "{usual}");
+        assert!(usual.check() == Ok(None) && usual.total() < 1 << 30, "{usual}");
         (config.ppo.environments, config.ppo.batch_size) = (1 << 20, 1 << 20);
         let many = MemoryEstimate::new(&config).unwrap();
         let each = usual.environments / Config::load("fast").unwrap().ppo.environments as u64;

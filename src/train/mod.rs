@@ -15,5 +15,5 @@ pub mod symmetry;
 mod tensorboard;
 mod trainer;
 
-pub use memory::{MemoryError, MemoryEstimate};
+pub use memory::{MemoryError, MemoryEstimate, environment_bytes};
 pub use trainer::{TrainError, Trainer};

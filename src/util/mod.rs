@@ -1,8 +1,9 @@
 //! Small helpers, independent of robots. Programs need [`files`] and [`terminal`] first, numerical code [`random`] and
-//! [`numbers`]; [`yaml`], [`xml`] and [`tensors`] read and write formats, [`progress`] and [`provenance`]
-//! serve long runs.
+//! [`numbers`]; [`yaml`], [`xml`] and [`tensors`] read and write formats, [`progress`], [`provenance`]
+//! and [`memory`] serve long runs.
 
 pub mod files;
+pub mod memory;
 pub mod numbers;
 pub mod progress;
 pub mod provenance;

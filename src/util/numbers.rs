@@ -1,4 +1,4 @@
-//! Comparisons that propagate NaN, which `f64::max` ignores.
+//! Comparisons that propagate NaN, which `f64::max` ignores, and numbers as short texts.
 
 /// Returns the larger number; NaN if one of them is NaN.
 pub fn maximum(a: f64, b: f64) -> f64 {
@@ -15,9 +15,21 @@ pub fn finite_in_single(numbers: &[f64]) -> bool {
     numbers.iter().all(|number| (*number as f32).is_finite())
 }
 
+/// Formats a number as it is, or with an exponent if it would have many zeros.
+pub fn brief(value: f64) -> String {
+    let is_usual = value == 0.0 || (1e-4..1e7).contains(&value.abs());
+    if is_usual { value.to_string() } else { format!("{value:e}") }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn extreme_numbers_have_exponents() {
+        let texts = [0.0, 0.6, -1.5, 20.0, 1e-300, -2.5e8, f64::INFINITY].map(brief);
+        assert_eq!(texts, ["0", "0.6", "-1.5", "20", "1e-300", "-2.5e8", "inf"]);
+    }
 
     #[test]
     fn what_is_not_a_number_is_not_passed_over() {

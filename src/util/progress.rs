@@ -44,6 +44,15 @@ fn gauge(columns: usize, fraction: f32, left_s: Option<u64>) -> String {
     text.chars().take(columns).collect()
 }
 
+/// Formats the pace of work of which `done` units took `elapsed_s` and `left` remain, for logs in which no bar can be drawn.
+pub fn pace(done: u64, elapsed_s: f64, left: u64, unit: &str) -> String {
+    let rate = done as f64 / elapsed_s.max(1e-3);
+    if done == 0 {
+        return format!("0 {unit}/s");
+    }
+    format!("{rate:.0} {unit}/s, {} left", duration((left as f64 / rate).ceil() as u64))
+}
+
 fn duration(seconds: u64) -> String {
     match seconds {
         0..60 => format!("{seconds}s"),
@@ -56,6 +65,13 @@ fn duration(seconds: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_pace_tells_the_time_that_is_left() {
+        // 6000 in 3 s are 2000 per second: 7000 more take 3.5 s.
+        assert_eq!(pace(6000, 3.0, 7000, "samples"), "2000 samples/s, 4s left");
+        assert_eq!(pace(0, 0.0, 7000, "samples"), "0 samples/s");
+    }
 
     #[test]
     fn the_gauge_fits_20_columns_and_tells_no_time_before_there_is_one() {

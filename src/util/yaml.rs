@@ -44,8 +44,9 @@ pub struct Text {
 }
 
 impl Text {
-    /// Creates a text from its name and content.
+    /// Creates a text from its name and content, whose byte-order mark is left out.
     pub fn new(name: &str, content: &str) -> Self {
+        let content = content.strip_prefix('\u{feff}').unwrap_or(content);
         Text { name: name.to_owned(), content: content.to_owned(), has_lines: true }
     }
 

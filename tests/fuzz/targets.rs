@@ -188,7 +188,7 @@ fn scenario(input: &[u8]) -> bool {
 
 fn networks() -> Vec<Vec<u8>> {
     let ours = onnx::export(&tiny_trainer().policy());
-    let theirs = ["operators", "playground", "rsl_rl"].map(|name| fixture(&format!("onnx/{name}.onnx")));
+    let theirs = ["operators", "playground", "rsl_rl", "newer"].map(|name| fixture(&format!("onnx/{name}.onnx")));
     theirs.into_iter().chain([ours]).collect()
 }
 

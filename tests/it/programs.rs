@@ -163,7 +163,10 @@ fn a_damaged_checkpoint_falls_back_to_the_one_before() {
     let output = run("train", folder.path(), &arguments);
     assert!(output.status.success());
     // Without a terminal there is a line of progress at each checkpoint.
-    assert!(complaint(&output).starts_with("768 of 1536 samples: reward "), "{}", complaint(&output));
+    let words = complaint(&output);
+    let first = words.lines().next().unwrap_or_default();
+    assert!(first.starts_with("768 of 1536 samples: reward "), "{words}");
+    assert!(first.contains(" samples/s, ") && first.ends_with(" left"), "{words}");
     let newest = folder.path().join("run/checkpoint.safetensors");
     let mut bytes = std::fs::read(&newest).unwrap();
     let middle = bytes.len() * 9 / 10;

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use serde_json::Value;
 use supple::config::Config;
 use supple::network::ActorCritic;
-use supple::policy::{Policy, Provenance};
+use supple::policy::{Policy, Provenance, external, onnx};
 use supple::robot::{JOINTS, Robot};
 use supple::util::random::{Purpose, stream};
 
@@ -93,6 +93,15 @@ pub fn example(folder: &Path, name: &str) -> PathBuf {
     std::fs::write(&path, text.replace("policy.onnx", &format!("{name}.onnx"))).unwrap();
     std::fs::copy(repository("tests/fixtures/onnx").join(format!("{name}.onnx")), folder.join(format!("{name}.onnx")))
         .unwrap();
+    path
+}
+
+/// An external policy whose network answers every observation with NaN, as after a training that blew up.
+pub fn broken_policy(folder: &Path) -> PathBuf {
+    let (path, mut policy) = (folder.join("broken.yaml"), standing_policy());
+    policy.actor.layers.iter_mut().for_each(|layer| layer.bias.fill(f32::NAN));
+    std::fs::write(folder.join("broken.onnx"), onnx::export(&policy)).unwrap();
+    std::fs::write(&path, external::describe(&policy, "broken.onnx")).unwrap();
     path
 }
 

@@ -2,8 +2,8 @@
 
 use supple::config::Config;
 use supple::mujoco::Kind;
-use supple::policy::Agent;
 use supple::policy::external::describe;
+use supple::policy::{Agent, Buffers};
 use supple::policy::{onnx, shipped};
 use supple::robot::Robot;
 use supple::scenario::Playback;
@@ -12,7 +12,7 @@ use supple::scenario::trace::Trace;
 use supple::sim::Scene;
 
 use crate::scenarios;
-use crate::support::{complaint, example, repository, robot, standing_policy};
+use crate::support::{broken_policy, complaint, example, repository, robot, run, standing_policy};
 
 fn walk(agent: &Agent, duration_s: f64) -> Trace {
     let task = Task { duration_s, ..defaults::<Walk>("walk").unwrap().task };
@@ -199,4 +199,48 @@ fn examples_describe_what_they_say() {
             .problem
             .contains("robot.xml")
     );
+}
+
+#[test]
+fn external_policy_is_shown_verified_and_run() {
+    let folder = tempfile::tempdir().unwrap();
+    example(folder.path(), "rsl_rl");
+    let program = |arguments: &[&str]| {
+        let output = run("policy", folder.path(), arguments);
+        assert!(output.status.success(), "{}", complaint(&output));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let shown = program(&["show", "rsl_rl.yaml"]);
+    // The yaw rate of the body, times 0.25; the first output moves the hip that `joints` names first, by a quarter.
+    let line =
+        |words: &str| shown.lines().find(|line| line.contains(words)).unwrap_or_else(|| panic!("{words}: {shown}"));
+    assert!(line("commanded yaw").contains("0.25"), "{shown}");
+    assert!(line(" 0  FL_hip").contains("+0.1000") && line(" 0  FL_hip").contains("-0.863 to +0.863"), "{shown}");
+    let json: serde_json::Value = serde_json::from_str(&program(&["show", "rsl_rl.yaml", "--json"])).unwrap();
+    assert_eq!(json["observation_elements"].as_array().unwrap().len(), 48);
+    assert_eq!((&json["joints"][0], &json["action"]["scale_rad"][0]), (&"FL_hip".into(), &0.25.into()));
+    assert!(program(&["verify", "rsl_rl.yaml"]).contains(json["sha256"].as_str().unwrap()));
+
+    // As the policy acts in a program.
+    let agent = Agent::load(&folder.path().join("rsl_rl.yaml")).unwrap();
+    let expected = agent.inference().joint_targets(&[0.5; 48], &mut Buffers::default());
+    let command = format!("echo '{:?}' | {} run rsl_rl.yaml", [0.5; 48], crate::support::program("policy"));
+    let output = std::process::Command::new("sh").args(["-c", &command]).current_dir(folder.path()).output().unwrap();
+    assert_eq!(serde_json::from_slice::<[f64; 12]>(&output.stdout).unwrap(), expected);
+    let output = run("policy", folder.path(), &["verify", "rsl_rl.yaml", "--samples", "5"]);
+    assert!(output.status.code() == Some(2) && complaint(&output).contains("--samples"), "{}", complaint(&output));
+}
+
+#[test]
+fn nan_from_a_network_is_a_fault() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = broken_policy(folder.path());
+    let trace = walk(&Agent::load(&path).unwrap(), 1.0);
+    assert!(trace.frames.is_empty() && trace.fall().is_none());
+    let fault = trace.fault().unwrap();
+    assert!(fault.time_s == 0.0 && fault.text.contains("FR_hip is NaN"), "{fault:?}");
+    for command in ["verify", "calibrate"] {
+        let output = run("policy", folder.path(), &[command, "broken.yaml"]);
+        assert!(output.status.code() == Some(2) && complaint(&output).contains("NaN"), "{}", complaint(&output));
+    }
 }

@@ -36,7 +36,7 @@ pub struct Balls {
 
 impl Balls {
     fn label(&self) -> String {
-        format!("{} kg, {:.0} cm, {} m/s", self.mass_kg, 100.0 * self.radius_m, self.forward_m_s)
+        format!("{} kg, {:.0} cm, {} m/s", brief(self.mass_kg), 100.0 * self.radius_m, brief(self.forward_m_s))
     }
 
     /// Returns a pit of these balls with about the size of `base` and the same gaps between balls.

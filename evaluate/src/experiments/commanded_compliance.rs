@@ -195,7 +195,12 @@ impl Experiment for CommandedCompliance {
                             ..leash.task.clone()
                         };
                         conditions.push(Condition {
-                            label: format!("{}, c = {compliance}, {force_n} N, {direction_deg:.0}°", gait(*command)),
+                            label: format!(
+                                "{}, c = {}, {} N, {direction_deg:.0}°",
+                                gait(*command),
+                                brief(*compliance),
+                                brief(*force_n)
+                            ),
                             scenario: Scenario::Leash(Leash {
                                 task,
                                 force_n: *force_n,
@@ -211,7 +216,7 @@ impl Experiment for CommandedCompliance {
         let pushes = [("ahead", 0.0), ("to the left", 90.0)];
         let pushes = pushes.into_iter().flat_map(|side| self.compliances.iter().map(move |c| (side, *c)));
         conditions.extend(pushes.map(|((side, direction_deg), compliance)| Condition {
-            label: format!("pushed {side}, c = {compliance}"),
+            label: format!("pushed {side}, c = {}", brief(compliance)),
             scenario: Scenario::Push(PushAway {
                 task: Task { compliance: Some(compliance), ..push.task.clone() },
                 direction_deg,

@@ -120,7 +120,7 @@ impl Experiment for FreeBox {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: BoxScenario = defaults("box")?;
         let condition = |friction: &f64| Condition {
-            label: format!("friction {friction}"),
+            label: format!("friction {}", brief(*friction)),
             scenario: Scenario::Box(BoxScenario { friction: *friction, ..base.clone() }),
         };
         Ok(self.frictions.iter().map(condition).collect())

@@ -32,7 +32,7 @@ pub struct Leash {
 pub(super) fn pulls(forces_n: &[f64], directions: u32, [at_s, for_s]: [f64; 2]) -> Result<Vec<Condition>, ConfigError> {
     let base: LeashScenario = defaults("leash")?;
     let condition = |force_n: f64, direction_deg: f64| Condition {
-        label: format!("{force_n} N, {direction_deg:.1}°"),
+        label: format!("{} N, {direction_deg:.1}°", brief(force_n)),
         scenario: Scenario::Leash(LeashScenario {
             force_n,
             direction_deg,

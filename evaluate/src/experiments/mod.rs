@@ -39,6 +39,7 @@ mod prelude {
     pub use supple::config::ConfigError;
     pub use supple::scenario::catalog::{ParameterError, Scenario, Task, defaults, in_range};
     pub use supple::scenario::metrics;
+    pub use supple::util::numbers::brief;
 }
 
 /// Every experiment with its parameters, in the order of the report.
@@ -170,7 +171,8 @@ mod tests {
         for experiment in protocol.experiments() {
             for (value, sets) in [(None, 2), (Some(0.5), 2), (Some(0.5), 5)] {
                 let values = vec![value; experiment.info().quantities.len()];
-                let sample = Sample { end: TrialEnd::Upright, values, series: Vec::new(), estimation: None };
+                let sample =
+                    Sample { end: TrialEnd::Upright, values, series: Vec::new(), fault: None, estimation: None };
                 let content = experiment.content(&results(experiment, &sample, sets));
                 let name = experiment.info().name;
                 assert!(!content.claims.is_empty() && !content.tables.is_empty(), "{name}");

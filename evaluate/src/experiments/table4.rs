@@ -98,7 +98,7 @@ impl Experiment for Table4 {
             panel("mechanical power", "W", ["power_before_w", "power_after_w"]),
             panel("torque norm", "N·m", ["torque_before_n_m", "torque_after_n_m"]),
         ];
-        let labels = ["before", "after"].map(|when| format!("{} s {when}", self.window_s));
+        let labels = ["before", "after"].map(|when| format!("{} s {when}", brief(self.window_s)));
         let title = "Power and torque before and after a push";
         let svg = dots::draw(title, &panels, &labels, &section.results.names);
         let caption = "Mechanical power and torque norm before and after a sideways push of 0.5 m/s: mean ± standard \

@@ -41,7 +41,7 @@ impl Experiment for Terrain {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: TerrainScenario = defaults("terrain")?;
         let condition = |height_m: f64, frequency_per_m: f64| Condition {
-            label: format!("{:.0} cm, {frequency_per_m} /m", 100.0 * height_m),
+            label: format!("{:.0} cm, {} /m", 100.0 * height_m, brief(frequency_per_m)),
             scenario: Scenario::Terrain(TerrainScenario {
                 kind: TerrainKind::Perlin,
                 height_m,

@@ -96,8 +96,11 @@ fn mean_error_note(results: &Results) -> String {
 /// Returns a command in words.
 pub(super) fn label([forward, left, turn]: [f64; 3]) -> String {
     let parts = [("forward", forward), ("left", left), ("turn", turn)];
-    let words: Vec<String> =
-        parts.iter().filter(|(_, value)| *value != 0.0).map(|(name, value)| format!("{name} {value}")).collect();
+    let words: Vec<String> = parts
+        .iter()
+        .filter(|(_, value)| *value != 0.0)
+        .map(|(name, value)| format!("{name} {}", brief(*value)))
+        .collect();
     if words.is_empty() { "standing".to_owned() } else { words.join(", ").replace('-', "−") }
 }
 

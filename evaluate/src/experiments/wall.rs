@@ -40,7 +40,7 @@ impl Experiment for Wall {
     fn conditions(&self) -> Result<Vec<Condition>, ConfigError> {
         let base: WallScenario = defaults("wall")?;
         let condition = |command: &f64| Condition {
-            label: format!("{command} m/s"),
+            label: format!("{} m/s", brief(*command)),
             scenario: Scenario::Wall(WallScenario {
                 task: Task { forward_m_s: *command, ..base.task.clone() },
                 ..base

@@ -119,8 +119,11 @@ pub fn ticks(range: [f64; 2], count: usize) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Returns the text of a tick with as many digits as all ticks need.
+/// Returns the text of a tick with as many digits as all ticks need, with an exponent if they are large.
 pub fn tick_text(tick: f64, all: &[f64]) -> String {
+    if all.iter().any(|value| value.abs() >= 1e7) {
+        return format!("{tick:.2e}").replace('-', "−");
+    }
     let needs = |value: f64| {
         (0..=6).find(|digits| {
             let scale = 10.0_f64.powi(*digits);
@@ -154,6 +157,7 @@ mod tests {
         assert_eq!(ticks([3.0, 3.0], 5), [3.0]);
         assert_eq!(tick_text(0.5, &[0.0, 0.25, 0.5]), "0.50");
         assert_eq!(tick_text(-1.0, &[-1.0, 0.0]), "−1");
+        assert_eq!(tick_text(-2.5e9, &[-2.5e9, 0.0]), "−2.50e9");
     }
 
     #[test]

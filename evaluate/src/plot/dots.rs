@@ -2,12 +2,18 @@
 
 use super::axes::{Panel, draw_legend, draw_mark, range_from_zero};
 use super::svg::{Anchor, Stroke, Svg, Text};
-use super::{GREY, PALE, SMALL, WIDTH, colour};
+use super::{GREY, PALE, SMALL, WIDTH, colour, shortened};
 use crate::Quantity;
 use crate::statistics::{PerSeed, Spread};
 
 /// The height of a set within the row of a condition \[px\].
 const SET: f64 = 14.0;
+
+/// The largest number of characters of a label; tables have the whole label.
+const MOST_LABEL: usize = 60;
+
+/// The least width of a panel \[px\].
+const LEAST_WIDTH: f64 = 40.0;
 
 /// Returns the height of the row of a condition \[px\].
 fn row_height(sets: usize) -> f64 {
@@ -28,10 +34,11 @@ pub fn draw(title: &str, panels: &[Dots], labels: &[String], names: &[String]) -
     let line = row_height(names.len());
     let height = line * labels.len() as f64;
     let mut svg = Svg::new(WIDTH, height + 92.0);
+    let labels: Vec<String> = labels.iter().map(|label| shortened(label, MOST_LABEL)).collect();
     let longest = labels.iter().map(|label| label.chars().count()).max().unwrap_or(0) as f64;
     let left = 20.0 + 0.56 * SMALL * longest;
     let gap = 24.0;
-    let width = (WIDTH - left - 16.0) / panels.len().max(1) as f64 - gap;
+    let width = ((WIDTH - left - 16.0) / panels.len().max(1) as f64 - gap).max(LEAST_WIDTH);
     for (row, label) in labels.iter().enumerate() {
         let y = 14.0 + line * (row as f64 + 0.5);
         svg.text([left - 4.0, y + 4.0], label, Text::new(SMALL, Anchor::End));
@@ -81,5 +88,20 @@ fn draw_panel(svg: &mut Svg, panel: &Panel, dots: &Dots, scale: f64) {
             svg.line(at(spread.mean - sd), at(spread.mean + sd), Stroke::new(colour(set), 2.0));
             draw_mark(svg, at(spread.mean), set, 4.2, true);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn panels_fit_beside_labels_of_any_length() {
+        let quantity = Quantity::new("x_m", "x", "m", 1);
+        let rows = vec![vec![PerSeed::from([(0, 1.0), (1, 2.0)])]];
+        let panels = vec![Dots { quantity, rows }; 6];
+        let label = "0".repeat(400);
+        let svg = draw("title", &panels, std::slice::from_ref(&label), &["a".to_owned()]);
+        assert!(svg.contains("…") && !svg.contains(&label));
     }
 }

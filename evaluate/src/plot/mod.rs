@@ -40,6 +40,14 @@ pub fn line(set: usize) -> Stroke {
     Stroke::new(colour(set), 2.0).dashed(DASHES[set % DASHES.len()])
 }
 
+/// Returns a text of at most `most` characters, cut off with an ellipsis.
+pub fn shortened(text: &str, most: usize) -> String {
+    if text.chars().count() <= most {
+        return text.to_owned();
+    }
+    text.chars().take(most - 1).chain(['…']).collect()
+}
+
 /// The opacity of bands.
 pub const BAND: f64 = 0.22;
 

@@ -103,14 +103,8 @@ impl Section {
                     ends.out_of_reach + ends.trials
                 ));
             }
-            if ends.faults > 0 {
-                content.notes.push(format!(
-                    "Physics or sensors failed in {} of {} trials of {name}; they count as no success and have no \
-                     other numbers.",
-                    ends.faults, ends.trials
-                ));
-            }
         }
+        content.notes.extend((0..results.sets.len()).filter_map(|set| results.faults(set)));
         Section {
             info: experiment.info(),
             // Plain structs of numbers and lists.
@@ -187,11 +181,12 @@ impl<'a> Report<'a> {
         revisions.map(String::as_str).collect::<BTreeSet<_>>().into_iter().collect()
     }
 
-    /// Writes the page, `summary.json`, figures and tables into a folder.
+    /// Writes the page, `summary.json`, figures and tables into a folder, and returns why figures were not rendered as PNG.
     ///
     /// # Errors
-    /// A file cannot be written, or a figure cannot be rendered.
-    pub fn write(&self, out: &Path) -> Result<(), ReportError> {
+    /// A file cannot be written.
+    pub fn write(&self, out: &Path) -> Result<Vec<ReportError>, ReportError> {
+        let mut failed = Vec::new();
         let (figures, tables) = (out.join("figures"), out.join("tables"));
         for folder in [&*figures, &*tables, out] {
             let of = |source| ReportError::Write { path: folder.to_owned(), source };
@@ -207,7 +202,7 @@ impl<'a> Report<'a> {
         for section in &self.sections {
             for figure in &section.content.figures {
                 write(&figures.join(format!("{}.svg", figure.name)), figure.svg.as_bytes())?;
-                write_png(&renderer, figure, &figures)?;
+                failed.extend(write_png(&renderer, figure, &figures)?);
             }
             for table in &section.content.tables {
                 write_table(&tables, table, &self.names)?;
@@ -227,21 +222,25 @@ impl<'a> Report<'a> {
             write(&tables.join("beside.md"), markdown::other_reports_table(self).as_bytes())?;
         }
         write(&out.join("summary.json"), summary::json(self).as_bytes())?;
-        write(&out.join("report.html"), html::page(self).as_bytes())
+        write(&out.join("report.html"), html::page(self).as_bytes())?;
+        Ok(failed)
     }
 
-    /// Writes the table of claims as a Markdown document, and its figures into the folder `images` beside it.
+    /// Writes the table of claims as a Markdown document, and its figures into the folder `images` beside it. Returns why figures
+    /// were not rendered.
     ///
     /// # Errors
-    /// A file cannot be written, or a figure cannot be rendered.
-    pub fn write_document(&self, path: &Path) -> Result<(), ReportError> {
+    /// A file cannot be written.
+    pub fn write_document(&self, path: &Path) -> Result<Vec<ReportError>, ReportError> {
+        let mut failed = Vec::new();
         let images = path.with_file_name("images");
         let renderer = Renderer::default();
         for figure in self.figures_of_document() {
             fs::create_dir_all(&images).map_err(|source| ReportError::Write { path: images.clone(), source })?;
-            write_png(&renderer, figure, &images)?;
+            failed.extend(write_png(&renderer, figure, &images)?);
         }
-        write(path, markdown::document(self).as_bytes())
+        write(path, markdown::document(self).as_bytes())?;
+        Ok(failed)
     }
 
     /// Returns the figures of the document: the decay of a push, and the map of push recovery.
@@ -251,9 +250,13 @@ impl<'a> Report<'a> {
     }
 }
 
-fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<(), ReportError> {
-    let png = renderer.png(&figure.svg).map_err(|source| ReportError::Figure { name: figure.name.clone(), source })?;
-    write(&folder.join(format!("{}.png", figure.name)), &png)
+/// Writes a figure as PNG; returns why it cannot be rendered, if it cannot.
+fn write_png(renderer: &Renderer, figure: &Figure, folder: &Path) -> Result<Option<ReportError>, ReportError> {
+    let name = &figure.name;
+    match renderer.png(&figure.svg) {
+        Ok(png) => write(&folder.join(format!("{name}.png")), &png).map(|()| None),
+        Err(source) => Ok(Some(ReportError::Figure { name: name.clone(), source })),
+    }
 }
 
 fn write_table(folder: &Path, table: &Table, names: &[String]) -> Result<(), ReportError> {

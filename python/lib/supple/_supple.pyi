@@ -12,6 +12,7 @@ __all__ = [
     "RECORDS",
     "REVISION",
     "_panic",
+    "cores",
     "describe",
     "evaluate",
     "experiments",
@@ -38,7 +39,7 @@ class Environments:
         autoreset: str,
     ) -> Environments: ...
     def reset(
-        self, seed: int | None, mask: list[bool] | None
+        self, seeds: list[int] | None, mask: list[bool] | None
     ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
         """Returns observations (n, length), normalised, and commands (n, 3): forward, left [m/s], yaw rate [rad/s]."""
     def step(
@@ -134,6 +135,7 @@ def evaluate(
 ]:
     """Returns name, conditions, quantities, values (conditions, trials, quantities) and ends (conditions, trials)."""
 
+def cores() -> int: ...
 def describe(config: str, onnx: str) -> str: ...
 def scenarios() -> list[tuple[str, str]]: ...
 def experiments() -> list[tuple[str, str]]: ...

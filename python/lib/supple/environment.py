@@ -23,6 +23,12 @@ from .named import Named
 STAGES = ("walking", "recovery", "post-recovery")
 """Names of the stages, by the index in `info["stage"]`."""
 
+UNDRAWN = (
+    "these environments draw nothing: supple.run_scenario(…, record=\"walk.rrd\") writes a recording of a policy for the rerun "
+    "viewer"
+)
+"""What there is in place of pictures."""
+
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
 Info = dict[str, Any]
@@ -48,6 +54,7 @@ def make_vec(
     curriculum: Curriculum | None = None,
     stagger: bool = True,
     autoreset_mode: AutoresetMode = AutoresetMode.SAME_STEP,
+    render_mode: None = None,
 ) -> "LocomotionVectorEnv":
     """Creates `num_envs` environments of a configuration that are stepped together.
 
@@ -55,24 +62,37 @@ def make_vec(
     cores; results do not depend on it. A given `curriculum` stays fixed; without one, it grows as in training. `stagger`
     cuts each first episode at random, so that the environments are not all in the same phase. `autoreset_mode` selects when
     the next episode begins: in the step that ends one (`SAME_STEP`), in the step after it (`NEXT_STEP`), or when `reset` is
-    called (`DISABLED`).
+    called (`DISABLED`). Nothing is drawn, so `render_mode` is None.
 
     Observations are float32, shape (num_envs, length), normalised, with 83 numbers in "fast"; actions are
     float32, shape (num_envs, 12). `observation_names` has names and units, `action_names` the joints.
     """
+    undrawn(render_mode)
     return LocomotionVectorEnv(
         config, num_envs, seed, threads, curriculum=curriculum, stagger=stagger, autoreset_mode=autoreset_mode
     )
 
 
 def make(
-    config: str | os.PathLike[str] = "fast", seed: int | None = None, *, curriculum: Curriculum | None = None
+    config: str | os.PathLike[str] = "fast",
+    seed: int | None = None,
+    *,
+    curriculum: Curriculum | None = None,
+    render_mode: None = None,
 ) -> "LocomotionEnv":
     """Creates a single environment: the first one of `make_vec`, without stagger and without automatic resets.
 
     Observations are float32, shape (length,), normalised; actions are float32, shape (12,), one for each joint.
+    Nothing is drawn, so `render_mode` is None.
     """
+    undrawn(render_mode)
     return LocomotionEnv(config, seed, curriculum=curriculum)
+
+
+def undrawn(render_mode: Any) -> None:
+    """Refuses every render mode but None."""
+    if render_mode is not None:
+        raise ValueError(f"render_mode is {render_mode!r}, expected None: {UNDRAWN}")
 
 
 class _Described(Named):
@@ -126,6 +146,10 @@ class _Described(Named):
             "environments cannot be pickled or copied: call supple.make_vec in the process that is to step them"
         )
 
+    def render(self) -> NoReturn:
+        """Raises: nothing is drawn."""
+        raise NotImplementedError(UNDRAWN)
+
     def _spaces(self) -> "tuple[spaces.Space[Observations], spaces.Space[NDArray[np.float32]]]":
         limit = self._native.observation_scaling()[2].astype(np.float32)
         low, high = self._native.action_bounds()
@@ -156,17 +180,20 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
         self._all = np.ones(self.num_envs, dtype=np.bool_)
         self._all.flags.writeable = False
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Info]:
-        """Starts new episodes: with a `seed` the first ones of that seed, else the next ones.
+    def reset(
+        self, *, seed: int | Sequence[int] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Info]:
+        """Starts new episodes: with a `seed` the first ones of that seed, else the next ones. A sequence has a seed for each
+        environment, whose random streams also differ by its index.
 
         Returns observations, float32 (num_envs, length), normalised, and `info` with `command`, float64 (num_envs, 3):
         forward, left [m/s], yaw rate [rad/s]. A seed also resets the curriculum. With autoreset mode `DISABLED`,
         `options["reset_mask"]`, bool (num_envs,), selects the environments that start a new episode.
         """
-        seed = None if seed is None else whole("seed", seed)
-        mask = self._mask(seed, options)
-        VectorEnv.reset(self, seed=seed)
-        observations, commands = self._native.reset(seed, mask)
+        seeds = self._seeds(seed)
+        mask = self._mask(seeds, options)
+        VectorEnv.reset(self, seed=None if seeds is None else seeds[0])
+        observations, commands = self._native.reset(seeds, mask)
         return observations, {"command": commands, "_command": self._all}
 
     def step(self, actions: ArrayLike) -> tuple[Observations, NDArray[np.float64], Flags, Flags, Info]:
@@ -207,12 +234,24 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
 
     def close_extras(self, **_: Any) -> None:
         """Frees the environments."""
-        self._native.close()
+        # Gymnasium 1.2 also closes what could not be created.
+        if hasattr(self, "_native"):
+            self._native.close()
 
-    def _mask(self, seed: int | None, options: dict[str, Any] | None) -> list[bool] | None:
+    def _seeds(self, seed: int | Sequence[int] | None) -> list[int] | None:
+        """Returns a seed for each environment."""
+        if seed is None:
+            return None
+        if not isinstance(seed, (Sequence, np.ndarray)):
+            return [whole("seed", seed)] * self.num_envs
+        if len(seed) != self.num_envs or isinstance(seed, (str, bytes)):
+            raise ValueError(f"seed: expected a whole number or one for each of {self.num_envs} environments, found {seed!r}")
+        return [whole(f"seed[{index}]", value) for index, value in enumerate(seed)]
+
+    def _mask(self, seeds: list[int] | None, options: dict[str, Any] | None) -> list[bool] | None:
         if not options:
             return None
-        if list(options) != ["reset_mask"] or self._mode is not AutoresetMode.DISABLED or seed is not None:
+        if list(options) != ["reset_mask"] or self._mode is not AutoresetMode.DISABLED or seeds is not None:
             raise ValueError(
                 f"options to reset with: expected none, or with autoreset_mode DISABLED and without a seed a reset_mask, "
                 f"found {list(options)}"
@@ -279,7 +318,7 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
         if options:
             raise ValueError(f"options to reset with: expected none, found {list(options)}")
         gymnasium.Env.reset(self, seed=seed)
-        observations, commands = self._native.reset(seed, None)
+        observations, commands = self._native.reset(None if seed is None else [seed], None)
         return observations[0], {"command": commands[0]}
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Info]:

@@ -1,11 +1,12 @@
 """Checks of arguments. Errors name the argument, what was expected and what was found."""
 
 import operator
-import os
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from . import _supple
 
 
 def whole(name: str, value: Any, least: int = 0, most: int = 2**64 - 1) -> int:
@@ -20,9 +21,9 @@ def whole(name: str, value: Any, least: int = 0, most: int = 2**64 - 1) -> int:
 
 
 def cores(threads: int | None) -> int:
-    """Returns the requested number of threads, by default the number of cores that the process may use."""
+    """Returns the requested number of threads, by default the number of cores that the process may use, quotas included."""
     if threads is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return _supple.cores()
     return whole("threads", threads, 1, 10_000)
 
 

@@ -35,13 +35,15 @@ class Run(NamedTuple):
     """Events in order of time."""
 
     @property
-    def fell(self) -> bool:
-        """True if the robot fell."""
-        return any(event.kind == "fall" for event in self.events)
+    def fell(self) -> bool | None:
+        """True if the robot fell; None if a fault ended the playback before."""
+        if any(event.kind == "fall" for event in self.events):
+            return True
+        return None if self.fault is not None else False
 
     @property
     def fault(self) -> str | None:
-        """Message of the fault of physics or sensors that ended the playback; None if there was none."""
+        """Message of the fault of policy, physics or sensors that ended the playback; None if there was none."""
         return next((event.text for event in self.events if event.kind == "fault"), None)
 
 

@@ -132,7 +132,11 @@ fn walking_table(agent: &Agent) -> anyhow::Result<String> {
         let found = scenario.metrics(&script, &trace);
         let number = |name: &str| found.iter().find(|metric| metric.name == name).and_then(|metric| metric.value);
         let cell = |name: &str, factor, decimals, unit| cell(number(name), factor, decimals, unit);
-        let fell = trace.fall().map_or("no".to_owned(), |fall| format!("after {:.1} s", fall.time_s));
+        let fell = match (trace.fall(), trace.fault()) {
+            (Some(fall), _) => format!("after {:.1} s", fall.time_s),
+            (None, Some(fault)) => format!("fault after {:.1} s: {}", fault.time_s, fault.text),
+            (None, None) => "no".to_owned(),
+        };
         table.push_str(&format!(
             "| {forward_m_s} m/s, {left_m_s} m/s, {yaw_rad_s} rad/s | {} | {} | {} | {} | {} | {} | {} | {} | {fell} |\n",
             cell("forward_error_m_s", 1.0, 3, " m/s"),

@@ -1,17 +1,20 @@
 //! The program `policy`: shows, checks and exports policy files.
 
 mod card;
+mod show;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand, ValueEnum};
+use nalgebra::Vector3;
 use supple::config::Config;
+use supple::observation::Command as Velocity;
 use supple::policy::compliance::{CompliantObservations, PolicyCalibration};
-use supple::policy::{AgentError, Buffers, Policy, Provenance};
+use supple::policy::{Agent, Buffers, Controller as _, Provenance};
 use supple::policy::{external, onnx, shipped};
-use supple::robot::{Robot, joint_names, joint_table};
+use supple::robot::{GRAVITY_M_S2, JOINTS, Joints, Robot, RobotState, joint_name};
 use supple::scenario::calibration::calibrate;
 use supple::util::files::{self, Target};
 use supple::util::terminal;
@@ -30,15 +33,16 @@ enum Command {
     List,
     /// Print what the policy observes, what its outputs mean and how it was trained
     Show {
-        /// Policy file, run folder, or name of a shipped policy
+        /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
         policy: String,
         /// Print the metadata as JSON
         #[arg(long)]
         json: bool,
     },
-    /// Recompute the golden pairs of observation and joint targets stored in the file
+    /// Recompute the golden pairs of observation and joint targets stored in the file; of an external policy, which has none,
+    /// the joint targets in its nominal pose
     Verify {
-        /// Policy file, run folder, or name of a shipped policy
+        /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
         policy: String,
         /// Configuration with which the policy must have been trained
         #[arg(long, value_name = "FILE")]
@@ -53,7 +57,7 @@ enum Command {
     /// Print joint targets (rad) for observations given on standard input, each a JSON array on a line; with --compliance, each
     /// line is {"observation": [...], "force_n": [forward, left]} with the force on the trunk, mean over the last policy step
     Run {
-        /// Policy file, run folder, or name of a shipped policy
+        /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
         policy: String,
         /// Commanded compliance (m/s/N); observations must then be consecutive policy steps; 0: the policy's own
         #[arg(long, value_name = "C")]
@@ -119,13 +123,27 @@ fn main() -> ExitCode {
 
 fn run(command: Command) -> anyhow::Result<()> {
     match command {
-        Command::Show { policy, json: true } => {
-            terminal::print(format_args!("{}\n", shipped::find_ours(&policy)?.metadata_json()))?
+        Command::Show { policy: name, json } => {
+            let agent = shipped::find_uncalibrated(&name)?;
+            terminal::print(match (agent.policy(), json) {
+                (Some(policy), true) => format!("{}\n", policy.metadata_json()),
+                (Some(policy), false) => show::description(policy),
+                (None, true) => format!("{}\n", show::external_json(&name, &agent)),
+                (None, false) => show::external_description(&name, &agent),
+            })?;
         }
-        Command::Show { policy, json: false } => terminal::print(description(&shipped::find_ours(&policy)?))?,
         Command::Verify { policy: name, config, set, samples } => {
             // Reading a policy checks everything in it, the golden pairs included.
-            let policy = shipped::find_ours(&name)?;
+            let agent = shipped::find_uncalibrated(&name)?;
+            let Some(policy) = agent.policy() else {
+                let asked = if config.is_some() { Some("--config") } else { (samples > 0).then_some("--samples") };
+                if let Some(asked) = asked {
+                    anyhow::bail!(
+                        "{name} is an external policy, which does not say how it was trained: leave out {asked}"
+                    );
+                }
+                return verify_external(&name, &agent);
+            };
             let (found, sha256) = (&policy.provenance, policy.sha256());
             if let Some(config) = config {
                 let differs = |keys| anyhow::anyhow!("{name} does not come from {config}: {keys}");
@@ -154,12 +172,9 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::Run { policy: name, compliance } => {
             let agent = shipped::find(&name)?;
             let compliance = agent.resolve_compliance(None, compliance).with_context(|| name.clone())?;
-            let calibration = agent.calibration.clone();
-            let policy = agent.into_policy().ok_or_else(|| AgentError::External { name: name.clone() })?;
-            let compliant = calibration.zip(compliance).map(|(calibration, compliance)| {
-                CompliantObservations::new(&policy, &calibration, compliance).with_context(|| name.clone())
-            });
-            answer(&policy, compliant.transpose()?)?;
+            let compliant = compliance
+                .map(|compliance| CompliantObservations::new(&agent, compliance).with_context(|| name.clone()));
+            answer(&agent, compliant.transpose()?)?;
         }
         Command::List => list()?,
         Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
@@ -179,6 +194,37 @@ fn run(command: Command) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// Checks that the joint targets of an external policy are finite for a robot that stands still in its nominal pose.
+fn verify_external(name: &str, agent: &Agent) -> anyhow::Result<()> {
+    let mut controller = agent.inference().controller();
+    let state = RobotState {
+        height: agent.config.reward.base_height_m,
+        gravity_in_base: Vector3::new(0.0, 0.0, -GRAVITY_M_S2),
+        joint_angles: controller.rest(),
+        ..RobotState::default()
+    };
+    controller.begin(&state);
+    check_finite(&controller.joint_targets(&state, &Velocity::default())).with_context(|| name.to_owned())?;
+    terminal::print(format_args!(
+        "it fits its description, and its joint targets for a robot that stands are finite; it has no golden ones to compare \
+         with, `policy show` prints how it is understood; sha256 {}\n",
+        agent.sha256
+    ))?;
+    Ok(())
+}
+
+/// Checks that joint targets, in Supple's order, are finite.
+fn check_finite(targets: &Joints) -> anyhow::Result<()> {
+    match (0..JOINTS).find(|joint| !targets[*joint].is_finite()) {
+        None => Ok(()),
+        Some(joint) => anyhow::bail!(
+            "the joint target of {} is {}: the policy cannot cope with these numbers",
+            joint_name(joint),
+            targets[joint]
+        ),
+    }
 }
 
 /// Prints a line for each shipped policy.
@@ -220,7 +266,7 @@ fn spare(network: &Path, description: &Path) -> anyhow::Result<()> {
 }
 
 /// Prints a line of joint targets for each line of observations.
-fn answer(policy: &Policy, mut compliant: Option<CompliantObservations>) -> anyhow::Result<()> {
+fn answer(agent: &Agent, mut compliant: Option<CompliantObservations>) -> anyhow::Result<()> {
     /// A line of input where a compliance is commanded.
     #[derive(serde::Deserialize)]
     #[serde(deny_unknown_fields)]
@@ -228,7 +274,8 @@ fn answer(policy: &Policy, mut compliant: Option<CompliantObservations>) -> anyh
         observation: Vec<f64>,
         force_n: [f64; 2],
     }
-    let (mut buffers, length) = (Buffers::default(), policy.layout().length());
+    let inference = agent.inference();
+    let (mut buffers, length) = (Buffers::default(), inference.layout.length());
     for (index, line) in files::lines(std::io::stdin().lock(), MAX_LINE_BYTES).enumerate() {
         let line = line.with_context(|| format!("standard input, line {}", index + 1))?;
         let expected = match compliant {
@@ -248,14 +295,8 @@ fn answer(policy: &Policy, mut compliant: Option<CompliantObservations>) -> anyh
         if let Some(compliant) = &mut compliant {
             compliant.apply(&mut observation, force_n);
         }
-        let targets = policy.joint_targets(&observation, &mut buffers);
-        if let Some(joint) = targets.iter().position(|target| !target.is_finite()) {
-            let (name, target) = (&joint_names()[joint], targets[joint]);
-            anyhow::bail!(
-                "line {}: the joint target of {name} is {target}: the policy cannot cope with these numbers",
-                index + 1
-            );
-        }
+        let targets = inference.joint_targets(&observation, &mut buffers);
+        check_finite(&targets).map_err(|problem| anyhow::anyhow!("line {}: {problem}", index + 1))?;
         terminal::print(format_args!("{}\n", serde_json::json!(targets)))?;
     }
     Ok(())
@@ -263,59 +304,4 @@ fn answer(policy: &Policy, mut compliant: Option<CompliantObservations>) -> anyh
 
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
     files::write_atomically(path, bytes).with_context(|| format!("cannot write {}", path.display()))
-}
-
-fn description(policy: &Policy) -> String {
-    let provenance = &policy.provenance;
-    let widths: Vec<String> = std::iter::once(policy.actor.inputs())
-        .chain(policy.actor.layers.iter().map(|layer| layer.outputs()))
-        .map(|width| width.to_string())
-        .collect();
-    let simulation = &policy.provenance.config.simulation;
-    let mut text = format!(
-        "trained   {} samples, config {}, seed {}, git {}, MuJoCo {}\n\
-         sha256    {}\n\
-         network   {}, ELU\n\
-         rates     policy {} Hz, PD law {} Hz with Kp {} N m/rad, Kd {} N m s/rad, target delayed by {} s\n\
-         action    joint target [rad] = nominal pose + {} * output\n\
-         \nobservation ({} numbers)\n",
-        provenance.samples,
-        provenance.config_name,
-        provenance.seed,
-        provenance.git_revision,
-        provenance.mujoco_version,
-        policy.sha256(),
-        widths.join(" > "),
-        simulation.policy_rate_hz,
-        simulation.physics_rate_hz,
-        simulation.kp_n_m_per_rad,
-        simulation.kd_n_m_s_per_rad,
-        simulation.latency_s,
-        policy.scale_rad(),
-        policy.actor.inputs(),
-    );
-    let mut start = 0;
-    for block in policy.layout().blocks() {
-        let elements = block.elements().join(", ");
-        // As YAML spells it.
-        let quantity = serde_json::to_value(block.quantity).unwrap_or_default();
-        let name = quantity.as_str().unwrap_or_default().replace('_', " ");
-        let name = if elements.is_empty() { name } else { format!("{name}: {elements}") };
-        let when: Vec<String> = block.steps_ago.iter().map(|steps| ago(*steps)).collect();
-        let (length, unit, when) = (block.length(), block.unit(), when.join(", "));
-        text.push_str(&format!("  {start:3} {length:3}  {name:40} {unit:16} {when}\n"));
-        start += length;
-    }
-    let usage = &policy.usage;
-    text.push('\n');
-    text += &joint_table(policy.nominal_pose(), &usage.joint_limits_rad, &usage.torque_limits_n_m);
-    text
-}
-
-fn ago(steps: u32) -> String {
-    match steps {
-        0 => "now".into(),
-        1 => "one step ago".into(),
-        steps => format!("{steps} steps ago"),
-    }
 }

@@ -16,7 +16,7 @@ use supple::train::environment::EpisodeFault;
 use supple::train::metrics::IterationMetrics;
 use supple::train::run::RunFolder;
 use supple::train::{TrainError, Trainer};
-use supple::util::progress::{ProgressBar, progress};
+use supple::util::progress::{ProgressBar, pace, progress};
 use supple::util::terminal::{self, shell_word};
 
 /// Shortest time between two signals that count as two.
@@ -137,6 +137,7 @@ fn train(
     let bar = if folder.is_some() { progress(total) } else { ProgressBar::hidden() };
     let bar = bar.with_position(trainer.run().samples);
     bar.reset_eta();
+    let (begun, first) = (Instant::now(), trainer.run().samples);
     while trainer.run().samples < total && !any(trainer.ranks(), stop.load(Ordering::Relaxed)) {
         let metrics = trainer.iterate().map_err(|error| explain(error, folder.as_ref()))?;
         let logged =
@@ -152,7 +153,10 @@ fn train(
             *saved = metrics.iteration;
             if bar.is_hidden() && folder.is_some() {
                 // No terminal, as in a batch job's log.
-                terminal::note(format_args!("{} of {total} samples: {}", metrics.samples, summary(&metrics)));
+                let (samples, summary) = (metrics.samples, summary(&metrics));
+                let left = total.saturating_sub(samples);
+                let pace = pace(samples - first, begun.elapsed().as_secs_f64(), left, "samples");
+                terminal::note(format_args!("{samples} of {total} samples: {summary}, {pace}"));
             }
         }
     }

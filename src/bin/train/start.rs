@@ -121,12 +121,22 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     if !ranks.is_alone() && config.ppo.shards == 1 {
         config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
     }
-    let memory = MemoryEstimate::new(&config)?.for_ranks(ranks.here(), ranks.count());
-    memory.check()?;
+    let memory = check_memory(&config, &**ranks)?;
     if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
         terminal::note(format_args!("note: this run takes {memory}"));
     }
     Ok((Trainer::with_ranks(Arc::clone(ranks), &name, config, seed, threads)?, out))
+}
+
+/// Checks that the machine has enough memory for a run, and warns if it may have too little.
+fn check_memory(config: &Config, ranks: &dyn Ranks) -> anyhow::Result<MemoryEstimate> {
+    let memory = MemoryEstimate::new(config)?.for_ranks(ranks.here(), ranks.count());
+    if let Some(shortage) = memory.check()? {
+        terminal::note(format_args!(
+            "warning: {shortage}; going on, since the system may give back memory of its caches"
+        ));
+    }
+    Ok(memory)
 }
 
 /// Resumes the run in a folder, which the first rank opens.
@@ -147,6 +157,7 @@ pub fn resume(
         None => (None, Checkpoint::from_bytes(&bytes).map_err(Into::into)),
     };
     let checkpoint = together(&**ranks, checkpoint)?;
+    together(&**ranks, check_memory(&checkpoint.run.config, &**ranks).map(drop))?;
     let trainer =
         together(&**ranks, Trainer::resume_with_ranks(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
     check_alike(&trainer)?;

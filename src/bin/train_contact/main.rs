@@ -16,6 +16,7 @@ use supple::network::Scratch;
 use supple::policy::Agent;
 use supple::policy::shipped;
 use supple::robot::LEGS;
+use supple::util::files::Target;
 use supple::util::progress::progress;
 use supple::util::provenance::{git_revision, mujoco_version};
 use supple::util::terminal;
@@ -67,6 +68,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
         })
         .collect::<anyhow::Result<_>>()?;
     // Not after minutes of work.
+    Target::of(&args.out).with_context(|| format!("--out {}", args.out.display()))?;
     let folder = args.out.parent().filter(|folder| !folder.as_os_str().is_empty());
     if let Some(folder) = folder.filter(|folder| !folder.is_dir()) {
         anyhow::bail!("--out {}: there is no folder {}", args.out.display(), folder.display());

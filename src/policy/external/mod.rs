@@ -28,14 +28,16 @@ const MAX_BYTES: u64 = 256 << 10;
 /// # Errors
 /// A file cannot be read, the description is invalid, or the network does not fit it; the error says what was expected.
 pub fn load(path: &Path) -> Result<Agent, AgentError> {
+    let fail = FileError::of(POLICY, path);
     let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(POLICY, path))?;
-    let spec = spec::Spec::parse(path, &String::from_utf8_lossy(&bytes))?;
+    let text = std::str::from_utf8(&bytes).map_err(|_| fail("it is not text in UTF-8"))?;
+    let spec = spec::Spec::parse(path, text)?;
     let onnx = path.parent().unwrap_or(Path::new("")).join(&spec.onnx);
-    let network_bytes = files::read_bounded(&onnx, onnx::MAX_BYTES).map_err(FileError::of(POLICY, &onnx))?;
-    let network = onnx::Network::from_bytes(&network_bytes, &onnx)?;
-    spec.check(&network).map_err(FileError::of(POLICY, path))?;
+    let (network, network_files) = onnx::Network::load(&onnx)?;
+    spec.check(&network, path.parent().unwrap_or(Path::new(""))).map_err(FileError::of(POLICY, path))?;
     let spec::Spec { layout, action, config, .. } = spec;
+    let parts: Vec<&[u8]> = std::iter::once(&bytes).chain(&network_files).map(Vec::as_slice).collect();
     let period_s = config.simulation.policy_period_s();
     let inference = Inference { layout, action, network: Network::Onnx(network), period_s };
-    Ok(Agent::external(inference, config, files::sha256(&[&bytes, &network_bytes])))
+    Ok(Agent::external(inference, config, files::sha256(&parts)))
 }

@@ -1,6 +1,7 @@
 //! The checked YAML file of an external policy.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use serde::Deserialize;
 
@@ -10,9 +11,12 @@ use crate::observation::{Layout, LayoutError, Nominal, Numbers, Observed, limit,
 use crate::policy::AgentError;
 use crate::policy::inference::{Action, Meaning};
 use crate::policy::onnx::Network;
-use crate::robot::{JOINTS, Joints, Robot, joint_names, recognise};
+use crate::robot::{JOINTS, Joints, Robot, joint_name, joint_names, recognise};
 use crate::util::files::FileError;
 use crate::util::yaml::{self, Text};
+
+/// Largest excess of a nominal angle over its range that is taken for a rounding \[rad\].
+const ROUNDING_RAD: f64 = 0.01;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -54,8 +58,15 @@ pub(super) enum Fault {
     Observation(#[from] LayoutError),
     #[error("nominal_pose_rad has {0} angles, expected {JOINTS}, in the order of `joints`")]
     Angles(usize),
+    #[error("nominal_pose_rad is {0:?}, expected finite angles")]
+    PoseNotFinite(Joints),
     #[error("nominal_pose_rad is {0:?}, expected angles of at most one turn")]
     Pose(Joints),
+    #[error(
+        "nominal_pose_rad has {joint} at {found} rad, expected {low:.3} to {high:.3} rad, the range of that joint of {robot}: \
+         give the angles in the order of `joints`"
+    )]
+    PoseBeyondRange { joint: String, found: f64, low: f64, high: f64, robot: String },
     #[error("`joints` has '{found}', which is no joint of the robot; they are: {known}")]
     Joint { found: String, known: String },
     #[error("`joints` must name each of these once, in the policy's order: {}", joint_names().join(", "))]
@@ -86,6 +97,9 @@ impl Spec {
     fn new(raw: RawSpec, config: Config, folder: &Path) -> Result<Self, Fault> {
         let order = joint_order(&raw.joints, &config.robot, folder)?;
         let pose: Joints = raw.nominal_pose_rad.try_into().map_err(|pose: Vec<f64>| Fault::Angles(pose.len()))?;
+        if !pose.iter().all(|angle| angle.is_finite()) {
+            return Err(Fault::PoseNotFinite(pose));
+        }
         if !pose.iter().all(|angle| angle.abs() <= std::f64::consts::TAU) {
             return Err(Fault::Pose(pose));
         }
@@ -110,8 +124,12 @@ impl Spec {
         })
     }
 
-    /// Checks that the network has as many inputs and outputs as the description states.
-    pub(super) fn check(&self, network: &Network) -> Result<(), Fault> {
+    /// Checks that the network has as many inputs and outputs as the description states, and that the robot can stand as it
+    /// states. A robot that cannot be read is not asked: the policy can still be inspected, or run on another one.
+    pub(super) fn check(&self, network: &Network, folder: &Path) -> Result<(), Fault> {
+        if let Ok(robot) = load_robot(&self.config.robot, folder) {
+            self.check_pose(&robot)?;
+        }
         let (length, onnx) = (self.layout.length(), self.onnx.clone());
         if length != network.inputs() {
             let blocks = self.layout.blocks().iter();
@@ -126,6 +144,24 @@ impl Spec {
         }
         Ok(())
     }
+
+    /// Checks that each angle of the nominal pose is within the range of its joint.
+    fn check_pose(&self, robot: &Robot) -> Result<(), Fault> {
+        for joint in *self.layout.order() {
+            let (found, [low, high]) = (self.action.nominal_pose[joint], robot.joint_limits[joint]);
+            if !(low - ROUNDING_RAD..=high + ROUNDING_RAD).contains(&found) {
+                let (joint, robot) = (joint_name(joint), robot.name.clone());
+                return Err(Fault::PoseBeyondRange { joint, found, low, high, robot });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Loads the robot of a description in a folder, in which it may lie.
+fn load_robot(robot: &RobotModel, folder: &Path) -> Result<Arc<Robot>, FileError> {
+    let beside = folder.join(PathBuf::from(&robot.model));
+    if Robot::ships(&robot.model) { robot.load() } else { Robot::load(&beside.display().to_string()) }
 }
 
 /// Returns the index in Supple's order of each of the policy's joints, given by Supple's names with or without `_joint`, by
@@ -138,18 +174,15 @@ fn joint_order(names: &[String], robot: &RobotModel, folder: &Path) -> Result<[u
     };
     let words = || names.iter().map(String::as_str).collect::<Vec<_>>();
     let usual = || (names.len() == JOINTS).then(|| recognise(&words()).map(inverted)).flatten();
-    let load = || {
-        let beside = folder.join(PathBuf::from(&robot.model));
-        if Robot::ships(&robot.model) { robot.load() } else { Robot::load(&beside.display().to_string()) }
-    };
     let in_file = || {
-        let robot = load().ok()?;
+        let robot = load_robot(robot, folder).ok()?;
         names.iter().map(|name| robot.joints_in_file.iter().position(|own| own == name)).collect::<Option<Vec<_>>>()
     };
     let ours = names.iter().map(place).collect::<Option<Vec<_>>>();
     let Some(order) = ours.or_else(|| usual().map(Vec::from)).or_else(in_file) else {
         let found = names.iter().find(|name| place(name).is_none()).map_or("", String::as_str);
-        let own = load().map_or_else(|_| String::new(), |robot| format!("; {}", robot.joints_in_file.join(", ")));
+        let own = load_robot(robot, folder)
+            .map_or_else(|_| String::new(), |robot| format!("; {}", robot.joints_in_file.join(", ")));
         return Err(Fault::Joint { found: found.to_owned(), known: known.join(", ") + &own });
     };
     match <[usize; JOINTS]>::try_from(order) {
@@ -225,6 +258,28 @@ mod tests {
         assert_eq!(order(&legs(["fl", "fr", "hl", "hr"], ["hx", "hy", "kn"])).unwrap(), ours);
         let error = order(&legs(["LF", "RF", "LH", "tail"], ["HAA", "HFE", "KFE"])).unwrap_err().to_string();
         assert!(error.contains("'LF_HAA'") && error.contains("FR_hip"), "{error}");
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_a_description() {
+        assert!(Spec::parse(Path::new("p.yaml"), &format!("\u{feff}{EXAMPLE}")).is_ok());
+    }
+
+    #[test]
+    fn a_pose_in_another_order_than_the_joints_is_refused() {
+        let go1 = Robot::load("go1").unwrap();
+        let fault = |pose: &str| {
+            let (before, rest) = EXAMPLE.split_once("nominal_pose_rad:").unwrap();
+            let (_, after) = rest.split_once('\n').unwrap();
+            let text = format!("{before}nominal_pose_rad: {pose}\n{after}");
+            Spec::parse(Path::new("test"), &text).unwrap().check_pose(&go1)
+        };
+        assert!(fault("[0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5]").is_ok());
+        // Hips, thighs, calves, as Isaac Lab has them, where the example lists leg by leg.
+        let error =
+            fault("[0.1, -0.1, 0.1, -0.1, 0.8, 0.8, 1.0, 1.0, -1.5, -1.5, -1.5, -1.5]").unwrap_err().to_string();
+        assert!(error.contains("FL_calf at 0.1 rad, expected -2.818 to -0.888 rad"), "{error}");
+        assert!(error.contains("in the order of `joints`"), "{error}");
     }
 
     #[test]

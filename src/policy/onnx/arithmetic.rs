@@ -10,6 +10,11 @@ pub(super) fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
 }
 
+/// Computes `ln(1 + exp(x))`, which is NaN for NaN.
+pub(super) fn softplus(x: f32) -> f32 {
+    if x.is_nan() { x } else { x.max(0.0) + (-x.abs()).exp().ln_1p() }
+}
+
 /// Computes erf by Abramowitz and Stegun 7.1.26, whose error of 1.5e-7 is that of single precision.
 pub(super) fn erf(x: f32) -> f32 {
     let size = f64::from(x.abs());

@@ -12,13 +12,14 @@ mod operators;
 #[allow(missing_docs)] // The schema's own names; each message is described.
 mod proto;
 mod tensor;
+mod weights;
 mod wire;
 
 pub use export::export;
-pub use network::{MAX_BYTES, Network, Scratch};
+pub use network::{Network, Scratch};
 
 /// The reason why a network cannot be run: what a file, a tensor or an operator has, and what is supported. The errors of
-/// [`Network::from_bytes`] show it.
+/// [`Network::load`] show it.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Unsupported(String);

@@ -8,10 +8,14 @@ use prost::Message;
 use super::operators::Call;
 use super::proto::{Graph, Model, Node, Size, ValueInfo};
 use super::tensor::{Tensor, elements};
-use super::{Result, Unsupported, wire};
-use crate::util::files::FileError;
+use super::{Result, Unsupported, weights, wire};
+use crate::policy::pytorch;
+use crate::util::files::{self, FileError};
 
-/// Maximum size of an ONNX file \[bytes\].
+/// Name of the file type in error messages.
+const ONNX: &str = "ONNX file";
+
+/// Maximum size of an ONNX file, and of the weights beside it \[bytes\].
 pub const MAX_BYTES: u64 = 32 << 20;
 
 /// Supported versions of the operator set: those with the meaning that `operators` implements.
@@ -51,17 +55,33 @@ pub struct Network {
 pub struct Scratch(Vec<Option<Tensor>>);
 
 impl Network {
+    /// Reads a file, and the files of weights beside it that it names, and evaluates the network once. Returns the network
+    /// and the bytes of the files.
+    ///
+    /// # Errors
+    /// A file cannot be read or is not an ONNX model, or an operator or shape is not supported; the error names it.
+    pub fn load(path: &Path) -> std::result::Result<(Self, Vec<Vec<u8>>), FileError> {
+        let fail = FileError::of(ONNX, path);
+        let bytes = files::read_bounded(path, MAX_BYTES).map_err(fail)?;
+        let mut model = decode(&bytes).map_err(FileError::of(ONNX, path))?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let graph = model.graph.as_mut();
+        let beside = graph.map_or(Ok(Vec::new()), |graph| weights::read_beside(graph, folder));
+        let beside = beside.map_err(FileError::of(ONNX, path))?;
+        let network = Self::new(model).map_err(FileError::of(ONNX, path))?;
+        Ok((network, [vec![bytes], beside].concat()))
+    }
+
     /// Parses a file's bytes and evaluates the network once; `path` is for error messages.
     ///
     /// # Errors
-    /// The bytes are not an ONNX model, or an operator or shape is not supported; the error names it.
+    /// The bytes are not an ONNX model, have weights in other files, or an operator or shape is not supported; the error names
+    /// it.
     pub fn from_bytes(bytes: &[u8], path: &Path) -> std::result::Result<Self, FileError> {
-        Self::read(bytes).map_err(FileError::of("ONNX file", path))
+        decode(bytes).and_then(Self::new).map_err(FileError::of(ONNX, path))
     }
 
-    fn read(bytes: &[u8]) -> Result<Self> {
-        wire::check(bytes)?;
-        let model = Model::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?;
+    fn new(model: Model) -> Result<Self> {
         let versions = model.opset_import.iter().filter(|set| matches!(set.domain.as_str(), "" | "ai.onnx"));
         let version =
             versions.map(|set| set.version).max().ok_or("it does not say which operator set it is made of")?;
@@ -190,6 +210,15 @@ impl Step {
     }
 }
 
+/// Decodes a file whose size has been checked.
+fn decode(bytes: &[u8]) -> Result<Model> {
+    if pytorch::is_pytorch(bytes) {
+        return Err(pytorch::ADVICE.into());
+    }
+    wire::check(bytes)?;
+    Ok(Model::decode(bytes).map_err(|error| format!("not ONNX ({error})"))?)
+}
+
 /// Finds the one input that is not a constant; older files list constants as inputs, too.
 fn only_input(graph: &Graph) -> Result<&ValueInfo> {
     let constant = |input: &&ValueInfo| graph.initializer.iter().any(|constant| constant.name == input.name);
@@ -251,17 +280,20 @@ mod tests {
         outputs: Vec<Vec<f32>>,
     }
 
+    fn path(file: &str) -> std::path::PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx").join(file)
+    }
+
     fn fixture(file: &str) -> Vec<u8> {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/onnx").join(file);
-        std::fs::read(path).unwrap()
+        std::fs::read(path(file)).unwrap()
     }
 
     #[test]
     fn networks_agree_with_onnxruntime() {
         let golden: Vec<Golden> = serde_json::from_slice(&fixture("golden.json")).unwrap();
-        assert_eq!(golden.len(), 3);
+        assert_eq!(golden.len(), 5);
         for Golden { file, inputs, outputs } in golden {
-            let network = Network::from_bytes(&fixture(&file), Path::new(&file)).unwrap();
+            let (network, _) = Network::load(&path(&file)).unwrap();
             let mut scratch = Scratch::default();
             for (input, expected) in inputs.iter().zip(&outputs) {
                 let found = network.forward(input, &mut scratch);
@@ -358,10 +390,10 @@ mod tests {
 
         #[test]
         fn bytes_changed_at_random_never_panic(
-            which in 0_usize..3,
+            which in 0_usize..4,
             changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..12),
         ) {
-            let name = ["operators.onnx", "rsl_rl.onnx", "playground.onnx"][which];
+            let name = ["operators.onnx", "rsl_rl.onnx", "playground.onnx", "newer.onnx"][which];
             let mut bytes = fixture(name);
             for (place, byte) in changes {
                 // Weights are most of the file; what they are changed to does not matter. Aim at the structure.

@@ -3,16 +3,18 @@
 //! No output's shape depends on single-precision values, only on shapes, attributes and constants: a graph that was
 //! evaluated once can be evaluated with any other observation.
 
-use super::arithmetic::{along, axis, broadcast, broadcast_indices, erf, fits, matrix, multiply, positions, sigmoid};
-use super::proto::{Attribute, DOUBLE, FLOAT, INT32, INT64, Node};
+use super::arithmetic::{
+    along, axis, broadcast, broadcast_indices, erf, fits, matrix, multiply, positions, sigmoid, softplus,
+};
+use super::proto::{Attribute, BFLOAT16, DOUBLE, FLOAT, FLOAT16, INT32, INT64, Node};
 use super::tensor::{Tensor, Values, elements, strides};
 use super::{Result, Unsupported};
 
 /// Names of all supported operators, for error messages.
-pub const KNOWN: &str = "Abs Add BatchNormalization Cast Clip Concat Constant Div Dropout Elu Erf Exp Flatten Gather \
-                         Gemm HardSigmoid Identity LayerNormalization LeakyRelu Log MatMul Max Min Mul Neg Pow \
-                         Reciprocal Relu Reshape Selu Shape Sigmoid Slice Softplus Softsign Split Sqrt Squeeze Sub \
-                         Tanh Transpose Unsqueeze";
+pub const KNOWN: &str = "Abs Add BatchNormalization Cast Celu Clip Concat Constant Div Dropout Elu Erf Exp Expand Flatten \
+                         Gather Gelu Gemm HardSigmoid HardSwish Identity LayerNormalization LeakyRelu Log MatMul Max Min \
+                         Mish Mul Neg PRelu Pow Reciprocal ReduceL2 ReduceMean ReduceSum Relu Reshape Selu Shape Sigmoid \
+                         Slice Softplus Softsign Split Sqrt Squeeze Sub Tanh Transpose Unsqueeze";
 
 /// A node with the values of its inputs; `None` for an omitted input.
 pub struct Call<'a> {
@@ -42,8 +44,16 @@ impl Call<'_> {
             "Relu" => self.input(0)?.map(|x| propagating(x, 0.0, f32::max))?,
             "Tanh" => self.input(0)?.map(f32::tanh)?,
             "Sigmoid" => self.input(0)?.map(sigmoid)?,
-            "Softplus" => self.input(0)?.map(|x| propagating(x, 0.0, f32::max) + (-x.abs()).exp().ln_1p())?,
+            "Softplus" => self.input(0)?.map(softplus)?,
             "Softsign" => self.input(0)?.map(|x| x / (1.0 + x.abs()))?,
+            "Mish" => self.input(0)?.map(|x| x * softplus(x).tanh())?,
+            "HardSwish" => self.input(0)?.map(|x| x * (x / 6.0 + 0.5).clamp(0.0, 1.0))?,
+            "Gelu" => self.gelu()?,
+            "Celu" => {
+                let alpha = self.float("alpha", 1.0);
+                self.input(0)?.map(|x| if x < 0.0 { alpha * (x / alpha).exp_m1() } else { x })?
+            }
+            "PRelu" => broadcast(self.input(0)?, self.input(1)?, |x, slope| if x < 0.0 { slope * x } else { x })?,
             "Erf" => self.input(0)?.map(erf)?,
             "Elu" => {
                 let alpha = self.float("alpha", 1.0);
@@ -69,6 +79,9 @@ impl Call<'_> {
             "Max" => self.fold(|a, b| propagating(a, b, f32::max))?,
             "Min" => self.fold(|a, b| propagating(a, b, f32::min))?,
             "Clip" => self.clip()?,
+            "ReduceSum" => self.reduce(|values| values.iter().sum())?,
+            "ReduceMean" => self.reduce(|values| values.iter().sum::<f32>() / values.len() as f32)?,
+            "ReduceL2" => self.reduce(|values| values.iter().map(|value| value * value).sum::<f32>().sqrt())?,
             "Gemm" => self.gemm()?,
             "MatMul" => self.matmul()?,
             "BatchNormalization" => self.batch_normalization()?,
@@ -78,6 +91,7 @@ impl Call<'_> {
                 Tensor::int(vec![shape.len()], shape)?
             }
             "Reshape" => self.reshape()?,
+            "Expand" => self.expand()?,
             "Flatten" => self.flatten()?,
             "Squeeze" => self.squeeze()?,
             "Unsqueeze" => self.unsqueeze()?,
@@ -135,8 +149,13 @@ impl Call<'_> {
     fn cast(&self) -> Result<Tensor> {
         let (tensor, to) = (self.input(0)?, self.int("to", 0) as i32);
         let values = match (tensor.values(), to) {
-            (Values::Float(_), FLOAT | DOUBLE) | (Values::Int(_), INT32 | INT64) => tensor.values().clone(),
-            (Values::Int(values), FLOAT | DOUBLE) => Values::Float(values.iter().map(|value| *value as f32).collect()),
+            // All floating-point numbers are single precision here.
+            (Values::Float(_), FLOAT | DOUBLE | FLOAT16 | BFLOAT16) | (Values::Int(_), INT32 | INT64) => {
+                tensor.values().clone()
+            }
+            (Values::Int(values), FLOAT | DOUBLE | FLOAT16 | BFLOAT16) => {
+                Values::Float(values.iter().map(|value| *value as f32).collect())
+            }
             (Values::Float(_), INT32 | INT64) => {
                 return Err("it makes integers of numbers, which a policy's shapes must not depend on".into());
             }
@@ -172,6 +191,45 @@ impl Call<'_> {
         let (low, high) = (limit(1, "min", f32::NEG_INFINITY)?, limit(2, "max", f32::INFINITY)?);
         // Not `clamp`, which panics where low > high; ONNX lets the upper limit win.
         self.input(0)?.map(|x| if x.is_nan() { x } else { x.max(low).min(high) })
+    }
+
+    fn gelu(&self) -> Result<Tensor> {
+        let x = self.input(0)?;
+        match self
+            .attribute("approximate")
+            .map_or("none".into(), |attribute| String::from_utf8_lossy(&attribute.s))
+            .as_ref()
+        {
+            "tanh" => {
+                let slope = (2.0 / std::f32::consts::PI).sqrt();
+                x.map(|x| 0.5 * x * (1.0 + (slope * (x + 0.044_715 * x.powi(3))).tanh()))
+            }
+            "none" => x.map(|x| 0.5 * x * (1.0 + erf(x * std::f32::consts::FRAC_1_SQRT_2))),
+            other => Err(format!("its approximation is '{other}', expected 'none' or 'tanh'").into()),
+        }
+    }
+
+    /// Applies a function to the values along some axes; if none are named, along all, or to each value alone on request.
+    fn reduce(&self, function: impl Fn(&[f32]) -> f32) -> Result<Tensor> {
+        let x = self.input(0)?;
+        let rank = x.shape().len();
+        let named = self.ints(1, "axes")?.unwrap_or_default();
+        let axes = named.iter().map(|index| axis(*index, rank)).collect::<Result<Vec<_>>>()?;
+        let are_all = axes.is_empty() && self.int("noop_with_empty_axes", 0) == 0;
+        let is_reduced = |index: &usize| are_all || axes.contains(index);
+        let (reduced, kept): (Vec<usize>, Vec<usize>) = (0..rank).partition(is_reduced);
+        let width = reduced.iter().map(|index| x.shape()[*index]).product();
+        if width == 0 {
+            return Err("it reduces no values at all".into());
+        }
+        let sorted = permuted(x, &[kept.clone(), reduced].concat())?;
+        let values = sorted.floats()?.chunks(width).map(function).collect();
+        let shape = if self.int("keepdims", 1) != 0 {
+            (0..rank).map(|index| if is_reduced(&index) { 1 } else { x.shape()[index] }).collect()
+        } else {
+            kept.iter().map(|index| x.shape()[*index]).collect()
+        };
+        Tensor::float(shape, values)
     }
 
     /// Computes `alpha · A' · B' + beta · C`.
@@ -266,6 +324,18 @@ impl Call<'_> {
         x.reshaped(shape)
     }
 
+    /// Repeats dimensions of size one until the input has a shape.
+    fn expand(&self) -> Result<Tensor> {
+        let x = self.input(0)?;
+        let wanted = self.ints(1, "shape")?.ok_or("it has no shape")?;
+        let sizes: Option<Vec<usize>> = wanted.iter().map(|size| usize::try_from(*size).ok()).collect();
+        let sizes = sizes.ok_or_else(|| format!("its shape is {wanted:?}"))?;
+        elements(&sizes)?;
+        let (shape, indices) = broadcast_indices(x.shape(), &sizes)?;
+        let indices: Vec<usize> = indices.map(|(index, _)| index).collect();
+        x.pick(shape, &indices)
+    }
+
     fn flatten(&self) -> Result<Tensor> {
         let x = self.input(0)?;
         let at = match self.int("axis", 1) {
@@ -307,10 +377,7 @@ impl Call<'_> {
         if !(0..rank).all(|index| order.contains(&index)) || order.len() != rank {
             return Err(format!("its order is {order:?}, expected each of {rank} dimensions once").into());
         }
-        let (own, shape) = (strides(x.shape()), order.iter().map(|index| x.shape()[*index]).collect::<Vec<_>>());
-        let steps: Vec<usize> = order.iter().map(|index| own[*index]).collect();
-        let indices: Vec<usize> = positions(&shape).map(|at| at.iter().zip(&steps).map(|(p, s)| p * s).sum()).collect();
-        x.pick(shape, &indices)
+        permuted(x, &order)
     }
 
     fn concat(&self) -> Result<Tensor> {
@@ -419,6 +486,14 @@ impl Call<'_> {
         };
         sizes.into_iter().map(&mut part).collect()
     }
+}
+
+/// Returns a tensor with its dimensions in another order.
+fn permuted(x: &Tensor, order: &[usize]) -> Result<Tensor> {
+    let (own, shape) = (strides(x.shape()), order.iter().map(|index| x.shape()[*index]).collect::<Vec<_>>());
+    let steps: Vec<usize> = order.iter().map(|index| own[*index]).collect();
+    let indices: Vec<usize> = positions(&shape).map(|at| at.iter().zip(&steps).map(|(p, s)| p * s).sum()).collect();
+    x.pick(shape, &indices)
 }
 
 /// Chooses one of two numbers, or NaN if one of them is NaN, which Rust's own functions ignore.

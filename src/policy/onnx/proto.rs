@@ -12,8 +12,14 @@ pub const INT32: i32 = 6;
 /// Element type INT64 of a tensor.
 pub const INT64: i32 = 7;
 
+/// Element type FLOAT16 of a tensor.
+pub const FLOAT16: i32 = 10;
+
 /// Element type DOUBLE of a tensor.
 pub const DOUBLE: i32 = 11;
+
+/// Element type BFLOAT16 of a tensor.
+pub const BFLOAT16: i32 = 16;
 
 /// Kind FLOAT of an attribute.
 pub const ATTRIBUTE_FLOAT: i32 = 1;
@@ -130,6 +136,9 @@ pub struct Tensor {
     pub raw_data: Vec<u8>,
     #[prost(double, repeated, tag = "10")]
     pub double_data: Vec<f64>,
+    /// Position of values in another file: `location` (its name), `offset` and `length` \[bytes\].
+    #[prost(message, repeated, tag = "13")]
+    pub external_data: Vec<Property>,
     /// Location of the values: 1 if they are in another file.
     #[prost(int32, tag = "14")]
     pub data_location: i32,

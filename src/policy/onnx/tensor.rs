@@ -1,7 +1,9 @@
 //! Dense tensors of the interpreter: single-precision values, or integers for shapes and indices.
 
+use half::{bf16, f16};
+
 use super::Result;
-use super::proto::{self, DOUBLE, FLOAT, INT32, INT64};
+use super::proto::{self, BFLOAT16, DOUBLE, FLOAT, FLOAT16, INT32, INT64};
 
 /// Maximum number of elements of a tensor: a layer of 2048 by 2048.
 pub const MAX_ELEMENTS: usize = 1 << 22;
@@ -53,7 +55,9 @@ impl Tensor {
     /// Reads a constant of the file.
     pub fn read(tensor: &proto::Tensor) -> Result<Self> {
         if tensor.data_location != 0 {
-            return Err("its values are in another file; save the model as one file".into());
+            return Err("its values are in another file, and it is no weight of the graph: save the model as one file, in PyTorch \
+                        with torch.onnx.export(..., external_data=False)"
+                .into());
         }
         let shape = tensor.dims.iter().map(|size| usize::try_from(*size));
         let shape: Vec<usize> =
@@ -63,6 +67,8 @@ impl Tensor {
         let values = match tensor.data_type {
             FLOAT if raw.is_empty() => Values::Float(tensor.float_data.clone()),
             FLOAT => Values::Float(chunks::<4>(raw)?.map(f32::from_le_bytes).collect()),
+            FLOAT16 => Values::Float(halves(tensor)?.map(|bits| f16::from_bits(bits).to_f32()).collect()),
+            BFLOAT16 => Values::Float(halves(tensor)?.map(|bits| bf16::from_bits(bits).to_f32()).collect()),
             DOUBLE if raw.is_empty() => Values::Float(tensor.double_data.iter().map(|value| *value as f32).collect()),
             DOUBLE => Values::Float(chunks::<8>(raw)?.map(|bytes| f64::from_le_bytes(bytes) as f32).collect()),
             INT32 if raw.is_empty() => Values::Int(tensor.int32_data.iter().map(|value| i64::from(*value)).collect()),
@@ -70,9 +76,10 @@ impl Tensor {
             INT64 if raw.is_empty() => Values::Int(tensor.int64_data.clone()),
             INT64 => Values::Int(chunks::<8>(raw)?.map(i64::from_le_bytes).collect()),
             other => {
-                return Err(
-                    format!("its element type is {other}, expected 1 (float), 6, 7 (integers) or 11 (double)").into()
-                );
+                return Err(format!(
+                    "its element type is {other}, expected 1, 10, 11 or 16 (floating point), 6 or 7 (integers)"
+                )
+                .into());
             }
         };
         Self::new(shape, values)
@@ -144,6 +151,12 @@ pub fn strides(shape: &[usize]) -> Vec<usize> {
         strides[k - 1] = strides[k] * shape[k];
     }
     strides
+}
+
+/// Returns the bits of the half-precision values of a constant, which may be in the field of 32-bit integers.
+fn halves(tensor: &proto::Tensor) -> Result<impl Iterator<Item = u16>> {
+    let raw = chunks::<2>(&tensor.raw_data)?.map(u16::from_le_bytes);
+    Ok(raw.chain(tensor.int32_data.iter().map(|bits| *bits as u16)))
 }
 
 fn chunks<const N: usize>(raw: &[u8]) -> Result<impl Iterator<Item = [u8; N]>> {

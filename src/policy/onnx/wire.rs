@@ -15,6 +15,7 @@ enum Message {
     Graph,
     Node,
     Attribute,
+    Tensor,
     ValueInfo,
     Type,
     TensorType,
@@ -28,7 +29,8 @@ impl Message {
     fn child(self, field: u64) -> Option<Message> {
         match (self, field) {
             (Message::Model, 7) => Some(Message::Graph),
-            (Message::Model, 8 | 14) | (Message::Graph, 5) | (Message::Attribute, 5) => Some(Message::Leaf),
+            (Message::Model, 8 | 14) | (Message::Tensor, 13) => Some(Message::Leaf),
+            (Message::Graph, 5) | (Message::Attribute, 5) => Some(Message::Tensor),
             (Message::Graph, 1) => Some(Message::Node),
             (Message::Graph, 11 | 12) => Some(Message::ValueInfo),
             (Message::Node, 5) => Some(Message::Attribute),

@@ -35,6 +35,7 @@ use crate::sim::Conditions;
 use crate::sim::Scene;
 use crate::task::Command;
 use crate::util::files::FileError;
+use crate::util::numbers::brief;
 use crate::util::random::{Purpose, stream};
 use crate::util::yaml::{Text, YamlError, flat_parameters, layered, to_text};
 
@@ -428,9 +429,5 @@ pub fn in_range(
     high: f64,
     expected: &'static str,
 ) -> Result<(), ParameterError> {
-    if (low..=high).contains(&found) {
-        Ok(())
-    } else {
-        Err(ParameterError { name, found: found.to_string(), expected })
-    }
+    if (low..=high).contains(&found) { Ok(()) } else { Err(ParameterError { name, found: brief(found), expected }) }
 }

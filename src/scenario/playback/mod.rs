@@ -20,7 +20,7 @@ use crate::estimate::external_force::ExternalForces;
 use crate::estimate::{SensorFault, SensorNoise};
 use crate::mujoco::{self, Data, Kind};
 use crate::policy::Controller;
-use crate::robot::{GRAVITY_M_S2, Joints, RobotState};
+use crate::robot::{GRAVITY_M_S2, Joints, RobotState, joint_name};
 use crate::scenario::trace::{Disturbance, Event, EventKind, Felt, Frame, Pose, Rope, Stretch, Trace};
 use crate::sim::{Pull, Push, Sim, StepSummary};
 use crate::task::{Command, Stage, Stages, SwingTracker, Terms, reward};
@@ -214,7 +214,7 @@ impl<'a> Playback<'a> {
     /// Plays one policy step: disturb, act, simulate, observe, record.
     fn try_step(&mut self, events: &mut Vec<Event>) -> Result<Frame, PlaybackFault> {
         self.disturb(self.time_s(), events)?;
-        let target = self.act();
+        let target = self.act()?;
         let (summary, meter) = self.simulate(&target)?;
         self.step += 1;
         let outcome = self.observe(&summary, &meter, events)?;
@@ -226,8 +226,8 @@ impl<'a> Playback<'a> {
         self.step as f64 * self.sim.policy_period_s()
     }
 
-    /// Returns the controller's joint targets \[rad\].
-    fn act(&mut self) -> Joints {
+    /// Returns the controller's joint targets \[rad\], which are finite.
+    fn act(&mut self) -> Result<Joints, PlaybackFault> {
         let estimated =
             self.senses.as_ref().map(|senses| RobotState { felt_force: self.state.felt_force, ..senses.state() });
         let known = estimated.as_ref().unwrap_or(&self.state);
@@ -235,10 +235,13 @@ impl<'a> Playback<'a> {
             self.controller.begin(known);
         }
         let target = self.controller.joint_targets(known, &self.command);
+        if let Some(joint) = target.iter().position(|target| !target.is_finite()) {
+            return Err(PlaybackFault::Policy { joint, target: target[joint] });
+        }
         if let Some(senses) = &mut self.senses {
             senses.act(&target);
         }
-        target
+        Ok(target)
     }
 
     /// Runs the physics of one policy step.
@@ -528,6 +531,8 @@ enum PlaybackFault {
     Physics(#[from] mujoco::Error),
     #[error("the sensors failed: {0}")]
     Sensors(#[from] SensorFault),
+    #[error("the policy fails: its joint target of {} is {target}, expected a finite angle", joint_name(*joint))]
+    Policy { joint: usize, target: f64 },
 }
 
 /// Returns the body from which the distance to the script's goal is measured.

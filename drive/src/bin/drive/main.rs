@@ -53,7 +53,8 @@ fn watch(args: &Args, session: &Path) -> anyhow::Result<()> {
     let playback = replay::begin(session)?;
     let publisher = Publisher::new(&playback.world);
     let (to_robots, messages) = sync_channel(QUEUE);
-    serve(args, publisher.updates(), to_robots, || replay::watch(session, playback, publisher, &messages))
+    let to_self = to_robots.clone();
+    serve(args, publisher.updates(), to_robots, || replay::watch(session, playback, publisher, &to_self, &messages))
 }
 
 /// Serves pages and viewers while `play` runs.

@@ -3,6 +3,7 @@
 mod args;
 mod progress;
 
+use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -10,13 +11,17 @@ use args::Args;
 use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
+use supple::util::files::Target;
 use supple::util::terminal;
 use supple_evaluate::measurement_store::MeasurementStore;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::other_reports::OtherReport;
 use supple_evaluate::report::{CommandLine, Report, Section};
-use supple_evaluate::runner::{self, Settings};
+use supple_evaluate::runner::{self, Measurement, Settings};
+
+/// The largest number of characters of a set's name.
+const MOST_NAME: usize = 40;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
@@ -25,6 +30,13 @@ fn main() -> ExitCode {
 }
 
 fn run(args: &Args) -> anyhow::Result<()> {
+    // Not after minutes of work.
+    if let Some(path) = &args.results {
+        let at = || format!("--results {}", path.display());
+        Target::of(path).with_context(at)?;
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        anyhow::ensure!(folder.is_none_or(Path::is_dir), "{}: there is no folder for it; make it", at());
+    }
     let (name, protocol) = protocol(args)?;
     let mut policies = policies(args)?;
     if let Some(joints) = args.joints {
@@ -55,16 +67,23 @@ fn run(args: &Args) -> anyhow::Result<()> {
     }
     for (experiment, settings) in &runs {
         progress.begin(&experiment.info());
-        runner::measure(*experiment, &policies, settings, &|work| progress.advance(work))?;
+        runner::measure(*experiment, &policies, settings, &|update| progress.update(update))?;
         progress.end(&experiment.info(), settings.sensing);
     }
     progress.finish();
 
+    let mut faults = Vec::new();
     // The report includes what other processes have measured meanwhile; the last process reports everything.
-    let _lock = settings.store.lock_report()?;
+    let _lock = settings.store.lock_report(progress::waits)?;
     for experiment in protocol.experiments() {
         let finished = |sensing| runner::finished(experiment, &policies, &settings.store, sensing);
         let (truth, estimated) = (finished(Sensing::True)?, finished(Sensing::Estimated)?);
+        for (measured, on) in [(&truth, ""), (&estimated, " on sensors")] {
+            let Some(Measurement { results, .. }) = measured else { continue };
+            let name = experiment.info().name;
+            let of_set = |set| Some(format!("experiment {name}{on}: {}", results.faults(set)?));
+            faults.extend((0..results.sets.len()).filter_map(of_set));
+        }
         if let (Some(truth), Some(estimated)) = (&truth, &estimated) {
             report.sensing.add(experiment, truth, estimated);
         }
@@ -73,12 +92,19 @@ fn run(args: &Args) -> anyhow::Result<()> {
             None => report.missing.push(experiment.info()),
         }
     }
-    report.write(&args.out)?;
+    let mut failed = report.write(&args.out)?;
     if let Some(path) = &args.results {
-        report.write_document(path)?;
+        failed.extend(report.write_document(path)?);
     }
+    failed.iter().for_each(|error| terminal::note(format_args!("warning: {}", terminal::complaint(error))));
     terminal::print(format_args!("{}\n", args.out.join("report.html").display()))?;
-    Ok(())
+    match faults.split_last() {
+        None => Ok(()),
+        Some((last, others)) => {
+            others.iter().for_each(|fault| terminal::note(format_args!("error: {fault}")));
+            anyhow::bail!("{last}")
+        }
+    }
 }
 
 /// Returns the protocol and its name in the report.
@@ -96,6 +122,16 @@ fn policies(args: &Args) -> anyhow::Result<PolicySets> {
     };
     let are_names = first != second && !first.is_empty() && !second.is_empty();
     anyhow::ensure!(are_names, "--names gives {:?}, expected two different names: A,B", args.names);
+    let further = args.also.iter().map(|(name, _)| ("--also", name));
+    let beside = args.beside.iter().map(|(name, _)| ("--beside", name));
+    for (flag, name) in args.names.iter().map(|name| ("--names", name)).chain(further).chain(beside) {
+        anyhow::ensure!(
+            name.chars().count() <= MOST_NAME && !name.contains(char::is_control),
+            "{flag}: the name {name:?} has {} characters, expected at most {MOST_NAME}, and no line end or other control \
+             character: it is printed in figures",
+            name.chars().count()
+        );
+    }
     for (index, (name, _)) in args.also.iter().enumerate() {
         let is_taken = args.names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
         anyhow::ensure!(!is_taken, "--also {name}: another set has this name; choose a new one");

@@ -6,6 +6,7 @@ use supple::scenario::Sensing;
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
 use supple_evaluate::ExperimentInfo;
+use supple_evaluate::runner::Update;
 
 /// The number of steps of the bar per second of simulated time.
 const STEPS: f64 = 10.0;
@@ -34,9 +35,12 @@ impl Progress {
         self.begun = Instant::now();
     }
 
-    /// Advances the bar by finished work \[s\].
-    pub fn advance(&self, work: f64) {
-        self.bar.inc((STEPS * work) as u64);
+    /// Advances the bar by finished work, or says for whom the program waits.
+    pub fn update(&self, update: Update) {
+        match update {
+            Update::Played(work) => self.bar.inc((STEPS * work) as u64),
+            Update::Waits(other) => self.bar.suspend(|| waits(&other)),
+        }
     }
 
     /// Prints the time of the finished experiment.
@@ -50,4 +54,9 @@ impl Progress {
     pub fn finish(&self) {
         self.bar.finish_and_clear();
     }
+}
+
+/// Says for which other process this one waits.
+pub fn waits(other: &str) {
+    terminal::note(format_args!("waiting for {other}"));
 }

@@ -119,7 +119,7 @@ fn scripts(args: &Args, scenario: &Scenario, robots: &[(String, Agent)], seed: u
     })
 }
 
-/// Plays the scenario with every seed, and prints means and spread.
+/// Plays the scenario with every seed, and prints means and spread; with the first seed alone if seeds draw nothing.
 fn play_seeds(
     args: &Args,
     scenario: &Scenario,
@@ -137,9 +137,13 @@ fn play_seeds(
         .collect();
     let of_seed = |seed: &u64| scripts(args, scenario, robots, *seed);
     let (first, last) = (seeds.start(), seeds.end());
-    if first < last && args.sensing == Sensing::True && of_seed(first)? == of_seed(last)? {
-        terminal::note(format_args!("note: seeds draw nothing in {}: all runs are the same", scenario.name()));
+    // The same trial again and again has no spread.
+    let is_one = first < last && args.sensing == Sensing::True && of_seed(first)? == of_seed(last)?;
+    if is_one {
+        let name = scenario.name();
+        terminal::note(format_args!("note: seeds draw nothing in {name}: there is one trial, that of seed {first}"));
     }
+    let seeds = &if is_one { *first..=*first } else { seeds.clone() };
     let mut failed = None;
     let bar = progress(0);
     for seed in seeds.clone() {

@@ -54,12 +54,14 @@ impl OfSeeds {
 /// Formats a table with a column for each policy.
 pub fn summary(scenario: &Scenario, seeds: &RangeInclusive<u64>, runs: &[OfSeeds]) -> String {
     let count = runs.first().map_or(0, |run| run.metrics.len());
-    let mut text = format!(
-        "{}, seeds {} to {}: mean ± standard deviation (of how many, if not of all {count})\n",
-        scenario.name(),
-        seeds.start(),
-        seeds.end()
-    );
+    let (name, first_seed, last_seed) = (scenario.name(), seeds.start(), seeds.end());
+    let mut text = if first_seed == last_seed {
+        format!("{name}, seed {first_seed}: one trial\n")
+    } else {
+        format!(
+            "{name}, seeds {first_seed} to {last_seed}: mean ± standard deviation (of how many, if not of all {count})\n"
+        )
+    };
     let header: String = runs.iter().map(|run| format!("{:>30}", run.policy)).collect();
     text.push_str(&format!("{:28}{header}\n", ""));
     for (index, Metric { label, unit, .. }) in first(runs).iter().enumerate() {
