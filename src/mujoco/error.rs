@@ -31,7 +31,7 @@ pub enum Buffer {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Error {
     /// The libmujoco loaded at run time has another version than the headers of these bindings.
-    #[error("libmujoco has version {found} at run time, expected {expected}; install Debian 12's libmujoco2.2.2")]
+    #[error("libmujoco has version {found} at run time, expected {expected}; build again, and unset LD_LIBRARY_PATH")]
     Version {
         /// Version of the headers, as `mj_version` counts.
         expected: i32,

@@ -95,7 +95,7 @@ pub enum RobotError {
         expected: &'static str,
     },
     /// A word that only a newer MuJoCo knows, and that cannot be translated.
-    #[error("{at}: {word} needs MuJoCo {since}, this program has 2.2.2; {advice}")]
+    #[error("{at}: {word} needs MuJoCo {since}, and robots are read in the words of 2.2.2; {advice}")]
     Newer {
         /// File and line.
         at: String,
@@ -117,7 +117,7 @@ pub enum RobotError {
         word: String,
     },
     /// MuJoCo refuses an element.
-    #[error("{at}{}{element}: MuJoCo 2.2.2 refuses it: {message}", if at.is_empty() { "" } else { ", " })]
+    #[error("{at}{}{element}: MuJoCo refuses it: {message}", if at.is_empty() { "" } else { ", " })]
     MuJoCo {
         /// File and line; empty if the element is not one of the file.
         at: String,
@@ -127,7 +127,7 @@ pub enum RobotError {
         message: String,
     },
     /// MuJoCo fails, and does not say where.
-    #[error("MuJoCo 2.2.2 refuses it: {0}")]
+    #[error("MuJoCo refuses it: {0}")]
     Engine(String),
     /// A section that no such quadruped has.
     #[error(

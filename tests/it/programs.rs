@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
-use supple::policy::{Agent, Policy};
+use supple::policy::{Agent, Policy, shipped};
 use supple::robot::Robot;
 
 use crate::support::{
@@ -298,6 +298,16 @@ fn policy_program_shows_verifies_and_exports() {
         assert!(complaint(&output).contains(expected), "{}", complaint(&output));
     }
     assert_eq!(std::fs::read_to_string(folder.path().join("p.yaml")).unwrap(), "onnx: mine.onnx\n");
+}
+
+#[test]
+fn compliance_of_an_exported_network_can_be_commanded() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = run("policy", folder.path(), &["export", "baseline", "--format", "onnx", "--out", "b.onnx"]);
+    assert!(output.status.success(), "{}", complaint(&output));
+    let agent = shipped::find(&format!("{}@0.03", folder.path().join("b.yaml").display())).unwrap();
+    assert_eq!(agent.resolve_compliance(None, None), Ok(Some(0.03)));
+    assert_eq!(agent.calibration.unwrap().points, shipped::find("baseline").unwrap().calibration.unwrap().points);
 }
 
 #[test]

@@ -179,6 +179,7 @@ fn run(command: Command) -> anyhow::Result<()> {
         Command::List => list()?,
         Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
+            let calibration = shipped::find(&policy)?.calibration;
             let (policy, name) = (shipped::find_ours(&policy)?, out.file_name().unwrap_or_default());
             // What `scenario` needs to run the network again, and what tells others how to use it.
             let description = out.with_extension("yaml");
@@ -190,6 +191,13 @@ fn run(command: Command) -> anyhow::Result<()> {
             // There is nothing beside a pipe or a device.
             if is_file {
                 write(&description, external::describe(&policy, &name.to_string_lossy()).as_bytes())?;
+                // The network yields like the policy: its calibration holds for the network's files.
+                if let Some(calibration) = calibration {
+                    let description = description.to_str().context("the path is not UTF-8")?;
+                    let sha256 = shipped::find_uncalibrated(description)?.sha256;
+                    let text = serde_json::to_string_pretty(&PolicyCalibration { sha256, ..calibration })?;
+                    write(&PolicyCalibration::path(description.as_ref()), format!("{text}\n").as_bytes())?;
+                }
             }
         }
     }

@@ -15,7 +15,7 @@ pub(super) fn load(document: &Element, files: &Files) -> Result<Model, RobotErro
 /// Explains an error of MuJoCo in a document that was written by [`Element::write`].
 fn explained(error: mujoco::Error, document: &Element, files: &Files) -> RobotError {
     let mujoco::Error::Load { message, .. } = error else { return RobotError::Engine(error.to_string()) };
-    let message = message.trim_start_matches("XML Error:").trim_start_matches("Error:").trim();
+    let message = message.trim_start_matches("XML Error:").trim_start().trim_start_matches("Error:").trim();
     // "…, line 18", "… Object name = trunk, id = 2, line = 8, column = -1"
     let number = |text: &str| {
         let text = text.trim_start_matches([' ', '=']);
