@@ -38,6 +38,9 @@ pub enum ValueError {
     /// A list of quantities that cannot be observed.
     #[error(transparent)]
     Observation(#[from] LayoutError),
+    /// The same for the list of the critic.
+    #[error("critic_observation: {0}")]
+    Critic(LayoutError),
 }
 
 impl Config {
@@ -52,7 +55,8 @@ impl Config {
         {
             return Err(ValueError::Range { key: path.to_string(), problem: error.message().to_owned() });
         }
-        Ok(self.layout().map(drop)?)
+        self.layout()?;
+        self.critic_layout().map(drop).map_err(ValueError::Critic)
     }
 }
 

@@ -148,7 +148,7 @@ impl Config {
         config.check().map_err(|error| {
             let name = match &error {
                 ValueError::Range { key, .. } => yaml::place(texts, key),
-                ValueError::Observation(_) => name.to_owned(),
+                ValueError::Observation(_) | ValueError::Critic(_) => name.to_owned(),
             };
             ConfigError::Value { name, error }
         })?;

@@ -44,6 +44,11 @@ pub struct Config {
     /// The entries of the observation, in order.
     #[garde(skip)]
     pub observation: Vec<Observed>,
+    /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be
+    /// quantities that only the simulator knows. None if the list is missing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[garde(skip)]
+    pub critic_observation: Vec<Observed>,
     /// Range of velocity commands, and its curriculum.
     #[garde(dive)]
     pub command: CommandRange,
@@ -487,6 +492,15 @@ impl Config {
     /// An entry of the observation is invalid, or the observation is empty or too long.
     pub fn layout(&self) -> Result<Layout, LayoutError> {
         Layout::new(&self.observation, &self.nominal())
+    }
+
+    /// Builds the layout of what the critic observes in addition; `None` if it observes what the policy does.
+    ///
+    /// # Errors
+    /// An entry of the list is invalid, or the list is too long.
+    pub fn critic_layout(&self) -> Result<Option<Layout>, LayoutError> {
+        let entries = &self.critic_observation;
+        (!entries.is_empty()).then(|| Layout::for_critic(entries, &self.nominal())).transpose()
     }
 
     /// Returns the nominal values that offsets and scales refer to by name.

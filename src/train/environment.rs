@@ -12,9 +12,10 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
+use super::step_meter::{FootForces, StepMeter};
 use crate::config::{Config, ValueError};
 use crate::mujoco;
-use crate::observation::{Command, Layout, Moment, Observer};
+use crate::observation::{Command, Layout, Moment, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, Robot, RobotState, joint_target};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Scene, Sim, SimState};
@@ -100,6 +101,8 @@ struct EpisodeState {
     swing_sum_m: f64,
     swing_count: usize,
     observer: Observer,
+    #[serde(default, skip_serializing_if = "Observer::is_empty")]
+    critic_observer: Observer,
     last_action: Joints,
     last_target: Joints,
 }
@@ -109,6 +112,38 @@ struct EpisodeState {
 pub struct EnvState {
     sim: SimState,
     progress: EpisodeState,
+}
+
+/// The parts that all environments of a configuration share.
+#[derive(Debug, Clone)]
+pub struct Shared {
+    /// The robot of the configuration.
+    pub robot: Arc<Robot>,
+    /// Layout of the policy's observation.
+    pub layout: Arc<Layout>,
+    /// Layout of what the critic observes in addition; `None` if it observes what the policy does.
+    pub critic: Option<Arc<Layout>>,
+}
+
+impl Shared {
+    /// Loads the robot and builds the layouts of a configuration.
+    ///
+    /// # Errors
+    /// The robot cannot be read, or an observation is invalid.
+    pub fn new(config: &Config) -> Result<Self, TrainError> {
+        let critic = config.critic_layout().map_err(ValueError::Critic)?;
+        Ok(Shared {
+            robot: config.robot.load()?,
+            layout: Arc::new(config.layout().map_err(ValueError::Observation)?),
+            critic: critic.map(Arc::new),
+        })
+    }
+
+    /// Returns the numbers of inputs of the policy and of the value function.
+    pub fn inputs(&self) -> [usize; 2] {
+        let length = self.layout.length();
+        [length, length + self.critic.as_ref().map_or(0, |critic| critic.length())]
+    }
 }
 
 /// The training environment: a robot on a tilted plane that follows velocity commands and is pushed.
@@ -131,7 +166,7 @@ pub struct EnvState {
 #[derive(Debug)]
 pub struct LocomotionEnv {
     config: Config,
-    layout: Arc<Layout>,
+    shared: Shared,
     stages: Stages,
     nominal: Joints,
     seed: u64,
@@ -148,24 +183,21 @@ impl LocomotionEnv {
     /// # Errors
     /// The robot and the observation do not fit together, or the scene does not compile.
     pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
-        let layout = config.layout().map_err(ValueError::Observation)?;
-        let robot = config.robot.load()?;
-        Ok(Self::with_layout(config, robot, Arc::new(layout), seed, index, curriculum)?)
+        Ok(Self::with_shared(config, &Shared::new(config)?, seed, index, curriculum)?)
     }
 
-    /// Like [`LocomotionEnv::new`], but shares the robot and the observation of `config` with other environments.
+    /// Like [`LocomotionEnv::new`], but shares parts of `config` with other environments.
     ///
     /// # Errors
     /// The scene does not compile, or MuJoCo fails in the starting state.
-    pub fn with_layout(
+    pub fn with_shared(
         config: &Config,
-        robot: Arc<Robot>,
-        layout: Arc<Layout>,
+        shared: &Shared,
         seed: u64,
         index: u64,
         curriculum: Curriculum,
     ) -> mujoco::Result<Self> {
-        let scene = Scene::flat(robot, config.simulation.timestep_s());
+        let scene = Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s());
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = config.action.nominal_pose_rad.joints();
@@ -173,7 +205,7 @@ impl LocomotionEnv {
         let mut env = LocomotionEnv {
             progress: start(config, seed, index, 0, curriculum, cut, nominal),
             config: config.clone(),
-            layout,
+            shared: shared.clone(),
             stages,
             nominal,
             seed,
@@ -222,11 +254,14 @@ impl LocomotionEnv {
         self.last_second.clear();
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
-        self.observe(&state);
+        self.observe(&state, [Vector3::zeros(); 4]);
         Ok(())
     }
 
-    fn observe(&mut self, state: &RobotState) {
+    /// Measures the observations of policy and critic; `foot_forces` are means over the last policy step, world frame
+    /// \[N\].
+    fn observe(&mut self, state: &RobotState, foot_forces: [Vector3<f64>; 4]) {
+        let privileged = self.shared.critic.is_some().then(|| self.privileged(state, foot_forces));
         let p = &mut self.progress;
         let now = Moment {
             state,
@@ -235,8 +270,28 @@ impl LocomotionEnv {
             last_target: &p.last_target,
             nominal: &self.nominal,
             time_s: p.step as f64 * self.config.simulation.policy_period_s(),
+            privileged: Privileged::default(),
         };
-        p.observer.measure(&self.layout, &now);
+        p.observer.measure(&self.shared.layout, &now);
+        if let (Some(layout), Some(privileged)) = (&self.shared.critic, privileged) {
+            p.critic_observer.measure(layout, &Moment { privileged, ..now });
+        }
+    }
+
+    /// Returns what only the simulator knows before the coming policy step.
+    fn privileged(&self, state: &RobotState, foot_forces: [Vector3<f64>; 4]) -> Privileged {
+        let p = &self.progress;
+        let base_from_world = state.world_from_base.inverse();
+        let [x, y] = p.plan.force(p.step as f64 * self.config.simulation.policy_period_s());
+        let push = p.plan.push.filter(|_| p.step == self.stages.recovery_start).unwrap_or_default();
+        Privileged {
+            foot_forces: foot_forces.map(|force| base_from_world * force),
+            friction: p.plan.conditions.friction,
+            encoder_bias: p.plan.conditions.encoder_bias,
+            pull: base_from_world * Vector3::new(x, y, 0.0),
+            push: base_from_world * (state.heading() * Vector3::new(push.linear[0], push.linear[1], 0.0)),
+            ..Privileged::default()
+        }
     }
 
     /// Returns the environment's index in the run.
@@ -261,17 +316,42 @@ impl LocomotionEnv {
 
     /// Returns the layout of the observation.
     pub fn layout(&self) -> &Layout {
-        &self.layout
+        &self.shared.layout
+    }
+
+    /// Returns the numbers of inputs of the policy and of the value function.
+    pub fn inputs(&self) -> [usize; 2] {
+        self.shared.inputs()
+    }
+
+    /// Returns the layout of what the critic observes in addition; `None` if it observes what the policy does.
+    pub fn critic_layout(&self) -> Option<&Layout> {
+        self.shared.critic.as_deref()
     }
 
     /// Returns the present observation in physical units, shape (length of the layout).
     pub fn observation(&self) -> Vec<f64> {
-        self.progress.observer.raw(&self.layout)
+        self.progress.observer.raw(&self.shared.layout)
     }
 
     /// Writes the present observation, normalised for the networks, into a slice of the layout's length.
     pub fn normalised_observation(&self, out: &mut [f32]) {
-        self.progress.observer.normalised(&self.layout, out);
+        self.progress.observer.normalised(&self.shared.layout, out);
+    }
+
+    /// Writes the present observation of the critic, normalised: the policy's, then what the critic observes in
+    /// addition. The slice has the length of both.
+    pub fn critic_observation(&self, out: &mut [f32]) {
+        let (policy, added) = out.split_at_mut(self.shared.layout.length());
+        self.normalised_observation(policy);
+        self.critic_addition(added);
+    }
+
+    /// Writes what the critic observes in addition to the policy, normalised, into a slice of that length.
+    pub fn critic_addition(&self, out: &mut [f32]) {
+        if let Some(layout) = &self.shared.critic {
+            self.progress.critic_observer.normalised(layout, out);
+        }
     }
 
     /// Runs one policy step with an action, one number for each joint; also reports the episode if the step ended it. A
@@ -315,7 +395,11 @@ impl LocomotionEnv {
             let force = self.progress.plan.force(time_s);
             self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
         }
-        let summary = self.sim.step(&target, &mut self.progress.swings)?;
+        let swings = &mut self.progress.swings;
+        let foot_forces = self.shared.critic.is_some().then(FootForces::default);
+        let mut meter = StepMeter { swings, foot_forces };
+        let summary = self.sim.step(&target, &mut meter)?;
+        let foot_forces = meter.foot_forces.map_or([Vector3::zeros(); 4], |forces| forces.mean());
         let state = self.sim.state();
 
         let p = &mut self.progress;
@@ -344,7 +428,7 @@ impl LocomotionEnv {
         p.step += 1;
         p.last_action = std::array::from_fn(|joint| f64::from(action[joint]));
         p.last_target = target;
-        self.observe(&state);
+        self.observe(&state, foot_forces);
 
         let end = self.end(summary.fall.is_some());
         let report = end.map(|end| self.report(end, None));
@@ -386,7 +470,7 @@ impl LocomotionEnv {
     /// Replaces the observation by another one of the same quantities.
     #[cfg(test)]
     pub(super) fn see(&mut self, layout: &Arc<Layout>) {
-        self.layout = Arc::clone(layout);
+        self.shared.layout = Arc::clone(layout);
     }
 
     /// Returns the state from which the environment continues with the same bits.
@@ -402,7 +486,8 @@ impl LocomotionEnv {
         self.sim.restore(&state.sim)?;
         self.last_second.clear();
         self.progress = state.progress.clone();
-        if self.progress.observer.fits(&self.layout) {
+        let fits_critic = |layout: &Arc<Layout>| self.progress.critic_observer.fits(layout);
+        if self.progress.observer.fits(&self.shared.layout) && self.shared.critic.as_ref().is_none_or(fits_critic) {
             Ok(())
         } else {
             let message = "it belongs to another observation".into();
@@ -439,6 +524,7 @@ fn start(
         swing_sum_m: 0.0,
         swing_count: 0,
         observer: Observer::new(),
+        critic_observer: Observer::new(),
         last_action: [0.0; JOINTS],
         last_target: nominal,
     }
@@ -448,6 +534,7 @@ fn start(
 mod tests {
     use super::*;
     use crate::config::Pulls;
+    use crate::observation::{Observed, Quantity};
     use crate::sim::Pull;
 
     /// Returns an action of a clumsy trot.
@@ -532,9 +619,10 @@ mod tests {
 
     #[test]
     fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
-        for pulls in [None, Some(pulls())] {
-            let mut config = Config { pulls, ..Config::load("compliant").unwrap() };
-            let name = if config.pulls.is_some() { "with pulls" } else { "without pulls" };
+        let compliant = Config::load("compliant").unwrap();
+        let with_pulls = Config { pulls: Some(pulls()), ..compliant.clone() };
+        let with_critic = privileged(&[Quantity::FootForces, Quantity::Pull]);
+        for (name, mut config) in [("plain", compliant), ("with pulls", with_pulls), ("with critic", with_critic)] {
             config.episode.walking_s = 0.5;
             let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
             let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
@@ -549,6 +637,80 @@ mod tests {
                     env.reset(Curriculum::complete()).unwrap();
                 }
             }
+        }
+    }
+
+    /// Returns a configuration whose critic observes what only the simulator knows.
+    fn privileged(quantities: &[Quantity]) -> Config {
+        let critic_observation = quantities.iter().copied().map(Observed::now).collect();
+        let mut config = Config { critic_observation, ..Config::load("compliant").unwrap() };
+        (config.episode.walking_s, config.episode.slope) = (0.5, 0.0);
+        config
+    }
+
+    /// Returns what the critic observes in addition to the policy, of which a test lists the quantities unscaled.
+    fn added(env: &LocomotionEnv) -> Vec<f32> {
+        let [policy, both] = env.inputs();
+        let mut seen = vec![0.0; both];
+        env.critic_observation(&mut seen);
+        let mut of_policy = vec![0.0; policy];
+        env.normalised_observation(&mut of_policy);
+        assert_eq!(seen[..policy], of_policy);
+        seen.split_off(policy)
+    }
+
+    #[test]
+    fn critic_sees_the_weight_on_the_feet_of_a_standing_robot() {
+        let config = privileged(&[Quantity::FootForces, Quantity::FootHeights]);
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::new(&config.command)).unwrap();
+        env.without_stagger();
+        assert_eq!(added(&env)[..12], [0.0; 12]);
+        (0..29).for_each(|_| drop(env.step(&[0.0; 12])));
+        let seen = added(&env);
+        let up: f32 = seen[..12].iter().skip(2).step_by(3).sum();
+        let weight = (9.81 * env.sim.robot().mass_kg) as f32;
+        assert!((up / weight - 1.0).abs() < 0.02, "{up} of {weight} N");
+        assert!(seen[12..].iter().all(|height| height.abs() < 0.005), "{seen:?}");
+    }
+
+    #[test]
+    fn critic_sees_the_push_when_it_comes_and_the_encoder_bias_always() {
+        let mut config = privileged(&[Quantity::Push, Quantity::EncoderBias, Quantity::Friction]);
+        config.randomisation.enabled = true;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        env.without_stagger();
+        let plan = env.plan().clone();
+        let ([forward, left], bias) = (plan.push.unwrap().linear, plan.conditions.encoder_bias);
+        for step in 0..32 {
+            let (seen, state) = (added(&env), env.sim.state());
+            let size = seen[0].hypot(seen[1]).hypot(seen[2]);
+            let expected = if step == 30 { forward.hypot(left) as f32 } else { 0.0 };
+            assert!((size - expected).abs() < 1e-6, "step {step}: {size} instead of {expected}");
+            assert_eq!(seen[3..15], bias.map(|bias| bias as f32));
+            assert_eq!(seen[15], plan.conditions.friction as f32);
+            if step == 30 {
+                env.sim.push(&plan.push.unwrap()).unwrap();
+                let change = env.sim.state().velocity_in_base - state.velocity_in_base;
+                let expected = [change.x as f32, change.y as f32, change.z as f32];
+                assert!((0..3).all(|k| (seen[k] - expected[k]).abs() < 1e-6), "{seen:?} {expected:?}");
+            }
+            env.step(&[0.0; 12]);
+        }
+    }
+
+    #[test]
+    fn critic_sees_the_pull_that_acts() {
+        let mut config = privileged(&[Quantity::Pull]);
+        config.pulls = Some(pulls());
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        env.without_stagger();
+        env.progress.plan.pulls = vec![Pull { from_s: 0.09, until_s: 0.19, force: [3.0, 4.0] }];
+        // Steps begin every 1/60 s: 6 to 11 lie in between.
+        for step in 0..20 {
+            let size = added(&env).iter().map(|force| force * force).sum::<f32>().sqrt();
+            let expected = if (6..12).contains(&step) { 5.0 } else { 0.0 };
+            assert!((size - expected).abs() < 1e-5, "step {step}: {size}");
+            env.step(&[0.0; 12]);
         }
     }
 

@@ -55,13 +55,14 @@ impl MemoryEstimate {
     pub fn new(config: &Config) -> Result<Self, TrainError> {
         let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
         let ppo = &config.ppo;
-        let inputs = environment.layout().length() as u64;
+        let [inputs, critic_inputs] = environment.inputs().map(|inputs| inputs as u64);
         let [environments, samples, epochs] = [ppo.environments, ppo.batch_size, ppo.epochs].map(|count| count as u64);
         let joints = JOINTS as u64;
-        // Observation, action and its mean, and some numbers more; once more in the mirror, of both.
-        let numbers = inputs + 2 * joints + 8;
+        // Observations, action and its mean, and some numbers more; once more in the mirror, of both.
+        let of_critic = if critic_inputs == inputs { 0 } else { critic_inputs };
+        let numbers = inputs + of_critic + 2 * joints + 8;
         let copies = if ppo.symmetry { 3 } else { 1 };
-        let weights = |outputs: u64| {
+        let weights = |inputs: u64, outputs: u64| {
             let widths = ppo.hidden_layers.iter().map(|width| *width as u64).chain([outputs]);
             widths.fold((0, inputs), |(sum, from), to| (sum + (from + 1) * to, to)).0
         };
@@ -69,7 +70,7 @@ impl MemoryEstimate {
         Ok(MemoryEstimate {
             environments: environments.saturating_mul(environment.simulation_bytes() as u64 + ENVIRONMENT_BYTES),
             samples: samples.saturating_mul(4 * (copies * numbers + epochs)),
-            networks: (weights(joints) + weights(1)).saturating_mul(bytes),
+            networks: (weights(inputs, joints) + weights(critic_inputs, 1)).saturating_mul(bytes),
         })
     }
 

@@ -11,6 +11,7 @@ mod fault_report;
 mod memory;
 pub mod metrics;
 pub mod run;
+mod step_meter;
 pub mod symmetry;
 mod tensorboard;
 mod trainer;
