@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation, Reward,
-    RobotModel, Run, Simulation,
+    Action, CommandRange, Config, Episode, HeldFeet, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation,
+    Reward, RobotModel, Run, Simulation, Terrain,
 };
 
 use crate::robot::Robot;
@@ -34,6 +34,8 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("go2-baseline", include_str!("../../configs/go2-baseline.yaml")),
     ("hardware", include_str!("../../configs/hardware.yaml")),
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
+    ("real", include_str!("../../configs/real.yaml")),
+    ("real-baseline", include_str!("../../configs/real-baseline.yaml")),
 ];
 
 /// Range of `ln σ`, far beyond the values of training: below it, log-densities lose their precision, above it, actions

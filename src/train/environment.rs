@@ -12,13 +12,16 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
+use super::held_feet::{HeldFeet, Pins};
 use super::step_meter::{FootForces, StepMeter};
-use crate::config::{Config, ValueError};
+use super::terrain::{self, Course};
+use crate::config::{Config, Reward, ValueError};
 use crate::mujoco;
 use crate::observation::{Command, Layout, Moment, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, Robot, RobotState, joint_target};
 use crate::sim::last_second::LastSecond;
-use crate::sim::{Scene, Sim, SimState};
+use crate::sim::{Ground, Scene, Sim, SimState};
+use crate::task::deviation::HoldSpring;
 use crate::task::reward;
 use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
 use crate::util::random::{Purpose, stream};
@@ -65,6 +68,9 @@ pub struct EpisodeReport {
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
+    /// Level of the terrain, if the episode was on uneven ground.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub terrain_level: Option<usize>,
     /// Report of the physics fault, if one ended the episode.
     pub fault: Option<Box<EpisodeFault>>,
 }
@@ -105,6 +111,11 @@ struct EpisodeState {
     critic_observer: Observer,
     last_action: Joints,
     last_target: Joints,
+    #[serde(default, skip_serializing_if = "Pins::is_free")]
+    pins: Pins,
+    /// The way on uneven ground; `None` on a plane.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    course: Option<Course>,
 }
 
 /// Complete state of an environment, from which it continues with the same bits.
@@ -168,6 +179,10 @@ pub struct LocomotionEnv {
     config: Config,
     shared: Shared,
     stages: Stages,
+    /// The reward's settings on the ground of this environment.
+    reward: Reward,
+    /// Number of levels of uneven ground; `None` on a plane.
+    levels: Option<usize>,
     nominal: Joints,
     seed: u64,
     index: u64,
@@ -197,14 +212,23 @@ impl LocomotionEnv {
         index: u64,
         curriculum: Curriculum,
     ) -> mujoco::Result<Self> {
-        let scene = Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s());
+        let uneven = config.terrain.as_ref().and_then(|terrain| Some((terrain, terrain.kind(index)?)));
+        let (mut scene, mut reward) =
+            (Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s()), config.reward.clone());
+        if let Some((terrain, kind)) = uneven {
+            (scene.ground, scene.buffers) = (Ground::Field(terrain.field(kind, seed)), terrain::BUFFERS);
+            reward.tracking_sharpness *= terrain.sharpness_factor;
+        }
+        let levels = uneven.map(|(terrain, _)| terrain.levels);
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = config.action.nominal_pose_rad.joints();
         let cut = first_cut(seed, index, &stages);
         let mut env = LocomotionEnv {
-            progress: start(config, seed, index, 0, curriculum, cut, nominal),
+            progress: start(config, seed, index, 0, curriculum, cut, levels.map(|_| Course::new(0))),
             config: config.clone(),
+            reward,
+            levels,
             shared: shared.clone(),
             stages,
             nominal,
@@ -228,7 +252,9 @@ impl LocomotionEnv {
     pub fn reset(&mut self, curriculum: Curriculum) -> mujoco::Result<()> {
         let episode = self.progress.episode + 1;
         let cut = usize::MAX;
-        self.progress = start(&self.config, self.seed, self.index, episode, curriculum, cut, self.nominal);
+        let course =
+            self.progress.course.zip(self.levels).map(|(course, levels)| Course::new(course.next_level(levels)));
+        self.progress = start(&self.config, self.seed, self.index, episode, curriculum, cut, course);
         self.begin()
     }
 
@@ -239,7 +265,8 @@ impl LocomotionEnv {
     pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
         self.seed = seed;
         let cut = first_cut(seed, self.index, &self.stages);
-        self.progress = start(&self.config, seed, self.index, 0, curriculum, cut, self.nominal);
+        let course = self.levels.map(|_| Course::new(0));
+        self.progress = start(&self.config, seed, self.index, 0, curriculum, cut, course);
         self.begin()
     }
 
@@ -250,6 +277,12 @@ impl LocomotionEnv {
     }
 
     fn begin(&mut self) -> mujoco::Result<()> {
+        if let Some(dynamics) = &self.progress.plan.dynamics {
+            self.sim.set_dynamics(dynamics)?;
+        }
+        if let (Some(course), Some(terrain)) = (self.progress.course, &self.config.terrain) {
+            self.sim.set_start(terrain.start(course.level));
+        }
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
         self.last_second.clear();
         let state = self.sim.state();
@@ -263,8 +296,12 @@ impl LocomotionEnv {
     fn observe(&mut self, state: &RobotState, foot_forces: [Vector3<f64>; 4]) {
         let privileged = self.shared.critic.is_some().then(|| self.privileged(state, foot_forces));
         let p = &mut self.progress;
+        let seen = p.plan.imu.map(|imu| {
+            let mut rng = stream(self.seed, Purpose::Imu, self.index, p.episode << 24 | p.step as u64);
+            imu.seen(state, &mut rng)
+        });
         let now = Moment {
-            state,
+            state: seen.as_ref().unwrap_or(state),
             command: &p.plan.command,
             last_action: &p.last_action,
             last_target: &p.last_target,
@@ -274,7 +311,7 @@ impl LocomotionEnv {
         };
         p.observer.measure(&self.shared.layout, &now);
         if let (Some(layout), Some(privileged)) = (&self.shared.critic, privileged) {
-            p.critic_observer.measure(layout, &Moment { privileged, ..now });
+            p.critic_observer.measure(layout, &Moment { state, privileged, ..now });
         }
     }
 
@@ -283,6 +320,7 @@ impl LocomotionEnv {
         let p = &self.progress;
         let base_from_world = state.world_from_base.inverse();
         let [x, y] = p.plan.force(p.step as f64 * self.config.simulation.policy_period_s());
+        let dynamics = p.plan.dynamics;
         let push = p.plan.push.filter(|_| p.step == self.stages.recovery_start).unwrap_or_default();
         Privileged {
             foot_forces: foot_forces.map(|force| base_from_world * force),
@@ -290,7 +328,9 @@ impl LocomotionEnv {
             encoder_bias: p.plan.conditions.encoder_bias,
             pull: base_from_world * Vector3::new(x, y, 0.0),
             push: base_from_world * (state.heading() * Vector3::new(push.linear[0], push.linear[1], 0.0)),
-            ..Privileged::default()
+            trunk_mass_kg: dynamics.map_or(0.0, |dynamics| dynamics.trunk_mass_kg),
+            trunk_offset_m: dynamics.map_or([0.0; 3], |dynamics| dynamics.trunk_offset_m).into(),
+            latency_s: dynamics.map_or(self.config.simulation.latency_s, |dynamics| dynamics.latency_s),
         }
     }
 
@@ -395,9 +435,14 @@ impl LocomotionEnv {
             let force = self.progress.plan.force(time_s);
             self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
         }
-        let swings = &mut self.progress.swings;
+        let EpisodeState { plan, step, swings, pins, .. } = &mut self.progress;
+        let period_s = self.config.simulation.policy_period_s();
+        let held_feet = self.config.held_feet.as_ref().map(|held| {
+            let spring = HoldSpring { force_n: held.force_n, stiffness_n_per_m: held.stiffness_n_per_m };
+            HeldFeet::new(&plan.holds, *step as f64 * period_s, spring, pins)
+        });
         let foot_forces = self.shared.critic.is_some().then(FootForces::default);
-        let mut meter = StepMeter { swings, foot_forces };
+        let mut meter = StepMeter { swings, foot_forces, held_feet };
         let summary = self.sim.step(&target, &mut meter)?;
         let foot_forces = meter.foot_forces.map_or([Vector3::zeros(); 4], |forces| forces.mean());
         let state = self.sim.state();
@@ -409,7 +454,7 @@ impl LocomotionEnv {
             command: &p.plan.command,
             summary: &summary,
             landings: &landings,
-            config: &self.config.reward,
+            config: &self.reward,
         };
         let terms = Terms::new(&step);
         p.terms.add(&terms);
@@ -423,9 +468,12 @@ impl LocomotionEnv {
             }
             Stage::Recovery | Stage::PostRecovery => {}
         }
-        let reward = paid.total(&self.config.reward);
+        let reward = paid.total(&self.reward);
         p.reward += reward;
         p.step += 1;
+        if let Some(course) = &mut p.course {
+            course.advance(&state, &p.plan.command, period_s, summary.fall.is_some());
+        }
         p.last_action = std::array::from_fn(|joint| f64::from(action[joint]));
         p.last_target = target;
         self.observe(&state, foot_forces);
@@ -457,6 +505,7 @@ impl LocomotionEnv {
             reward: p.reward,
             terms: p.terms,
             walking_linear: walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64),
+            terrain_level: p.course.map(|course| course.level),
             swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
             fault,
         }
@@ -483,6 +532,9 @@ impl LocomotionEnv {
     /// # Errors
     /// The state belongs to another model or observation, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
+        if let Some(dynamics) = &state.progress.plan.dynamics {
+            self.sim.set_dynamics(dynamics)?;
+        }
         self.sim.restore(&state.sim)?;
         self.last_second.clear();
         self.progress = state.progress.clone();
@@ -508,7 +560,7 @@ fn start(
     episode: u64,
     curriculum: Curriculum,
     cut: usize,
-    nominal: Joints,
+    course: Option<Course>,
 ) -> EpisodeState {
     let plan = EpisodePlan::draw(config, curriculum, &mut stream(seed, Purpose::Episode, index, episode));
     EpisodeState {
@@ -526,16 +578,19 @@ fn start(
         observer: Observer::new(),
         critic_observer: Observer::new(),
         last_action: [0.0; JOINTS],
-        last_target: nominal,
+        last_target: config.action.nominal_pose_rad.joints(),
+        pins: Pins::default(),
+        course,
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Pulls;
+    use crate::config::{HeldFeet as HeldFeetRange, Pulls, Terrain};
     use crate::observation::{Observed, Quantity};
     use crate::sim::Pull;
+    use crate::task::deviation::Hold;
 
     /// Returns an action of a clumsy trot.
     fn action(step: usize) -> [f32; 12] {
@@ -621,11 +676,12 @@ mod tests {
     fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
         let compliant = Config::load("compliant").unwrap();
         let with_pulls = Config { pulls: Some(pulls()), ..compliant.clone() };
-        let with_critic = privileged(&[Quantity::FootForces, Quantity::Pull]);
-        for (name, mut config) in [("plain", compliant), ("with pulls", with_pulls), ("with critic", with_critic)] {
+        for (name, mut config) in [("plain", compliant), ("with pulls", with_pulls), ("with all", with_all())] {
             config.episode.walking_s = 0.5;
             let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-            let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
+            // Somewhere else in another episode; its terrain and its sensor's noise are those of its index.
+            let mut other = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            other.reset(Curriculum::complete()).unwrap();
             for step in 0..200 {
                 let json = serde_json::to_string(&env.save()).unwrap();
                 other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
@@ -714,8 +770,121 @@ mod tests {
         }
     }
 
+    /// Returns the configuration for a real robot with every option of ground and hands.
+    fn with_all() -> Config {
+        let mut config = Config::load("real").unwrap();
+        config.pulls = Some(pulls());
+        config.held_feet = Some(HeldFeetRange {
+            force_n: 60.0,
+            stiffness_n_per_m: 600.0,
+            height_m: [0.02, 0.05],
+            duration_s: [0.05, 0.15],
+            gap_s: [0.1, 0.3],
+        });
+        config.terrain = Some(Terrain {
+            environments: 1.0,
+            levels: 3,
+            rough_m: [0.01, 0.06],
+            boxes_m: [0.02, 0.08],
+            sharpness_factor: 0.33,
+        });
+        config
+    }
+
+    #[test]
+    fn a_real_robot_is_heavier_or_later_as_its_plan_says() {
+        let mut config = Config::load("real").unwrap();
+        config.episode.walking_s = 0.5;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let mass = |env: &LocomotionEnv| env.sim.data().model().body_mass().iter().sum::<f64>();
+        let nominal = LocomotionEnv::new(&Config::load("fast").unwrap(), 1, 0, Curriculum::complete()).unwrap();
+        let mut differences = Vec::new();
+        for _ in 0..4 {
+            let dynamics = env.plan().dynamics.unwrap();
+            assert!((mass(&env) - mass(&nominal) - dynamics.trunk_mass_kg).abs() < 1e-9);
+            differences.push(dynamics.trunk_mass_kg);
+            // The joint stays where it is until its target acts: the latency in steps of 1/240 s.
+            let start = env.sim.state().joint_rates[2];
+            let moved = (0..4).find(|_| {
+                env.step(&[3.0; 12]);
+                (env.sim.state().joint_rates[2] - start).abs() > 1.0
+            });
+            assert_eq!(moved, Some((dynamics.latency_s * 60.0).floor() as usize), "{dynamics:?}");
+            env.reset(Curriculum::complete()).unwrap();
+        }
+        assert!(differences.windows(2).all(|pair| pair[0] != pair[1]));
+    }
+
+    #[test]
+    fn policy_sees_inertial_errors_and_critic_does_not() {
+        let mut config = privileged(&[Quantity::AngularVelocity]);
+        config.randomisation.enabled = true;
+        config.randomisation.gyro_bias_sd_rad_s = 0.1;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let bias = env.plan().imu.unwrap().gyro_bias_rad_s;
+        for step in 0..20 {
+            let (seen, true_rate) = (env.observation(), env.sim.state().angular_velocity_in_base);
+            // Left, up, forward, after height, gravity, joint angles and velocity.
+            for (k, axis) in [1, 2, 0].into_iter().enumerate() {
+                assert!((seen[46 + 19 + k] - true_rate[axis] - bias[axis]).abs() < 1e-12, "step {step}");
+                assert_eq!(added(&env)[axis], true_rate[axis] as f32);
+            }
+            env.step(&action(step));
+        }
+    }
+
+    #[test]
+    fn a_held_foot_stays_behind_until_it_is_lifted() {
+        let mut config = with_all();
+        (config.terrain, config.randomisation.enabled, config.episode.slope) = (None, false, 0.0);
+        let swung_m = |height_m: f64| {
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            env.without_stagger();
+            env.progress.plan.pulls.clear();
+            env.progress.plan.holds = vec![Hold { leg: 0, from_s: 0.0, until_s: 1.0, height_m }];
+            let place = |env: &LocomotionEnv| env.sim.parts().foot_centres(env.sim.data())[0];
+            let start = place(&env);
+            // The front right foot is lifted, then swung forward.
+            for step in 0..16 {
+                let mut action = [0.0; 12];
+                (action[1], action[2]) = if step < 6 { (0.6, -1.2) } else { (-1.6, -1.2) };
+                env.step(&action);
+            }
+            place(&env)[0] - start[0]
+        };
+        let (free, held) = (swung_m(0.0), swung_m(0.3));
+        assert!(free > 0.05 && held < 0.6 * free, "{free} {held}");
+    }
+
+    #[test]
+    fn every_level_of_the_terrain_starts_on_its_own_tile() {
+        let config = with_all();
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        for level in [0, 1, 2] {
+            assert_eq!(env.progress.course.unwrap().level, level);
+            let position = env.sim.state().position;
+            assert!((position.x - 8.0 * (level as f64 - 1.0)).abs() < 1e-9 && position.y == 0.0);
+            assert!((env.sim.state().height - env.sim.robot().stand[2]).abs() < 1e-9);
+            assert_eq!(env.reward.tracking_sharpness, 0.33 * config.reward.tracking_sharpness);
+            // As if it had walked where it should.
+            let mut course = Course::new(level);
+            let state = RobotState { velocity_in_base: Vector3::x(), ..RobotState::default() };
+            course.advance(&state, &Command::velocity(1.0, 0.0, 0.0), 1.0, false);
+            env.progress.course = Some(course);
+            assert_eq!(env.report(EpisodeEnd::TimeLimit, None).terrain_level, Some(level));
+            env.reset(Curriculum::complete()).unwrap();
+        }
+    }
+
     fn pulls() -> Pulls {
-        Pulls { force_n: 50.0, duration_s: [0.5, 2.5], gap_s: [0.2, 1.5], fraction_step: 0.001, fraction_gate: 0.8 }
+        Pulls {
+            force_n: 50.0,
+            duration_s: [0.5, 2.5],
+            gap_s: [0.2, 1.5],
+            fraction_step: 0.001,
+            fraction_gate: 0.8,
+            buckets: Vec::new(),
+        }
     }
 
     #[test]

@@ -1,10 +1,11 @@
-//! The observer of the physics steps of a training step: swings of the feet, and the forces on them.
+//! The observer of the physics steps of a training step: swings of the feet, and the forces on them and those that hold them.
 
 use nalgebra::Vector3;
 
+use super::held_feet::HeldFeet;
 use crate::mujoco::Data;
 use crate::robot::{Foothold, Joints};
-use crate::sim::{Parts, StepObserver};
+use crate::sim::{Ground, Parts, StepObserver};
 use crate::task::SwingTracker;
 
 /// Sums over the physics steps of one policy step.
@@ -14,9 +15,11 @@ pub(super) struct StepMeter<'a> {
     pub(super) swings: &'a mut SwingTracker,
     /// The contact forces on the feet; `None` if nothing observes them, since they cost time.
     pub(super) foot_forces: Option<FootForces>,
+    /// The feet that are held; `None` if none ever is.
+    pub(super) held_feet: Option<HeldFeet<'a>>,
 }
 
-/// The contact force on each foot, summed over physics steps.
+/// The force on each foot by contacts and by what holds it, summed over physics steps.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FootForces {
     sums: [Vector3<f64>; 4],
@@ -43,6 +46,14 @@ impl FootForces {
 }
 
 impl StepObserver for StepMeter<'_> {
+    fn foot_forces(&mut self, data: &Data, parts: &Parts, ground: &Ground) -> Option<[Vector3<f64>; 4]> {
+        let forces = self.held_feet.as_mut()?.forces(data, parts, ground);
+        if let Some(sums) = &mut self.foot_forces {
+            (0..4).for_each(|leg| sums.sums[leg] += forces[leg]);
+        }
+        Some(forces)
+    }
+
     fn forces(&mut self, data: &Data, parts: &Parts, _torques: &Joints) {
         if let Some(forces) = &mut self.foot_forces {
             forces.add(data, parts);

@@ -405,6 +405,17 @@ mod tests {
         config
     }
 
+    /// Returns the configuration for a real robot with a tiny learner of 8 shards, on uneven ground, with feet that are held.
+    fn real() -> Config {
+        let text =
+            "{environments: 0.5, levels: 2, rough_m: [0.01, 0.06], boxes_m: [0.02, 0.08], sharpness_factor: 0.33}";
+        let held = "{force_n: 60, stiffness_n_per_m: 600, height_m: [0.02, 0.05], duration_s: [0.05, 0.15], gap_s: [0.1, 0.3]}";
+        let changes = [format!("terrain={text}"), format!("held_feet={held}"), "episode.push_gate=0".to_owned()];
+        let mut config = Config::load_with("real", &changes).unwrap();
+        (config.ppo, config.episode.walking_s) = (sharded(8).ppo, 0.1);
+        config
+    }
+
     /// Returns the sharded configuration with a critic that observes more than the policy.
     fn privileged() -> Config {
         let critic_observation = [Quantity::BaseVelocity, Quantity::FootForces, Quantity::Push, Quantity::EncoderBias];
@@ -420,6 +431,11 @@ mod tests {
     #[test]
     fn privileged_critic_has_same_bits_for_any_threads_and_resumption() {
         same_bits_for_any_threads_and_resumption(&privileged());
+    }
+
+    #[test]
+    fn training_for_a_real_robot_has_same_bits_for_any_threads_and_resumption() {
+        same_bits_for_any_threads_and_resumption(&real());
     }
 
     #[test]
