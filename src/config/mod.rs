@@ -339,6 +339,19 @@ mod tests {
         for (change, expected) in [
             ("ppo.epochs=0", "config --set ppo.epochs=0: ppo.epochs is 0, expected 1 to 1000"),
             ("ppo.epochs=2e7", "ppo.epochs: invalid type"),
+            (
+                "randomisation.latency_s=[0.04, 0.02]",
+                "randomisation.latency_s is [0.04, 0.02], expected [shortest, longest], 0 to 1 s",
+            ),
+            (
+                "pulls={force_n: 50, duration_s: [1, 2], gap_s: [1, 2], fraction_step: 0, fraction_gate: 0, buckets: [0.5, 0.2]}",
+                "pulls.buckets is [0.5, 0.2], expected rising fractions, the last of them 1",
+            ),
+            ("observation=[{quantity: friction}]", "entry 1 (Friction): only the simulator knows it"),
+            (
+                "critic_observation=[{quantity: friction, scale: 0}]",
+                "critic_observation: observation, entry 1 (Friction)",
+            ),
             ("ppo.epoch=4", "unknown field `epoch`"),
             ("epochs=4", "unknown field `epochs`"),
             ("ppo=4", "invalid type"),

@@ -14,13 +14,13 @@ use serde::{Deserialize, Serialize};
 use super::TrainError;
 use super::held_feet::{HeldFeet, Pins};
 use super::step_meter::{FootForces, StepMeter};
-use super::terrain::{self, Course};
+use super::terrain::{self, Course, Kind};
 use crate::config::{Config, Reward, ValueError};
 use crate::mujoco;
 use crate::observation::{Command, Layout, Moment, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, Robot, RobotState, joint_target};
 use crate::sim::last_second::LastSecond;
-use crate::sim::{Ground, Scene, Sim, SimState};
+use crate::sim::{Ground, HeightField, Scene, Sim, SimState};
 use crate::task::deviation::HoldSpring;
 use crate::task::reward;
 use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
@@ -134,6 +134,8 @@ pub struct Shared {
     pub layout: Arc<Layout>,
     /// Layout of what the critic observes in addition; `None` if it observes what the policy does.
     pub critic: Option<Arc<Layout>>,
+    /// The fields of rough ground and of boxes; `None` if all environments have a plane.
+    fields: Option<[Arc<HeightField>; 2]>,
 }
 
 impl Shared {
@@ -147,6 +149,7 @@ impl Shared {
             robot: config.robot.load()?,
             layout: Arc::new(config.layout().map_err(ValueError::Observation)?),
             critic: critic.map(Arc::new),
+            fields: config.terrain.as_ref().map(|terrain| Kind::ALL.map(|kind| Arc::new(terrain.field(kind)))),
         })
     }
 
@@ -212,11 +215,12 @@ impl LocomotionEnv {
         index: u64,
         curriculum: Curriculum,
     ) -> mujoco::Result<Self> {
-        let uneven = config.terrain.as_ref().and_then(|terrain| Some((terrain, terrain.kind(index)?)));
+        let terrain = config.terrain.as_ref().zip(shared.fields.as_ref());
+        let uneven = terrain.and_then(|(terrain, fields)| Some((terrain, &fields[terrain.kind(index)? as usize])));
         let (mut scene, mut reward) =
             (Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s()), config.reward.clone());
-        if let Some((terrain, kind)) = uneven {
-            (scene.ground, scene.buffers) = (Ground::Field(terrain.field(kind, seed)), terrain::BUFFERS);
+        if let Some((terrain, field)) = uneven {
+            (scene.ground, scene.buffers) = (Ground::Field(HeightField::clone(field)), terrain::BUFFERS);
             reward.tracking_sharpness *= terrain.sharpness_factor;
         }
         let levels = uneven.map(|(terrain, _)| terrain.levels);
@@ -341,7 +345,11 @@ impl LocomotionEnv {
 
     /// Returns the memory of the simulation \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
-        self.sim.data().bytes()
+        let heights = match self.sim.ground() {
+            Ground::Flat => 0,
+            Ground::Field(field) => field.heights.len(),
+        };
+        self.sim.data().bytes() + heights * size_of::<f64>()
     }
 
     /// Returns the random part of this episode: command, conditions, push and pulls.

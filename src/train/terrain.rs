@@ -1,7 +1,8 @@
 /*! The uneven ground of training and its levels.
 
 Each environment on it has one long field of either kind: tiles in a row along x, one for each level. The level of an
-environment is the tile on whose centre its episode starts, so a level changes no model.
+environment is the tile on whose centre its episode starts, so a level changes no model. The fields do not depend on the
+run's seed.
 */
 
 use std::array;
@@ -53,6 +54,11 @@ pub(super) enum Kind {
     Boxes,
 }
 
+impl Kind {
+    /// Both kinds, in the order of their numbers.
+    pub(super) const ALL: [Kind; 2] = [Kind::Rough, Kind::Boxes];
+}
+
 impl Terrain {
     /// Returns the kind of ground of environment `index`; `None` for a plane. Uneven ground is spread evenly over the
     /// environments, whatever ranks they belong to.
@@ -77,12 +83,12 @@ impl Terrain {
         first + (last - first) * level as f64 / (self.levels - 1).max(1) as f64
     }
 
-    /// Builds the field of a kind, with all levels, from the seed of a run.
-    pub(super) fn field(&self, kind: Kind, seed: u64) -> HeightField {
+    /// Builds the field of a kind, with all levels: the same one in every run.
+    pub(super) fn field(&self, kind: Kind) -> HeightField {
         let half_size = [0.5 * TILE_M * self.levels as f64 + MARGIN_M, 0.5 * TILE_M + MARGIN_M];
-        let noise = Perlin::new(seed);
+        let noise = Perlin::new(0);
         let counts = half_size.map(|half| (2.0 * half / BOX_M).ceil() as usize);
-        let mut rng = stream(seed, Purpose::Terrain, 1, 0);
+        let mut rng = stream(0, Purpose::Terrain, 1, 0);
         // Three fifths of the ground are low, a fifth is half as high, a fifth is high.
         let boxes: Vec<f64> =
             (0..counts[0] * counts[1]).map(|_| [0.0, 0.0, 0.0, 0.5, 1.0][rng.random_range(0..5_usize)]).collect();
@@ -176,7 +182,7 @@ mod tests {
     fn ground_is_as_high_as_its_level_and_flat_at_the_start() {
         let terrain = terrain();
         for (kind, [first, last]) in [(Kind::Rough, terrain.rough_m), (Kind::Boxes, terrain.boxes_m)] {
-            let ground = Ground::Field(terrain.field(kind, 3));
+            let ground = Ground::Field(terrain.field(kind));
             for level in 0..6 {
                 let [x, y] = terrain.start(level);
                 let on_tile = (0..6400).map(|k| {
