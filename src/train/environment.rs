@@ -220,6 +220,7 @@ impl LocomotionEnv {
         let (mut scene, mut reward) =
             (Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s()), config.reward.clone());
         if let Some((terrain, field)) = uneven {
+            scene.lists_pairs = true;
             (scene.ground, scene.buffers) = (Ground::Field(HeightField::clone(field)), terrain::BUFFERS);
             reward.tracking_sharpness *= terrain.sharpness_factor;
         }

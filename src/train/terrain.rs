@@ -23,8 +23,8 @@ const TILE_M: f64 = 8.0;
 /// Ground beyond the first and the last tile and beside all of them \[m\].
 const MARGIN_M: f64 = 1.0;
 
-/// Distance between the points of the field \[m\].
-const SPACING_M: f64 = 0.06;
+/// Distance between the points of the field \[m\]: finer ones cost more contacts to look for.
+const SPACING_M: f64 = 0.08;
 
 /// Radius around each start that stays flat, and width of the transition from there \[m\].
 const FLAT_M: [f64; 2] = [0.4, 0.4];
