@@ -117,6 +117,8 @@ type Ends<'py> = (
     Row<'py, bool>,
     Vec<(usize, String)>,
 );
+/// Observations, what the critic observes in addition, commands.
+type Begun<'py> = (Table<'py, f32>, Option<Table<'py, f32>>, Table<'py, f64>);
 /// Observations, what the critic observes in addition, rewards, terminations, truncations, reward terms, stages, commands,
 /// finished episodes.
 type Stepped<'py> = (
@@ -186,12 +188,7 @@ impl Environments {
     ///
     /// Returns normalised observations, float32 (n, length), what the critic observes in addition, and commands, float64 (n, 3):
     /// forward, left [m/s], yaw rate [rad/s].
-    fn reset<'py>(
-        &self,
-        py: Python<'py>,
-        seed: Option<u64>,
-        mask: Option<Vec<bool>>,
-    ) -> PyResult<(Table<'py, f32>, Option<Table<'py, f32>>, Table<'py, f64>)> {
+    fn reset<'py>(&self, py: Python<'py>, seed: Option<u64>, mask: Option<Vec<bool>>) -> PyResult<Begun<'py>> {
         let (observations, critic, commands) =
             self.with(py, |world| world.reset(seed, mask.as_deref()).map_err(failed))?;
         Ok((

@@ -569,9 +569,9 @@ impl Model {
         // flag for each body, geometry and site. A flag says that frames coincide, which saves a rotation; they no longer do.
         unsafe {
             *raw.body_mass.add(body) = factor * nominal.mass_kg;
-            for axis in 0..3 {
+            for (axis, offset) in offset_m.into_iter().enumerate() {
                 *raw.body_inertia.add(3 * body + axis) = factor * nominal.moments[axis];
-                *raw.body_ipos.add(3 * body + axis) = nominal.centre_m[axis] + offset_m[axis];
+                *raw.body_ipos.add(3 * body + axis) = nominal.centre_m[axis] + offset;
             }
             for (carrier, subtree_kg) in &nominal.subtrees_kg {
                 *raw.body_subtreemass.add(*carrier) = subtree_kg + mass_kg;

@@ -213,7 +213,9 @@ mod tests {
             let target = same_in_every_leg([0.0, 0.72, -1.44]);
             let conditions = Conditions { gravity: [0.5, 0.0, -9.81], friction: 0.6, encoder_bias: [0.0; 12] };
             sim.reset(conditions, &target).unwrap();
-            (0..60).for_each(|_| drop(sim.step(&target, &mut ()).unwrap()));
+            for _ in 0..60 {
+                sim.step(&target, &mut ()).unwrap();
+            }
             (sim.data().contact_count(), sim.state().position)
         });
         assert!(searched.0 >= 4 && searched.0 == listed.0, "{searched:?} {listed:?}");
