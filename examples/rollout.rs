@@ -9,16 +9,15 @@ and with so much in every third batch that some fall.
 */
 
 use std::path::Path;
-use std::sync::Arc;
 
 use anyhow::Context;
 use supple::config::Config;
 use supple::network::ActorCritic;
 use supple::policy::shipped;
-use supple::robot::{JOINTS, Robot};
+use supple::robot::JOINTS;
 use supple::task::Curriculum;
 use supple::train::collection::Collection;
-use supple::train::environment::{EpisodeEnd, LocomotionEnv};
+use supple::train::environment::{EpisodeEnd, LocomotionEnv, Shared};
 use supple::train::metrics::EpisodeMeans;
 use supple::util::random::{Purpose, stream};
 
@@ -33,14 +32,13 @@ fn main() -> anyhow::Result<()> {
     let (config, folder) = (Config::load(config)?, Path::new(folder));
     let (seed, batches): (u64, u64) = (seed.parse().context("SEED")?, batches.parse().context("BATCHES")?);
 
-    let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout()?);
+    let shared = Shared::new(&config)?;
     let mut rng = stream(seed, Purpose::Weights, 0, 0);
-    let untrained = ActorCritic::orthogonal(layout.length(), &config.ppo.hidden_layers, JOINTS, 0.0, &mut rng);
+    let untrained = ActorCritic::asymmetric(shared.inputs(), &config.ppo.hidden_layers, JOINTS, 0.0, &mut rng);
     let mut network = ActorCritic { policy: shipped::find_ours("compliant")?.actor, ..untrained };
     let mut curriculum = Curriculum::new(&config.command);
-    let layout = Arc::new(layout);
     let mut environments = (0..config.ppo.environments as u64)
-        .map(|k| LocomotionEnv::with_layout(&config, Arc::clone(&robot), Arc::clone(&layout), seed, k, curriculum))
+        .map(|k| LocomotionEnv::with_shared(&config, &shared, seed, k, curriculum))
         .collect::<Result<Vec<_>, _>>()?;
 
     let (mut observations, mut actions, mut rewards) = (Vec::new(), Vec::new(), Vec::new());

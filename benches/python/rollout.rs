@@ -9,14 +9,13 @@ rollout does besides, networks and bookkeeping, is left out.
 */
 
 use std::io::BufRead;
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::Context;
 use supple::config::Config;
-use supple::robot::{JOINTS, Robot};
+use supple::robot::JOINTS;
 use supple::task::Curriculum;
-use supple::train::environment::LocomotionEnv;
+use supple::train::environment::{LocomotionEnv, Shared};
 
 const SEED: u64 = 0;
 
@@ -31,10 +30,9 @@ fn main() -> anyhow::Result<()> {
     let (count, threads): (usize, usize) = (environments.parse()?, threads.parse()?);
     let bytes = std::fs::read(actions).with_context(|| actions.clone())?;
     let actions: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    let (robot, layout) = (Robot::load(&config.robot.model)?, config.layout()?);
-    let (layout, curriculum) = (Arc::new(layout), Curriculum::complete());
+    let (shared, curriculum) = (Shared::new(&config)?, Curriculum::complete());
     let mut environments = (0..count as u64)
-        .map(|k| LocomotionEnv::with_layout(&config, Arc::clone(&robot), Arc::clone(&layout), SEED, k, curriculum))
+        .map(|k| LocomotionEnv::with_shared(&config, &shared, SEED, k, curriculum))
         .collect::<Result<Vec<_>, _>>()?;
     for line in std::io::stdin().lock().lines() {
         line?;
@@ -42,7 +40,7 @@ fn main() -> anyhow::Result<()> {
         let started = Instant::now();
         let chunk = count.div_ceil(threads);
         let bits: u64 = std::thread::scope(|scope| {
-            let (length, actions) = (layout.length(), &actions[..]);
+            let (length, actions) = (shared.layout.length(), &actions[..]);
             let work = |(k, part)| scope.spawn(move || steps(part, k * chunk, count, length, actions));
             let workers: Vec<_> = environments.chunks_mut(chunk).enumerate().map(work).collect();
             let join = |worker: std::thread::ScopedJoinHandle<'_, _>| {

@@ -5,7 +5,7 @@ bits. The curriculum advances as in training, after every `ppo.batch_size` sampl
 at [`Environments::step`]; `python/lib/supple/environment.py` turns its arrays into Gymnasium's.
 */
 
-use std::sync::{Arc, Mutex, PoisonError, TryLockError};
+use std::sync::{Mutex, PoisonError, TryLockError};
 
 use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::exceptions::{PyRuntimeError, PyUserWarning, PyValueError};
@@ -14,10 +14,10 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use supple::config::Config;
 use supple::mujoco;
 use supple::observation::Layout;
-use supple::robot::{JOINTS, Robot, joint_names};
+use supple::robot::{JOINTS, joint_names};
 use supple::task::reward::TERMS;
 use supple::task::{Command, Curriculum, Stage, Terms};
-use supple::train::environment::{EnvStep, EpisodeEnd, EpisodeReport, LocomotionEnv};
+use supple::train::environment::{EnvStep, EpisodeEnd, EpisodeReport, LocomotionEnv, Shared};
 use supple::train::environment_bytes;
 use supple::train::metrics::EpisodeMeans;
 use supple::util::memory::{FreeMemory, gibibytes};
@@ -57,13 +57,14 @@ pub struct Environments {
     /// Id of the process that created them; a fork of it has no threads to step them.
     process: u32,
     config: Config,
-    robot: Arc<Robot>,
-    layout: Arc<Layout>,
+    shared: Shared,
 }
 
 struct VecWorld {
     config: Config,
     length: usize,
+    /// Number of values that the critic observes in addition.
+    critic_length: usize,
     environments: Vec<LocomotionEnv>,
     /// True where the episode is over and the next one has not begun.
     over: Vec<bool>,
@@ -99,25 +100,32 @@ struct Ended {
     report: EpisodeReport,
     /// The last observation of the episode, normalised.
     observation: Vec<f32>,
+    /// What the critic observes in addition.
+    critic: Vec<f32>,
     command: Command,
 }
 
 type Row<'py, T> = Bound<'py, PyArray1<T>>;
 type Table<'py, T> = Bound<'py, PyArray2<T>>;
-/// Finished episodes: environment indices, last observations and commands, returns, lengths [steps], pushed or not, messages of
+/// Finished episodes: environment indices, last observations, what the critic observes in addition, commands, returns, lengths [steps], pushed or not, messages of
 /// physics faults by environment index.
 type Ends<'py> = (
     Row<'py, i64>,
     Table<'py, f32>,
+    Option<Table<'py, f32>>,
     Table<'py, f64>,
     Row<'py, f64>,
     Row<'py, i64>,
     Row<'py, bool>,
     Vec<(usize, String)>,
 );
-/// Observations, rewards, terminations, truncations, reward terms, stages, commands, finished episodes.
+/// Observations, what the critic observes in addition, commands.
+type Begun<'py> = (Table<'py, f32>, Option<Table<'py, f32>>, Table<'py, f64>);
+/// Observations, what the critic observes in addition, rewards, terminations, truncations, reward terms, stages, commands,
+/// finished episodes.
 type Stepped<'py> = (
     Table<'py, f32>,
+    Option<Table<'py, f32>>,
     Row<'py, f64>,
     Row<'py, bool>,
     Row<'py, bool>,
@@ -142,9 +150,7 @@ impl Environments {
         let autoreset = Autoreset::named(autoreset)?;
         let threads = threads.min(num_envs);
         let config = Config::load(config).map_err(refused)?;
-        let robot = config.robot.load().map_err(refused)?;
-        let layout = config.layout().map_err(refused)?;
-        let layout = Arc::new(layout);
+        let shared = Shared::new(&config).map_err(refused)?;
         let first_curriculum = Curriculum::new(&config.command);
         if num_envs > MADE {
             check_memory(py, &config, num_envs)?;
@@ -154,9 +160,8 @@ impl Environments {
                 if index % MADE == 0 {
                     Python::attach(|py| py.check_signals())?;
                 }
-                let (robot, layout) = (Arc::clone(&robot), Arc::clone(&layout));
                 let mut environment =
-                    LocomotionEnv::with_layout(&config, robot, layout, seed, index as u64, first_curriculum)
+                    LocomotionEnv::with_shared(&config, &shared, seed, index as u64, first_curriculum)
                         .map_err(failed)?;
                 if !stagger {
                     environment.without_stagger();
@@ -164,7 +169,8 @@ impl Environments {
                 Ok(environment)
             };
             Ok(VecWorld {
-                length: layout.length(),
+                length: shared.layout.length(),
+                critic_length: shared.critic.as_ref().map_or(0, |critic| critic.length()),
                 environments: (0..num_envs).map(environment).collect::<PyResult<_>>()?,
                 over: vec![false; num_envs],
                 autoreset,
@@ -180,22 +186,22 @@ impl Environments {
                 config: config.clone(),
             })
         })?;
-        Ok(Environments { world: Mutex::new(Some(world)), process: std::process::id(), config, robot, layout })
+        Ok(Environments { world: Mutex::new(Some(world)), process: std::process::id(), config, shared })
     }
 
     /// Starts episodes: with a seed for each environment the first ones of that seed, else the next ones; with a mask only where
     /// it is true.
     ///
-    /// Returns normalised observations, float32 (n, length), and commands, float64 (n, 3): forward, left [m/s], yaw rate [rad/s].
-    fn reset<'py>(
-        &self,
-        py: Python<'py>,
-        seeds: Option<Vec<u64>>,
-        mask: Option<Vec<bool>>,
-    ) -> PyResult<(Table<'py, f32>, Table<'py, f64>)> {
-        let (observations, commands) =
+    /// Returns normalised observations, float32 (n, length), what the critic observes in addition, and commands, float64 (n, 3):
+    /// forward, left [m/s], yaw rate [rad/s].
+    fn reset<'py>(&self, py: Python<'py>, seeds: Option<Vec<u64>>, mask: Option<Vec<bool>>) -> PyResult<Begun<'py>> {
+        let (observations, critic, commands) =
             self.with(py, |world| world.reset(seeds.as_deref(), mask.as_deref()).map_err(failed))?;
-        Ok((table(py, observations, self.layout.length())?, table(py, commands, 3)?))
+        Ok((
+            table(py, observations, self.shared.layout.length())?,
+            self.critic_table(py, critic)?,
+            table(py, commands, 3)?,
+        ))
     }
 
     /// Steps every environment once with actions, float32 (n, 12).
@@ -206,7 +212,7 @@ impl Environments {
         // Another thread of Python could write into the array while this one goes without the lock: the actions, which
         // are small, are copied.
         let actions = actions.as_slice()?.to_vec();
-        let (observations, outcomes) = self.with(py, move |world| {
+        let (observations, critic, outcomes) = self.with(py, move |world| {
             assert_eq!(actions.len(), world.environments.len() * JOINTS, "numbers in the actions");
             let over = world.over.iter().position(|over| *over);
             if let (Some(index), Autoreset::Disabled) = (over, world.autoreset) {
@@ -221,14 +227,15 @@ impl Environments {
         let stages = outcomes.iter().map(|outcome| outcome.step.stage as i8);
         let commands = outcomes.iter().flat_map(|outcome| numbers(&outcome.command));
         Ok((
-            table(py, observations, self.layout.length())?,
+            table(py, observations, self.shared.layout.length())?,
+            self.critic_table(py, critic)?,
             outcomes.iter().map(|outcome| outcome.step.reward).collect::<Vec<_>>().into_pyarray(py),
             row(|outcome| outcome.step.end == Some(EpisodeEnd::Fall)),
             row(|outcome| matches!(outcome.step.end, Some(EpisodeEnd::TimeLimit | EpisodeEnd::Fault))),
             table(py, terms.collect(), TERMS.len())?,
             stages.collect::<Vec<_>>().into_pyarray(py),
             table(py, commands.collect(), 3)?,
-            ends(py, &outcomes, self.layout.length())?,
+            self.ends(py, &outcomes)?,
         ))
     }
 
@@ -262,13 +269,19 @@ impl Environments {
 
     /// Returns the name and the unit of every number of an observation, before it is scaled.
     fn observation_names(&self) -> Vec<String> {
-        self.layout.names()
+        self.shared.layout.names()
+    }
+
+    /// Returns the name and the unit of every number that the critic observes in addition, before it is scaled.
+    fn critic_observation_names(&self) -> Vec<String> {
+        self.shared.critic.as_ref().map_or_else(Vec::new, |critic| critic.names())
     }
 
     /// Returns offset, scale and limit of every number of an observation: (value − offset) · scale, clipped to ± limit.
     fn observation_scaling<'py>(&self, py: Python<'py>) -> (Row<'py, f64>, Row<'py, f64>, Row<'py, f64>) {
         let row = |values: &[f64]| values.to_vec().into_pyarray(py);
-        (row(self.layout.offset()), row(self.layout.scale()), row(self.layout.clip()))
+        let layout = &self.shared.layout;
+        (row(layout.offset()), row(layout.scale()), row(layout.clip()))
     }
 
     /// Returns the names of the joints in the order of actions.
@@ -291,9 +304,9 @@ impl Environments {
         let nominal = action.nominal_pose_rad.joints();
         let bound = |side: usize, sign: f64| -> Vec<f32> {
             let of = |joint: usize| {
-                let beyond = sign * self.robot.torque_limits[joint] / simulation.kp_n_m_per_rad;
+                let beyond = sign * self.shared.robot.torque_limits[joint] / simulation.kp_n_m_per_rad;
                 // A joint without limits: a turn about where it stands.
-                let limit = Some(self.robot.joint_limits[joint][side]).filter(|limit| limit.is_finite());
+                let limit = Some(self.shared.robot.joint_limits[joint][side]).filter(|limit| limit.is_finite());
                 let limit = limit.unwrap_or_else(|| nominal[joint] + sign * std::f64::consts::TAU);
                 ((limit + beyond - nominal[joint]) / action.scale_rad) as f32
             };
@@ -315,6 +328,34 @@ impl Environments {
 }
 
 impl Environments {
+    /// Turns what the critics observe in addition into an array; `None` if they observe what the policies do.
+    fn critic_table<'py>(&self, py: Python<'py>, values: Vec<f32>) -> PyResult<Option<Table<'py, f32>>> {
+        self.shared.critic.as_ref().map(|critic| table(py, values, critic.length())).transpose()
+    }
+
+    /// Returns arrays about the episodes that ended, if any did.
+    fn ends<'py>(&self, py: Python<'py>, outcomes: &[Outcome]) -> PyResult<Option<Ends<'py>>> {
+        let all = outcomes.iter().enumerate();
+        let ended: Vec<(usize, &Ended)> =
+            all.filter_map(|(index, outcome)| Some((index, outcome.ended.as_ref()?))).collect();
+        if ended.is_empty() {
+            return Ok(None);
+        }
+        let fault = |ended: &Ended| ended.report.fault.as_ref().map(|fault| fault.error.to_string());
+        let each = || ended.iter().map(|(_, ended)| *ended);
+        let length = self.shared.layout.length();
+        Ok(Some((
+            ended.iter().map(|(index, _)| *index as i64).collect::<Vec<_>>().into_pyarray(py),
+            table(py, each().flat_map(|ended| ended.observation.iter().copied()).collect(), length)?,
+            self.critic_table(py, each().flat_map(|ended| ended.critic.iter().copied()).collect())?,
+            table(py, each().flat_map(|ended| numbers(&ended.command)).collect(), 3)?,
+            each().map(|ended| ended.report.reward).collect::<Vec<_>>().into_pyarray(py),
+            each().map(|ended| ended.report.steps as i64).collect::<Vec<_>>().into_pyarray(py),
+            each().map(|ended| ended.report.pushed).collect::<Vec<_>>().into_pyarray(py),
+            ended.iter().filter_map(|(index, ended)| Some((*index, fault(ended)?))).collect(),
+        )))
+    }
+
     /// Runs `work` on the environments without the interpreter's lock.
     fn with<T: Send>(&self, py: Python<'_>, work: impl FnOnce(&mut VecWorld) -> PyResult<T> + Send) -> PyResult<T> {
         if std::process::id() != self.process {
@@ -374,7 +415,11 @@ fn check_memory(py: Python<'_>, config: &Config, num_envs: usize) -> PyResult<()
 }
 
 impl VecWorld {
-    fn reset(&mut self, seeds: Option<&[u64]>, mask: Option<&[bool]>) -> mujoco::Result<(Vec<f32>, Vec<f64>)> {
+    fn reset(
+        &mut self,
+        seeds: Option<&[u64]>,
+        mask: Option<&[bool]>,
+    ) -> mujoco::Result<(Vec<f32>, Vec<f32>, Vec<f64>)> {
         if seeds.is_some() {
             (self.curriculum, self.steps) = (self.first_curriculum, 0);
             self.episodes.iter_mut().for_each(Vec::clear);
@@ -399,10 +444,20 @@ impl VecWorld {
         self.seed = None;
         self.over.iter_mut().zip(chosen).for_each(|(over, chosen)| *over &= !chosen);
         let commands = self.environments.iter().flat_map(|environment| numbers(environment.command())).collect();
-        Ok((observations, commands))
+        Ok((observations, self.critic_additions(), commands))
     }
 
-    fn step(&mut self, actions: &[f32]) -> mujoco::Result<(Vec<f32>, Vec<Outcome>)> {
+    /// Returns what the critic observes in addition, shape (n, its length).
+    fn critic_additions(&self) -> Vec<f32> {
+        let mut values = vec![0.0; self.environments.len() * self.critic_length];
+        if self.critic_length > 0 {
+            let each = self.environments.iter().zip(values.chunks_mut(self.critic_length));
+            each.for_each(|(environment, out)| environment.critic_addition(out));
+        }
+        values
+    }
+
+    fn step(&mut self, actions: &[f32]) -> mujoco::Result<(Vec<f32>, Vec<f32>, Vec<Outcome>)> {
         let (count, length) = (self.environments.len(), self.length);
         let (curriculum, autoreset) = (self.curriculum, self.autoreset);
         let mut observations = vec![0.0; count * length];
@@ -431,7 +486,7 @@ impl VecWorld {
             }
             self.advance();
         }
-        Ok((observations, outcomes))
+        Ok((observations, self.critic_additions(), outcomes))
     }
 
     /// Counts a step, and advances the curriculum after every batch as training does.
@@ -469,7 +524,11 @@ fn step(
 ) -> mujoco::Result<Outcome> {
     let (step, report) = environment.step(action);
     environment.normalised_observation(seen);
-    let ended = report.map(|report| Ended { report, observation: seen.to_vec(), command: *environment.command() });
+    let ended = report.map(|report| {
+        let mut critic = vec![0.0; environment.critic_layout().map_or(0, Layout::length)];
+        environment.critic_addition(&mut critic);
+        Ended { report, observation: seen.to_vec(), critic, command: *environment.command() }
+    });
     if let (Some(curriculum), Some(_)) = (next, &ended) {
         environment.reset(curriculum)?;
         environment.normalised_observation(seen);
@@ -533,25 +592,4 @@ fn numbers(command: &Command) -> [f64; 3] {
 fn table<T: numpy::Element>(py: Python<'_>, values: Vec<T>, width: usize) -> PyResult<Table<'_, T>> {
     let rows = values.len() / width;
     values.into_pyarray(py).reshape([rows, width])
-}
-
-/// Returns arrays about the episodes that ended, if any did.
-fn ends<'py>(py: Python<'py>, outcomes: &[Outcome], length: usize) -> PyResult<Option<Ends<'py>>> {
-    let all = outcomes.iter().enumerate();
-    let ended: Vec<(usize, &Ended)> =
-        all.filter_map(|(index, outcome)| Some((index, outcome.ended.as_ref()?))).collect();
-    if ended.is_empty() {
-        return Ok(None);
-    }
-    let fault = |ended: &Ended| ended.report.fault.as_ref().map(|fault| fault.error.to_string());
-    let each = || ended.iter().map(|(_, ended)| *ended);
-    Ok(Some((
-        ended.iter().map(|(index, _)| *index as i64).collect::<Vec<_>>().into_pyarray(py),
-        table(py, each().flat_map(|ended| ended.observation.iter().copied()).collect(), length)?,
-        table(py, each().flat_map(|ended| numbers(&ended.command)).collect(), 3)?,
-        each().map(|ended| ended.report.reward).collect::<Vec<_>>().into_pyarray(py),
-        each().map(|ended| ended.report.steps as i64).collect::<Vec<_>>().into_pyarray(py),
-        each().map(|ended| ended.report.pushed).collect::<Vec<_>>().into_pyarray(py),
-        ended.iter().filter_map(|(index, ended)| Some((*index, fault(ended)?))).collect(),
-    )))
 }

@@ -247,6 +247,32 @@ def test_the_command_in_the_info_is_the_one_in_the_observation():
     assert ends > 0 and not np.allclose(drawn, info["command"])
 
 
+def test_what_only_the_critic_observes_is_in_the_info():
+    complete = supple.Curriculum(1.0, True, 1.0)
+    env = supple.make_vec("real", num_envs=8, seed=3, threads=1, curriculum=complete, stagger=False)
+    names = env.critic_observation_names
+    assert len(names) == 42 and not any(name in env.observation_names for name in names)
+    push, mass = names.index("push left [m/s]"), names.index("additional trunk mass [kg]")
+    (_, info), pushed, ends = env.reset(), 0, 0
+    masses = info["critic_observation"][:, mass]
+    assert info["critic_observation"].shape == (8, 42) and (np.abs(masses) <= 1).all() and len(set(masses)) == 8
+    for _ in range(250):
+        before = info["critic_observation"]
+        _, *_, info = env.step(np.zeros((8, 12), dtype=np.float32))
+        pushed += np.count_nonzero(info["critic_observation"][:, push])
+        for k in np.flatnonzero(info.get("_final_info", [])):
+            ends += 1
+            # An episode keeps its mass to its end; the next one has another.
+            last = info["final_info"]["critic_observation"][k]
+            assert last[mass] == before[k, mass] != info["critic_observation"][k, mass]
+    assert pushed > 0 and ends >= 8
+    single = supple.make("real", seed=3)
+    assert single.reset()[1]["critic_observation"].shape == (42,)
+    assert single.step(np.zeros(12, dtype=np.float32))[-1]["critic_observation"].shape == (42,)
+    plain = supple.make_vec("fast", num_envs=1)
+    assert plain.critic_observation_names == [] and "critic_observation" not in plain.reset()[1]
+
+
 def test_the_next_episode_begins_when_the_autoreset_mode_says():
     actions = random_actions(150, 4)
     same, after, never = (

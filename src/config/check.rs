@@ -38,6 +38,9 @@ pub enum ValueError {
     /// A list of quantities that cannot be observed.
     #[error(transparent)]
     Observation(#[from] LayoutError),
+    /// The same for the list of the critic.
+    #[error("critic_observation: {0}")]
+    Critic(LayoutError),
 }
 
 impl Config {
@@ -52,7 +55,8 @@ impl Config {
         {
             return Err(ValueError::Range { key: path.to_string(), problem: error.message().to_owned() });
         }
-        Ok(self.layout().map(drop)?)
+        self.layout()?;
+        self.critic_layout().map(drop).map_err(ValueError::Critic)
     }
 }
 
@@ -114,6 +118,18 @@ pub fn shortest_and_longest(durations_s: &[f64; 2], config: &Config) -> garde::R
     let valid = config.simulation.policy_period_s() <= low && low <= high && high <= MAX_STAGE_S;
     let expected = "[shortest, longest], at least one policy step and at most an hour";
     require(valid, format!("{durations_s:?}"), expected)
+}
+
+pub fn delays(range_s: &[f64; 2], _: &Config) -> garde::Result {
+    let [low, high] = *range_s;
+    let valid = 0.0 <= low && low <= high && high <= 1.0;
+    require(valid, format!("{range_s:?}"), "[shortest, longest], 0 to 1 s")
+}
+
+pub fn rising_to_one(fractions: &[f64], _: &Config) -> garde::Result {
+    let rises = fractions.windows(2).all(|pair| pair[0] < pair[1]);
+    let valid = fractions.is_empty() || rises && fractions[0] >= 0.0 && fractions.last() == Some(&1.0);
+    require(valid, format!("{fractions:?}"), "rising fractions, the last of them 1, such as [0, 0.2, 0.5, 1]")
 }
 
 pub fn low_and_high(friction: &[f64; 2], _: &Config) -> garde::Result {

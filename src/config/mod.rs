@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation, Reward,
-    RobotModel, Run, Simulation,
+    Action, CommandRange, Config, Episode, HeldFeet, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation,
+    Reward, RobotModel, Run, Simulation, Terrain,
 };
 
 use crate::robot::Robot;
@@ -34,6 +34,8 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("go2-baseline", include_str!("../../configs/go2-baseline.yaml")),
     ("hardware", include_str!("../../configs/hardware.yaml")),
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
+    ("real", include_str!("../../configs/real.yaml")),
+    ("real-baseline", include_str!("../../configs/real-baseline.yaml")),
 ];
 
 /// Range of `ln σ`, far beyond the values of training: below it, log-densities lose their precision, above it, actions
@@ -148,7 +150,7 @@ impl Config {
         config.check().map_err(|error| {
             let name = match &error {
                 ValueError::Range { key, .. } => yaml::place(texts, key),
-                ValueError::Observation(_) => name.to_owned(),
+                ValueError::Observation(_) | ValueError::Critic(_) => name.to_owned(),
             };
             ConfigError::Value { name, error }
         })?;
@@ -337,6 +339,19 @@ mod tests {
         for (change, expected) in [
             ("ppo.epochs=0", "config --set ppo.epochs=0: ppo.epochs is 0, expected 1 to 1000"),
             ("ppo.epochs=2e7", "ppo.epochs: invalid type"),
+            (
+                "randomisation.latency_s=[0.04, 0.02]",
+                "randomisation.latency_s is [0.04, 0.02], expected [shortest, longest], 0 to 1 s",
+            ),
+            (
+                "pulls={force_n: 50, duration_s: [1, 2], gap_s: [1, 2], fraction_step: 0, fraction_gate: 0, buckets: [0.5, 0.2]}",
+                "pulls.buckets is [0.5, 0.2], expected rising fractions, the last of them 1",
+            ),
+            ("observation=[{quantity: friction}]", "entry 1 (Friction): only the simulator knows it"),
+            (
+                "critic_observation=[{quantity: friction, scale: 0}]",
+                "critic_observation: observation, entry 1 (Friction)",
+            ),
             ("ppo.epoch=4", "unknown field `epoch`"),
             ("epochs=4", "unknown field `epochs`"),
             ("ppo=4", "invalid type"),

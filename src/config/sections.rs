@@ -8,9 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use super::LOG_STD_RANGE;
 use super::check::{
-    MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost,
+    MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost, delays,
     divides_batch, divides_batch_above_one, finite_angles, fraction, known_to_learner, layer_widths, low_and_high,
-    not_negative, physics_rate, positive, power_of_two_that_divides, shortest_and_longest, within,
+    not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest, within,
 };
 use crate::observation::{Layout, LayoutError, Nominal, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
@@ -44,6 +44,11 @@ pub struct Config {
     /// The entries of the observation, in order.
     #[garde(skip)]
     pub observation: Vec<Observed>,
+    /// The entries that the critic observes in addition to the policy's observation, from the true state; they may be
+    /// quantities that only the simulator knows. None if the list is missing.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[garde(skip)]
+    pub critic_observation: Vec<Observed>,
     /// Range of velocity commands, and its curriculum.
     #[garde(dive)]
     pub command: CommandRange,
@@ -54,10 +59,18 @@ pub struct Config {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[garde(dive)]
     pub pulls: Option<Pulls>,
+    /// Feet that are held in their swing; none if the section is missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[garde(dive)]
+    pub held_feet: Option<HeldFeet>,
+    /// Uneven ground with a curriculum; a plane if the section is missing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[garde(dive)]
+    pub terrain: Option<Terrain>,
     /// Weights and targets of the reward (Table II).
     #[garde(dive)]
     pub reward: Reward,
-    /// Randomisation of friction and encoder bias.
+    /// Randomisation of the dynamics and of the sensors.
     #[garde(dive)]
     pub randomisation: Randomisation,
     /// Settings of PPO (Table III).
@@ -275,6 +288,61 @@ pub struct Pulls {
     /// Mean `r_lin` above which that fraction increases.
     #[garde(custom(fraction))]
     pub fraction_gate: f64,
+    /// Upper ends of ranges of the force, as fractions of `force_n`, rising up to 1: each episode draws one of the ranges
+    /// with equal probability, and the forces of its pulls from it. `[0, 0.2, 0.5, 1]` leaves a quarter of the episodes
+    /// without pulls. One range without it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[garde(custom(rising_to_one))]
+    pub buckets: Vec<f64>,
+}
+
+/// Feet that are held back in their swing, as by the edge of a mat or a root, in training; not in the paper.
+///
+/// A spring without geometry holds a foot horizontally to the place at which it is caught. It lets go when the foot is lifted
+/// above the height of the obstacle, touches the ground, or when the time is over. Feet are held once there are pushes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
+#[serde(deny_unknown_fields)]
+#[garde(context(Config))]
+pub struct HeldFeet {
+    /// Largest horizontal force on a foot \[N\].
+    #[garde(custom(not_negative))]
+    pub force_n: f64,
+    /// Stiffness of the spring [N/m].
+    #[garde(custom(within(0.0..=2000.0, " N/m")))]
+    pub stiffness_n_per_m: f64,
+    /// The lowest and the highest obstacle \[m\]: a foot is held only below its height.
+    #[garde(custom(low_and_high))]
+    pub height_m: [f64; 2],
+    /// The shortest and the longest time for which a foot is held \[s\].
+    #[garde(custom(shortest_and_longest))]
+    pub duration_s: [f64; 2],
+    /// The shortest and the longest time between two of these, for each foot \[s\].
+    #[garde(custom(shortest_and_longest))]
+    pub gap_s: [f64; 2],
+}
+
+/// Uneven ground in training, whose levels rise with what a robot walks and fall when it falls; not in the paper.
+///
+/// Every second environment on it has rough ground, every other one boxes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
+#[serde(deny_unknown_fields)]
+#[garde(context(Config))]
+pub struct Terrain {
+    /// Fraction of the environments with uneven ground; the others have a plane.
+    #[garde(custom(fraction))]
+    pub environments: f64,
+    /// Number of levels.
+    #[garde(custom(within(1..=20, "")))]
+    pub levels: usize,
+    /// Height of rough ground from its lowest to its highest point on the first and on the last level \[m\].
+    #[garde(custom(low_and_high))]
+    pub rough_m: [f64; 2],
+    /// Height of the highest boxes on the first and on the last level \[m\].
+    #[garde(custom(low_and_high))]
+    pub boxes_m: [f64; 2],
+    /// Factor of `reward.tracking_sharpness` on uneven ground: below 1, tracking is paid more loosely there.
+    #[garde(custom(fraction))]
+    pub sharpness_factor: f64,
 }
 
 /// Table II and equations 1–3.
@@ -323,7 +391,7 @@ pub struct Reward {
     pub foot_height_m: f64,
 }
 
-/// Section IV-D.
+/// Section IV-D, and what else differs between a simulated and a real robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Validate)]
 #[serde(deny_unknown_fields)]
 #[garde(context(Config))]
@@ -340,6 +408,46 @@ pub struct Randomisation {
     /// Sliding friction when randomisation is off.
     #[garde(custom(positive))]
     pub default_friction: f64,
+    /// Largest mass that is added to the trunk or taken from it \[kg\]; 0 if missing, as all of the following.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub trunk_mass_kg: f64,
+    /// Largest displacement of the trunk's centre of mass along each axis \[m\].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub trunk_offset_m: f64,
+    /// Largest relative error of `K_p` and of `K_d`; 0.1 is ± 10 %.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(fraction))]
+    pub gain_error: f64,
+    /// The shortest and the longest delay of the joint target \[s\], in place of `simulation.latency_s`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[garde(inner(custom(delays)))]
+    pub latency_s: Option<[f64; 2]>,
+    /// Largest dry friction of the joints, in addition to the robot's [N·m].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub joint_friction_n_m: f64,
+    /// Largest viscous damping of the joints, in addition to the robot's [N·m·s/rad].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub joint_damping_n_m_s_per_rad: f64,
+    /// Standard deviation of the observed angular velocity about each axis in a policy step [rad/s].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub gyro_noise_sd_rad_s: f64,
+    /// Standard deviation of the constant error of the angular velocity about each axis [rad/s].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub gyro_bias_sd_rad_s: f64,
+    /// Standard deviation of the constant error of roll and pitch in the observed gravity \[rad\].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub tilt_error_sd_rad: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// Settings of PPO: Table III, and those of Stable-Baselines3 where the paper is silent.
@@ -487,6 +595,15 @@ impl Config {
     /// An entry of the observation is invalid, or the observation is empty or too long.
     pub fn layout(&self) -> Result<Layout, LayoutError> {
         Layout::new(&self.observation, &self.nominal())
+    }
+
+    /// Builds the layout of what the critic observes in addition; `None` if it observes what the policy does.
+    ///
+    /// # Errors
+    /// An entry of the list is invalid, or the list is too long.
+    pub fn critic_layout(&self) -> Result<Option<Layout>, LayoutError> {
+        let entries = &self.critic_observation;
+        (!entries.is_empty()).then(|| Layout::for_critic(entries, &self.nominal())).transpose()
     }
 
     /// Returns the nominal values that offsets and scales refer to by name.

@@ -5,7 +5,7 @@ use std::ptr::NonNull;
 use mujoco_sys as sys;
 
 use super::error::{Buffer, Error, Result, StateKind};
-use super::model::{Kind, Model};
+use super::model::{Inertial, Kind, Model};
 use super::{EMPTY_MESSAGE, Message, check};
 
 /// A contact point found by MuJoCo's last position stage.
@@ -127,6 +127,11 @@ impl Data {
         self.slice(self.raw().xpos, 3 * self.model.count(Kind::Body))
     }
 
+    /// Centres of mass of the bodies, world frame, shape (nbody, 3). \[m\]
+    pub fn body_centres(&self) -> &[f64] {
+        self.slice(self.raw().xipos, 3 * self.model.count(Kind::Body))
+    }
+
     /// Body orientations (w, x, y, z), shape (nbody, 4).
     pub fn body_quaternions(&self) -> &[f64] {
         self.slice(self.raw().xquat, 4 * self.model.count(Kind::Body))
@@ -217,6 +222,25 @@ impl Data {
     /// There is no geometry of this id.
     pub fn set_sliding_friction(&mut self, geom: usize, friction: f64) {
         self.model.set_sliding_friction(geom, friction);
+    }
+
+    /// Gives a body another mass and centre of mass; see [`Model::set_inertial`].
+    ///
+    /// # Errors
+    /// Less mass than nothing would remain.
+    ///
+    /// # Panics
+    /// There is no body of this id.
+    pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
+        self.model.set_inertial(body, nominal, mass_kg, offset_m)
+    }
+
+    /// Sets the losses of a hinge; see [`Model::set_losses`].
+    ///
+    /// # Panics
+    /// There is no joint of this id.
+    pub fn set_losses(&mut self, joint: usize, friction: f64, damping: f64) {
+        self.model.set_losses(joint, friction, damping);
     }
 
     /// Sets the maximum length of a tendon \[m\]; see [`Model::set_longest_tendon`].

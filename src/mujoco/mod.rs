@@ -17,7 +17,7 @@ mod sizes;
 pub use data::{Contact, Data};
 pub use error::{Buffer, Error, Result, StateKind};
 pub use library::library_file;
-pub use model::{Actuator, Geom, GeomContact, Kind, Model, Shape};
+pub use model::{Actuator, Geom, GeomContact, Inertial, Kind, Model, Shape};
 pub use sizes::{SizeError, check_sizes};
 
 use std::ffi::CStr;

@@ -160,6 +160,19 @@ unsafe impl Send for Model {}
 // SAFETY: as above.
 unsafe impl Sync for Model {}
 
+/// The mass of a body, from which [`Model::set_inertial`] deviates.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Inertial {
+    /// Mass of the body \[kg\].
+    pub mass_kg: f64,
+    /// Moments of inertia about its principal axes [kg·m²].
+    pub moments: [f64; 3],
+    /// Centre of mass in the body's frame \[m\].
+    pub centre_m: [f64; 3],
+    /// Ids of the body and the bodies that carry it, with the masses of their subtrees \[kg\].
+    pub subtrees_kg: Vec<(usize, f64)>,
+}
+
 impl Drop for Model {
     fn drop(&mut self) {
         // SAFETY: the pointer is owned and came from MuJoCo.
@@ -520,6 +533,59 @@ impl Model {
             *raw.body_mass.add(body) *= factor;
             (0..3).for_each(|axis| *raw.body_inertia.add(3 * body + axis) *= factor);
             carriers.into_iter().for_each(|carrier| *raw.body_subtreemass.add(carrier) += mass_kg);
+        }
+        Ok(())
+    }
+
+    /// Returns the mass of a body and of the subtrees that it belongs to.
+    ///
+    /// # Panics
+    /// There is no body of this id.
+    pub fn inertial(&self, body: usize) -> Inertial {
+        let raw = self.raw();
+        let parent = |body: usize| self.slice(raw.body_parentid, raw.nbody)[body] as usize;
+        let carriers = std::iter::successors(Some(body), |it| (*it > 0).then(|| parent(*it)));
+        let subtrees = self.slice(raw.body_subtreemass, raw.nbody);
+        Inertial {
+            mass_kg: self.body_mass()[body],
+            moments: self.body_inertia(body),
+            centre_m: self.body_centre_of_mass(body),
+            subtrees_kg: carriers.map(|carrier| (carrier, subtrees[carrier])).collect(),
+        }
+    }
+
+    /// Gives a body more or less mass than `nominal` \[kg\], spread as its own is, and displaces its centre of mass in the
+    /// body's frame \[m\]. Zero restores the nominal bits.
+    ///
+    /// # Errors
+    /// Less mass than nothing would remain.
+    ///
+    /// # Panics
+    /// There is no body of this id.
+    pub fn set_inertial(&mut self, body: usize, nominal: &Inertial, mass_kg: f64, offset_m: [f64; 3]) -> Result<()> {
+        let factor = 1.0 + mass_kg / nominal.mass_kg;
+        if !(factor > 0.0 && factor.is_finite()) {
+            let what = format!("mass to add to {}, of {:.2} kg", self.name(Kind::Body, body), nominal.mass_kg);
+            return Err(Error::Input { what, found: format!("{mass_kg} kg") });
+        }
+        assert!(body < self.count(Kind::Body), "body {body} out of range");
+        let geoms: Vec<usize> = (0..self.count(Kind::Geom)).filter(|geom| self.geom_body(*geom) == body).collect();
+        let sites: Vec<usize> = (0..self.count(Kind::Site)).filter(|site| self.site_body(*site) == body).collect();
+        let raw = self.raw_mut();
+        // SAFETY: the arrays hold one mass, one subtree's mass, three moments and three coordinates for each body, and one
+        // flag for each body, geometry and site. A flag says that frames coincide, which saves a rotation; they no longer do.
+        unsafe {
+            *raw.body_mass.add(body) = factor * nominal.mass_kg;
+            for (axis, offset) in offset_m.into_iter().enumerate() {
+                *raw.body_inertia.add(3 * body + axis) = factor * nominal.moments[axis];
+                *raw.body_ipos.add(3 * body + axis) = nominal.centre_m[axis] + offset;
+            }
+            for (carrier, subtree_kg) in &nominal.subtrees_kg {
+                *raw.body_subtreemass.add(*carrier) = subtree_kg + mass_kg;
+            }
+            *raw.body_sameframe.add(body) = 0;
+            geoms.into_iter().for_each(|geom| *raw.geom_sameframe.add(geom) = 0);
+            sites.into_iter().for_each(|site| *raw.site_sameframe.add(site) = 0);
         }
         Ok(())
     }

@@ -123,7 +123,7 @@ impl Mlp {
 pub struct ActorCritic {
     /// Network from observation to mean action.
     pub policy: Mlp,
-    /// Network from observation to value (one output).
+    /// Network from the critic's observation to value (one output).
     pub value: Mlp,
     /// `ln σ` of each action, shape (actions).
     pub log_std: Vec<f32>,
@@ -133,8 +133,19 @@ impl ActorCritic {
     /// Initialises as Stable-Baselines3 does: orthogonal weights with gain √2 in hidden layers, 0.01 in the policy's
     /// last and 1 in the value's last layer; biases zero; `ln σ` the same for all actions.
     pub fn orthogonal(observations: usize, hidden: &[usize], actions: usize, log_std: f32, rng: &mut impl Rng) -> Self {
-        let policy = Mlp::orthogonal(&[&[observations], hidden, &[actions]].concat(), 0.01, rng);
-        let value = Mlp::orthogonal(&[&[observations], hidden, &[1]].concat(), 1.0, rng);
+        Self::asymmetric([observations; 2], hidden, actions, log_std, rng)
+    }
+
+    /// Initialises like [`ActorCritic::orthogonal`], with the numbers of inputs of the policy and of the value function.
+    pub fn asymmetric(
+        [policy, value]: [usize; 2],
+        hidden: &[usize],
+        actions: usize,
+        log_std: f32,
+        rng: &mut impl Rng,
+    ) -> Self {
+        let policy = Mlp::orthogonal(&[&[policy], hidden, &[actions]].concat(), 0.01, rng);
+        let value = Mlp::orthogonal(&[&[value], hidden, &[1]].concat(), 1.0, rng);
         Self { policy, value, log_std: vec![log_std; actions] }
     }
 
@@ -164,7 +175,7 @@ impl ActorCritic {
         let mut tensors = by_name(tensors);
         let log_std = take(&mut tensors, "log_std", &[None])?;
         let policy = take_mlp(&mut tensors, "policy.", None, log_std.len())?;
-        let value = take_mlp(&mut tensors, "value.", Some(policy.inputs()), 1)?;
+        let value = take_mlp(&mut tensors, "value.", None, 1)?;
         match tensors.into_keys().next() {
             Some(name) => Err(NetworkError::Unknown(name)),
             None => Ok(Self { policy, value, log_std }),

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::quantity::Kind;
 use super::{LayoutError, Quantity};
-use crate::robot::{JOINTS, Joints};
+use crate::robot::{JOINTS, Joints, LEGS};
 
 type Result<T> = std::result::Result<T, LayoutError>;
 
@@ -146,7 +146,7 @@ impl Block {
 
 pub(super) fn block(entry: &Observed) -> Result<Block> {
     let (kind, ..) = entry.quantity.about();
-    let is_vector = matches!(kind, Kind::Polar | Kind::Axial | Kind::Command);
+    let is_vector = matches!(kind, Kind::Polar | Kind::Axial | Kind::Command | Kind::FootVectors);
     let third = if kind == Kind::Command { "yaw" } else { "up" };
     let axes = match &entry.elements {
         Some(_) if !is_vector => return Err(LayoutError::Form("it has no axes: leave out `elements`".into())),
@@ -170,6 +170,8 @@ pub(super) fn block(entry: &Observed) -> Result<Block> {
         Kind::Scalar => 1,
         Kind::Polar | Kind::Axial | Kind::Command => axes.len(),
         Kind::Joints => JOINTS,
+        Kind::Feet => LEGS.len(),
+        Kind::FootVectors => LEGS.len() * axes.len(),
         Kind::Clock | Kind::Constant => values.len(),
     };
     if !values.iter().all(|value| value.is_finite()) || width > MAX_LENGTH {

@@ -53,6 +53,9 @@ pub enum LayoutError {
         /// The scale of the number.
         scale: f64,
     },
+    /// A quantity of a policy's observation is known to the simulator alone.
+    #[error("only the simulator knows it, so no policy can observe it: move it to critic_observation")]
+    Privileged,
     /// A quantity has no mirror image.
     #[error("{0:?} has no mirror image")]
     NoImage(Quantity),

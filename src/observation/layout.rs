@@ -4,7 +4,7 @@ use super::entry::{Block, MAX_LENGTH, Nominal, Observed, ages, block, limit, off
 use super::observer::Moment;
 use super::quantity::Kind;
 use super::{LayoutError, Quantity};
-use crate::robot::{JOINTS, Robot, joint_name};
+use crate::robot::{JOINTS, LEGS, Robot, joint_name};
 use crate::util::numbers::finite_in_single;
 
 /// The origin of a number of the observation.
@@ -41,6 +41,14 @@ impl Layout {
         Self::repeated(entries, &[0], None, std::array::from_fn(|joint| joint), nominal)
     }
 
+    /// Creates the layout of the entries that a critic sees in addition to the policy's; they may be privileged.
+    ///
+    /// # Errors
+    /// An entry is invalid, or there are none or too many numbers.
+    pub fn for_critic(entries: &[Observed], nominal: &Nominal) -> Result<Self, LayoutError> {
+        Self::checked(entries, &[0], None, std::array::from_fn(|joint| joint), nominal, true)
+    }
+
     /// Creates a layout like [`Layout::new`] that repeats the observation at the ages `history`, limits it to ± `clip`,
     /// and has another order of joints.
     ///
@@ -53,6 +61,17 @@ impl Layout {
         order: [usize; JOINTS],
         nominal: &Nominal,
     ) -> Result<Self, LayoutError> {
+        Self::checked(entries, history, clip, order, nominal, false)
+    }
+
+    fn checked(
+        entries: &[Observed],
+        history: &[u32],
+        clip: Option<f64>,
+        order: [usize; JOINTS],
+        nominal: &Nominal,
+        privileged: bool,
+    ) -> Result<Self, LayoutError> {
         ages("history", history)?;
         let clip = limit("observation_clip", clip)?;
         let (mut blocks, mut offsets, mut scales, mut clips) =
@@ -61,6 +80,9 @@ impl Layout {
         for (index, entry) in entries.iter().enumerate() {
             let (number, quantity) = (index + 1, entry.quantity);
             let fail = |problem| LayoutError::Entry { number, quantity, problem: Box::new(problem) };
+            if quantity.is_privileged() && !privileged {
+                return Err(fail(LayoutError::Privileged));
+            }
             let mut block = block(entry).map_err(fail)?;
             block.start = width;
             width += block.width;
@@ -195,6 +217,11 @@ impl Layout {
                             Kind::Scalar => what.to_owned(),
                             Kind::Polar | Kind::Axial | Kind::Command => format!("{what} {}", block.elements()[k]),
                             Kind::Joints => format!("{} {what}", joint_name(self.order[k])),
+                            Kind::Feet => format!("{} foot's {what}", LEGS[k]),
+                            Kind::FootVectors => {
+                                let (leg, axis) = (k / block.axes.len(), k % block.axes.len());
+                                format!("{} foot's {what} {}", LEGS[leg], block.elements()[axis])
+                            }
                             Kind::Clock | Kind::Constant => format!("{what} {k}"),
                         };
                         let unit = units[block.axes.get(k).map_or(0, |(axis, _)| axis % units.len())];
@@ -245,6 +272,12 @@ impl Layout {
                 let index = self.order.iter().position(|place| *place == joint).unwrap_or(k);
                 Ok((index, sign))
             }
+            Kind::Feet => Ok((robot.mirrored(3 * k).0 / 3, 1.0)),
+            Kind::FootVectors => {
+                let (leg, axis) = (k / block.axes.len(), k % block.axes.len());
+                let sign = if block.axes[axis].0 == 1 { -1.0 } else { 1.0 };
+                Ok((robot.mirrored(3 * leg).0 / 3 * block.axes.len() + axis, sign))
+            }
             Kind::Clock | Kind::Constant => Err(LayoutError::NoImage(block.quantity)),
         }
     }
@@ -278,7 +311,7 @@ mod tests {
 
     use super::*;
     use crate::config::Config;
-    use crate::observation::{Command, Numbers, Observer, Word};
+    use crate::observation::{Command, Numbers, Observer, Privileged, Word};
     use crate::robot::{RobotState, same_in_every_leg};
 
     fn state() -> RobotState {
@@ -304,7 +337,15 @@ mod tests {
         let command = Command::velocity(0.5, 0.25, -0.125);
         let (last_action, last_target, nominal) = ([0.0; 12], [target; 12], [0.0; 12]);
         let (last_action, last_target, nominal) = (&last_action, &last_target, &nominal);
-        let now = Moment { state, command: &command, last_action, last_target, nominal, time_s: 0.0 };
+        let now = Moment {
+            state,
+            command: &command,
+            last_action,
+            last_target,
+            nominal,
+            time_s: 0.0,
+            privileged: Privileged::default(),
+        };
         observer.measure(layout, &now);
         observer.raw(layout)
     }
@@ -348,6 +389,7 @@ mod tests {
             last_target: &pose,
             nominal: &pose,
             time_s: 0.0,
+            privileged: Privileged::default(),
         };
         observer.measure(&layout, &now);
         let mut seen = vec![0.0; layout.length()];
@@ -368,6 +410,59 @@ mod tests {
         assert_eq!(names[46], "base height [m]");
         assert_eq!(names[80..], ["commanded left [m/s]", "commanded forward [m/s]", "commanded yaw rate [rad/s]"]);
         assert_eq!(names.iter().collect::<std::collections::BTreeSet<_>>().len(), 83);
+    }
+
+    #[test]
+    fn only_a_critic_observes_privileged_quantities() {
+        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
+        let elements = Some(vec!["up".to_owned(), "left".to_owned()]);
+        let forces = Observed { elements, ..Observed::now(Quantity::FootForces) };
+        let entries = [Observed::now(Quantity::BaseHeight), forces, Observed::now(Quantity::FootHeights)];
+        let error = Layout::new(&entries, &nominal).unwrap_err().to_string();
+        assert!(error.starts_with("observation, entry 2 (FootForces): only the simulator knows it"), "{error}");
+        let layout = Layout::for_critic(&entries, &nominal).unwrap();
+        assert_eq!(layout.length(), 1 + 4 * 2 + 4);
+        let names = layout.names();
+        assert_eq!(names[3..6], ["FL foot's force up [N]", "FL foot's force left [N]", "RR foot's force up [N]"]);
+        assert_eq!(names[12], "RL foot's height [m]");
+        let mut state = state();
+        (0..4).for_each(|leg| state.feet[leg].height = 0.01 * leg as f64);
+        let foot_forces = std::array::from_fn(|leg| Vector3::new(1.0, 2.0, 3.0) * (leg + 1) as f64);
+        let (command, zero) = (Command::default(), [0.0; 12]);
+        let now = Moment {
+            state: &state,
+            command: &command,
+            last_action: &zero,
+            last_target: &zero,
+            nominal: &zero,
+            time_s: 0.0,
+            privileged: Privileged { foot_forces, ..Privileged::default() },
+        };
+        let mut observer = Observer::new();
+        observer.measure(&layout, &now);
+        let expected = [0.25, 3.0, 2.0, 6.0, 4.0, 9.0, 6.0, 12.0, 8.0, 0.0, 0.01, 0.02, 0.03];
+        assert_eq!(observer.raw(&layout), expected);
+    }
+
+    #[test]
+    fn privileged_quantities_have_mirror_images_of_their_kind() {
+        let robot = Robot::load("go1").unwrap();
+        let nominal = Nominal { pose: [0.0; 12], height_m: 0.3, action_scale_rad: [0.3; 12] };
+        let mirrored =
+            |quantity| Layout::for_critic(&[Observed::now(quantity)], &nominal).unwrap().mirrored(&robot).unwrap();
+        // The legs are FR, FL, RR, RL.
+        assert_eq!(mirrored(Quantity::FootHeights), [(1, 1.0), (0, 1.0), (3, 1.0), (2, 1.0)]);
+        let forces = mirrored(Quantity::FootForces);
+        assert_eq!(forces[..6], [(3, 1.0), (4, -1.0), (5, 1.0), (0, 1.0), (1, -1.0), (2, 1.0)]);
+        assert_eq!(forces[9..], [(6, 1.0), (7, -1.0), (8, 1.0)]);
+        for quantity in [Quantity::Friction, Quantity::TrunkMass, Quantity::Latency] {
+            assert_eq!(mirrored(quantity), [(0, 1.0)]);
+        }
+        for quantity in [Quantity::Pull, Quantity::Push, Quantity::TrunkOffset] {
+            assert_eq!(mirrored(quantity), [(0, 1.0), (1, -1.0), (2, 1.0)]);
+        }
+        // Hips turn around, thighs and calves do not.
+        assert_eq!(mirrored(Quantity::EncoderBias)[..3], [(3, -1.0), (4, 1.0), (5, 1.0)]);
     }
 
     #[test]

@@ -4,7 +4,8 @@ mirror.
 Read in this order: [`Quantity`] (what can be observed), [`Observed`] (an entry of the list in a file), [`Layout`] (the
 checked list), [`Observer`] (measures it and keeps its history). Each number is `(value − offset) · scale` of a
 quantity, now or some steps ago. The paper's 83 numbers are such a list, in `configs/compliant.yaml`; a policy of
-another framework brings its own.
+another framework brings its own. A critic may observe more than the policy, also what only the simulator knows
+([`Privileged`]).
 
 To add a quantity, add a variant to [`Quantity`], and describe and measure it in `quantity.rs`; other files need changes
 only if its numbers are of a new kind.
@@ -21,7 +22,7 @@ pub(crate) use entry::{limit, numbers};
 pub use error::LayoutError;
 pub use layout::Layout;
 pub use observer::{Moment, Observer};
-pub use quantity::Quantity;
+pub use quantity::{Privileged, Quantity};
 
 use serde::{Deserialize, Serialize};
 

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Command, Layout};
+use super::{Command, Layout, Privileged};
 use crate::robot::{Joints, RobotState};
 
 /// All that can be observed before a policy step.
@@ -20,6 +20,8 @@ pub struct Moment<'a> {
     pub nominal: &'a Joints,
     /// Time since the policy began \[s\].
     pub time_s: f64,
+    /// Values that only the simulator knows, for a critic; the default for a policy, which cannot observe them.
+    pub privileged: Privileged,
 }
 
 /// The measured frames of an observation: now, and as many steps ago as the layout needs.
@@ -64,6 +66,11 @@ impl Observer {
         for (k, source) in layout.sources().iter().enumerate() {
             out[k] = layout.normalised(k, self.frames[source.age][source.index]);
         }
+    }
+
+    /// Returns true if nothing has been measured yet.
+    pub fn is_empty(&self) -> bool {
+        self.frames.is_empty()
     }
 
     /// Returns true if the stored history fits this layout.

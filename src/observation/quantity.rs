@@ -1,11 +1,12 @@
 /*! Quantities that can be observed: the name, unit, kind and measurement of each.
 
 Vectors are in the base frame, (forward, left, up). The layout selects their elements, order and signs; the paper has
-(left, up, forward).
+(left, up, forward). Quantities that no robot measures are privileged: they are for the critic of training alone.
 */
 
 use std::f64::consts::TAU;
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::observer::Moment;
@@ -43,6 +44,45 @@ pub enum Quantity {
     ClockCos,
     /// The constants `values`.
     Constant,
+    /// Privileged: contact force on each foot, and the force that holds it, mean over the last policy step \[N\].
+    FootForces,
+    /// Privileged: height of each foot's lowest point above the ground under it \[m\].
+    FootHeights,
+    /// Privileged: sliding friction of the ground.
+    Friction,
+    /// Privileged: encoder bias of each joint \[rad\].
+    EncoderBias,
+    /// Privileged: pull on the trunk in the coming policy step \[N\].
+    Pull,
+    /// Privileged: push at the start of the coming policy step, a change of the trunk's velocity [m/s].
+    Push,
+    /// Privileged: mass that the trunk has beyond the robot's description \[kg\].
+    TrunkMass,
+    /// Privileged: displacement of the trunk's centre of mass from the robot's description \[m\].
+    TrunkOffset,
+    /// Privileged: delay of the joint target \[s\].
+    Latency,
+}
+
+/// What the simulator knows and no robot measures: only a critic may observe it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Privileged {
+    /// Contact force on each foot, and the force that holds it, mean over the last policy step, base frame \[N\].
+    pub foot_forces: [Vector3<f64>; 4],
+    /// Sliding friction of the ground.
+    pub friction: f64,
+    /// Bias of the encoders: measured minus true joint angle \[rad\].
+    pub encoder_bias: Joints,
+    /// Pull on the trunk in the coming policy step, base frame \[N\].
+    pub pull: Vector3<f64>,
+    /// Change of the trunk's velocity at the start of the coming policy step, base frame [m/s].
+    pub push: Vector3<f64>,
+    /// Mass that the trunk has beyond the robot's description \[kg\].
+    pub trunk_mass_kg: f64,
+    /// Displacement of the trunk's centre of mass from the robot's description, base frame \[m\].
+    pub trunk_offset_m: Vector3<f64>,
+    /// Delay of the joint target \[s\].
+    pub latency_s: f64,
 }
 
 /// The kind of a quantity's numbers, which decides their names and their mirror images.
@@ -62,6 +102,10 @@ pub(super) enum Kind {
     Clock,
     /// The constants that the layout lists.
     Constant,
+    /// One number for each foot.
+    Feet,
+    /// A polar vector for each foot.
+    FootVectors,
 }
 
 impl Quantity {
@@ -82,7 +126,25 @@ impl Quantity {
             Quantity::ClockSin => (Kind::Clock, "sine of a clock", "1"),
             Quantity::ClockCos => (Kind::Clock, "cosine of a clock", "1"),
             Quantity::Constant => (Kind::Constant, "constant", "1"),
+            Quantity::FootForces => (Kind::FootVectors, "force", "N"),
+            Quantity::FootHeights => (Kind::Feet, "height", "m"),
+            Quantity::Friction => (Kind::Scalar, "friction", "1"),
+            Quantity::EncoderBias => (Kind::Joints, "encoder bias", "rad"),
+            Quantity::Pull => (Kind::Polar, "pull", "N"),
+            Quantity::Push => (Kind::Polar, "push", "m/s"),
+            Quantity::TrunkMass => (Kind::Scalar, "additional trunk mass", "kg"),
+            Quantity::TrunkOffset => (Kind::Polar, "offset of the trunk's centre of mass", "m"),
+            Quantity::Latency => (Kind::Scalar, "latency", "s"),
         }
+    }
+
+    /// Returns true if only the simulator knows the quantity, so that policies cannot observe it.
+    pub fn is_privileged(self) -> bool {
+        use Quantity::{EncoderBias, FootForces, FootHeights, Friction, Latency, Pull, Push, TrunkMass, TrunkOffset};
+        matches!(
+            self,
+            FootForces | FootHeights | Friction | EncoderBias | Pull | Push | TrunkMass | TrunkOffset | Latency
+        )
     }
 
     /// Measures this quantity into `out`, a slice of its width. `axes` selects the elements and signs of a vector;
@@ -95,7 +157,7 @@ impl Quantity {
         now: &Moment<'_>,
         out: &mut [f64],
     ) {
-        let state = now.state;
+        let (state, known) = (now.state, now.privileged);
         let mut vector = |[forward, left, up]: [f64; 3]| {
             out.iter_mut().zip(axes).for_each(|(out, (axis, sign))| *out = sign * [forward, left, up][*axis]);
         };
@@ -122,6 +184,19 @@ impl Quantity {
                 phases.for_each(|(out, phase)| *out = wave(TAU * (turns + phase).fract()));
             }
             Quantity::Constant => out.copy_from_slice(values),
+            Quantity::FootForces => {
+                for (out, force) in out.chunks_exact_mut(axes.len()).zip(known.foot_forces) {
+                    out.iter_mut().zip(axes).for_each(|(out, (axis, sign))| *out = sign * force[*axis]);
+                }
+            }
+            Quantity::FootHeights => out.copy_from_slice(&state.feet.map(|foot| foot.height)),
+            Quantity::Friction => out[0] = known.friction,
+            Quantity::EncoderBias => reorder(&known.encoder_bias, order, out),
+            Quantity::Pull => vector(known.pull.into()),
+            Quantity::Push => vector(known.push.into()),
+            Quantity::TrunkMass => out[0] = known.trunk_mass_kg,
+            Quantity::TrunkOffset => vector(known.trunk_offset_m.into()),
+            Quantity::Latency => out[0] = known.latency_s,
         }
     }
 }

@@ -7,7 +7,7 @@ use super::controller::Controller;
 use super::onnx;
 use crate::config::Config;
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, LayoutError, Moment, Observer};
+use crate::observation::{Command, Layout, LayoutError, Moment, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
@@ -211,6 +211,7 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
             last_target,
             nominal: &inference.action.nominal_pose,
             time_s: *step as f64 * inference.period_s,
+            privileged: Privileged::default(),
         };
         observer.measure(layout, &now);
         observer.normalised(layout, &mut self.seen);

@@ -25,7 +25,8 @@ use crate::util::yaml;
 /// let log_std = vec![-1.0; 2];
 /// let log_prob = DiagonalGaussian::new(&log_std).log_prob(&[0.0; 2], &[0.1; 2]) as f32;
 /// let batch = Samples { observations: vec![0.5; 12], actions: vec![0.1; 8], means: vec![0.0; 8], log_std,
-///     log_probs: vec![log_prob; 4], advantages: vec![1.0, -1.0, 2.0, -2.0], returns: vec![1.0; 4] };
+///     log_probs: vec![log_prob; 4], advantages: vec![1.0, -1.0, 2.0, -2.0], returns: vec![1.0; 4],
+///     ..Samples::default() };
 /// learner.update(&batch.batch(), &[vec![0, 1, 2, 3], vec![3, 2, 1, 0]])?; // two epochs of one minibatch
 /// assert_eq!(learner.state().steps, 2);
 /// # Ok::<(), Box<dyn std::error::Error>>(())

@@ -26,6 +26,8 @@ impl Ppo {
 pub struct Batch<'a> {
     /// Normalised observations, shape (n, observations).
     pub observations: &'a [f32],
+    /// Normalised observations of the critic, shape (n, critic's observations); empty if they are those of the policy.
+    pub critic_observations: &'a [f32],
     /// Actions as sampled, not clipped; shape (n, actions).
     pub actions: &'a [f32],
     /// Mean actions of the policy that sampled; shape (n, actions).
@@ -41,10 +43,16 @@ pub struct Batch<'a> {
 }
 
 impl Batch<'_> {
+    /// Returns what the value function observes, shape (n, its inputs).
+    pub fn value_inputs(&self) -> &[f32] {
+        if self.critic_observations.is_empty() { self.observations } else { self.critic_observations }
+    }
+
     /// Prefetches the numbers of these samples.
     pub(super) fn prefetch(&self, samples: &[u32], prefetch: fn(&[f32])) {
         let count = self.returns.len();
-        for slice in [self.observations, self.actions, self.means, self.log_probs, self.advantages, self.returns] {
+        let Batch { observations, critic_observations, actions, means, log_probs, advantages, returns, .. } = *self;
+        for slice in [observations, critic_observations, actions, means, log_probs, advantages, returns] {
             let width = slice.len() / count;
             samples.iter().for_each(|sample| prefetch(&slice[*sample as usize * width..][..width]));
         }
@@ -56,6 +64,7 @@ impl Batch<'_> {
 #[allow(missing_docs)]
 pub struct Samples {
     pub observations: Vec<f32>,
+    pub critic_observations: Vec<f32>,
     pub actions: Vec<f32>,
     pub means: Vec<f32>,
     pub log_std: Vec<f32>,
@@ -69,6 +78,7 @@ impl Samples {
     pub fn batch(&self) -> Batch<'_> {
         Batch {
             observations: &self.observations,
+            critic_observations: &self.critic_observations,
             actions: &self.actions,
             means: &self.means,
             log_std: &self.log_std,
@@ -214,8 +224,8 @@ pub(in crate::ppo) mod tests {
 
     /// Creates a batch with only advantages.
     fn of_advantages(advantages: &[f32]) -> Batch<'_> {
-        let [observations, actions, means, log_std, log_probs, returns] = [&[] as &[f32]; 6];
-        Batch { observations, actions, means, log_std, log_probs, advantages, returns }
+        let [observations, critic_observations, actions, means, log_std, log_probs, returns] = [&[] as &[f32]; 7];
+        Batch { observations, critic_observations, actions, means, log_std, log_probs, advantages, returns }
     }
 
     #[test]

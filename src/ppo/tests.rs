@@ -24,6 +24,8 @@ impl Samples {
     fn new(network: &ActorCritic, samples: usize, seed: u64) -> Self {
         let rng = &mut ChaCha8Rng::seed_from_u64(seed);
         let (inputs, actions) = (network.policy.inputs(), network.policy.outputs());
+        let critic = network.value.inputs();
+        let critic = if critic == inputs { 0 } else { critic };
         let observations = normal(samples * inputs, 1.0, rng);
         let mut means = vec![0.0; samples * actions];
         PackedMlp::new(&network.policy).forward(samples, &observations, &mut means, &mut Scratch::default());
@@ -37,6 +39,7 @@ impl Samples {
         Self {
             log_probs: log_probs.collect(),
             observations,
+            critic_observations: normal(samples * critic, 1.0, rng),
             actions: taken,
             means,
             log_std,
@@ -62,8 +65,13 @@ fn permutations(samples: usize, epochs: usize, seed: u64) -> Vec<Vec<u32>> {
 
 /// Creates a network of awkward sizes, whose policy has a large last layer.
 fn network() -> ActorCritic {
+    network_with_critic(19)
+}
+
+/// Creates a network like [`network`] whose critic observes `inputs` numbers.
+fn network_with_critic(inputs: usize) -> ActorCritic {
     let rng = &mut ChaCha8Rng::seed_from_u64(7);
-    let mut network = ActorCritic::orthogonal(19, &[50, 37, 23], 5, -0.5, rng);
+    let mut network = ActorCritic::asymmetric([19, inputs], &[50, 37, 23], 5, -0.5, rng);
     for layer in network.policy.layers.iter_mut().chain(&mut network.value.layers) {
         layer.bias = normal(layer.outputs(), 0.1, rng);
     }
@@ -120,13 +128,10 @@ fn norm(x: impl Iterator<Item = f64>) -> f64 {
 /// Checks gradients over networks and minibatches of several sizes. The errors are tolerances by tensor: of its norm,
 /// of its elements and, because much cancels there, of the norm of the gradient by `ln σ`.
 fn check_gradients<A: Arithmetic>(norm_error: f64, element_error: f64, log_std_error: f64) {
-    for (sizes, rows) in [(None, 150), (None, 64), (None, 3), (Some([83, 256, 128, 64, 12]), 512)] {
-        let network = match sizes {
-            Some([observations, hidden @ .., actions]) => {
-                ActorCritic::orthogonal(observations, &hidden, actions, -1.0, &mut ChaCha8Rng::seed_from_u64(3))
-            }
-            None => network(),
-        };
+    let of_paper = ActorCritic::orthogonal(83, &[256, 128, 64], 12, -1.0, &mut ChaCha8Rng::seed_from_u64(3));
+    // Critics that observe as much as the policy, more (another number of 32 inputs), and less.
+    let critics = [(network(), 150), (network(), 64), (network_with_critic(45), 150), (network_with_critic(7), 3)];
+    for (network, rows) in critics.into_iter().chain([(network(), 3), (of_paper, 512)]) {
         let samples = Samples::new(&network, rows + 10, 1);
         let order = &permutations(rows + 10, 1, 2)[0][..rows];
         let settings = settings(rows);

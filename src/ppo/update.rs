@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::Batch;
 use super::loss::Minibatch;
 use crate::config::Ppo;
+use crate::network::ActorCritic;
 use crate::ranks::Ranks;
 
 /// Statistics of an update: means over its minibatches unless stated otherwise.
@@ -162,18 +163,20 @@ impl UpdateStatistics {
     }
 }
 
-/// Checks that slices have fitting lengths, and that permutations stay within the batch and can be divided among the
+/// Checks that slices have lengths that fit the networks, and that permutations stay within the batch and can be divided among the
 /// shards.
 pub fn check(
     batch: &Batch<'_>,
     permutations: &[Vec<u32>],
-    [observations, actions]: [usize; 2],
+    networks: &ActorCritic,
     settings: &Ppo,
     ranks: &dyn Ranks,
 ) -> Result<(), UpdateFault> {
     let samples = batch.returns.len();
+    let (observations, actions) = (networks.policy.inputs(), networks.policy.outputs());
     for (name, slice, expected) in [
         ("observations", batch.observations, samples * observations),
+        ("critic_observations", batch.value_inputs(), samples * networks.value.inputs()),
         ("actions", batch.actions, samples * actions),
         ("means", batch.means, samples * actions),
         ("log_std", batch.log_std, actions),

@@ -13,12 +13,15 @@ use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 pub mod control;
+mod dynamics;
 pub mod ground;
 pub mod last_second;
 mod parts;
 pub mod scene;
 
 use control::{Gains, Latency, mechanical_power, squared_torque};
+pub use dynamics::Dynamics;
+use dynamics::Nominal;
 pub use ground::{Ground, HeightField, Patches};
 pub use parts::Parts;
 pub use scene::{Buffers, GROUND, Scene};
@@ -87,11 +90,17 @@ pub struct Pull {
     pub force: [f64; 2],
 }
 
-/// A hook into every physics step of a policy step, which may also pull the trunk.
+/// A hook into every physics step of a policy step, which may also pull the trunk and hold the feet.
 pub trait StepObserver {
     /// Called before each physics step. Returns the force on the trunk's centre of mass in it, world frame \[N\];
     /// `None` leaves the force unchanged.
     fn trunk_force(&mut self, _data: &Data) -> Option<Vector3<f64>> {
+        None
+    }
+
+    /// Called before each physics step. Returns the force on each foot in it, world frame \[N\]; `None` leaves the forces
+    /// unchanged.
+    fn foot_forces(&mut self, _data: &Data, _parts: &Parts, _ground: &Ground) -> Option<[Vector3<f64>; 4]> {
         None
     }
 
@@ -124,6 +133,7 @@ pub struct Sim {
     robot: Arc<Robot>,
     parts: Parts,
     ground: Ground,
+    nominal: Nominal,
     gains: Gains,
     latency: Latency,
     conditions: Conditions,
@@ -159,8 +169,10 @@ impl Sim {
         start[2] += scene.ground.height(start[0], start[1]);
         let conditions =
             Conditions { gravity: model.gravity(), friction: scene::FRICTION[0], encoder_bias: [0.0; JOINTS] };
+        let data = Data::new(model)?;
         Ok(Sim {
-            data: Data::new(model)?,
+            nominal: Nominal::new(&data, &parts, config, scene.robot.losses),
+            data,
             parts,
             robot: Arc::clone(&scene.robot),
             ground: scene.ground.clone(),
@@ -172,6 +184,21 @@ impl Sim {
             unnormalised: start.clone(),
             start,
         })
+    }
+
+    /// Gives the robot other dynamics from the next [`Sim::reset`] or [`Sim::restore`] on.
+    ///
+    /// # Errors
+    /// The trunk would have less mass than nothing.
+    pub fn set_dynamics(&mut self, dynamics: &Dynamics) -> Result<()> {
+        (self.gains, self.latency) = self.nominal.deviate(&mut self.data, &self.parts, dynamics)?;
+        Ok(())
+    }
+
+    /// Moves the robot's start to a place on the ground, world frame \[m\], from the next [`Sim::reset`] on.
+    pub fn set_start(&mut self, [x, y]: [f64; 2]) {
+        let above = self.start[2] - self.ground.height(self.start[0], self.start[1]);
+        self.start[..3].copy_from_slice(&[x, y, above + self.ground.height(x, y)]);
     }
 
     /// Returns the robot to its start, at rest, holding `target` \[rad\].
@@ -255,6 +282,9 @@ impl Sim {
             self.parts.set_torques(&mut self.data, &torques);
             if let Some(force) = observer.trunk_force(&self.data) {
                 self.set_trunk_force(force);
+            }
+            if let Some(forces) = observer.foot_forces(&self.data, &self.parts, &self.ground) {
+                self.parts.set_foot_forces(&mut self.data, forces);
             }
             self.data.step2()?;
             observer.forces(&self.data, &self.parts, &torques);

@@ -122,6 +122,23 @@ impl Parts {
         }
     }
 
+    /// Sets the force on the centre of each foot from now on, world frame \[N\].
+    pub fn set_foot_forces(&self, data: &mut Data, forces: [Vector3<f64>; 4]) {
+        for (sole, force) in self.soles.into_iter().zip(forces) {
+            let body = sole.body;
+            let arm =
+                Vector3::from(sole.centre(data)) - Vector3::from_column_slice(&data.body_centres()[3 * body..][..3]);
+            let applied = &mut data.applied_forces_mut()[6 * body..][..6];
+            applied[..3].copy_from_slice(force.as_slice());
+            applied[3..].copy_from_slice(arm.cross(&force).as_slice());
+        }
+    }
+
+    /// Returns the velocities of the centres of the spheres that stand for the feet, world frame [m/s].
+    pub fn foot_velocities(&self, data: &Data) -> [[f64; 3]; 4] {
+        self.soles.map(|sole| sole.velocity(data))
+    }
+
     /// Adds to the trunk's velocity: linear in the world frame [m/s], angular in the base frame [rad/s].
     pub fn add_velocity(&self, data: &mut Data, linear: Vector3<f64>, angular_in_base: Vector3<f64>) {
         let start = self.root_velocity;

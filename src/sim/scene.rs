@@ -7,8 +7,8 @@ content, so it sets their sizes.
 Contact masks: robot parts carry contype 1 / conaffinity 2 and never meet each other; grounds and obstacles keep
 MuJoCo's 1 / 1 and meet both the robot and one another. They have priority 1, so that their friction holds.
 
-A robot alone on a plane can touch nothing but the plane. There the scene lists the pairs that may touch, and MuJoCo
-does not look for them among all bodies: the same contacts, a quarter more steps per second.
+A robot alone on a plane can touch nothing but the plane. There, and on the uneven ground of training, the scene lists the
+pairs that may touch, and MuJoCo does not look for them among all bodies: the same contacts, a quarter more steps per second.
 */
 
 use std::cell::RefCell;
@@ -54,6 +54,8 @@ pub struct Scene {
     pub obstacles: String,
     /// MJCF elements outside the world body (tendons, equalities); empty if there are none.
     pub extras: String,
+    /// True lists the pairs that may touch also on uneven ground, for a robot alone on it; friction must not vary by place.
+    pub lists_pairs: bool,
     /// Attributes of `<option>` that choose another solver; empty for Newton.
     pub solver: &'static str,
     /// Sizes of MuJoCo's buffers for this scene.
@@ -76,6 +78,7 @@ impl Scene {
             timestep_s,
             obstacles: String::new(),
             extras: String::new(),
+            lists_pairs: false,
             solver: "",
             buffers: Buffers { contacts: 32, rows: 200, stack: 20_000 },
         }
@@ -108,7 +111,7 @@ impl Scene {
 
     fn compile_xml(&self, scene: &str) -> Result<Model> {
         let mut model = Model::from_xml(&[("scene.xml", scene), (ROBOT, self.robot.mjcf())])?;
-        if self.is_robot_on_plane() {
+        if self.has_pairs() {
             model.collide_pairs_only();
         }
         if let Ground::Field(field) = &self.ground {
@@ -148,14 +151,14 @@ impl Scene {
         xml
     }
 
-    /// Returns true for a robot alone on a plane, where the pairs of geometries that may touch are listed.
-    fn is_robot_on_plane(&self) -> bool {
-        self.ground == Ground::Flat && self.obstacles.is_empty() && self.extras.is_empty()
+    /// Returns true where the pairs of geometries that may touch are listed: for a robot alone on a plane, or where the scene says so.
+    fn has_pairs(&self) -> bool {
+        (self.ground == Ground::Flat || self.lists_pairs) && self.obstacles.is_empty() && self.extras.is_empty()
     }
 
-    /// Lists the geometry pairs that may touch, for a robot alone on a plane.
+    /// Lists the geometry pairs that may touch.
     fn pairs(&self) -> String {
-        if !self.is_robot_on_plane() {
+        if !self.has_pairs() {
             return String::new();
         }
         let [sliding, torsional, rolling] = FRICTION;
@@ -203,6 +206,31 @@ impl Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Config;
+    use crate::robot::same_in_every_leg;
+    use crate::sim::{Conditions, Sim};
+
+    #[test]
+    fn listed_pairs_touch_uneven_ground_like_all_bodies() {
+        let config = Config::load("fast").unwrap().simulation;
+        let flat = Scene::flat(Robot::load("go1").unwrap(), config.timestep_s());
+        let ground =
+            Ground::Field(HeightField::sample([2.0, 2.0], 0.06, |x, y| 0.02 * (9.0 * x).sin() * (7.0 * y).cos()));
+        let buffers = Buffers { contacts: 100, rows: 450, stack: 100_000 };
+        let [searched, listed] = [false, true].map(|lists_pairs| {
+            let scene = Scene { ground: ground.clone(), lists_pairs, buffers, ..flat.clone() };
+            let mut sim = Sim::new(&scene, &config, 0.1).unwrap();
+            let target = same_in_every_leg([0.0, 0.72, -1.44]);
+            let conditions = Conditions { gravity: [0.5, 0.0, -9.81], friction: 0.6, encoder_bias: [0.0; 12] };
+            sim.reset(conditions, &target).unwrap();
+            for _ in 0..60 {
+                sim.step(&target, &mut ()).unwrap();
+            }
+            (sim.data().contact_count(), sim.state().position)
+        });
+        assert!(searched.0 >= 4 && searched.0 == listed.0, "{searched:?} {listed:?}");
+        assert!((searched.1 - listed.1).norm() < 1e-6, "{searched:?} {listed:?}");
+    }
 
     #[test]
     fn compiling_a_scene_again_gives_an_equal_model() {

@@ -10,7 +10,8 @@ use serde::{Deserialize, Serialize};
 use crate::config::{CommandRange, Config, Episode, Pulls, Simulation};
 use crate::observation::Command;
 use crate::robot::{GRAVITY_M_S2, JOINTS};
-use crate::sim::{Conditions, Pull, Push};
+use crate::sim::{Conditions, Dynamics, Pull, Push};
+use crate::task::deviation::{self, Hold, ImuErrors};
 
 /// The three stages of section III-C.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -68,6 +69,15 @@ pub struct EpisodePlan {
     /// The sustained pulls in order of time, world frame.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pulls: Vec<Pull>,
+    /// The dynamics of the robot; `None` if they are those of its description.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dynamics: Option<Dynamics>,
+    /// The constant errors of the inertial sensor; `None` if it has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imu: Option<ImuErrors>,
+    /// The times at which feet may be held.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub holds: Vec<Hold>,
 }
 
 impl EpisodePlan {
@@ -101,8 +111,12 @@ impl EpisodePlan {
         let length_s = episode.walking_s + episode.recovery_s + episode.post_recovery_s;
         let drawn = |pulls| drawn_pulls(pulls, curriculum.force_fraction, length_s, rng);
         let pulls = config.pulls.as_ref().map_or_else(Vec::new, drawn);
+        let dynamics = deviation::dynamics(randomisation, &config.simulation, rng);
+        let imu = ImuErrors::draw(randomisation, rng);
+        let drawn = |held| deviation::holds(held, length_s, rng);
+        let holds = config.held_feet.as_ref().filter(|_| curriculum.pushes).map_or_else(Vec::new, drawn);
         // Drawn in any case, too.
-        EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls }
+        EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls, dynamics, imu, holds }
     }
 
     /// Returns the pulling force at a time of the episode \[s\], forward and left at its start, world frame \[N\].
@@ -116,11 +130,19 @@ impl EpisodePlan {
 /// force.
 fn drawn_pulls(range: &Pulls, open: f64, length_s: f64, rng: &mut impl Rng) -> Vec<Pull> {
     let mut pulls = Vec::new();
+    let [weakest, strongest] = match &range.buckets[..] {
+        [] => [0.0, 1.0],
+        ends => {
+            let bucket = rng.random_range(0..ends.len());
+            [if bucket == 0 { 0.0 } else { ends[bucket - 1] }, ends[bucket]]
+        }
+    };
+    let full_n = range.force_n * open;
     let mut within = |[low, high]: [f64; 2]| rng.random_range(low..=high);
     let mut time_s = within(range.gap_s);
     while time_s < length_s {
         let until_s = time_s + within(range.duration_s);
-        let (size, angle) = (within([0.0, range.force_n * open]), within([0.0, std::f64::consts::TAU]));
+        let (size, angle) = (within([weakest * full_n, strongest * full_n]), within([0.0, std::f64::consts::TAU]));
         pulls.push(Pull { from_s: time_s, until_s, force: [size * angle.cos(), size * angle.sin()] });
         time_s = until_s + within(range.gap_s);
     }
@@ -266,6 +288,29 @@ mod tests {
     }
 
     #[test]
+    fn pulls_of_an_episode_come_from_one_bucket() {
+        let mut config = Config::load("fast").unwrap();
+        config.pulls = Some(Pulls {
+            force_n: 50.0,
+            duration_s: [0.2, 0.4],
+            gap_s: [0.1, 0.2],
+            fraction_step: 0.001,
+            fraction_gate: 0.8,
+            buckets: vec![0.0, 0.2, 0.5, 1.0],
+        });
+        let mut counts = [0; 4];
+        for k in 0..1000 {
+            let plan = EpisodePlan::draw(&config, Curriculum::complete(), &mut stream(1, Purpose::Episode, k, 0));
+            let forces: Vec<f64> = plan.pulls.iter().map(|pull| pull.force[0].hypot(pull.force[1])).collect();
+            // Up to rounding of the sine and the cosine.
+            let within = |[low, high]: [f64; 2]| forces.iter().all(|force| (low - 1e-9..=high + 1e-9).contains(force));
+            let bucket = [[0.0, 0.0], [0.0, 10.0], [10.0, 25.0], [25.0, 50.0]].into_iter().position(within);
+            counts[bucket.unwrap_or_else(|| panic!("{forces:?} are of no bucket"))] += 1;
+        }
+        assert!(counts.iter().all(|count| (200..300).contains(count)), "{counts:?}");
+    }
+
+    #[test]
     fn pulls_grow_with_the_curriculum() {
         let pulls = Pulls {
             force_n: 50.0,
@@ -273,6 +318,7 @@ mod tests {
             gap_s: [0.2, 1.5],
             fraction_step: 0.001,
             fraction_gate: 0.8,
+            buckets: Vec::new(),
         };
         let without = Config::load("fast").unwrap();
         let config = Config { pulls: Some(pulls), ..without.clone() };

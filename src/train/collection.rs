@@ -22,6 +22,8 @@ pub struct Rollout {
     pub steps: usize,
     /// Normalised observations, shape (n, observation).
     pub observations: Vec<f32>,
+    /// Normalised observations of the critic, shape (n, critic's observation); empty if they are those of the policy.
+    pub critic_observations: Vec<f32>,
     /// Actions as sampled, shape (n, actions).
     pub actions: Vec<f32>,
     /// Mean actions of the policy that sampled, shape (n, actions).
@@ -85,6 +87,7 @@ impl Collection<'_> {
         let mut whole = Rollout { steps: self.steps, ..Rollout::default() };
         for part in parts? {
             whole.observations.extend(part.observations);
+            whole.critic_observations.extend(part.critic_observations);
             whole.actions.extend(part.actions);
             whole.means.extend(part.means);
             whole.log_probs.extend(part.log_probs);
@@ -100,10 +103,14 @@ impl Collection<'_> {
     fn collect_chunk(&self, envs: &mut [LocomotionEnv], networks: &Networks) -> mujoco::Result<Rollout> {
         let (count, steps) = (envs.len(), self.steps);
         let (length, width) = (self.network.policy.inputs(), self.network.log_std.len());
+        let critic_length = self.network.value.inputs();
+        // What the critic observes in addition to the policy.
+        let is_privileged = envs.first().is_some_and(|env| env.critic_layout().is_some());
         let rows = count * steps;
         let mut rollout = Rollout {
             steps,
             observations: vec![0.0; rows * length],
+            critic_observations: vec![0.0; if is_privileged { rows * critic_length } else { 0 }],
             actions: vec![0.0; rows * width],
             means: vec![0.0; rows * width],
             log_probs: vec![0.0; rows],
@@ -138,6 +145,9 @@ impl Collection<'_> {
                 rollout.means[row * width..(row + 1) * width].copy_from_slice(mean);
                 rollout.observations[row * length..(row + 1) * length]
                     .copy_from_slice(&seen[index * length..(index + 1) * length]);
+                if is_privileged {
+                    env.critic_observation(&mut rollout.critic_observations[row * critic_length..][..critic_length]);
+                }
 
                 let (outcome, report) = env.step(action);
                 rollout.rewards[row] = outcome.reward as f32;
@@ -147,8 +157,8 @@ impl Collection<'_> {
                     outcome.end == Some(EpisodeEnd::TimeLimit) || (outcome.end.is_none() && step + 1 == steps);
                 if goes_on {
                     let start = final_observations.len();
-                    final_observations.resize(start + length, 0.0);
-                    env.normalised_observation(&mut final_observations[start..]);
+                    final_observations.resize(start + critic_length, 0.0);
+                    env.critic_observation(&mut final_observations[start..]);
                     continued.push(row);
                 }
                 if outcome.end.is_some() {
@@ -158,7 +168,8 @@ impl Collection<'_> {
         }
 
         rollout.episodes = episodes.into_iter().flatten().collect();
-        networks.value.forward(rows, &rollout.observations, &mut rollout.values, &mut scratch);
+        let seen_by_critic = if is_privileged { &rollout.critic_observations } else { &rollout.observations };
+        networks.value.forward(rows, seen_by_critic, &mut rollout.values, &mut scratch);
         let mut final_values = vec![0.0; continued.len()];
         networks.value.forward(continued.len(), &final_observations, &mut final_values, &mut scratch);
         for (row, value) in continued.into_iter().zip(final_values) {
@@ -191,6 +202,7 @@ impl Rollout {
     pub fn batch<'a>(&'a self, log_std: &'a [f32], advantages: &'a [f32], returns: &'a [f32]) -> Batch<'a> {
         Batch {
             observations: &self.observations,
+            critic_observations: &self.critic_observations,
             actions: &self.actions,
             means: &self.means,
             log_std,

@@ -12,12 +12,16 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
-use crate::config::{Config, ValueError};
+use super::held_feet::{HeldFeet, Pins};
+use super::step_meter::{FootForces, StepMeter};
+use super::terrain::{self, Course, Kind};
+use crate::config::{Config, Reward, ValueError};
 use crate::mujoco;
-use crate::observation::{Command, Layout, Moment, Observer};
+use crate::observation::{Command, Layout, Moment, Observer, Privileged};
 use crate::robot::{JOINTS, Joints, Robot, RobotState, joint_target};
 use crate::sim::last_second::LastSecond;
-use crate::sim::{Scene, Sim, SimState};
+use crate::sim::{Ground, HeightField, Scene, Sim, SimState};
+use crate::task::deviation::HoldSpring;
 use crate::task::reward;
 use crate::task::{Curriculum, EpisodePlan, Stage, Stages, SwingTracker, Terms};
 use crate::util::random::{Purpose, stream};
@@ -64,6 +68,9 @@ pub struct EpisodeReport {
     pub walking_linear: Option<f64>,
     /// Mean peak height of the swings that ended in this episode \[m\].
     pub swing_height_m: Option<f64>,
+    /// Level of the terrain, if the episode was on uneven ground.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub terrain_level: Option<usize>,
     /// Report of the physics fault, if one ended the episode.
     pub fault: Option<Box<EpisodeFault>>,
 }
@@ -100,8 +107,15 @@ struct EpisodeState {
     swing_sum_m: f64,
     swing_count: usize,
     observer: Observer,
+    #[serde(default, skip_serializing_if = "Observer::is_empty")]
+    critic_observer: Observer,
     last_action: Joints,
     last_target: Joints,
+    #[serde(default, skip_serializing_if = "Pins::is_free")]
+    pins: Pins,
+    /// The way on uneven ground; `None` on a plane.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    course: Option<Course>,
 }
 
 /// Complete state of an environment, from which it continues with the same bits.
@@ -109,6 +123,41 @@ struct EpisodeState {
 pub struct EnvState {
     sim: SimState,
     progress: EpisodeState,
+}
+
+/// The parts that all environments of a configuration share.
+#[derive(Debug, Clone)]
+pub struct Shared {
+    /// The robot of the configuration.
+    pub robot: Arc<Robot>,
+    /// Layout of the policy's observation.
+    pub layout: Arc<Layout>,
+    /// Layout of what the critic observes in addition; `None` if it observes what the policy does.
+    pub critic: Option<Arc<Layout>>,
+    /// The fields of rough ground and of boxes; `None` if all environments have a plane.
+    fields: Option<[Arc<HeightField>; 2]>,
+}
+
+impl Shared {
+    /// Loads the robot and builds the layouts of a configuration.
+    ///
+    /// # Errors
+    /// The robot cannot be read, or an observation is invalid.
+    pub fn new(config: &Config) -> Result<Self, TrainError> {
+        let critic = config.critic_layout().map_err(ValueError::Critic)?;
+        Ok(Shared {
+            robot: config.robot.load()?,
+            layout: Arc::new(config.layout().map_err(ValueError::Observation)?),
+            critic: critic.map(Arc::new),
+            fields: config.terrain.as_ref().map(|terrain| Kind::ALL.map(|kind| Arc::new(terrain.field(kind)))),
+        })
+    }
+
+    /// Returns the numbers of inputs of the policy and of the value function.
+    pub fn inputs(&self) -> [usize; 2] {
+        let length = self.layout.length();
+        [length, length + self.critic.as_ref().map_or(0, |critic| critic.length())]
+    }
 }
 
 /// The training environment: a robot on a tilted plane that follows velocity commands and is pushed.
@@ -131,8 +180,12 @@ pub struct EnvState {
 #[derive(Debug)]
 pub struct LocomotionEnv {
     config: Config,
-    layout: Arc<Layout>,
+    shared: Shared,
     stages: Stages,
+    /// The reward's settings on the ground of this environment.
+    reward: Reward,
+    /// Number of levels of uneven ground; `None` on a plane.
+    levels: Option<usize>,
     nominal: Joints,
     seed: u64,
     index: u64,
@@ -148,32 +201,40 @@ impl LocomotionEnv {
     /// # Errors
     /// The robot and the observation do not fit together, or the scene does not compile.
     pub fn new(config: &Config, seed: u64, index: u64, curriculum: Curriculum) -> Result<Self, TrainError> {
-        let layout = config.layout().map_err(ValueError::Observation)?;
-        let robot = config.robot.load()?;
-        Ok(Self::with_layout(config, robot, Arc::new(layout), seed, index, curriculum)?)
+        Ok(Self::with_shared(config, &Shared::new(config)?, seed, index, curriculum)?)
     }
 
-    /// Like [`LocomotionEnv::new`], but shares the robot and the observation of `config` with other environments.
+    /// Like [`LocomotionEnv::new`], but shares parts of `config` with other environments.
     ///
     /// # Errors
     /// The scene does not compile, or MuJoCo fails in the starting state.
-    pub fn with_layout(
+    pub fn with_shared(
         config: &Config,
-        robot: Arc<Robot>,
-        layout: Arc<Layout>,
+        shared: &Shared,
         seed: u64,
         index: u64,
         curriculum: Curriculum,
     ) -> mujoco::Result<Self> {
-        let scene = Scene::flat(robot, config.simulation.timestep_s());
+        let terrain = config.terrain.as_ref().zip(shared.fields.as_ref());
+        let uneven = terrain.and_then(|(terrain, fields)| Some((terrain, &fields[terrain.kind(index)? as usize])));
+        let (mut scene, mut reward) =
+            (Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s()), config.reward.clone());
+        if let Some((terrain, field)) = uneven {
+            scene.lists_pairs = true;
+            (scene.ground, scene.buffers) = (Ground::Field(HeightField::clone(field)), terrain::BUFFERS);
+            reward.tracking_sharpness *= terrain.sharpness_factor;
+        }
+        let levels = uneven.map(|(terrain, _)| terrain.levels);
         let sim = Sim::new(&scene, &config.simulation, config.episode.min_height_m)?;
         let stages = Stages::new(&config.episode, &config.simulation);
         let nominal = config.action.nominal_pose_rad.joints();
         let cut = first_cut(seed, index, &stages);
         let mut env = LocomotionEnv {
-            progress: start(config, seed, index, 0, curriculum, cut, nominal),
+            progress: start(config, seed, index, 0, curriculum, cut, levels.map(|_| Course::new(0))),
             config: config.clone(),
-            layout,
+            reward,
+            levels,
+            shared: shared.clone(),
             stages,
             nominal,
             seed,
@@ -196,7 +257,9 @@ impl LocomotionEnv {
     pub fn reset(&mut self, curriculum: Curriculum) -> mujoco::Result<()> {
         let episode = self.progress.episode + 1;
         let cut = usize::MAX;
-        self.progress = start(&self.config, self.seed, self.index, episode, curriculum, cut, self.nominal);
+        let course =
+            self.progress.course.zip(self.levels).map(|(course, levels)| Course::new(course.next_level(levels)));
+        self.progress = start(&self.config, self.seed, self.index, episode, curriculum, cut, course);
         self.begin()
     }
 
@@ -207,7 +270,8 @@ impl LocomotionEnv {
     pub fn restart(&mut self, seed: u64, curriculum: Curriculum) -> mujoco::Result<()> {
         self.seed = seed;
         let cut = first_cut(seed, self.index, &self.stages);
-        self.progress = start(&self.config, seed, self.index, 0, curriculum, cut, self.nominal);
+        let course = self.levels.map(|_| Course::new(0));
+        self.progress = start(&self.config, seed, self.index, 0, curriculum, cut, course);
         self.begin()
     }
 
@@ -218,25 +282,61 @@ impl LocomotionEnv {
     }
 
     fn begin(&mut self) -> mujoco::Result<()> {
+        if let Some(dynamics) = &self.progress.plan.dynamics {
+            self.sim.set_dynamics(dynamics)?;
+        }
+        if let (Some(course), Some(terrain)) = (self.progress.course, &self.config.terrain) {
+            self.sim.set_start(terrain.start(course.level));
+        }
         self.sim.reset(self.progress.plan.conditions, &self.nominal)?;
         self.last_second.clear();
         let state = self.sim.state();
         self.progress.swings = SwingTracker::new(&state.feet, self.config.reward.foot_height_m);
-        self.observe(&state);
+        self.observe(&state, [Vector3::zeros(); 4]);
         Ok(())
     }
 
-    fn observe(&mut self, state: &RobotState) {
+    /// Measures the observations of policy and critic; `foot_forces` are means over the last policy step, world frame
+    /// \[N\].
+    fn observe(&mut self, state: &RobotState, foot_forces: [Vector3<f64>; 4]) {
+        let privileged = self.shared.critic.is_some().then(|| self.privileged(state, foot_forces));
         let p = &mut self.progress;
+        let seen = p.plan.imu.map(|imu| {
+            let mut rng = stream(self.seed, Purpose::Imu, self.index, p.episode << 24 | p.step as u64);
+            imu.seen(state, &mut rng)
+        });
         let now = Moment {
-            state,
+            state: seen.as_ref().unwrap_or(state),
             command: &p.plan.command,
             last_action: &p.last_action,
             last_target: &p.last_target,
             nominal: &self.nominal,
             time_s: p.step as f64 * self.config.simulation.policy_period_s(),
+            privileged: Privileged::default(),
         };
-        p.observer.measure(&self.layout, &now);
+        p.observer.measure(&self.shared.layout, &now);
+        if let (Some(layout), Some(privileged)) = (&self.shared.critic, privileged) {
+            p.critic_observer.measure(layout, &Moment { state, privileged, ..now });
+        }
+    }
+
+    /// Returns what only the simulator knows before the coming policy step.
+    fn privileged(&self, state: &RobotState, foot_forces: [Vector3<f64>; 4]) -> Privileged {
+        let p = &self.progress;
+        let base_from_world = state.world_from_base.inverse();
+        let [x, y] = p.plan.force(p.step as f64 * self.config.simulation.policy_period_s());
+        let dynamics = p.plan.dynamics;
+        let push = p.plan.push.filter(|_| p.step == self.stages.recovery_start).unwrap_or_default();
+        Privileged {
+            foot_forces: foot_forces.map(|force| base_from_world * force),
+            friction: p.plan.conditions.friction,
+            encoder_bias: p.plan.conditions.encoder_bias,
+            pull: base_from_world * Vector3::new(x, y, 0.0),
+            push: base_from_world * (state.heading() * Vector3::new(push.linear[0], push.linear[1], 0.0)),
+            trunk_mass_kg: dynamics.map_or(0.0, |dynamics| dynamics.trunk_mass_kg),
+            trunk_offset_m: dynamics.map_or([0.0; 3], |dynamics| dynamics.trunk_offset_m).into(),
+            latency_s: dynamics.map_or(self.config.simulation.latency_s, |dynamics| dynamics.latency_s),
+        }
     }
 
     /// Returns the environment's index in the run.
@@ -246,7 +346,11 @@ impl LocomotionEnv {
 
     /// Returns the memory of the simulation \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
-        self.sim.data().bytes()
+        let heights = match self.sim.ground() {
+            Ground::Flat => 0,
+            Ground::Field(field) => field.heights.len(),
+        };
+        self.sim.data().bytes() + heights * size_of::<f64>()
     }
 
     /// Returns the random part of this episode: command, conditions, push and pulls.
@@ -261,17 +365,42 @@ impl LocomotionEnv {
 
     /// Returns the layout of the observation.
     pub fn layout(&self) -> &Layout {
-        &self.layout
+        &self.shared.layout
+    }
+
+    /// Returns the numbers of inputs of the policy and of the value function.
+    pub fn inputs(&self) -> [usize; 2] {
+        self.shared.inputs()
+    }
+
+    /// Returns the layout of what the critic observes in addition; `None` if it observes what the policy does.
+    pub fn critic_layout(&self) -> Option<&Layout> {
+        self.shared.critic.as_deref()
     }
 
     /// Returns the present observation in physical units, shape (length of the layout).
     pub fn observation(&self) -> Vec<f64> {
-        self.progress.observer.raw(&self.layout)
+        self.progress.observer.raw(&self.shared.layout)
     }
 
     /// Writes the present observation, normalised for the networks, into a slice of the layout's length.
     pub fn normalised_observation(&self, out: &mut [f32]) {
-        self.progress.observer.normalised(&self.layout, out);
+        self.progress.observer.normalised(&self.shared.layout, out);
+    }
+
+    /// Writes the present observation of the critic, normalised: the policy's, then what the critic observes in
+    /// addition. The slice has the length of both.
+    pub fn critic_observation(&self, out: &mut [f32]) {
+        let (policy, added) = out.split_at_mut(self.shared.layout.length());
+        self.normalised_observation(policy);
+        self.critic_addition(added);
+    }
+
+    /// Writes what the critic observes in addition to the policy, normalised, into a slice of that length.
+    pub fn critic_addition(&self, out: &mut [f32]) {
+        if let Some(layout) = &self.shared.critic {
+            self.progress.critic_observer.normalised(layout, out);
+        }
     }
 
     /// Runs one policy step with an action, one number for each joint; also reports the episode if the step ended it. A
@@ -315,7 +444,16 @@ impl LocomotionEnv {
             let force = self.progress.plan.force(time_s);
             self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
         }
-        let summary = self.sim.step(&target, &mut self.progress.swings)?;
+        let EpisodeState { plan, step, swings, pins, .. } = &mut self.progress;
+        let period_s = self.config.simulation.policy_period_s();
+        let held_feet = self.config.held_feet.as_ref().map(|held| {
+            let spring = HoldSpring { force_n: held.force_n, stiffness_n_per_m: held.stiffness_n_per_m };
+            HeldFeet::new(&plan.holds, *step as f64 * period_s, spring, pins)
+        });
+        let foot_forces = self.shared.critic.is_some().then(FootForces::default);
+        let mut meter = StepMeter { swings, foot_forces, held_feet };
+        let summary = self.sim.step(&target, &mut meter)?;
+        let foot_forces = meter.foot_forces.map_or([Vector3::zeros(); 4], |forces| forces.mean());
         let state = self.sim.state();
 
         let p = &mut self.progress;
@@ -325,7 +463,7 @@ impl LocomotionEnv {
             command: &p.plan.command,
             summary: &summary,
             landings: &landings,
-            config: &self.config.reward,
+            config: &self.reward,
         };
         let terms = Terms::new(&step);
         p.terms.add(&terms);
@@ -339,12 +477,15 @@ impl LocomotionEnv {
             }
             Stage::Recovery | Stage::PostRecovery => {}
         }
-        let reward = paid.total(&self.config.reward);
+        let reward = paid.total(&self.reward);
         p.reward += reward;
         p.step += 1;
+        if let Some(course) = &mut p.course {
+            course.advance(&state, &p.plan.command, period_s, summary.fall.is_some());
+        }
         p.last_action = std::array::from_fn(|joint| f64::from(action[joint]));
         p.last_target = target;
-        self.observe(&state);
+        self.observe(&state, foot_forces);
 
         let end = self.end(summary.fall.is_some());
         let report = end.map(|end| self.report(end, None));
@@ -373,6 +514,7 @@ impl LocomotionEnv {
             reward: p.reward,
             terms: p.terms,
             walking_linear: walked.then(|| p.walking.linear_velocity() / self.stages.recovery_start as f64),
+            terrain_level: p.course.map(|course| course.level),
             swing_height_m: (p.swing_count > 0).then(|| p.swing_sum_m / p.swing_count as f64),
             fault,
         }
@@ -386,7 +528,7 @@ impl LocomotionEnv {
     /// Replaces the observation by another one of the same quantities.
     #[cfg(test)]
     pub(super) fn see(&mut self, layout: &Arc<Layout>) {
-        self.layout = Arc::clone(layout);
+        self.shared.layout = Arc::clone(layout);
     }
 
     /// Returns the state from which the environment continues with the same bits.
@@ -399,10 +541,14 @@ impl LocomotionEnv {
     /// # Errors
     /// The state belongs to another model or observation, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
+        if let Some(dynamics) = &state.progress.plan.dynamics {
+            self.sim.set_dynamics(dynamics)?;
+        }
         self.sim.restore(&state.sim)?;
         self.last_second.clear();
         self.progress = state.progress.clone();
-        if self.progress.observer.fits(&self.layout) {
+        let fits_critic = |layout: &Arc<Layout>| self.progress.critic_observer.fits(layout);
+        if self.progress.observer.fits(&self.shared.layout) && self.shared.critic.as_ref().is_none_or(fits_critic) {
             Ok(())
         } else {
             let message = "it belongs to another observation".into();
@@ -423,7 +569,7 @@ fn start(
     episode: u64,
     curriculum: Curriculum,
     cut: usize,
-    nominal: Joints,
+    course: Option<Course>,
 ) -> EpisodeState {
     let plan = EpisodePlan::draw(config, curriculum, &mut stream(seed, Purpose::Episode, index, episode));
     EpisodeState {
@@ -439,16 +585,21 @@ fn start(
         swing_sum_m: 0.0,
         swing_count: 0,
         observer: Observer::new(),
+        critic_observer: Observer::new(),
         last_action: [0.0; JOINTS],
-        last_target: nominal,
+        last_target: config.action.nominal_pose_rad.joints(),
+        pins: Pins::default(),
+        course,
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Pulls;
+    use crate::config::{HeldFeet as HeldFeetRange, Pulls, Terrain};
+    use crate::observation::{Observed, Quantity};
     use crate::sim::Pull;
+    use crate::task::deviation::Hold;
 
     /// Returns an action of a clumsy trot.
     fn action(step: usize) -> [f32; 12] {
@@ -532,12 +683,14 @@ mod tests {
 
     #[test]
     fn a_restored_environment_goes_on_with_the_same_bits_from_every_step() {
-        for pulls in [None, Some(pulls())] {
-            let mut config = Config { pulls, ..Config::load("compliant").unwrap() };
-            let name = if config.pulls.is_some() { "with pulls" } else { "without pulls" };
+        let compliant = Config::load("compliant").unwrap();
+        let with_pulls = Config { pulls: Some(pulls()), ..compliant.clone() };
+        for (name, mut config) in [("plain", compliant), ("with pulls", with_pulls), ("with all", with_all())] {
             config.episode.walking_s = 0.5;
             let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-            let mut other = LocomotionEnv::new(&config, 1, 5, Curriculum::complete()).unwrap();
+            // Somewhere else in another episode; its terrain and its sensor's noise are those of its index.
+            let mut other = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            other.reset(Curriculum::complete()).unwrap();
             for step in 0..200 {
                 let json = serde_json::to_string(&env.save()).unwrap();
                 other.restore(&serde_json::from_str(&json).unwrap()).unwrap();
@@ -552,8 +705,195 @@ mod tests {
         }
     }
 
+    /// Returns a configuration whose critic observes what only the simulator knows.
+    fn privileged(quantities: &[Quantity]) -> Config {
+        let critic_observation = quantities.iter().copied().map(Observed::now).collect();
+        let mut config = Config { critic_observation, ..Config::load("compliant").unwrap() };
+        (config.episode.walking_s, config.episode.slope) = (0.5, 0.0);
+        config
+    }
+
+    /// Returns what the critic observes in addition to the policy, of which a test lists the quantities unscaled.
+    fn added(env: &LocomotionEnv) -> Vec<f32> {
+        let [policy, both] = env.inputs();
+        let mut seen = vec![0.0; both];
+        env.critic_observation(&mut seen);
+        let mut of_policy = vec![0.0; policy];
+        env.normalised_observation(&mut of_policy);
+        assert_eq!(seen[..policy], of_policy);
+        seen.split_off(policy)
+    }
+
+    #[test]
+    fn critic_sees_the_weight_on_the_feet_of_a_standing_robot() {
+        let config = privileged(&[Quantity::FootForces, Quantity::FootHeights]);
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::new(&config.command)).unwrap();
+        env.without_stagger();
+        assert_eq!(added(&env)[..12], [0.0; 12]);
+        (0..29).for_each(|_| drop(env.step(&[0.0; 12])));
+        let seen = added(&env);
+        let up: f32 = seen[..12].iter().skip(2).step_by(3).sum();
+        let weight = (9.81 * env.sim.robot().mass_kg) as f32;
+        assert!((up / weight - 1.0).abs() < 0.02, "{up} of {weight} N");
+        assert!(seen[12..].iter().all(|height| height.abs() < 0.005), "{seen:?}");
+    }
+
+    #[test]
+    fn critic_sees_the_push_when_it_comes_and_the_encoder_bias_always() {
+        let mut config = privileged(&[Quantity::Push, Quantity::EncoderBias, Quantity::Friction]);
+        config.randomisation.enabled = true;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        env.without_stagger();
+        let plan = env.plan().clone();
+        let ([forward, left], bias) = (plan.push.unwrap().linear, plan.conditions.encoder_bias);
+        for step in 0..32 {
+            let (seen, state) = (added(&env), env.sim.state());
+            let size = seen[0].hypot(seen[1]).hypot(seen[2]);
+            let expected = if step == 30 { forward.hypot(left) as f32 } else { 0.0 };
+            assert!((size - expected).abs() < 1e-6, "step {step}: {size} instead of {expected}");
+            assert_eq!(seen[3..15], bias.map(|bias| bias as f32));
+            assert_eq!(seen[15], plan.conditions.friction as f32);
+            if step == 30 {
+                env.sim.push(&plan.push.unwrap()).unwrap();
+                let change = env.sim.state().velocity_in_base - state.velocity_in_base;
+                let expected = [change.x as f32, change.y as f32, change.z as f32];
+                assert!((0..3).all(|k| (seen[k] - expected[k]).abs() < 1e-6), "{seen:?} {expected:?}");
+            }
+            env.step(&[0.0; 12]);
+        }
+    }
+
+    #[test]
+    fn critic_sees_the_pull_that_acts() {
+        let mut config = privileged(&[Quantity::Pull]);
+        config.pulls = Some(pulls());
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        env.without_stagger();
+        env.progress.plan.pulls = vec![Pull { from_s: 0.09, until_s: 0.19, force: [3.0, 4.0] }];
+        // Steps begin every 1/60 s: 6 to 11 lie in between.
+        for step in 0..20 {
+            let size = added(&env).iter().map(|force| force * force).sum::<f32>().sqrt();
+            let expected = if (6..12).contains(&step) { 5.0 } else { 0.0 };
+            assert!((size - expected).abs() < 1e-5, "step {step}: {size}");
+            env.step(&[0.0; 12]);
+        }
+    }
+
+    /// Returns the configuration for a real robot with every option of ground and hands.
+    fn with_all() -> Config {
+        let mut config = Config::load("real").unwrap();
+        config.pulls = Some(pulls());
+        config.held_feet = Some(HeldFeetRange {
+            force_n: 60.0,
+            stiffness_n_per_m: 600.0,
+            height_m: [0.02, 0.05],
+            duration_s: [0.05, 0.15],
+            gap_s: [0.1, 0.3],
+        });
+        config.terrain = Some(Terrain {
+            environments: 1.0,
+            levels: 3,
+            rough_m: [0.01, 0.06],
+            boxes_m: [0.02, 0.08],
+            sharpness_factor: 0.33,
+        });
+        config
+    }
+
+    #[test]
+    fn a_real_robot_is_heavier_or_later_as_its_plan_says() {
+        let mut config = Config::load("real").unwrap();
+        config.episode.walking_s = 0.5;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let mass = |env: &LocomotionEnv| env.sim.data().model().body_mass().iter().sum::<f64>();
+        let nominal = LocomotionEnv::new(&Config::load("fast").unwrap(), 1, 0, Curriculum::complete()).unwrap();
+        let mut differences = Vec::new();
+        for _ in 0..4 {
+            let dynamics = env.plan().dynamics.unwrap();
+            assert!((mass(&env) - mass(&nominal) - dynamics.trunk_mass_kg).abs() < 1e-9);
+            differences.push(dynamics.trunk_mass_kg);
+            // The joint stays where it is until its target acts: the latency in steps of 1/240 s.
+            let start = env.sim.state().joint_rates[2];
+            let moved = (0..4).find(|_| {
+                env.step(&[3.0; 12]);
+                (env.sim.state().joint_rates[2] - start).abs() > 1.0
+            });
+            assert_eq!(moved, Some((dynamics.latency_s * 60.0).floor() as usize), "{dynamics:?}");
+            env.reset(Curriculum::complete()).unwrap();
+        }
+        assert!(differences.windows(2).all(|pair| pair[0] != pair[1]));
+    }
+
+    #[test]
+    fn policy_sees_inertial_errors_and_critic_does_not() {
+        let mut config = privileged(&[Quantity::AngularVelocity]);
+        config.randomisation.enabled = true;
+        config.randomisation.gyro_bias_sd_rad_s = 0.1;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        let bias = env.plan().imu.unwrap().gyro_bias_rad_s;
+        for step in 0..20 {
+            let (seen, true_rate) = (env.observation(), env.sim.state().angular_velocity_in_base);
+            // Left, up, forward, after height, gravity, joint angles and velocity.
+            for (k, axis) in [1, 2, 0].into_iter().enumerate() {
+                assert!((seen[46 + 19 + k] - true_rate[axis] - bias[axis]).abs() < 1e-12, "step {step}");
+                assert_eq!(added(&env)[axis], true_rate[axis] as f32);
+            }
+            env.step(&action(step));
+        }
+    }
+
+    #[test]
+    fn a_held_foot_stays_behind_until_it_is_lifted() {
+        let mut config = with_all();
+        (config.terrain, config.randomisation.enabled, config.episode.slope) = (None, false, 0.0);
+        let swung_m = |height_m: f64| {
+            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+            env.without_stagger();
+            env.progress.plan.pulls.clear();
+            env.progress.plan.holds = vec![Hold { leg: 0, from_s: 0.0, until_s: 1.0, height_m }];
+            let place = |env: &LocomotionEnv| env.sim.parts().foot_centres(env.sim.data())[0];
+            let start = place(&env);
+            // The front right foot is lifted, then swung forward.
+            for step in 0..16 {
+                let mut action = [0.0; 12];
+                (action[1], action[2]) = if step < 6 { (0.6, -1.2) } else { (-1.6, -1.2) };
+                env.step(&action);
+            }
+            place(&env)[0] - start[0]
+        };
+        let (free, held) = (swung_m(0.0), swung_m(0.3));
+        assert!(free > 0.05 && held < 0.6 * free, "{free} {held}");
+    }
+
+    #[test]
+    fn every_level_of_the_terrain_starts_on_its_own_tile() {
+        let config = with_all();
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        for level in [0, 1, 2] {
+            assert_eq!(env.progress.course.unwrap().level, level);
+            let position = env.sim.state().position;
+            assert!((position.x - 8.0 * (level as f64 - 1.0)).abs() < 1e-9 && position.y == 0.0);
+            assert!((env.sim.state().height - env.sim.robot().stand[2]).abs() < 1e-9);
+            assert_eq!(env.reward.tracking_sharpness, 0.33 * config.reward.tracking_sharpness);
+            // As if it had walked where it should.
+            let mut course = Course::new(level);
+            let state = RobotState { velocity_in_base: Vector3::x(), ..RobotState::default() };
+            course.advance(&state, &Command::velocity(1.0, 0.0, 0.0), 1.0, false);
+            env.progress.course = Some(course);
+            assert_eq!(env.report(EpisodeEnd::TimeLimit, None).terrain_level, Some(level));
+            env.reset(Curriculum::complete()).unwrap();
+        }
+    }
+
     fn pulls() -> Pulls {
-        Pulls { force_n: 50.0, duration_s: [0.5, 2.5], gap_s: [0.2, 1.5], fraction_step: 0.001, fraction_gate: 0.8 }
+        Pulls {
+            force_n: 50.0,
+            duration_s: [0.5, 2.5],
+            gap_s: [0.2, 1.5],
+            fraction_step: 0.001,
+            fraction_gate: 0.8,
+            buckets: Vec::new(),
+        }
     }
 
     #[test]

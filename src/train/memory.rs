@@ -8,7 +8,7 @@ calculated.
 use std::fmt;
 
 use super::TrainError;
-use super::environment::LocomotionEnv;
+use super::environment::{LocomotionEnv, Shared};
 use crate::config::{Config, LearnerKind};
 use crate::robot::JOINTS;
 use crate::task::Curriculum;
@@ -54,23 +54,38 @@ impl MemoryEstimate {
     /// # Errors
     /// The robot and the observation do not fit together, or the scene does not compile.
     pub fn new(config: &Config) -> Result<Self, TrainError> {
-        let environment = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command))?;
+        let shared = Shared::new(config)?;
+        let bytes = |index: u64| -> Result<u64, TrainError> {
+            let curriculum = Curriculum::new(&config.command);
+            let environment = LocomotionEnv::with_shared(config, &shared, 0, index, curriculum)?;
+            Ok(environment_bytes(&environment))
+        };
+        // One environment on a plane and one on uneven ground, where there are both.
+        let mut environments = 0_u64;
+        for is_uneven in [false, true] {
+            let uneven = |index: &u64| config.terrain.as_ref().is_some_and(|terrain| terrain.kind(*index).is_some());
+            let mut alike = (0..config.ppo.environments as u64).filter(|index| uneven(index) == is_uneven);
+            if let Some(first) = alike.next() {
+                environments = environments.saturating_add((1 + alike.count() as u64).saturating_mul(bytes(first)?));
+            }
+        }
         let ppo = &config.ppo;
-        let inputs = environment.layout().length() as u64;
-        let [environments, samples, epochs] = [ppo.environments, ppo.batch_size, ppo.epochs].map(|count| count as u64);
+        let [inputs, critic_inputs] = shared.inputs().map(|inputs| inputs as u64);
+        let [samples, epochs] = [ppo.batch_size, ppo.epochs].map(|count| count as u64);
         let joints = JOINTS as u64;
-        // Observation, action and its mean, and some numbers more; once more in the mirror, of both.
-        let numbers = inputs + 2 * joints + 8;
+        // Observations, action and its mean, and some numbers more; once more in the mirror, of both.
+        let of_critic = if critic_inputs == inputs { 0 } else { critic_inputs };
+        let numbers = inputs + of_critic + 2 * joints + 8;
         let copies = if ppo.symmetry { 3 } else { 1 };
-        let weights = |outputs: u64| {
+        let weights = |inputs: u64, outputs: u64| {
             let widths = ppo.hidden_layers.iter().map(|width| *width as u64).chain([outputs]);
             widths.fold((0, inputs), |(sum, from), to| (sum + (from + 1) * to, to)).0
         };
         let bytes = if ppo.learner == LearnerKind::Candle { CANDLE_BYTES } else { FUSED_BYTES };
         Ok(MemoryEstimate {
-            environments: environments.saturating_mul(environment_bytes(&environment)),
+            environments,
             samples: samples.saturating_mul(4 * (copies * numbers + epochs)),
-            networks: (weights(joints) + weights(1)).saturating_mul(bytes),
+            networks: (weights(inputs, joints) + weights(critic_inputs, 1)).saturating_mul(bytes),
         })
     }
 

@@ -89,6 +89,9 @@ pub struct EpisodeMeans {
     pub walking_linear: Option<f64>,
     /// Mean peak height of swings \[m\].
     pub swing_height_m: Option<f64>,
+    /// Mean level of the terrain, counted from 0, of the episodes on uneven ground.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub terrain_level: Option<f64>,
     /// Mean terms of Table II per step.
     pub terms: Option<Terms>,
 }
@@ -118,6 +121,7 @@ impl EpisodeMeans {
             episode_steps: mean(episodes.iter().map(|episode| episode.steps as f64)),
             walking_linear: mean(walks()),
             swing_height_m: mean(episodes.iter().filter_map(|episode| episode.swing_height_m)),
+            terrain_level: mean(episodes.iter().filter_map(|episode| episode.terrain_level).map(|level| level as f64)),
             terms: (steps > 0).then(|| terms.divided(steps as f64)),
         }
     }
@@ -167,6 +171,7 @@ impl IterationMetrics {
         put("episode/swing_height_m", self.means.swing_height_m);
         put("curriculum/command_fraction", Some(self.command_fraction));
         put("curriculum/force_fraction", self.force_fraction);
+        put("curriculum/terrain_level", self.means.terrain_level);
         put("curriculum/push_fraction", self.means.push_fraction);
         for (name, value) in self.means.terms.iter().flat_map(Terms::fields) {
             put(&format!("reward/{name}"), Some(value));

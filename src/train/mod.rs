@@ -8,11 +8,14 @@ pub mod checkpoint;
 pub mod collection;
 pub mod environment;
 mod fault_report;
+mod held_feet;
 mod memory;
 pub mod metrics;
 pub mod run;
+mod step_meter;
 pub mod symmetry;
 mod tensorboard;
+mod terrain;
 mod trainer;
 
 pub use memory::{MemoryError, MemoryEstimate, environment_bytes};

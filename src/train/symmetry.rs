@@ -36,6 +36,8 @@ pub enum SymmetryError {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Mirror {
     observation: Vec<(usize, f32)>,
+    /// That of the critic's observation; empty if it is the policy's.
+    critic: Vec<(usize, f32)>,
     action: Vec<(usize, f32)>,
 }
 
@@ -44,11 +46,12 @@ fn reflect(sources: &[(usize, f32)], rows: &[f32]) -> Vec<f32> {
 }
 
 impl Mirror {
-    /// Builds the mirror for a robot, its nominal pose \[rad\] and its policy's observation.
+    /// Builds the mirror for a robot, its nominal pose \[rad\], its policy's observation and what the critic observes in
+    /// addition.
     ///
     /// # Errors
     /// The pose leans to one side, or a quantity of the observation has no mirror image.
-    pub fn new(layout: &Layout, robot: &Robot, pose: &Joints) -> Result<Self, SymmetryError> {
+    pub fn new(layout: &Layout, critic: Option<&Layout>, robot: &Robot, pose: &Joints) -> Result<Self, SymmetryError> {
         for joint in 0..JOINTS {
             let (image, sign) = robot.mirrored(joint);
             if pose[joint] != sign * pose[image] {
@@ -59,12 +62,23 @@ impl Mirror {
             let (image, sign) = robot.mirrored(joint);
             (image, sign as f32)
         };
-        Ok(Mirror { observation: layout.mirrored(robot)?, action: (0..JOINTS).map(action).collect() })
+        let observation = layout.mirrored(robot)?;
+        let critic = critic.map_or(Ok(Vec::new()), |added| {
+            let start = observation.len();
+            let added = added.mirrored(robot)?.into_iter().map(|(index, sign)| (start + index, sign));
+            Ok::<_, LayoutError>(observation.iter().copied().chain(added).collect())
+        })?;
+        Ok(Mirror { observation, critic, action: (0..JOINTS).map(action).collect() })
     }
 
     /// Returns mirror images of normalised observations, shape (n, observation).
     fn observations(&self, rows: &[f32]) -> Vec<f32> {
         reflect(&self.observation, rows)
+    }
+
+    /// Returns mirror images of normalised observations of the critic, shape (n, critic's observation).
+    fn critic_observations(&self, rows: &[f32]) -> Vec<f32> {
+        if rows.is_empty() { Vec::new() } else { reflect(&self.critic, rows) }
     }
 
     /// Returns mirror images of actions, shape (n, actions).
@@ -82,6 +96,8 @@ impl Mirror {
         let means = evaluate(&PackedMlp::new(policy), &seen, threads);
         Samples {
             observations: [batch.observations, &seen].concat(),
+            critic_observations: [batch.critic_observations, &self.critic_observations(batch.critic_observations)]
+                .concat(),
             actions: [batch.actions, &done].concat(),
             means: [batch.means, &means].concat(),
             log_std: batch.log_std.to_vec(),
@@ -121,7 +137,7 @@ mod tests {
     use super::*;
     use crate::config::Config;
     use crate::network::ActorCritic;
-    use crate::observation::{Command, Moment, Observer};
+    use crate::observation::{Command, Moment, Observed, Observer, Privileged, Quantity};
     use crate::robot::{RobotState, same_in_every_leg};
     use crate::util::random::{Purpose, stream};
 
@@ -133,12 +149,14 @@ mod tests {
 
     fn mirror() -> Mirror {
         let config = Config::load("compliant").unwrap();
-        Mirror::new(&layout(), &config.robot.load().unwrap(), &config.action.nominal_pose_rad.joints()).unwrap()
+        let robot = config.robot.load().unwrap();
+        Mirror::new(&layout(), None, &robot, &config.action.nominal_pose_rad.joints()).unwrap()
     }
 
     #[test]
     fn a_pose_that_leans_to_one_side_has_no_mirror_image() {
-        let error = Mirror::new(&layout(), &Robot::load("go1").unwrap(), &same_in_every_leg([0.1, 0.72, -1.44]));
+        let pose = same_in_every_leg([0.1, 0.72, -1.44]);
+        let error = Mirror::new(&layout(), None, &Robot::load("go1").unwrap(), &pose);
         assert!(error.unwrap_err().to_string().contains("FR_hip is 0.1 and FL_hip is 0.1"));
     }
 
@@ -168,7 +186,15 @@ mod tests {
         let (mut observer, layout, zero) = (Observer::new(), layout(), [0.0; 12]);
         for age in [0.01, 0.0] {
             let (state, last_target) = (&state(age), &angles);
-            let now = Moment { state, command: &command, last_action: &zero, last_target, nominal: &zero, time_s: 0.0 };
+            let now = Moment {
+                state,
+                command: &command,
+                last_action: &zero,
+                last_target,
+                nominal: &zero,
+                time_s: 0.0,
+                privileged: Privileged::default(),
+            };
             observer.measure(&layout, &now);
         }
         let mut seen = vec![0.0; LENGTH];
@@ -184,6 +210,22 @@ mod tests {
     }
 
     #[test]
+    fn mirror_of_critic_continues_that_of_policy() {
+        let critic_observation = vec![Observed::now(Quantity::Pull), Observed::now(Quantity::FootHeights)];
+        let config = Config { critic_observation, ..Config::load("compliant").unwrap() };
+        let (robot, pose) = (config.robot.load().unwrap(), config.action.nominal_pose_rad.joints());
+        let critic = config.critic_layout().unwrap();
+        let mirror = Mirror::new(&layout(), critic.as_ref(), &robot, &pose).unwrap();
+        let with = |seen: Vec<f32>, added: [f32; 7]| [seen, added.to_vec()].concat();
+        let (left, right) = (
+            with(leaning(1.0), [10.0, 5.0, 1.0, 0.1, 0.2, 0.3, 0.4]),
+            with(leaning(-1.0), [10.0, -5.0, 1.0, 0.2, 0.1, 0.4, 0.3]),
+        );
+        assert_eq!(mirror.critic_observations(&left), right);
+        assert_eq!(mirror.critic_observations(&[]), [0.0_f32; 0]);
+    }
+
+    #[test]
     fn actions_change_sides_and_hips_turn_around() {
         let done: Vec<f32> = (1..=12).map(|k| k as f32).collect();
         assert_eq!(mirror().actions(&done), [-4.0, 5.0, 6.0, -1.0, 2.0, 3.0, -10.0, 11.0, 12.0, -7.0, 8.0, 9.0]);
@@ -196,6 +238,7 @@ mod tests {
         let evaluated = evaluate(&PackedMlp::new(&network.policy), &seen, 1);
         let batch = Batch {
             observations: &seen,
+            critic_observations: &[],
             actions: &[[0.5; 12]; 3].concat(),
             means: &evaluated,
             log_std: &network.log_std,

@@ -11,7 +11,7 @@ use rand::seq::SliceRandom;
 
 use super::checkpoint::{Checkpoint, RunState};
 use super::collection::{Collection, Rollout};
-use super::environment::{EpisodeFault, LocomotionEnv};
+use super::environment::{EpisodeFault, LocomotionEnv, Shared};
 use super::fault_report::{circumstances, minibatch_csv};
 use super::memory::{MemoryError, MemoryEstimate};
 use super::metrics::{EpisodeMeans, IterationMetrics, Timing, explained_variance};
@@ -23,7 +23,7 @@ use crate::observation::Layout;
 use crate::policy::{Policy, Provenance};
 use crate::ppo::{Learner, LearnerState, PrecisionError, Samples, UpdateFault, learner, resolved};
 use crate::ranks::{Alone, RankError, Ranks, agree, sum_over_samples};
-use crate::robot::{JOINTS, Robot};
+use crate::robot::JOINTS;
 use crate::task::Curriculum;
 use crate::util::files::FileError;
 use crate::util::provenance;
@@ -92,8 +92,7 @@ pub enum TrainError {
 pub struct Trainer {
     /// State of the run without the environments.
     run: RunState,
-    robot: Arc<Robot>,
-    layout: Arc<Layout>,
+    shared: Shared,
     /// The mirror, if mirrored samples are used.
     mirror: Option<Mirror>,
     threads: usize,
@@ -129,20 +128,21 @@ impl Trainer {
         check_ranks(&config, &*ranks)?;
         MemoryEstimate::new(&config)?.for_ranks(ranks.here(), ranks.count()).check()?;
         config.ppo.precision = resolved(&config.ppo);
-        let (robot, layout, mirror) = parts(&config)?;
+        let shared = Shared::new(&config)?;
+        let mirror = mirror(&config, &shared)?;
         let mut rng = stream(seed, Purpose::Weights, 0, 0);
         let ppo = &config.ppo;
         let log_std = ppo.initial_log_std as f32;
-        let network = ActorCritic::orthogonal(layout.length(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
+        let network = ActorCritic::asymmetric(shared.inputs(), &ppo.hidden_layers, JOINTS, log_std, &mut rng);
         let learner = learner(ppo, LearnerState::new(network, ppo), threads, Arc::clone(&ranks))?;
         let curriculum = Curriculum::new(&config.command);
-        let environments = environments(&config, &robot, &layout, seed, curriculum, &*ranks)?;
+        let environments = environments(&config, &shared, seed, curriculum, &*ranks)?;
         let run = RunState {
             config_name: config_name.to_owned(),
             config,
             git_revision: provenance::git_revision().to_owned(),
             mujoco_version: provenance::mujoco_version().to_owned(),
-            robot_sha256: robot.sha256().to_owned(),
+            robot_sha256: shared.robot.sha256().to_owned(),
             seed,
             iteration: 0,
             samples: 0,
@@ -150,7 +150,7 @@ impl Trainer {
             curriculum,
             environments: Vec::new(),
         };
-        Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
+        Ok(Trainer { run, shared, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
 
     /// Resumes from a checkpoint.
@@ -184,18 +184,26 @@ impl Trainer {
             return Err(TrainError::Checkpoint("its moments do not have the shapes of its parameters".into()));
         }
         MemoryEstimate::new(&run.config)?.for_ranks(ranks.here(), ranks.count()).check()?;
-        let (robot, layout, mirror) = parts(&run.config)?;
+        let shared = Shared::new(&run.config)?;
+        let mirror = mirror(&run.config, &shared)?;
+        let robot = &shared.robot;
         // Another revision may read the robot's file differently; the caller already warns that revisions differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::git_revision() {
             let problem = format!("the robot {} has changed since; put it back, or start anew", robot.name);
             return Err(TrainError::Checkpoint(problem));
         }
-        let mut environments = environments(&run.config, &robot, &layout, run.seed, run.curriculum, &*ranks)?;
-        let (inputs, outputs) = (state.parameters.policy.inputs(), state.parameters.policy.outputs());
-        if (inputs, outputs) != (layout.length(), JOINTS) {
-            let expected = layout.length();
-            let problem = format!("its policy maps {inputs} to {outputs} numbers, expected {expected} to {JOINTS}");
-            return Err(TrainError::Checkpoint(problem));
+        let mut environments = environments(&run.config, &shared, run.seed, run.curriculum, &*ranks)?;
+        let ActorCritic { policy, value, .. } = &state.parameters;
+        for (name, mlp, inputs, outputs) in
+            [("policy", policy, shared.inputs()[0], JOINTS), ("value function", value, shared.inputs()[1], 1)]
+        {
+            let found = (mlp.inputs(), mlp.outputs());
+            if found != (inputs, outputs) {
+                return Err(TrainError::Checkpoint(format!(
+                    "its {name} maps {} to {} numbers, expected {inputs} to {outputs}",
+                    found.0, found.1
+                )));
+            }
         }
         for (environment, saved) in environments.iter_mut().zip(&run.environments[ranks.share(expected_environments)]) {
             environment.restore(saved)?;
@@ -204,7 +212,7 @@ impl Trainer {
         (run.git_revision, run.robot_sha256) = (provenance::git_revision().to_owned(), robot.sha256().to_owned());
         run.mujoco_version = provenance::mujoco_version().to_owned();
         let learner = learner(&run.config.ppo, state, threads, Arc::clone(&ranks))?;
-        Ok(Trainer { run, robot, layout, mirror, threads, ranks, learner, environments, faults: Vec::new() })
+        Ok(Trainer { run, shared, mirror, threads, ranks, learner, environments, faults: Vec::new() })
     }
 
     /// Runs one iteration: collects a batch and updates the networks with it.
@@ -335,7 +343,8 @@ impl Trainer {
             git_revision: provenance::git_revision().to_owned(),
             mujoco_version: provenance::mujoco_version().to_owned(),
         };
-        Policy::new(&self.learner.parameters(), &self.robot, Layout::clone(&self.layout), provenance)
+        let Shared { robot, layout, .. } = &self.shared;
+        Policy::new(&self.learner.parameters(), robot, Layout::clone(layout), provenance)
     }
 
     /// Returns the ranks that train the run.
@@ -349,15 +358,11 @@ impl Trainer {
     }
 }
 
-type Parts = (Arc<Robot>, Arc<Layout>, Option<Mirror>);
-
-/// Loads the robot and builds its observation layout, and the mirror if it is used.
-fn parts(config: &Config) -> Result<Parts, TrainError> {
-    let robot = config.robot.load()?;
-    let layout = config.layout().map_err(ValueError::Observation)?;
-    let mirror = || Mirror::new(&layout, &robot, &config.action.nominal_pose_rad.joints());
-    let mirror = config.ppo.symmetry.then(mirror).transpose()?;
-    Ok((robot, Arc::new(layout), mirror))
+/// Builds the mirror if it is used.
+fn mirror(config: &Config, shared: &Shared) -> Result<Option<Mirror>, TrainError> {
+    let Shared { robot, layout, critic, .. } = shared;
+    let mirror = || Mirror::new(layout, critic.as_deref(), robot, &config.action.nominal_pose_rad.joints());
+    Ok(config.ppo.symmetry.then(mirror).transpose()?)
 }
 
 /// Checks that the shards can be divided equally among the ranks.
@@ -376,22 +381,20 @@ fn check_ranks(config: &Config, ranks: &dyn Ranks) -> Result<(), TrainError> {
 /// Creates the environments of this rank.
 fn environments(
     config: &Config,
-    robot: &Arc<Robot>,
-    layout: &Arc<Layout>,
+    shared: &Shared,
     seed: u64,
     curriculum: Curriculum,
     ranks: &dyn Ranks,
 ) -> mujoco::Result<Vec<LocomotionEnv>> {
-    let environment = |index| {
-        LocomotionEnv::with_layout(config, Arc::clone(robot), Arc::clone(layout), seed, index as u64, curriculum)
-    };
+    let environment = |index| LocomotionEnv::with_shared(config, shared, seed, index as u64, curriculum);
     ranks.share(config.ppo.environments).map(environment).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::LearnerKind;
+    use crate::config::{LearnerKind, Precision};
+    use crate::observation::{Observed, Quantity};
 
     /// Returns a configuration of 8 shards with the arithmetic of this machine, with mirrored samples.
     fn sharded(shards: usize) -> Config {
@@ -404,10 +407,61 @@ mod tests {
         config
     }
 
+    /// Returns the configuration for a real robot with a tiny learner of 8 shards, on uneven ground, with feet that are held.
+    fn real() -> Config {
+        let text =
+            "{environments: 0.5, levels: 2, rough_m: [0.01, 0.06], boxes_m: [0.02, 0.08], sharpness_factor: 0.33}";
+        let held = "{force_n: 60, stiffness_n_per_m: 600, height_m: [0.02, 0.05], duration_s: [0.05, 0.15], gap_s: [0.1, 0.3]}";
+        let changes = [format!("terrain={text}"), format!("held_feet={held}"), "episode.push_gate=0".to_owned()];
+        let mut config = Config::load_with("real", &changes).unwrap();
+        (config.ppo, config.episode.walking_s) = (sharded(8).ppo, 0.1);
+        config
+    }
+
+    /// Returns the sharded configuration with a critic that observes more than the policy.
+    fn privileged() -> Config {
+        let critic_observation = [Quantity::BaseVelocity, Quantity::FootForces, Quantity::Push, Quantity::EncoderBias];
+        let critic_observation = critic_observation.map(Observed::now).to_vec();
+        Config { critic_observation, ..sharded(8) }
+    }
+
     #[test]
     fn sharded_run_has_same_bits_for_any_threads_and_resumption() {
+        same_bits_for_any_threads_and_resumption(&sharded(8));
+    }
+
+    #[test]
+    fn privileged_critic_has_same_bits_for_any_threads_and_resumption() {
+        same_bits_for_any_threads_and_resumption(&privileged());
+    }
+
+    #[test]
+    fn training_for_a_real_robot_has_same_bits_for_any_threads_and_resumption() {
+        same_bits_for_any_threads_and_resumption(&real());
+    }
+
+    #[test]
+    fn policy_of_a_privileged_critic_is_the_actor_alone() {
+        let mut config = privileged();
+        (config.ppo.learner, config.ppo.precision, config.ppo.shards) = (LearnerKind::Candle, Precision::F32, 1);
+        let mut trainer = Trainer::new("test", config, 0, 1).unwrap();
+        trainer.iterate().unwrap();
+        let networks = trainer.learner.parameters();
+        // 3 + 4 · 3 + 3 + 12 numbers more than the policy.
+        assert_eq!((networks.policy.inputs(), networks.value.inputs()), (83, 83 + 30));
+        let bytes = trainer.policy().to_bytes().unwrap();
+        let policy = Policy::from_bytes(&bytes, std::path::Path::new("policy")).unwrap();
+        assert_eq!((policy.layout().length(), &policy.actor), (83, &networks.policy));
+        // A checkpoint whose value function observes something else is refused.
+        let mut checkpoint = trainer.checkpoint().unwrap();
+        checkpoint.run.config.critic_observation.pop();
+        let error = Trainer::resume(checkpoint, 1).unwrap_err().to_string();
+        assert!(error.contains("another observation") || error.contains("value function maps 113"), "{error}");
+    }
+
+    fn same_bits_for_any_threads_and_resumption(config: &Config) {
         let run = |threads: [usize; 3]| {
-            let mut trainer = Trainer::new("test", sharded(8), 3, threads[0]).unwrap();
+            let mut trainer = Trainer::new("test", config.clone(), 3, threads[0]).unwrap();
             let mut metrics = Vec::new();
             for (index, threads) in threads.into_iter().enumerate() {
                 if index > 0 {
@@ -474,7 +528,7 @@ mod tests {
         let mut trainer = Trainer::new("test", config, 0, 1).unwrap();
         trainer.iterate().unwrap();
         let before = trainer.policy().to_bytes().unwrap();
-        let blind = Arc::new(trainer.layout.blinded());
+        let blind = Arc::new(trainer.shared.layout.blinded());
         trainer.environments.iter_mut().for_each(|environment| environment.see(&blind));
         let error = trainer.iterate().unwrap_err();
         assert!(error.to_string().contains("iteration 1"), "{error}");

@@ -34,6 +34,8 @@ pub enum Purpose {
     Mirror = 10,
     /// Encoder bias of scenarios. Counters: none.
     Offsets = 11,
+    /// Noise of the inertial sensor in training. Counters: environment, episode and step.
+    Imu = 12,
 }
 
 /// Creates the generator of a stream.

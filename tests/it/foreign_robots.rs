@@ -279,16 +279,10 @@ fn words_that_cannot_be_translated_are_refused_with_line_and_version() {
 #[test]
 fn complaints_of_mujoco_name_the_lines_of_the_file() {
     for (robot, words) in [
-        (
-            Foreign { parts: "\n<geom type='capsule' size='-1'/>", ..foreign() },
-            "line 7, <geom>: MuJoCo refuses it: ",
-        ),
+        (Foreign { parts: "\n<geom type='capsule' size='-1'/>", ..foreign() }, "line 7, <geom>: MuJoCo refuses it: "),
         (Foreign { joint: "pos='1 2'", ..foreign() }, "line 9, <joint 'FL_hip_joint'>: MuJoCo refuses it: "),
         (Foreign { joint: "class='none'", ..foreign() }, "line 9, <joint 'FL_hip_joint'>: "),
-        (
-            Foreign { parts: "<body name='base'/>", ..foreign() },
-            "<body 'base'>: MuJoCo refuses it: repeated name",
-        ),
+        (Foreign { parts: "<body name='base'/>", ..foreign() }, "<body 'base'>: MuJoCo refuses it: repeated name"),
     ] {
         let found = robot.complaint();
         assert!(found.contains(words) && !found.contains("robot.xml, line"), "{words}: {found}");

@@ -40,12 +40,14 @@ class Environments:
     ) -> Environments: ...
     def reset(
         self, seeds: list[int] | None, mask: list[bool] | None
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Returns observations (n, length), normalised, and commands (n, 3): forward, left [m/s], yaw rate [rad/s]."""
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None, NDArray[np.float64]]:
+        """Returns observations (n, length), normalised, what the critic observes in addition (n, m), if it does, and commands
+        (n, 3): forward, left [m/s], yaw rate [rad/s]."""
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[
         NDArray[np.float32],
+        NDArray[np.float32] | None,
         NDArray[np.float64],
         NDArray[np.bool_],
         NDArray[np.bool_],
@@ -55,6 +57,7 @@ class Environments:
         tuple[
             NDArray[np.int64],
             NDArray[np.float32],
+            NDArray[np.float32] | None,
             NDArray[np.float64],
             NDArray[np.float64],
             NDArray[np.int64],
@@ -63,14 +66,15 @@ class Environments:
         ]
         | None,
     ]:
-        """Steps with actions (n, 12). Returns observations (n, length), rewards (n), terminations (n), truncations (n), reward
+        """Steps with actions (n, 12). Returns observations (n, length), what the critic observes in addition (n, m), rewards (n), terminations (n), truncations (n), reward
         terms (n, terms), stages (n), commands (n, 3), and for the k episodes that ended, if any: environments (k), last
-        observations (k, length), last commands (k, 3), returns (k), lengths [steps] (k), pushed (k), and the message of each
+        observations (k, length) and what the critic observes in addition (k, m), last commands (k, 3), returns (k), lengths [steps] (k), pushed (k), and the message of each
         physics fault with its environment. A physics fault is a truncation."""
     def close(self) -> None: ...
     def curriculum(self) -> tuple[float, bool, float]: ...
     def set_curriculum(self, curriculum: tuple[float, bool, float]) -> None: ...
     def observation_names(self) -> list[str]: ...
+    def critic_observation_names(self) -> list[str]: ...
     def observation_scaling(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
     @staticmethod
     def action_names() -> list[str]: ...

@@ -133,6 +133,11 @@ class _Described(Named):
         return self._native.observation_scaling()[1]
 
     @property
+    def critic_observation_names(self) -> list[str]:
+        """Name and unit of each value that a critic may observe in addition; empty without `critic_observation`."""
+        return self._native.critic_observation_names()
+
+    @property
     def curriculum(self) -> Curriculum:
         """Curriculum of episodes that start now. Once set, it stays fixed, as with `make_vec(curriculum=…)`."""
         return Curriculum(*self._native.curriculum())
@@ -193,8 +198,11 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
         seeds = self._seeds(seed)
         mask = self._mask(seeds, options)
         VectorEnv.reset(self, seed=None if seeds is None else seeds[0])
-        observations, commands = self._native.reset(seeds, mask)
-        return observations, {"command": commands, "_command": self._all}
+        observations, critic, commands = self._native.reset(seeds, mask)
+        info: Info = {"command": commands, "_command": self._all}
+        if critic is not None:
+            info["critic_observation"], info["_critic_observation"] = critic, self._all
+        return observations, info
 
     def step(self, actions: ArrayLike) -> tuple[Observations, NDArray[np.float64], Flags, Flags, Info]:
         """Steps every environment once (1/60 s with the shipped configurations).
@@ -208,13 +216,16 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
         `info["final_info"]["fault"]`. The key is missing in a step without faults. Do not bootstrap from such a step.
 
         `info` also has `reward_terms` (before weights), `stage` (index into `STAGES`), `command` (forward, left [m/s],
-        yaw rate [rad/s]; base frame) and `fall`; docs/python.md lists all keys with their shapes.
+        yaw rate [rad/s]; base frame) and `fall`, and with the key `critic_observation` of the configuration the numbers of that
+        name, float32 (num_envs, m), which only a critic may observe, in addition to the observation; docs/python.md lists all keys with their shapes.
         """
         actions = numbers("actions", actions, (self.num_envs, len(self._native.action_names())))
-        seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
+        seen, critic, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
         info = self._info(terms, stages, commands, terminations, self._all)
+        if critic is not None:
+            info["critic_observation"], info["_critic_observation"] = critic, self._all
         if ended is not None:
-            which, last_seen, last_commands, returns, lengths, pushed, faults = ended
+            which, last_seen, last_critic, last_commands, returns, lengths, pushed, faults = ended
             mask = np.zeros(self.num_envs, dtype=np.bool_)
             mask[which] = True
             about: Info = {"pushed": self._spread(which, pushed), "_pushed": mask}
@@ -225,6 +236,9 @@ class LocomotionVectorEnv(_Described, VectorEnv[Observations, NDArray[np.float32
             if self._mode is AutoresetMode.SAME_STEP:
                 episode = {"r": self._spread(which, returns), "l": self._spread(which, lengths), "_r": mask, "_l": mask}
                 final = self._info(terms, stages, self._spread(which, last_commands), terminations, mask)
+                if last_critic is not None:
+                    final["critic_observation"] = self._spread(which, last_critic)
+                    final["_critic_observation"] = mask
                 info["final_info"] = {**final, "episode": episode, "_episode": mask, **about}
                 info["final_obs"] = self._spread(which, list(last_seen))
                 info["_final_info"] = info["_final_obs"] = mask
@@ -318,8 +332,11 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
         if options:
             raise ValueError(f"options to reset with: expected none, found {list(options)}")
         gymnasium.Env.reset(self, seed=seed)
-        observations, commands = self._native.reset(None if seed is None else [seed], None)
-        return observations[0], {"command": commands[0]}
+        observations, critic, commands = self._native.reset(None if seed is None else [seed], None)
+        info: Info = {"command": commands[0]}
+        if critic is not None:
+            info["critic_observation"] = critic[0]
+        return observations[0], info
 
     def step(self, action: ArrayLike) -> tuple[Observations, float, bool, bool, Info]:
         """Steps the environment once (1/60 s with the shipped configurations).
@@ -332,13 +349,15 @@ class LocomotionEnv(_Described, gymnasium.Env[Observations, NDArray[np.float32]]
         message. The key is missing otherwise: check `"fault" in info` before you bootstrap from a truncated step.
         """
         actions = numbers("action", action, (len(self._native.action_names()),))[None]
-        seen, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
+        seen, critic, rewards, terminations, truncations, terms, stages, commands, ended = self._native.step(actions)
         info: Info = {
             "reward_terms": dict(zip(self._terms, terms[0].tolist())),
             "stage": int(stages[0]),
             "command": commands[0],
             "fall": bool(terminations[0]),
         }
+        if critic is not None:
+            info["critic_observation"] = critic[0]
         if ended is not None:
             *_, pushed, faults = ended
             info["pushed"] = bool(pushed[0])

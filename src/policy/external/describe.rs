@@ -105,6 +105,15 @@ mod tests {
         let mut config = Config::load("compliant").unwrap();
         config.observation.truncate(3);
         config.observation.push(Observed { scale: Some(Numbers::All(0.5)), ..Observed::now(Quantity::LastAction) });
+        assert_exported_acts_as_its_policy(config);
+    }
+
+    #[test]
+    fn an_exported_blind_policy_remembers_as_it_did() {
+        assert_exported_acts_as_its_policy(Config::load("real").unwrap());
+    }
+
+    fn assert_exported_acts_as_its_policy(config: Config) {
         let layout = config.layout().unwrap();
         let mut rng = stream(3, Purpose::Weights, 0, 0);
         let mut network = ActorCritic::orthogonal(layout.length(), &[16], JOINTS, -1.0, &mut rng);
@@ -125,8 +134,14 @@ mod tests {
         let exported = Agent::load(&folder.path().join("p.yaml")).unwrap();
         let own = Agent::from(Policy::from_bytes(&policy.to_bytes().unwrap(), Path::new("p")).unwrap());
         let (mut own, mut exported) = (own.inference().controller(), exported.inference().controller());
-        let state = RobotState { height: 0.3, ..RobotState::default() };
-        for step in 0..5 {
+        let mut before = own.rest();
+        for step in 0..8 {
+            let state = RobotState {
+                height: 0.3,
+                gravity_in_base: nalgebra::Vector3::new(0.1 * f64::from(step), 0.0, -9.8),
+                joint_angles: [0.1 * f64::from(step * step); JOINTS],
+                ..RobotState::default()
+            };
             let targets = [&mut own, &mut exported].map(|controller| {
                 if step == 0 {
                     controller.begin(&state);
@@ -134,6 +149,8 @@ mod tests {
                 controller.joint_targets(&state, &Command::default())
             });
             let [own, exported] = targets;
+            assert_ne!(own, before, "step {step}");
+            before = own;
             assert!(
                 own.iter().zip(exported).all(|(own, exported)| (own - exported).abs() < 1e-5),
                 "{own:?} {exported:?}"

@@ -75,8 +75,7 @@ impl CandleLearner {
 
 impl Learner for CandleLearner {
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
-        let policy = &self.state.parameters.policy;
-        check(batch, permutations, [policy.inputs(), policy.outputs()], &self.settings, &Alone)?;
+        check(batch, permutations, &self.state.parameters, &self.settings, &Alone)?;
         // One thread: the products of single layers are so small that waking others costs more than they bring.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
         let pool = pool.map_err(|error| UpdateFault::Candle(error.to_string()))?;

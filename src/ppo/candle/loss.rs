@@ -40,7 +40,8 @@ impl Loss {
         let advantages = Tensor::from_iter(rows.iter().map(|&row| minibatch.advantage(row as usize)), &Device::Cpu)?;
         let returns = of_batch(batch.returns)?.squeeze(1)?;
 
-        let (means, log_std, values) = networks.forward(&of_batch(batch.observations)?)?;
+        let (means, log_std, values) =
+            networks.forward(&of_batch(batch.observations)?, &of_batch(batch.value_inputs())?)?;
 
         let ratio = (log_prob(&means, &log_std, &actions)? - old_log_probs)?.exp()?;
         let clipped = ratio.clamp(1.0 - settings.clip_range, 1.0 + settings.clip_range)?;
@@ -117,6 +118,7 @@ mod tests {
         };
         let batch = Batch {
             observations: &[0.5, -1.0, 1.0, 2.0, -0.5, 0.25],
+            critic_observations: &[],
             actions: &[1.0, 0.0, 0.5, 3.0, -1.0, 0.5],
             means: &[1.0, -1.0, 0.25, 1.75, -0.5, 0.0],
             log_std: &[-0.625, 0.25],

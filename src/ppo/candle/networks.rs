@@ -37,11 +37,11 @@ impl Networks {
     /// all in f64.
     ///
     /// # Errors
-    /// The observations do not have the shape (rows, observations).
-    pub fn forward(&self, observations: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
-        let observations = observations.to_dtype(self.log_std.dtype())?;
-        let means = forward(&self.policy, &observations)?.to_dtype(DType::F64)?;
-        let values = forward(&self.value, &observations)?.squeeze(1)?.to_dtype(DType::F64)?;
+    /// What policy and critic observe does not have the shapes (rows, inputs).
+    pub fn forward(&self, observations: &Tensor, of_critic: &Tensor) -> Result<(Tensor, Tensor, Tensor)> {
+        let dtype = self.log_std.dtype();
+        let means = forward(&self.policy, &observations.to_dtype(dtype)?)?.to_dtype(DType::F64)?;
+        let values = forward(&self.value, &of_critic.to_dtype(dtype)?)?.squeeze(1)?.to_dtype(DType::F64)?;
         Ok((means, self.log_std.to_dtype(DType::F64)?, values))
     }
 

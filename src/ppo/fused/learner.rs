@@ -211,8 +211,7 @@ impl<A: Arithmetic> FusedLearner<A> {
 
 impl<A: Arithmetic> Learner for FusedLearner<A> {
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
-        let policy = &self.shapes.policy;
-        check(batch, permutations, [policy.inputs(), policy.outputs()], &self.settings, &*self.ranks)?;
+        check(batch, permutations, &self.shapes, &self.settings, &*self.ranks)?;
         let minibatches = Minibatch::all(batch, &self.settings, permutations, &*self.ranks);
         let progress = Mutex::new(UpdateProgress::new(self.steps, self.learning_rate, minibatches.len()));
         Team::run(self.threads, |team| {

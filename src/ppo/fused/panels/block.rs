@@ -39,7 +39,7 @@ impl Block {
         Self { outputs, rows: 0, activations, deltas: of_layers().collect(), output, output_deltas }
     }
 
-    /// Gathers the observations of `rows` and evaluates the network.
+    /// Gathers the inputs of `rows` and evaluates the network.
     pub fn forward(&mut self, arch: Arch, layers: &[LayerPanels<'_, '_>], observations: &[f32], rows: &[u32]) {
         self.rows = rows.len();
         let size = layers[0][0].inputs;

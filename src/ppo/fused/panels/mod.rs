@@ -63,11 +63,12 @@ impl Arithmetic for Panels {
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
         let networks: [&[LayerPanels<'_, '_>]; 2] = [policy, value];
+        let inputs = [minibatch.batch.observations, minibatch.batch.value_inputs()];
         let task = |task: usize| {
             let (network, index) = (task / chunk.blocks, task % chunk.blocks);
             let mut block = write(&self.blocks[network][index]);
             let rows = minibatch.block(BLOCK, chunk.start + index);
-            block.forward(self.arch, networks[network], minibatch.batch.observations, rows);
+            block.forward(self.arch, networks[network], inputs[network], rows);
             loss(block.pass(network, chunk.start + index));
             block.backward(self.arch, networks[network]);
         };

@@ -84,13 +84,14 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
         let networks: [&[LayerPanels<'_, '_, F, B>]; 2] = [policy, value];
-        let observations = minibatch.batch.observations;
-        let size = observations.len() / minibatch.batch.returns.len();
+        let samples = minibatch.batch.returns.len();
+        let inputs = [minibatch.batch.observations, minibatch.batch.value_inputs()];
+        let inputs = inputs.map(|inputs| (inputs, inputs.len() / samples));
         let task = |task: usize| {
             let (network, index) = (task / chunk.blocks, task % chunk.blocks);
             let mut block = write(&self.blocks[network][index]);
             let rows = minibatch.block(ROWS, chunk.start + index);
-            block.forward(workspace, networks[network], (observations, size), rows);
+            block.forward(workspace, networks[network], inputs[network], rows);
             loss(block.pass(network, chunk.start + index));
             if index + 1 < chunk.blocks {
                 minibatch.batch.prefetch(minibatch.block(ROWS, chunk.start + index + 1), prefetch);
