@@ -403,6 +403,7 @@ impl Model {
     }
 
     /// Returns the number of elements of a kind.
+    #[allow(clippy::useless_conversion)] // later releases count with 64 bits
     pub fn count(&self, kind: Kind) -> usize {
         let raw = self.raw();
         (match kind {
@@ -762,6 +763,7 @@ impl Model {
 #[cfg(test)]
 impl Model {
     /// Shrinks the contact buffer to `contacts` points.
+    #[allow(clippy::useless_conversion)] // later releases count with 64 bits
     pub(crate) fn limit_contacts(&mut self, contacts: i32) {
         assert!(contacts as usize <= self.nconmax());
         self.raw_mut().nconmax = contacts.into();
