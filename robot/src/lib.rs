@@ -1,0 +1,5 @@
+/*! The Go2's own interface, on both sides of it. */
+
+pub mod dds;
+pub mod message;
+pub mod remote;
