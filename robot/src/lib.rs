@@ -2,4 +2,6 @@
 
 pub mod dds;
 pub mod message;
+pub mod motor;
 pub mod remote;
+pub mod serve;

@@ -25,7 +25,8 @@ pub struct Remote {
     pub left: [f32; 2],
     /// Right stick, to the right and up, each from −1 to 1.
     pub right: [f32; 2],
-    buttons: u16,
+    /// One bit for each [`Button`].
+    pub buttons: u16,
 }
 
 impl Remote {

@@ -128,6 +128,13 @@ pub struct Arrival<T> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct WriterId([u8; 16]);
 
+impl WriterId {
+    /// Creates an identity from its bytes.
+    pub const fn of_bytes(bytes: [u8; 16]) -> Self {
+        WriterId(bytes)
+    }
+}
+
 /// How much is done for a message to arrive.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Delivery {
@@ -195,8 +202,7 @@ impl Node {
             .build()
             .map_err(dds("configuration"))?;
         let id = std::process::id().to_be_bytes();
-        let factory =
-            DomainParticipantFactoryAsync::new(StdRuntime::new(), id, address.octets(), udp, configuration);
+        let factory = DomainParticipantFactoryAsync::new(StdRuntime::new(), id, address.octets(), udp, configuration);
         // dust_dds wants the factory for ever; a program opens a node once.
         let participant = DomainParticipantFactory::new(Box::leak(Box::new(factory)))
             .create_participant(domain.into(), QosKind::Default, NO_LISTENER, NO_STATUS)
@@ -255,7 +261,9 @@ struct Listener<F> {
     take: F,
 }
 
-impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'static> DataReaderListener<T> for Listener<F> {
+impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'static> DataReaderListener<T>
+    for Listener<F>
+{
     async fn on_data_available(&mut self, reader: DataReaderAsync<T>) {
         let at = Instant::now();
         let samples = reader.take(DEPTH as i32, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).await;

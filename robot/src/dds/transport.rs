@@ -108,9 +108,10 @@ impl TransportParticipantFactory for Udp {
         }
         listen("dds meta", meta, receiver.clone());
         listen("dds user", user, receiver);
-        let peers = self.peers.iter().flat_map(|peer| {
-            (0..PARTICIPANTS).map(|index| SocketAddrV4::new(*peer, self.base + 10 + 2 * index))
-        });
+        let peers = self
+            .peers
+            .iter()
+            .flat_map(|peer| (0..PARTICIPANTS).map(|index| SocketAddrV4::new(*peer, self.base + 10 + 2 * index)));
         let own = SocketAddrV4::new(self.address, meta_port);
         RtpsTransportParticipant {
             message_writer: Box::new(Writer {
