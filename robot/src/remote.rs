@@ -1,5 +1,7 @@
 /*! The state of the robot's remote, as the 40 bytes `wireless_remote` of the robot's state carry it. */
 
+use supple::task::Command;
+
 /// Buttons of the remote, by the bit that carries them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)] // their names are printed on them
@@ -65,9 +67,45 @@ impl Remote {
     }
 }
 
+/// The velocities that full sticks mean: forward [m/s], left [m/s], yaw rate [rad/s].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FullSticks(pub [f64; 3]);
+
+impl FullSticks {
+    /// Returns the remote's sticks for a command: left stick forward and sideways, right stick turning.
+    pub fn remote(&self, command: &Command) -> Remote {
+        let [forward, left, yaw] = self.0;
+        let stick = |value: f64, full: f64| (value / full).clamp(-1.0, 1.0) as f32;
+        Remote {
+            left: [stick(-command.left, left), stick(command.forward, forward)],
+            right: [stick(-command.yaw, yaw), 0.0],
+            ..Remote::default()
+        }
+    }
+
+    /// Returns the command that sticks mean.
+    pub fn command(&self, remote: &Remote) -> Command {
+        let [forward, left, yaw] = self.0;
+        let [sideways, ahead] = remote.left.map(f64::from);
+        Command::velocity(forward * ahead, -left * sideways, -yaw * f64::from(remote.right[0]))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const FULL: FullSticks = FullSticks([1.0, 0.5, 0.5]);
+
+    #[test]
+    fn sticks_mean_the_command_that_they_stand_for() {
+        let command = Command::velocity(0.5, -0.25, 0.125);
+        let back = FULL.command(&Remote::from_bytes(&FULL.remote(&command).to_bytes()));
+        assert_eq!(back, command);
+        // Forward is up, right is right, turning right is right.
+        let remote = FULL.remote(&Command::velocity(1.0, -0.5, -0.5));
+        assert_eq!((remote.left, remote.right), ([1.0, 1.0], [1.0, 0.0]));
+    }
 
     #[test]
     fn bytes_are_where_the_vendor_has_them() {

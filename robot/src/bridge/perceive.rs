@@ -57,6 +57,19 @@ impl Perception {
         })
     }
 
+    /// Forgets all readings; the next one is a first one.
+    ///
+    /// # Errors
+    /// The contact network cannot be loaded.
+    pub fn restart(&mut self) -> Result<(), PerceptionError> {
+        self.contacts = ContactEstimator::new(ContactNetwork::shipped()?);
+        self.estimator = Estimator::new(Arc::clone(&self.robot), EstimatorConfig::default());
+        self.forces.reset();
+        (self.touching, self.since_contact_s, self.before) = ([true; 4], 0.0, None);
+        (self.felt, self.count) = (ExternalForces::default(), 0);
+        Ok(())
+    }
+
     /// Takes a reading, `dt_s` \[s\] after the last one; `targets` are the joint targets that the policy gave last \[rad\].
     ///
     /// # Errors
@@ -123,7 +136,8 @@ mod tests {
         (0..500).for_each(|_| perception.take(&reading, &robot.nominal_pose, 0.002).unwrap());
         let state = perception.state().unwrap();
         assert!((state.height - robot.standing_height_m(&robot.nominal_pose)).abs() < 0.005, "{}", state.height);
-        assert!(state.velocity_in_base.norm() < 0.01 && state.felt_force.is_some());
+        // Motors without torque cannot carry it: it hangs or lies, and what is felt is not trusted.
+        assert!(state.velocity_in_base.norm() < 0.01 && state.felt_force.is_none());
     }
 
     #[test]
@@ -134,7 +148,7 @@ mod tests {
             let mut perception = Perception::new(Arc::clone(&robot)).unwrap();
             for _ in 0..=count {
                 perception.take(&reading, &robot.nominal_pose, dt_s).unwrap();
-                assert!((0.0..1.0 / RATE_HZ + 1e-9).contains(&perception.since_contact_s));
+                assert!((-1e-9..1.0 / RATE_HZ + 1e-9).contains(&perception.since_contact_s));
             }
             // A second has passed since the first tick: 240 ticks.
             let left_s: f64 = f64::from(count) * dt_s - perception.since_contact_s;

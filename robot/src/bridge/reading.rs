@@ -108,7 +108,7 @@ impl Reading {
 }
 
 #[cfg(test)]
-pub mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::message::{Field, SERVO};
 

@@ -2,7 +2,7 @@
 
 use supple::task::Command;
 
-use crate::remote::{Button, Remote};
+use crate::remote::{Button, FullSticks, Remote};
 
 /// Time for which a button is pressed, and after which it is pressed again if nothing happens \[s\].
 const PRESSED_S: f64 = 0.2;
@@ -14,30 +14,6 @@ const STANDS_S: f64 = 1.0;
 /// Base height, relative to the standing robot's, and tilt \[rad\] of a robot that stands.
 const HIGH: f64 = 0.8;
 const LEVEL_RAD: f64 = 0.3;
-
-/// The velocities that full sticks mean: forward [m/s], left [m/s], yaw rate [rad/s].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct FullSticks(pub [f64; 3]);
-
-impl FullSticks {
-    /// Returns the remote's sticks for a command: left stick forward and sideways, right stick turning.
-    pub fn remote(&self, command: &Command) -> Remote {
-        let [forward, left, yaw] = self.0;
-        let stick = |value: f64, full: f64| (value / full).clamp(-1.0, 1.0) as f32;
-        Remote {
-            left: [stick(-command.left, left), stick(command.forward, forward)],
-            right: [stick(-command.yaw, yaw), 0.0],
-            ..Remote::default()
-        }
-    }
-
-    /// Returns the command that sticks mean.
-    pub fn command(&self, remote: &Remote) -> Command {
-        let [forward, left, yaw] = self.0;
-        let [sideways, ahead] = remote.left.map(f64::from);
-        Command::velocity(forward * ahead, -left * sideways, -yaw * f64::from(remote.right[0]))
-    }
-}
 
 /// Presses START for the robot to stand up, A for the policy to begin, then keeps the sticks at the scenario's command.
 #[derive(Debug)]
@@ -95,16 +71,6 @@ mod tests {
     use super::*;
 
     const FULL: FullSticks = FullSticks([1.0, 0.5, 0.5]);
-
-    #[test]
-    fn sticks_mean_the_command_that_they_stand_for() {
-        let command = Command::velocity(0.5, -0.25, 0.125);
-        let back = FULL.command(&Remote::from_bytes(&FULL.remote(&command).to_bytes()));
-        assert_eq!(back, command);
-        // Forward is up, right is right, turning right is right.
-        let remote = FULL.remote(&Command::velocity(1.0, -0.5, -0.5));
-        assert_eq!((remote.left, remote.right), ([1.0, 1.0], [1.0, 0.0]));
-    }
 
     #[test]
     fn scenario_begins_when_the_robot_has_stood_for_a_second() {

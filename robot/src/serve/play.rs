@@ -26,10 +26,10 @@ use supple_record::{RecordError, Recorder, RobotView, Sink};
 use super::body::{Body, FRAME_S, STATE_HZ, configuration};
 use super::judge::{Complaint, Judge, Kind};
 use super::link::{Faults, Link};
-use super::operator::{FullSticks, Operator};
+use super::operator::Operator;
 use crate::dds::{Arrival, Delivery, Node, NodeError, Place, switcher};
 use crate::message::{LowCmd, LowState};
-use crate::remote::Remote;
+use crate::remote::{FullSticks, Remote};
 
 /// Topics of the low-level interface.
 pub const COMMANDS: &str = "rt/lowcmd";

@@ -8,8 +8,8 @@ use supple::estimate::SensorNoise;
 use supple::robot::JointLosses;
 use supple::scenario::catalog::Scenario;
 use supple::util::terminal;
+use supple_robot::remote::FullSticks;
 use supple_robot::serve::link::Faults;
-use supple_robot::serve::operator::FullSticks;
 use supple_robot::serve::{Settings, play};
 
 use crate::{Network, stop_flag};
