@@ -130,6 +130,11 @@ impl<'a> Bridge<'a> {
         self.reading.as_ref()
     }
 
+    /// Returns what to send.
+    pub fn output(&self) -> &Output {
+        &self.output
+    }
+
     /// Takes the lines for people since the last call.
     pub fn notes(&mut self) -> Vec<String> {
         std::mem::take(&mut self.notes)

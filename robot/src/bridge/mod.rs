@@ -7,6 +7,8 @@ want), [`log`] (what happened), [`outlet`] (the last way out, watched), and [`Br
 */
 
 mod core;
+mod drive;
+pub mod log;
 pub mod orders;
 pub mod outlet;
 pub mod perceive;
@@ -15,3 +17,4 @@ pub mod reading;
 pub mod safety;
 
 pub use self::core::{Bridge, BridgeError, Output};
+pub use drive::{DriveError, Report, Settings, drive};

@@ -10,4 +10,4 @@ pub mod link;
 pub mod operator;
 mod play;
 
-pub use play::{ServeError, Served, Settings, Summary, play};
+pub use play::{COMMANDS, STATES, ServeError, Served, Settings, Summary, play};

@@ -1,5 +1,6 @@
 //! The program `robot`: the Go2's own interface, on both sides of it.
 
+mod run;
 mod serve;
 
 use std::process::ExitCode;
@@ -23,6 +24,8 @@ struct Program {
 enum What {
     /// Be the robot: a simulated Go2 as strict as a real one
     Serve(serve::Serve),
+    /// Bring a policy onto the robot
+    Run(run::Run),
 }
 
 /// The place in the network.
@@ -59,5 +62,6 @@ fn main() -> ExitCode {
     let Program { what } = Program::parse();
     terminal::conclude(match what {
         What::Serve(args) => serve::run(&args),
+        What::Run(args) => run::run(&args),
     })
 }
