@@ -9,6 +9,7 @@ pub mod switcher;
 mod transport;
 
 use std::net::Ipv4Addr;
+use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
 use dust_dds::dds_async::configuration::DustDdsConfigurationBuilder;
@@ -16,7 +17,7 @@ use dust_dds::dds_async::data_reader::DataReaderAsync;
 use dust_dds::dds_async::domain_participant_factory::DomainParticipantFactoryAsync;
 use dust_dds::domain::domain_participant::DomainParticipant;
 use dust_dds::domain::domain_participant_factory::DomainParticipantFactory;
-use dust_dds::infrastructure::error::DdsError;
+use dust_dds::infrastructure::error::{DdsError, DdsResult};
 use dust_dds::infrastructure::listener::NO_LISTENER;
 use dust_dds::infrastructure::qos::{DataReaderQos, DataWriterQos, QosKind};
 use dust_dds::infrastructure::qos_policy::{
@@ -29,6 +30,7 @@ use dust_dds::publication::data_writer::DataWriter;
 use dust_dds::std_runtime::StdRuntime;
 use dust_dds::subscription::data_reader::DataReader;
 use dust_dds::subscription::data_reader_listener::DataReaderListener;
+use dust_dds::topic_definition::topic::Topic;
 use dust_dds::xtypes::type_support::TypeSupport;
 use network_interface::{Addr, NetworkInterface, NetworkInterfaceConfig};
 
@@ -160,6 +162,8 @@ const DEPTH: u32 = 16;
 /// A participant of a DDS domain on one interface.
 pub struct Node {
     participant: DomainParticipant,
+    /// The topics by name: DDS creates each of them once.
+    topics: Mutex<Vec<(String, Topic)>>,
 }
 
 /// Publishes messages on a topic.
@@ -207,7 +211,17 @@ impl Node {
         let participant = DomainParticipantFactory::new(Box::leak(Box::new(factory)))
             .create_participant(domain.into(), QosKind::Default, NO_LISTENER, NO_STATUS)
             .map_err(dds("joining"))?;
-        Ok(Node { participant })
+        Ok(Node { participant, topics: Mutex::default() })
+    }
+
+    fn topic<T: TypeSupport + 'static>(&self, name: &str, type_name: &str) -> DdsResult<Topic> {
+        let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, topic)) = topics.iter().find(|(known, _)| known == name) {
+            return Ok(topic.clone());
+        }
+        let topic = self.participant.create_topic::<T>(name, type_name, QosKind::Default, NO_LISTENER, NO_STATUS)?;
+        topics.push((name.to_owned(), topic.clone()));
+        Ok(topic)
     }
 
     /// Publishes on a topic.
@@ -222,8 +236,7 @@ impl Node {
     ) -> Result<Publisher<T>, NodeError> {
         let qos = DataWriterQos { reliability: delivery.qos(), ..Default::default() };
         let publish = || {
-            let topic =
-                self.participant.create_topic::<T>(topic, type_name, QosKind::Default, NO_LISTENER, NO_STATUS)?;
+            let topic = self.topic::<T>(topic, type_name)?;
             let publisher = self.participant.create_publisher(QosKind::Default, NO_LISTENER, NO_STATUS)?;
             publisher.create_datawriter(&topic, QosKind::Specific(qos), NO_LISTENER, NO_STATUS)
         };
@@ -247,8 +260,7 @@ impl Node {
             ..Default::default()
         };
         let listen = || {
-            let topic =
-                self.participant.create_topic::<T>(topic, type_name, QosKind::Default, NO_LISTENER, NO_STATUS)?;
+            let topic = self.topic::<T>(topic, type_name)?;
             let subscriber = self.participant.create_subscriber(QosKind::Default, NO_LISTENER, NO_STATUS)?;
             let listener = Listener { take };
             subscriber.create_datareader(&topic, QosKind::Specific(qos), Some(listener), &[StatusKind::DataAvailable])
