@@ -9,6 +9,7 @@ use supple::sim::control::Latency;
 use supple::task::Command;
 use supple::util::files::FileError;
 
+use super::log::Row;
 use super::orders::{Order, RemoteOrders};
 use super::perceive::{Perception, PerceptionError};
 use super::phase::{Phase, STAND_GAINS, Wish};
@@ -133,6 +134,31 @@ impl<'a> Bridge<'a> {
     /// Returns what to send.
     pub fn output(&self) -> &Output {
         &self.output
+    }
+
+    /// Returns the row of the log for the last reading and what was sent then.
+    pub fn row(&self, now_s: f64) -> Option<Row> {
+        let reading = self.reading.as_ref()?;
+        let orientation = reading.world_from_base;
+        let motors = &self.output.motors;
+        Some(Row {
+            time_s: now_s,
+            tick_s: 1e-3 * f64::from(reading.tick_ms),
+            q: reading.encoders.angles,
+            dq: reading.encoders.rates,
+            tau: reading.torques,
+            quaternion: [orientation.w, orientation.i, orientation.j, orientation.k],
+            gyro: reading.imu.gyro.into(),
+            accelerometer: reading.imu.specific_force.into(),
+            command: [self.command.forward, self.command.left, self.command.yaw],
+            target: motors.each_ref().map(|motor| f64::from(motor.q)),
+            gains: [f64::from(motors[0].kp), f64::from(motors[0].kd)],
+        })
+    }
+
+    /// Puts the bridge into the phase of a log that is replayed.
+    pub(crate) fn resume(&mut self, phase: Phase) {
+        self.enter(phase);
     }
 
     /// Takes the lines for people since the last call.

@@ -13,7 +13,7 @@ use supple::task::Command;
 use supple::util::terminal;
 
 use super::core::{Bridge, BridgeError, Output};
-use super::log::{Log, Row};
+use super::log::Log;
 use super::orders::Order;
 use super::outlet::Outlet;
 use super::phase::{Phase, Wish};
@@ -362,24 +362,10 @@ impl Drive<'_> {
     }
 
     fn log(&mut self) {
-        let Some(log) = &mut self.log else { return };
-        let (Some(reading), output) = (self.bridge.reading(), self.bridge.output()) else { return };
-        let command = self.bridge.command();
-        let orientation = reading.world_from_base;
-        let row = Row {
-            time_s: self.begin.elapsed().as_secs_f64(),
-            tick_s: 1e-3 * f64::from(reading.tick_ms),
-            q: reading.encoders.angles,
-            dq: reading.encoders.rates,
-            tau: reading.torques,
-            quaternion: [orientation.w, orientation.i, orientation.j, orientation.k],
-            gyro: reading.imu.gyro.into(),
-            accelerometer: reading.imu.specific_force.into(),
-            command: [command.forward, command.left, command.yaw],
-            target: output.motors.each_ref().map(|motor| f64::from(motor.q)),
-            gains: [f64::from(output.motors[0].kp), f64::from(output.motors[0].kd)],
-        };
-        log.add(self.bridge.phase().name(), &row);
+        let now_s = self.now_s();
+        if let (Some(log), Some(row)) = (&mut self.log, self.bridge.row(now_s)) {
+            log.add(self.bridge.phase().name(), &row);
+        }
     }
 
     /// Prints what would be sent.

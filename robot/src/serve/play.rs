@@ -98,6 +98,17 @@ pub enum ServeError {
     },
 }
 
+impl ServeError {
+    /// Checks a physics rate \[Hz\].
+    ///
+    /// # Errors
+    /// It is not a multiple of 500 Hz from 500 to 4000 Hz.
+    pub fn check_physics_rate(found: u32) -> Result<(), Self> {
+        let fits = found.is_multiple_of(STATE_HZ) && (500..=4000).contains(&found);
+        if fits { Ok(()) } else { Err(ServeError::PhysicsRate { found }) }
+    }
+}
+
 /// Keeping of time.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Pace {
@@ -174,10 +185,7 @@ impl Summary {
 /// # Errors
 /// The network, the scene or the recording fails.
 pub fn play(settings: &Settings, stop: &AtomicBool) -> Result<Summary, ServeError> {
-    let physics_hz = settings.physics_hz;
-    if !physics_hz.is_multiple_of(STATE_HZ) || !(500..=4000).contains(&physics_hz) {
-        return Err(ServeError::PhysicsRate { found: physics_hz });
-    }
+    ServeError::check_physics_rate(settings.physics_hz)?;
     Served::new(settings)?.play(stop)
 }
 

@@ -1,5 +1,6 @@
 //! The program `robot`: the Go2's own interface, on both sides of it.
 
+mod check;
 mod run;
 mod serve;
 
@@ -26,6 +27,10 @@ enum What {
     Serve(serve::Serve),
     /// Bring a policy onto the robot
     Run(run::Run),
+    /// Play both without a network
+    Rehearse(check::Rehearse),
+    /// Find out from a log what does not fit between a policy and a robot
+    Check(check::Check),
 }
 
 /// The place in the network.
@@ -60,8 +65,12 @@ fn stop_flag() -> anyhow::Result<Arc<AtomicBool>> {
 fn main() -> ExitCode {
     supple::announce_revision!();
     let Program { what } = Program::parse();
-    terminal::conclude(match what {
+    let mut fits = true;
+    let code = terminal::conclude(match what {
         What::Serve(args) => serve::run(&args),
         What::Run(args) => run::run(&args),
-    })
+        What::Rehearse(args) => check::run_rehearsal(&args),
+        What::Check(args) => check::run(&args).map(|verdict| fits = verdict),
+    });
+    if fits { code } else { ExitCode::from(1) }
 }

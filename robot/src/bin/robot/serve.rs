@@ -101,7 +101,7 @@ pub fn run(args: &Serve) -> anyhow::Result<()> {
 }
 
 /// Builds the scenario from its name and `key=value` pairs.
-fn scenario(name: &str, parameters: &[String]) -> anyhow::Result<Scenario> {
+pub fn scenario(name: &str, parameters: &[String]) -> anyhow::Result<Scenario> {
     let mut yaml = String::from("{}");
     if !parameters.is_empty() {
         let pair = |text: &String| {
