@@ -37,8 +37,12 @@ const DELAY_S: f64 = 0.002;
 /// A delay that differs by more than this from the policy's is a mismatch \[s\].
 const DELAY_TOLERANCE_S: f64 = 0.006;
 
-/// Rows that a replay takes, 8 s at 500 Hz.
+/// Rows that a replay takes, 8 s at 500 Hz, and those that each of the usual mistakes is tried on.
 const MOST_ROWS: usize = 4000;
+const SEARCH_ROWS: usize = 700;
+
+/// Rows of the stance before the policy, in which the estimators settle.
+const HELD_ROWS: usize = 200;
 
 /// Fewest rows of the policy that say anything, half a second.
 const FEWEST_ROWS: usize = 250;
@@ -144,7 +148,7 @@ impl LogRows {
     fn of_policy(&self) -> &[(String, Row)] {
         let Some(first) = self.0.iter().position(|(phase, _)| phase == "policy") else { return &[] };
         let end = self.0[first..].iter().position(|(phase, _)| phase != "policy").map_or(self.0.len(), |at| first + at);
-        let held = self.0[..first].iter().rev().take_while(|(phase, _)| phase == "hold").count();
+        let held = self.0[..first].iter().rev().take(HELD_ROWS).take_while(|(phase, _)| phase == "hold").count();
         &self.0[first - held..end.min(first + MOST_ROWS)]
     }
 }
@@ -367,19 +371,21 @@ pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Ver
     let (mut delay, mut at_last_rad) = best_delay(&first);
     let at_first_rad = at_last_rad;
     while at_last_rad > FITS_RAD && undo.len() < MOST {
-        let mut best: Option<(&Mistake, usize, f64)> = None;
+        let few = &rows[..rows.len().min(SEARCH_ROWS)];
+        let mut best: Option<(&Mistake, f64)> = None;
         for candidate in &all {
             let tried: Vec<&Mistake> = undo.iter().copied().chain([candidate]).collect();
-            let (delay, left_rad) = best_delay(&replay(agent, rows, &tried)?);
-            if best.is_none_or(|(.., least_rad)| left_rad < least_rad) {
-                best = Some((candidate, delay, left_rad));
+            let (_, left_rad) = best_delay(&replay(agent, few, &tried)?);
+            if best.is_none_or(|(_, least_rad)| left_rad < least_rad) {
+                best = Some((candidate, left_rad));
             }
         }
-        let Some((found, found_delay, left_rad)) = best.filter(|(.., left_rad)| *left_rad < BETTER * at_last_rad)
-        else {
-            break;
-        };
+        let Some((found, _)) = best else { break };
         undo.push(found);
+        let (found_delay, left_rad) = best_delay(&replay(agent, rows, &undo)?);
+        if left_rad > BETTER * at_last_rad {
+            break;
+        }
         (delay, at_last_rad) = (found_delay, left_rad);
         findings.push(Finding { text: found.text.clone(), difference_rad: Some(left_rad) });
     }

@@ -69,7 +69,7 @@ pub fn rehearse(
     let script = scenario.script(seed, &config).map_err(ServeError::from)?;
     let robot = Arc::clone(&script.scene.robot);
     let mut body = Body::new(script.clone(), config, Some(SensorNoise::default()), seed).map_err(ServeError::from)?;
-    let mut judge = Judge::new(robot.joint_limits);
+    let mut judge = Judge::new(robot.joint_limits, false);
     let mut bridge = Bridge::new(agent, Limits::default(), None)?;
     if compliance.is_some() {
         let command = supple::task::Command { compliance, ..Default::default() };

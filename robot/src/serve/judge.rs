@@ -68,6 +68,7 @@ pub struct Complaint {
 #[derive(Debug)]
 pub struct Judge {
     joint_limits: [[f64; 2]; JOINTS],
+    any_head: bool,
     motors: [MotorCmd; JOINTS],
     /// Writers and the time of their last command \[s\].
     writers: Vec<(WriterId, f64)>,
@@ -79,10 +80,11 @@ pub struct Judge {
 }
 
 impl Judge {
-    /// Creates the judge of a robot with these joint ranges \[rad\].
-    pub fn new(joint_limits: [[f64; 2]; JOINTS]) -> Self {
+    /// Creates the judge of a robot with these joint ranges \[rad\]. With `any_head`, head and level flag are not looked at.
+    pub fn new(joint_limits: [[f64; 2]; JOINTS], any_head: bool) -> Self {
         Judge {
             joint_limits,
+            any_head,
             motors: motor::damping(),
             writers: Vec::new(),
             last_s: None,
@@ -102,7 +104,7 @@ impl Judge {
             complaints.push(Complaint { kind: Kind::TwoWriters, text });
         }
         self.writers.push((writer, now_s));
-        match refusal(command, released) {
+        match refusal(command, released, self.any_head) {
             Some(complaint) => complaints.push(complaint),
             None => self.obey(command, now_s, &mut complaints),
         }
@@ -177,17 +179,17 @@ impl Judge {
 }
 
 /// Returns the reason not to obey a command.
-fn refusal(command: &LowCmd, released: bool) -> Option<Complaint> {
+fn refusal(command: &LowCmd, released: bool, any_head: bool) -> Option<Complaint> {
     let complain = |kind, text| Some(Complaint { kind, text });
     let expected = crc(command);
     if command.crc != expected {
         return complain(Kind::Checksum, format!("checksum is {:08x}, expected {expected:08x}", command.crc));
     }
-    if command.head != HEAD {
+    if command.head != HEAD && !any_head {
         let [first, second] = command.head;
         return complain(Kind::Head, format!("head is {first:02X} {second:02X}, expected FE EF"));
     }
-    if command.level_flag != LOW_LEVEL {
+    if command.level_flag != LOW_LEVEL && !any_head {
         let found = command.level_flag;
         return complain(Kind::LevelFlag, format!("level flag is {found:02X}, expected FF (low level)"));
     }
@@ -228,7 +230,7 @@ mod tests {
     }
 
     fn judge() -> Judge {
-        Judge::new(supple::robot::Robot::load("go2").unwrap().joint_limits)
+        Judge::new(supple::robot::Robot::load("go2").unwrap().joint_limits, false)
     }
 
     fn kinds(complaints: &[Complaint]) -> Vec<Kind> {
@@ -267,6 +269,9 @@ mod tests {
             assert!(kind.is_refused() && judge.accepted() == 0);
         }
         assert_eq!(kinds(&judge().take(&command(), writer(1), 0.0, false)), [Kind::NotReleased]);
+        let headless = LowCmd { head: [0; 2], level_flag: 0, ..command() }.sealed();
+        let mut lenient = Judge::new(judge().joint_limits, true);
+        assert_eq!(lenient.take(&headless, writer(1), 0.0, true), []);
     }
 
     #[test]

@@ -64,6 +64,8 @@ pub struct Settings {
     pub faults: Faults,
     /// True if commands are obeyed without a release of the robot's own controller.
     pub released: bool,
+    /// True if head and level flag of commands are not looked at.
+    pub any_head: bool,
     /// The velocities that full sticks of the simulated remote mean.
     pub full_sticks: FullSticks,
     /// File of the recording.
@@ -228,7 +230,7 @@ impl<'a> Served<'a> {
         let trace = Trace { period_s: FRAME_S, weight_n: robot.mass_kg * GRAVITY_M_S2, ..Trace::default() };
         Ok(Served {
             settings,
-            judge: Judge::new(robot.joint_limits),
+            judge: Judge::new(robot.joint_limits, settings.any_head),
             script,
             body,
             operator,

@@ -42,6 +42,9 @@ pub struct Serve {
     /// Obey without a release of the robot's own controller, as simulators do
     #[arg(long)]
     released: bool,
+    /// Do not look at head and level flag, which some clients leave at zero
+    #[arg(long)]
+    any_head: bool,
     /// Velocities that full sticks of the remote mean: forward (m/s), left (m/s), turning (rad/s)
     #[arg(long, value_name = "V,V,W", value_delimiter = ',', num_args = 3, default_values_t = [1.0, 0.5, 0.5])]
     full_sticks: Vec<f64>,
@@ -86,6 +89,7 @@ pub fn run(args: &Serve) -> anyhow::Result<()> {
         physics_hz: args.physics_hz,
         faults: Faults { latency_s: args.latency_s, jitter_s: args.jitter_s, loss: args.loss },
         released: args.released,
+        any_head: args.any_head,
         full_sticks: FullSticks([forward, left, yaw]),
         record: args.record.clone(),
         seconds: args.seconds,
