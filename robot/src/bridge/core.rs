@@ -22,8 +22,8 @@ use crate::remote::FullSticks;
 /// Time between two commands to the motors \[s\].
 pub const COMMAND_S: f64 = 0.002;
 
-/// Largest time between two readings that the estimators bridge \[s\].
-const MAX_GAP_S: f64 = 0.1;
+/// Largest step of the robot's clock between two readings, also backwards, that is no fault \[ms\].
+const MAX_GAP_MS: u32 = 100;
 
 /// The reason why a policy cannot be bridged.
 #[derive(Debug, thiserror::Error)]
@@ -256,9 +256,9 @@ impl<'a> Bridge<'a> {
         let orders = self.remote.take(&reading.remote, &self.full_sticks());
         let dt_s = match self.last_tick_ms.map(|last| (last, reading.tick_ms.wrapping_sub(last))) {
             None => Ok(COMMAND_S),
-            // Twice the same state: nothing new.
-            Some((_, 0)) => return &self.output,
-            Some((_, gap)) if f64::from(gap) <= 1e3 * MAX_GAP_S => Ok(1e-3 * f64::from(gap)),
+            // Twice the same state, or one that was overtaken on its way: nothing new.
+            Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => return &self.output,
+            Some((_, gap)) if gap <= MAX_GAP_MS => Ok(1e-3 * f64::from(gap)),
             Some((last, _)) => Err(Fault::Clock { from_ms: last, to_ms: reading.tick_ms }),
         };
         self.last_tick_ms = Some(reading.tick_ms);
@@ -455,6 +455,17 @@ mod tests {
         assert_ne!(rig.bridge.wait(0.09).motors, motor::damping());
         assert_eq!(rig.bridge.wait(0.101).motors, motor::damping());
         assert!(matches!(rig.bridge.phase(), Phase::Damped(Fault::Silence { .. })));
+    }
+
+    #[test]
+    fn overtaken_state_is_ignored() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        let before = rig.step(|_| ());
+        rig.tick_ms -= 20;
+        // It would be a fault if it counted.
+        let output = rig.step(|it| it.motor_state[3].dq = 40.0);
+        assert_eq!((rig.bridge.phase(), output), (&Phase::Policy, before));
     }
 
     #[test]

@@ -191,6 +191,8 @@ pub fn drive(
         intervals: [0, 0],
         last_tick_ms: None,
     };
+    // Those that came meanwhile are old.
+    while states.try_recv().is_ok() {}
     drive.run(&states, orders, stop);
     drive.finish(settings)
 }
@@ -324,11 +326,7 @@ impl Drive<'_> {
     fn take(&mut self, arrival: &Arrival<LowState>) -> Option<Instant> {
         match Reading::new(&arrival.message) {
             Ok(reading) => {
-                if let Some(last) = self.last_tick_ms {
-                    let gap_ms = u64::from(reading.tick_ms.wrapping_sub(last));
-                    self.report.lost += if gap_ms <= 1000 { (gap_ms / 2).saturating_sub(1) } else { 0 };
-                }
-                self.last_tick_ms = Some(reading.tick_ms);
+                self.count_lost(reading.tick_ms);
                 self.report.states += 1;
                 self.last_state = arrival.at;
                 let now_s = self.now_s();
@@ -342,6 +340,18 @@ impl Drive<'_> {
                 }
                 None
             }
+        }
+    }
+
+    /// Counts the states that are missing before this one; one that was overtaken on its way counts as missing.
+    fn count_lost(&mut self, tick_ms: u32) {
+        let gap_ms = self.last_tick_ms.map_or(0, |last| tick_ms.wrapping_sub(last));
+        let is_overtaken = gap_ms.wrapping_neg() <= 1000;
+        if (1..=1000).contains(&gap_ms) {
+            self.report.lost += u64::from(gap_ms / 2).saturating_sub(1);
+        }
+        if !is_overtaken || self.last_tick_ms.is_none() {
+            self.last_tick_ms = Some(tick_ms);
         }
     }
 
