@@ -603,7 +603,8 @@ mod tests {
         assert!(error.contains("gyro_x") && error.contains("omega_x"), "{error}");
         let mut names = Columns::default();
         names.names.insert("gyro_x".to_owned(), "omega_x".to_owned());
-        (names.constants.insert("kp".to_owned(), 40.0), names.constants.insert("kd".to_owned(), 1.0));
+        names.constants.insert("kp".to_owned(), 40.0);
+        names.constants.insert("kd".to_owned(), 1.0);
         let read = LogRows::read(&path, &names).unwrap();
         assert_eq!(read.0, [("policy".to_owned(), Row { gains: [40.0, 1.0], ..row })]);
     }

@@ -1,7 +1,7 @@
 /*! DDS on one network interface: a [`Node`] that publishes and listens.
 
-What the robot's own software (Cyclone DDS 0.10) needs, and dust_dds does not do by itself, is in two places: [`transport`], and
-the settings below. Whatever is sent at a fixed rate is sent best-effort: a reliable writer blocks while a reader that was
+What the robot's own software (Cyclone DDS 0.10) needs, and dust_dds does not do by itself, is in two places: `transport`, and the
+settings below. Whatever is sent at a fixed rate is sent best-effort: a reliable writer blocks while a reader that was
 killed counts as alive, so that one dead `ros2 topic echo` would stop the robot.
 */
 
