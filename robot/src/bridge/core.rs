@@ -74,6 +74,8 @@ pub struct Bridge<'a> {
     policy_wait_s: f64,
     policy_has_begun: bool,
     last_tick_ms: Option<u32>,
+    /// Time of the last reading \[s\].
+    last_s: f64,
     reading: Option<Reading>,
     output: Output,
     notes: Vec<String>,
@@ -109,6 +111,7 @@ impl<'a> Bridge<'a> {
             policy_wait_s: 0.0,
             policy_has_begun: false,
             last_tick_ms: None,
+            last_s: 0.0,
             reading: None,
             output: Output { motors: motor::damping(), targets: stance },
             notes: Vec::new(),
@@ -256,12 +259,14 @@ impl<'a> Bridge<'a> {
         let orders = self.remote.take(&reading.remote, &self.full_sticks());
         let dt_s = match self.last_tick_ms.map(|last| (last, reading.tick_ms.wrapping_sub(last))) {
             None => Ok(COMMAND_S),
+            // A robot whose clock stands at zero has none, such as unitree_mujoco: the time of arrival has to do.
+            Some((0, 0)) => Ok((now_s - self.last_s).clamp(1e-4, 1e-3 * f64::from(MAX_GAP_MS))),
             // Twice the same state, or one that was overtaken on its way: nothing new.
             Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => return &self.output,
             Some((_, gap)) if gap <= MAX_GAP_MS => Ok(1e-3 * f64::from(gap)),
             Some((last, _)) => Err(Fault::Clock { from_ms: last, to_ms: reading.tick_ms }),
         };
-        self.last_tick_ms = Some(reading.tick_ms);
+        (self.last_tick_ms, self.last_s) = (Some(reading.tick_ms), now_s);
         let sound = dt_s.and_then(|dt_s| {
             self.guard.check(&reading, dt_s)?;
             self.perception.take(&reading, &self.targets, dt_s)?;
@@ -466,6 +471,16 @@ mod tests {
         // It would be a fault if it counted.
         let output = rig.step(|it| it.motor_state[3].dq = 40.0);
         assert_eq!((rig.bridge.phase(), output), (&Phase::Policy, before));
+    }
+
+    #[test]
+    fn robot_without_a_clock_is_stood_up_by_arrival_times() {
+        let agent = agent();
+        let mut rig = Rig::new(&agent);
+        (0..50).for_each(|_| drop(rig.step(|it| it.tick = 0)));
+        rig.order(Wish::Stand);
+        (0..1250).for_each(|_| drop(rig.step(|it| it.tick = 0)));
+        assert_eq!(rig.bridge.phase(), &Phase::Hold);
     }
 
     #[test]
