@@ -6,6 +6,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant};
 
+use supple_robot::dds::{Delivery, Node, Place};
+use supple_robot::message::LowCmd;
+use supple_robot::motor::holding;
+use supple_robot::serve::COMMANDS;
+
 const ROBOT: &str = env!("CARGO_BIN_EXE_robot");
 
 /// Time after which a test gives up; the machine may be busy.
@@ -143,6 +148,56 @@ fn dry_run_sends_nothing_and_shows_what_it_would_send() {
     let served: serde_json::Value = serde_json::from_slice(&serve.wait_with_output().unwrap().stdout).unwrap();
     assert_eq!(served["client"]["accepted"], 0);
     assert_eq!(served["client"]["complaints"], serde_json::json!({}));
+}
+
+/// Sends a standing command at 500 Hz for this time; `change` may break each, by its number.
+fn intrude(domain: &str, time: Duration, mut change: impl FnMut(u32, LowCmd) -> LowCmd) {
+    let node = Node::open(&Place::new("lo", domain.parse().unwrap(), Vec::new()).unwrap()).unwrap();
+    let commands = node.publish::<LowCmd>(COMMANDS, LowCmd::TYPE, Delivery::BestEffort).unwrap();
+    let stance = supple::robot::Robot::load("go2").unwrap().nominal_pose;
+    let begin = Instant::now();
+    let mut number = 0;
+    while begin.elapsed() < time {
+        commands.send(change(number, LowCmd::of_motors(&holding(&stance, 60.0, 5.0)))).unwrap();
+        number += 1;
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn second_writer_damps_the_bridge_and_is_told_by_the_robot() {
+    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
+    let mut serve = Program::serve(&domain);
+    let mut bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
+    serve.says("commands come");
+    bridge.order(r#"{"do": "stand"}"#);
+    bridge.says("stand up");
+    intrude(&domain, Duration::from_secs(2), |_, command| command);
+    serve.says("2 writers send rt/lowcmd");
+    bridge.says("DAMPED: another program writes rt/lowcmd");
+}
+
+#[test]
+fn commands_with_a_flipped_bit_are_refused_and_the_others_obeyed() {
+    let domain = domain();
+    let serve = Command::new(ROBOT)
+        .args(["serve", "--domain", &domain, "--released", "--seconds", "8", "--json"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    intrude(&domain, Duration::from_secs(3), |number, mut command| {
+        if number % 10 == 9 {
+            let q = &mut command.motor_cmd[number as usize % 12].q;
+            *q = f32::from_bits(q.to_bits() ^ (1 << (number % 23)));
+        }
+        command
+    });
+    let served: serde_json::Value = serde_json::from_slice(&serve.wait_with_output().unwrap().stdout).unwrap();
+    let client = &served["client"];
+    let (good, bad) = (client["accepted"].as_u64().unwrap(), client["complaints"]["checksum"].as_u64().unwrap());
+    // One of ten was broken.
+    assert!(good > 100 && (8.0..10.0).contains(&(good as f64 / bad as f64)), "{client}");
 }
 
 #[test]

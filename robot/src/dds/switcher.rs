@@ -2,6 +2,7 @@
 //! first. [`serve`] is the robot's side, [`Client`] the controller's.
 
 use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use dust_dds::infrastructure::type_support::DdsType;
@@ -91,8 +92,17 @@ pub struct Response {
     pub binary: Vec<u8>,
 }
 
-const REQUESTS: (&str, &str) = ("rt/api/motion_switcher/request", "unitree_api::msg::dds_::Request_");
-const RESPONSES: (&str, &str) = ("rt/api/motion_switcher/response", "unitree_api::msg::dds_::Response_");
+/// Names of the services that the robot answers: the switcher, and its own controller, which clients ask to lie down first.
+const SWITCHER: &str = "motion_switcher";
+const SPORT: &str = "sport";
+
+const REQUEST: &str = "unitree_api::msg::dds_::Request_";
+const RESPONSE: &str = "unitree_api::msg::dds_::Response_";
+
+/// Returns the topics of requests and responses of a service.
+fn topics(service: &str) -> [String; 2] {
+    ["request", "response"].map(|kind| format!("rt/api/{service}/{kind}"))
+}
 
 const CHECK_MODE: i64 = 1001;
 const SELECT_MODE: i64 = 1002;
@@ -145,19 +155,40 @@ impl Mode {
     }
 }
 
-/// Answers requests in a thread of DDS until it is dropped; calls `changed` with the mode after each request.
+/// Answers requests until it is dropped; calls `changed` with the mode after each request to the switcher. The robot's own
+/// controller says yes to everything until it is released, and is silent then.
 ///
 /// # Errors
 /// The topics cannot be opened.
 pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> Result<impl Sized, NodeError> {
-    let responses: Publisher<Response> = node.publish(RESPONSES.0, RESPONSES.1, Delivery::Reliable)?;
-    let (sender, requests) = channel::<Request>();
+    let mode = Arc::new(Mutex::new(Mode::default()));
+    let asked = Arc::clone(&mode);
+    let switcher = answer(node, SWITCHER, move |function, parameter| {
+        let mut mode = asked.lock().unwrap_or_else(PoisonError::into_inner);
+        let answer = mode.answer(function, parameter);
+        changed(&mode);
+        Some(answer)
+    })?;
+    let sport = answer(node, SPORT, move |_, _| {
+        let mode = mode.lock().unwrap_or_else(PoisonError::into_inner);
+        (!mode.is_released()).then_some((0, String::new()))
+    })?;
+    Ok([switcher, sport])
+}
+
+/// Answers the requests to a service with code and data; `None` is no answer.
+fn answer(
+    node: &Node,
+    service: &str,
+    mut answer: impl FnMut(i64, &str) -> Option<(i32, String)> + Send + 'static,
+) -> Result<Subscription<Request>, NodeError> {
+    let [requests, responses] = topics(service);
+    let responses: Publisher<Response> = node.publish(&responses, RESPONSE, Delivery::Reliable)?;
+    let (sender, arrived) = channel::<Request>();
     // Answered in a thread of its own: a listener must not wait for a writer of the same participant.
     std::thread::spawn(move || {
-        let mut mode = Mode::default();
-        for Request { header, parameter, .. } in requests {
-            let (code, data) = mode.answer(header.identity.api_id, &parameter);
-            changed(&mode);
+        for Request { header, parameter, .. } in arrived {
+            let Some((code, data)) = answer(header.identity.api_id, &parameter) else { continue };
             if !header.policy.noreply {
                 let header = ResponseHeader { identity: header.identity, status: Status { code } };
                 // A client that is gone gets no answer.
@@ -165,7 +196,7 @@ pub fn serve(node: &Node, mut changed: impl FnMut(&Mode) + Send + 'static) -> Re
             }
         }
     });
-    node.listen::<Request>(REQUESTS.0, REQUESTS.1, Delivery::Reliable, move |arrival| {
+    node.listen::<Request>(&requests, REQUEST, Delivery::Reliable, move |arrival| {
         let _ = sender.send(arrival.message);
     })
 }
@@ -225,10 +256,11 @@ impl Client {
     /// The topics cannot be opened.
     pub fn new(node: &Node) -> Result<Self, NodeError> {
         let (sender, responses) = channel();
-        let listening = node.listen::<Response>(RESPONSES.0, RESPONSES.1, Delivery::Reliable, move |arrival| {
+        let [requests, replies] = topics(SWITCHER);
+        let listening = node.listen::<Response>(&replies, RESPONSE, Delivery::Reliable, move |arrival| {
             let _ = sender.send(arrival.message);
         })?;
-        let requests = node.publish(REQUESTS.0, REQUESTS.1, Delivery::Reliable)?;
+        let requests = node.publish(&requests, REQUEST, Delivery::Reliable)?;
         Ok(Client { requests, responses, _listening: listening, id: 0 })
     }
 

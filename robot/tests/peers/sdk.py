@@ -11,6 +11,7 @@ from unitree_sdk2py.comm.motion_switcher.motion_switcher_client import MotionSwi
 from unitree_sdk2py.core.channel import ChannelFactoryInitialize, ChannelPublisher, ChannelSubscriber
 from unitree_sdk2py.idl.default import unitree_go_msg_dds__LowCmd_, unitree_go_msg_dds__LowState_
 from unitree_sdk2py.idl.unitree_go.msg.dds_ import LowCmd_, LowState_
+from unitree_sdk2py.go2.sport.sport_client import SportClient
 from unitree_sdk2py.utils.crc import CRC
 
 POS_STOP, VEL_STOP = 2.146e9, 16000.0
@@ -82,12 +83,16 @@ def stand(seconds):
     switcher = MotionSwitcherClient()
     switcher.SetTimeout(5.0)
     switcher.Init()
+    sport = SportClient()
+    sport.SetTimeout(5.0)
+    sport.Init()
     modes = []
     for _ in range(5):
         _, result = switcher.CheckMode()
         modes.append(result["name"] if result else None)
         if result and not result["name"]:
             break
+        lies = sport.StandDown()
         switcher.ReleaseMode()
     while states["latest"] is None:
         time.sleep(0.002)
@@ -115,6 +120,7 @@ def stand(seconds):
         **states,
         "commands": commands,
         "modes": modes,
+        "stand_down": lies,
         "joint_error_rad": max(abs(latest.motor_state[i].q - STANDING[i]) for i in range(12)),
         "upright": 1 - 2 * (x * x + y * y),
         "foot_force_n": sum(latest.foot_force),
