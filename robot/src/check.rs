@@ -39,10 +39,10 @@ const DELAY_TOLERANCE_S: f64 = 0.006;
 
 /// Rows that a replay takes, 8 s at 500 Hz, and those that each of the usual mistakes is tried on.
 const MOST_ROWS: usize = 4000;
-const SEARCH_ROWS: usize = 700;
+const SEARCH_ROWS: usize = 500;
 
 /// Rows of the stance before the policy, in which the estimators settle.
-const HELD_ROWS: usize = 200;
+const HELD_ROWS: usize = 100;
 
 /// Fewest rows of the policy that say anything, half a second.
 const FEWEST_ROWS: usize = 250;
