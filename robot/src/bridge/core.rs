@@ -63,6 +63,8 @@ pub struct Bridge<'a> {
     controller: Box<dyn Controller + 'a>,
     stance: Joints,
     perception: Perception,
+    /// True if the estimators have to start again.
+    perception_is_stale: bool,
     guard: Guard,
     phase: Phase,
     command: Command,
@@ -102,6 +104,7 @@ impl<'a> Bridge<'a> {
             controller,
             guard: Guard::new(limits, robot.joint_limits, robot.torque_limits),
             perception: Perception::new(robot)?,
+            perception_is_stale: false,
             phase: Phase::Passive,
             command: Command::default(),
             remote: RemoteOrders::default(),
@@ -269,6 +272,9 @@ impl<'a> Bridge<'a> {
         (self.last_tick_ms, self.last_s) = (Some(reading.tick_ms), now_s);
         let sound = dt_s.and_then(|dt_s| {
             self.guard.check(&reading, dt_s)?;
+            if std::mem::take(&mut self.perception_is_stale) {
+                self.perception.restart().map_err(|error| Fault::Estimate { reason: error.to_string() })?;
+            }
             self.perception.take(&reading, &self.targets, dt_s)?;
             Ok(dt_s)
         });
@@ -282,10 +288,8 @@ impl<'a> Bridge<'a> {
             }
             Err(fault) => {
                 self.fail(fault);
-                // Whatever the estimators made of it: they start again.
-                if let Err(error) = self.perception.restart() {
-                    self.notes.push(error.to_string());
-                }
+                // Whatever the estimators made of it: they start again with the next sound reading.
+                self.perception_is_stale = true;
                 // A person can always stop the robot.
                 if orders.contains(&Order::Wish(Wish::Damp)) {
                     self.wish(Wish::Damp, now_s);

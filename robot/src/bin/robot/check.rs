@@ -11,8 +11,7 @@ use supple::util::yaml;
 use supple_robot::check::{Columns, LogRows, Verdict, check};
 use supple_robot::lockstep::rehearse;
 
-/// Replays the policy on the log's readings, compares its joint targets with those that were sent, and names what does not fit: order
-/// or sign of joints, degrees, frames, gains, a delay. The exit code is 1 if something does not.
+/// The command line of `robot check`.
 #[derive(Args, Debug)]
 pub struct Check {
     /// Log of `robot run`, or a CSV file of another program
@@ -56,7 +55,7 @@ pub fn run(args: &Check) -> anyhow::Result<bool> {
     Ok(verdict.fits())
 }
 
-/// Plays the bridge and the simulated robot without a network, as fast as the machine: what `run` and `serve` would do together.
+/// The command line of `robot rehearse`.
 #[derive(Args, Debug)]
 pub struct Rehearse {
     /// Policy of the Go2

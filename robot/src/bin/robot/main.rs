@@ -24,12 +24,24 @@ struct Program {
 #[derive(Subcommand, Debug)]
 enum What {
     /// Be the robot: a simulated Go2 as strict as a real one
+    ///
+    /// Publishes rt/lowstate at 500 Hz and obeys rt/lowcmd, in real time. Without a scenario, the robot is on the plane until Ctrl-C.
+    /// With one, a simulated person with the remote presses START for the client to stand up and A for its policy to begin, when
+    /// the scenario begins too, and keeps the sticks at the scenario's command.
     Serve(serve::Serve),
     /// Bring a policy onto the robot
+    ///
+    /// The robot lies at first. Orders come from keys, from lines of JSON on standard input or from UDP, and from the robot's own
+    /// remote: START stands up, A starts the policy, X lies down, SELECT or L2 with B damps at once.
     Run(run::Run),
     /// Play both without a network
+    ///
+    /// Plays what `run` and `serve` would do together, as fast as the machine, with the same numbers each time.
     Rehearse(check::Rehearse),
     /// Find out from a log what does not fit between a policy and a robot
+    ///
+    /// Replays the policy on the log's readings, compares its joint targets with those that were sent, and names what does not
+    /// fit: order or sign of joints, degrees, frames, gains, a delay. The exit code is 1 if something does not.
     Check(check::Check),
 }
 

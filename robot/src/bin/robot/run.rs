@@ -18,23 +18,19 @@ use supple_robot::bridge::{Settings, drive};
 
 use crate::{Network, stop_flag};
 
-/// Brings a policy onto a Go2, or onto whatever speaks its interface. The robot lies at first; orders come from keys, from lines of
-/// JSON on standard input or from UDP, and from the robot's own remote: START stands up, A starts the policy, X lies down, SELECT or
-/// L2 with B damps at once.
+/// The command line.
 #[derive(Args, Debug)]
 pub struct Run {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy of the Go2; with @C behind it, it has the
     /// commanded compliance C (m/s/N)
     #[arg(value_name = "FILE|NAME[@C]")]
     policy: String,
-    #[command(flatten)]
-    network: Network,
     /// Commanded compliance (m/s/N) [default: the policy's own]
     #[arg(long, value_name = "C")]
     compliance: Option<f64>,
     /// Commanded velocity at first: forward (m/s), left (m/s), turning (rad/s)
-    #[arg(long, value_name = "V,V,W", value_delimiter = ',', num_args = 3, default_values_t = [0.0, 0.0, 0.0],
-          allow_negative_numbers = true)]
+    #[arg(long, value_name = "V,V,W", value_delimiter = ',', default_values_t = [0.0, 0.0, 0.0],
+          allow_hyphen_values = true)]
     velocity: Vec<f64>,
     /// Delay of the joint targets (s) [default: that of the policy's training]
     #[arg(long, value_name = "S")]
@@ -54,6 +50,8 @@ pub struct Run {
     /// Print one JSON object on stdout at the end
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    network: Network,
 }
 
 /// Runs until a key, Ctrl-C, or the end of the orders.

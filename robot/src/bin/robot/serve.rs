@@ -14,13 +14,9 @@ use supple_robot::serve::{Settings, play};
 
 use crate::{Network, stop_flag};
 
-/// Publishes rt/lowstate at 500 Hz and obeys rt/lowcmd, in real time. Without a scenario, the robot is on the plane until Ctrl-C.
-/// With one, a simulated person with the remote presses START for the client to stand up and A for its policy to begin, when the
-/// scenario begins too, and keeps the sticks at the scenario's command.
+/// The command line.
 #[derive(Args, Debug)]
 pub struct Serve {
-    #[command(flatten)]
-    network: Network,
     /// Scenario to play, as `scenario list` names them
     #[arg(long, value_name = "NAME")]
     scenario: Option<String>,
@@ -46,7 +42,7 @@ pub struct Serve {
     #[arg(long)]
     any_head: bool,
     /// Velocities that full sticks of the remote mean: forward (m/s), left (m/s), turning (rad/s)
-    #[arg(long, value_name = "V,V,W", value_delimiter = ',', num_args = 3, default_values_t = [1.0, 0.5, 0.5])]
+    #[arg(long, value_name = "V,V,W", value_delimiter = ',', default_values_t = [1.0, 0.5, 0.5])]
     full_sticks: Vec<f64>,
     /// Delay of every message, each way (s)
     #[arg(long, value_name = "S", default_value_t = 0.0, help_heading = "Faults of the connection")]
@@ -66,6 +62,8 @@ pub struct Serve {
     /// End after this time (s)
     #[arg(long, value_name = "S", help_heading = "Output")]
     seconds: Option<f64>,
+    #[command(flatten)]
+    network: Network,
 }
 
 /// Serves until the scenario ends or Ctrl-C.
