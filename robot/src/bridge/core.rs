@@ -481,9 +481,13 @@ mod tests {
     fn robot_without_a_clock_is_stood_up_by_arrival_times() {
         let agent = agent();
         let mut rig = Rig::new(&agent);
-        (0..50).for_each(|_| drop(rig.step(|it| it.tick = 0)));
+        for _ in 0..50 {
+            rig.step(|it| it.tick = 0);
+        }
         rig.order(Wish::Stand);
-        (0..1250).for_each(|_| drop(rig.step(|it| it.tick = 0)));
+        for _ in 0..1250 {
+            rig.step(|it| it.tick = 0);
+        }
         assert_eq!(rig.bridge.phase(), &Phase::Hold);
     }
 
