@@ -562,13 +562,17 @@ mod tests {
             ("the quaternion is in the order x, y, z, w", |row| row.quaternion.rotate_left(1)),
             ("the command's yaw rate has the wrong sign", |row| row.command[2] = -row.command[2]),
         ];
-        let mut unnamed = Vec::new();
-        for (words, change) in cases {
-            let verdict = broken(change);
-            if !verdict.findings.iter().any(|finding| finding.text.contains(words)) {
-                unnamed.push(format!("{words}: {verdict:?}"));
-            }
-        }
+        let unnamed: Vec<String> = std::thread::scope(|scope| {
+            let check = |(words, change): Case| {
+                scope.spawn(move || {
+                    let verdict = broken(change);
+                    let is_named = verdict.findings.iter().any(|finding| finding.text.contains(words));
+                    (!is_named).then(|| format!("{words}: {verdict:?}"))
+                })
+            };
+            let threads = cases.map(check);
+            threads.into_iter().filter_map(|thread| thread.join().unwrap()).collect()
+        });
         assert!(unnamed.is_empty(), "{}", unnamed.join("\n"));
     }
 

@@ -108,3 +108,40 @@ pub fn rehearse(
     let metrics = if has_begun { scenario.metrics(&script, &trace) } else { Vec::new() };
     Ok(Rehearsal { metrics, events: trace.events, complaints: judge.counts().values().sum(), notes, log })
 }
+
+#[cfg(test)]
+mod tests {
+    use supple::policy::shipped;
+    use supple::scenario::trace::EventKind;
+
+    use super::*;
+
+    fn rehearsed(seed: u64) -> Rehearsal {
+        let agent = shipped::find("go2/compliant").unwrap();
+        let scenario = Scenario::named("push", "{push_m_s: 0.5, at_s: 1.0, duration_s: 3.0}").unwrap();
+        rehearse(&agent, &scenario, seed, None, 1000).unwrap()
+    }
+
+    fn metric(rehearsal: &Rehearsal, name: &str) -> Option<f64> {
+        rehearsal.metrics.iter().find(|metric| metric.name == name).and_then(|metric| metric.value)
+    }
+
+    #[test]
+    fn robot_stands_up_walks_and_withstands_a_push() {
+        let rehearsal = rehearsed(0);
+        assert_eq!((rehearsal.complaints, rehearsal.notes.len()), (0, 3), "{:?}", rehearsal.notes);
+        assert_eq!(metric(&rehearsal, "fell"), Some(0.0));
+        // The script's clock begins with the policy: 3 s at 0.5 m/s, from a standstill.
+        assert_eq!(metric(&rehearsal, "duration_s"), Some(3.0));
+        assert!((0.8..1.6).contains(&metric(&rehearsal, "distance_m").unwrap()));
+        let pushed = rehearsal.events.iter().find(|event| event.kind == EventKind::Disturbance).unwrap();
+        assert!((1.0..1.7).contains(&pushed.time_s), "{pushed:?}");
+    }
+
+    #[test]
+    fn rehearsals_of_a_seed_have_the_same_bits() {
+        let (one, same, other) = (rehearsed(3), rehearsed(3), rehearsed(4));
+        assert_eq!((&one.log, &one.metrics), (&same.log, &same.metrics));
+        assert_ne!(one.metrics, other.metrics);
+    }
+}

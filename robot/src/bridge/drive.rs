@@ -27,8 +27,8 @@ use crate::serve::{COMMANDS, STATES};
 /// Time in which the first state has to come.
 const FIRST_STATE: Duration = Duration::from_secs(5);
 
-/// Time for which other writers are looked for before the first command.
-const LOOK: Duration = Duration::from_millis(700);
+/// Time for which other writers are looked for before the first command; they announce themselves every second.
+const LOOK: Duration = Duration::from_millis(1200);
 
 /// A command is sent again if no state has come for this long.
 const RESEND: Duration = Duration::from_micros(2500);

@@ -86,6 +86,9 @@ impl Order {
 pub const KEYS: &str = "keys: 1 stand, 2 policy, 3 lie down, space damp at once, c clear; w s forward, a d sideways, q e turn, 0 stop; \
                         x lie down and quit";
 
+/// Deflection below which a stick counts as released; none is exactly at zero.
+const DEAD_BAND: f32 = 0.05;
+
 /// Turns the remote's sticks and buttons into orders: START stands, A starts the policy, X lies down, SELECT or L2 with B damps.
 #[derive(Debug, Clone, Default)]
 pub struct RemoteOrders {
@@ -95,6 +98,8 @@ pub struct RemoteOrders {
 impl RemoteOrders {
     /// Returns the orders that the remote gives now: of buttons that have just been pressed, and of sticks that have moved.
     pub fn take(&mut self, remote: &Remote, full: &FullSticks) -> Vec<Order> {
+        let calm = |stick: [f32; 2]| stick.map(|value| if value.abs() < DEAD_BAND { 0.0 } else { value });
+        let remote = &Remote { left: calm(remote.left), right: calm(remote.right), ..*remote };
         let last = std::mem::replace(&mut self.last, *remote);
         let pressed = |button: Button| remote.is_pressed(button) && !last.is_pressed(button);
         let both = |it: &Remote| it.is_pressed(Button::L2) && it.is_pressed(Button::B);
@@ -144,7 +149,7 @@ mod tests {
     #[test]
     fn sticks_at_rest_leave_the_command() {
         let (mut orders, full) = (RemoteOrders::default(), FullSticks([1.0, 0.5, 0.5]));
-        assert_eq!(orders.take(&Remote::default(), &full), []);
+        assert_eq!(orders.take(&Remote { left: [0.04, -0.03], ..Remote::default() }, &full), []);
         let ahead = Remote { left: [0.0, 0.5], ..Remote::default() };
         assert_eq!(orders.take(&ahead, &full), [Order::Command(Command::velocity(0.5, 0.0, 0.0))]);
         assert_eq!(orders.take(&ahead, &full), []);
