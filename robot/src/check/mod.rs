@@ -5,21 +5,23 @@ usual mistakes are tried one after the other: with the right one undone, the rep
 what torques, angles and rates say; units and quaternion with what is physically possible.
 */
 
-use std::path::Path;
+mod mistakes;
+mod rows;
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use serde::Deserialize;
 use supple::estimate::{EncoderReading, ImuReading};
 use supple::policy::Agent;
-use supple::robot::{GRAVITY_M_S2, JOINTS, Joints, joint_names};
+use supple::robot::{JOINTS, Joints};
 
-use crate::bridge::log::{Row, columns};
+use crate::bridge::log::Row;
 use crate::bridge::orders::Order;
 use crate::bridge::phase::Phase;
 use crate::bridge::reading::Reading;
 use crate::bridge::safety::Limits;
 use crate::bridge::{Bridge, BridgeError};
 use crate::remote::Remote;
+use mistakes::{Mistake, mistakes};
+pub use rows::{Columns, LogRows};
 
 /// Replayed and sent joint targets that differ by no more than this fit \[rad\], root mean square.
 const FITS_RAD: f64 = 0.02;
@@ -40,9 +42,6 @@ const DELAY_TOLERANCE_S: f64 = 0.006;
 /// Rows that a replay takes, 8 s at 500 Hz, and those that each of the usual mistakes is tried on.
 const MOST_ROWS: usize = 4000;
 const SEARCH_ROWS: usize = 500;
-
-/// Rows of the stance before the policy, in which the estimators settle.
-const HELD_ROWS: usize = 100;
 
 /// Fewest rows of the policy that say anything, half a second.
 const FEWEST_ROWS: usize = 250;
@@ -80,79 +79,6 @@ pub enum CheckError {
     Bridge(#[from] BridgeError),
 }
 
-/// The columns of a log of another program.
-#[derive(Debug, Clone, Default, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Columns {
-    /// The log's name of each of our columns that has another one.
-    #[serde(default)]
-    pub names: std::collections::BTreeMap<String, String>,
-    /// Values of columns that the log lacks.
-    #[serde(default)]
-    pub constants: std::collections::BTreeMap<String, f64>,
-}
-
-/// A log: the phase of each row, and its numbers.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct LogRows(pub Vec<(String, Row)>);
-
-impl LogRows {
-    /// Reads a log, and its older half if there is one. Rows without a phase count as those of the policy.
-    ///
-    /// # Errors
-    /// A file cannot be read, or lacks a column.
-    pub fn read(path: &Path, columns: &Columns) -> Result<Self, CheckError> {
-        let older = crate::bridge::log::older(path);
-        let mut rows = if older.exists() { Self::read_one(&older, columns)?.0 } else { Vec::new() };
-        rows.extend(Self::read_one(path, columns)?.0);
-        Ok(LogRows(rows))
-    }
-
-    fn read_one(path: &Path, names: &Columns) -> Result<Self, CheckError> {
-        let fail = |reason: String| CheckError::Read { path: path.display().to_string(), reason };
-        let mut table = csv::Reader::from_path(path).map_err(|error| fail(error.to_string()))?;
-        let found: Vec<String> = table
-            .headers()
-            .map_err(|error| fail(error.to_string()))?
-            .iter()
-            .map(|name| name.trim().to_owned())
-            .collect();
-        let place = |ours: &str| {
-            let name = names.names.get(ours).map_or(ours, String::as_str);
-            found.iter().position(|known| known == name)
-        };
-        let phase = place("phase");
-        let mut sources = Vec::new();
-        for ours in columns().iter().skip(1) {
-            sources.push(match (place(ours), names.constants.get(ours)) {
-                (Some(place), _) => Ok(place),
-                (None, Some(constant)) => Err(*constant),
-                (None, None) => return Err(CheckError::Column { name: ours.clone(), found: found.join(", ") }),
-            });
-        }
-        let mut rows = Vec::new();
-        for record in table.records() {
-            let record = record.map_err(|error| fail(error.to_string()))?;
-            let number = |source: &Result<usize, f64>| match source {
-                Ok(place) => record.get(*place).and_then(|text| text.trim().parse().ok()).unwrap_or(f64::NAN),
-                Err(constant) => *constant,
-            };
-            let numbers: Vec<f64> = sources.iter().map(number).collect();
-            let phase = phase.and_then(|place| record.get(place)).unwrap_or("policy").to_owned();
-            rows.extend(Row::from_numbers(&numbers).map(|row| (phase, row)));
-        }
-        Ok(LogRows(rows))
-    }
-
-    /// Returns the rows of the first run of the policy, with those of the stance before it.
-    fn of_policy(&self) -> &[(String, Row)] {
-        let Some(first) = self.0.iter().position(|(phase, _)| phase == "policy") else { return &[] };
-        let end = self.0[first..].iter().position(|(phase, _)| phase != "policy").map_or(self.0.len(), |at| first + at);
-        let held = self.0[..first].iter().rev().take(HELD_ROWS).take_while(|(phase, _)| phase == "hold").count();
-        &self.0[first - held..end.min(first + MOST_ROWS)]
-    }
-}
-
 /// A mismatch, or the statement that there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
@@ -178,112 +104,6 @@ impl Verdict {
     pub fn fits(&self) -> bool {
         self.findings.is_empty() && self.at_first_rad <= FITS_RAD
     }
-}
-
-/// A usual mistake: its name, and how to undo it.
-struct Mistake {
-    text: String,
-    undo: Box<dyn Fn(&mut Row)>,
-}
-
-fn mistake(text: impl Into<String>, undo: impl Fn(&mut Row) + 'static) -> Mistake {
-    Mistake { text: text.into(), undo: Box::new(undo) }
-}
-
-/// Orders of joints that other programs use: where each of our joints is in theirs.
-fn orders() -> Vec<(&'static str, [usize; JOINTS])> {
-    let legs = |order: [usize; 4]| -> [usize; JOINTS] { std::array::from_fn(|joint| 3 * order[joint / 3] + joint % 3) };
-    let by_type =
-        |order: [usize; 4]| -> [usize; JOINTS] { std::array::from_fn(|joint| 4 * (joint % 3) + order[joint / 3]) };
-    vec![
-        ("FL, FR, RL, RR (left legs first, as Isaac has them)", legs([1, 0, 3, 2])),
-        ("RR, RL, FR, FL (rear legs first)", legs([2, 3, 0, 1])),
-        ("FL, RL, FR, RR", legs([2, 0, 3, 1])),
-        ("all hips, all thighs, all calves, of FL, FR, RL, RR (as Isaac Lab has them)", by_type([1, 0, 3, 2])),
-        ("all hips, all thighs, all calves, of FR, FL, RR, RL", by_type([0, 1, 2, 3])),
-    ]
-}
-
-fn permuted(values: &Joints, order: &[usize; JOINTS]) -> Joints {
-    std::array::from_fn(|joint| values[order[joint]])
-}
-
-/// Returns all mistakes that are tried.
-fn mistakes() -> Vec<Mistake> {
-    let mut all = Vec::new();
-    for (name, order) in orders() {
-        all.push(mistake(format!("the readings of the joints are in the order {name}"), move |row| {
-            (row.q, row.dq, row.tau) =
-                (permuted(&row.q, &order), permuted(&row.dq, &order), permuted(&row.tau, &order));
-        }));
-        all.push(mistake(format!("the joint targets are in the order {name}"), move |row| {
-            row.target = permuted(&row.target, &order);
-        }));
-        all.push(mistake(format!("readings and targets of the joints are in the order {name}"), move |row| {
-            (row.q, row.dq, row.tau) =
-                (permuted(&row.q, &order), permuted(&row.dq, &order), permuted(&row.tau, &order));
-            row.target = permuted(&row.target, &order);
-        }));
-    }
-    let names = joint_names();
-    let mut signs: Vec<(String, Vec<usize>)> = (0..JOINTS).map(|joint| (names[joint].clone(), vec![joint])).collect();
-    for (part, name) in ["all hips", "all thighs", "all calves"].into_iter().enumerate() {
-        signs.push((name.to_owned(), (part..JOINTS).step_by(3).collect()));
-    }
-    signs.push(("the right hips".to_owned(), vec![0, 6]));
-    signs.push(("the left hips".to_owned(), vec![3, 9]));
-    for (name, joints) in signs {
-        let of_readings = joints.clone();
-        all.push(mistake(format!("angle and rate of {name} have the wrong sign"), move |row| {
-            for joint in &of_readings {
-                (row.q[*joint], row.dq[*joint], row.tau[*joint]) = (-row.q[*joint], -row.dq[*joint], -row.tau[*joint]);
-            }
-        }));
-        let of_rates = joints.clone();
-        all.push(mistake(format!("the rate of {name} has the wrong sign"), move |row| {
-            of_rates.iter().for_each(|joint| row.dq[*joint] = -row.dq[*joint]);
-        }));
-        all.push(mistake(format!("the target of {name} has the wrong sign"), move |row| {
-            joints.iter().for_each(|joint| row.target[*joint] = -row.target[*joint]);
-        }));
-    }
-    let scaled = |values: &mut [f64], by: f64| values.iter_mut().for_each(|value| *value *= by);
-    let degree = 1.0_f64.to_radians();
-    all.push(mistake("joint angles are in degrees", move |row| scaled(&mut row.q, degree)));
-    all.push(mistake("joint rates are in degrees per second", move |row| scaled(&mut row.dq, degree)));
-    all.push(mistake("joint angles and rates are in degrees", move |row| {
-        scaled(&mut row.q, degree);
-        scaled(&mut row.dq, degree);
-    }));
-    all.push(mistake("joint targets are in degrees", move |row| scaled(&mut row.target, degree)));
-    all.push(mistake("the gyro is in degrees per second", move |row| scaled(&mut row.gyro, degree)));
-    all.push(mistake("the accelerometer is in g", move |row| scaled(&mut row.accelerometer, GRAVITY_M_S2)));
-    let turns: [(&str, [f64; 3]); 4] = [
-        ("forward, right, down instead of forward, left, up", [1.0, -1.0, -1.0]),
-        ("backward, right, up: turned by half a turn", [-1.0, -1.0, 1.0]),
-        ("a frame whose y axis is to the right", [1.0, -1.0, 1.0]),
-        ("a frame whose x axis is to the rear", [-1.0, 1.0, 1.0]),
-    ];
-    for (name, signs) in turns {
-        let turn = move |vector: &mut [f64; 3]| vector.iter_mut().zip(signs).for_each(|(value, sign)| *value *= sign);
-        all.push(mistake(format!("gyro and accelerometer are in {name}"), move |row| {
-            turn(&mut row.gyro);
-            turn(&mut row.accelerometer);
-        }));
-        all.push(mistake(format!("the gyro is in {name}"), move |row| turn(&mut row.gyro)));
-        all.push(mistake(format!("the accelerometer is in {name}"), move |row| turn(&mut row.accelerometer)));
-    }
-    let swap = |vector: &mut [f64; 3]| *vector = [vector[1], -vector[0], vector[2]];
-    all.push(mistake("gyro and accelerometer have x to the left and y to the rear", move |row| {
-        swap(&mut row.gyro);
-        swap(&mut row.accelerometer);
-    }));
-    all.push(mistake("the accelerometer reads −g at rest: its sign is wrong", move |row| {
-        scaled(&mut row.accelerometer, -1.0);
-    }));
-    all.push(mistake("the command's velocity to the left has the wrong sign", |row| row.command[1] = -row.command[1]));
-    all.push(mistake("the command's yaw rate has the wrong sign", |row| row.command[2] = -row.command[2]));
-    all
 }
 
 /// Returns limits that nothing exceeds: a replay may see anything.
@@ -359,7 +179,7 @@ fn best_delay(replayed: &[(f64, Joints, Joints)]) -> (usize, f64) {
 /// # Errors
 /// The log is too short, or the policy is not one of a Go2.
 pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Verdict, CheckError> {
-    let rows = log.of_policy();
+    let rows = log.of_policy(MOST_ROWS);
     let count = rows.iter().filter(|(phase, _)| phase == "policy").count();
     if count < FEWEST_ROWS {
         return Err(CheckError::Short { found: count });
@@ -484,6 +304,7 @@ mod tests {
     use supple::policy::shipped;
     use supple::scenario::catalog::Scenario;
 
+    use super::mistakes::{orders, permuted};
     use super::*;
     use crate::lockstep::rehearse;
 
@@ -593,23 +414,5 @@ mod tests {
         let other = shipped::find("go2/baseline").unwrap();
         let verdict = check(&LOG, &other, None).unwrap();
         assert!(!verdict.fits() && verdict.at_last_rad > FITS_RAD, "{verdict:?}");
-    }
-
-    #[test]
-    fn log_of_another_program_is_read_by_the_names_of_its_columns() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("log.csv");
-        let header = columns().join(",").replace("gyro_x", "omega_x").replace(",kp,kd", "");
-        let row = crate::bridge::log::tests::row(1.0);
-        let numbers: Vec<String> = row.numbers().iter().map(f64::to_string).collect();
-        std::fs::write(&path, format!("{header}\npolicy,{}\n", numbers[..numbers.len() - 2].join(","))).unwrap();
-        let error = LogRows::read(&path, &Columns::default()).unwrap_err().to_string();
-        assert!(error.contains("gyro_x") && error.contains("omega_x"), "{error}");
-        let mut names = Columns::default();
-        names.names.insert("gyro_x".to_owned(), "omega_x".to_owned());
-        names.constants.insert("kp".to_owned(), 40.0);
-        names.constants.insert("kd".to_owned(), 1.0);
-        let read = LogRows::read(&path, &names).unwrap();
-        assert_eq!(read.0, [("policy".to_owned(), Row { gains: [40.0, 1.0], ..row })]);
     }
 }
