@@ -59,6 +59,7 @@ pub struct Output {
 
 /// A policy on one robot.
 pub struct Bridge<'a> {
+    agent: &'a Agent,
     config: &'a Config,
     controller: Box<dyn Controller + 'a>,
     stance: Joints,
@@ -118,6 +119,7 @@ impl<'a> Bridge<'a> {
             reading: None,
             output: Output { motors: motor::damping(), targets: stance },
             notes: Vec::new(),
+            agent,
             config,
         })
     }
@@ -197,8 +199,14 @@ impl<'a> Bridge<'a> {
     fn ask(&mut self, command: Command) {
         let FullSticks([forward, left, yaw]) = self.full_sticks();
         let numbers = [command.forward, command.left, command.yaw];
-        if !numbers.into_iter().chain(command.compliance).all(f64::is_finite) {
+        if !numbers.into_iter().all(f64::is_finite) {
             self.notes.push(format!("a command with numbers that are not finite is ignored: {numbers:?}"));
+            return;
+        }
+        if let Some(compliance) = command.compliance
+            && let Err(error) = self.agent.resolve_compliance(Some(compliance), None)
+        {
+            self.notes.push(format!("the command is ignored: {error}"));
             return;
         }
         self.command = Command {
@@ -527,6 +535,43 @@ mod tests {
         assert_eq!(*rig.bridge.command(), Command::velocity(1.0, -0.5, 0.1));
         rig.bridge.order(&Order::Command(Command::velocity(f64::NAN, 0.0, 0.0)), 0.0);
         assert_eq!(*rig.bridge.command(), Command::velocity(1.0, -0.5, 0.1));
+    }
+
+    #[test]
+    fn compliance_out_of_the_policys_range_is_refused() {
+        let agent = shipped::find("go2/baseline").unwrap();
+        let mut rig = Rig::new(&agent);
+        let commanded = |compliance| Command { compliance: Some(compliance), ..Command::velocity(0.5, 0.0, 0.0) };
+        rig.bridge.order(&Order::Command(commanded(0.02)), 0.0);
+        for compliance in [0.0, -0.02, 9.0, f64::NAN] {
+            rig.bridge.order(&Order::Command(commanded(compliance)), 0.0);
+            assert_eq!(*rig.bridge.command(), commanded(0.02));
+        }
+        assert_eq!(rig.bridge.notes().len(), 4);
+    }
+
+    #[test]
+    fn external_policy_of_the_go2_acts_at_its_own_rate() {
+        let folder = tempfile::tempdir().unwrap();
+        let repository = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        std::fs::copy(repository.join("tests/fixtures/onnx/rsl_rl.onnx"), folder.path().join("rsl_rl.onnx")).unwrap();
+        let text = std::fs::read_to_string(repository.join("examples/policies/rsl_rl.yaml")).unwrap();
+        let path = folder.path().join("p.yaml");
+        let text = text.replace("onnx: policy.onnx", "onnx: rsl_rl.onnx").replace("model: go1", "model: go2");
+        std::fs::write(&path, text).unwrap();
+        let agent = Agent::load(&path).unwrap();
+        let mut rig = Rig::to_policy(&agent);
+        let output = rig.run(0.1);
+        let simulation = &agent.config.simulation;
+        assert_eq!(f64::from(output.motors[0].kp), simulation.kp_n_m_per_rad);
+        let mut steps = 0;
+        let mut last = output.targets;
+        for _ in 0..500 {
+            let targets = rig.step(|_| ()).targets;
+            steps += u32::from(targets != last);
+            last = targets;
+        }
+        assert!(steps.abs_diff(simulation.policy_rate_hz) <= 1, "{steps}");
     }
 
     #[test]

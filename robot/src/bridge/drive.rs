@@ -357,8 +357,13 @@ impl Drive<'_> {
 
     fn send(&mut self) {
         if !self.outlet.send(&self.output().motors) {
-            let limit_ms = 1e3 * Limits::default().silence_s;
-            self.bridge.fail(Fault::PolicySilence { limit_ms });
+            if self.bridge.phase().is_active() {
+                let limit_ms = 1e3 * Limits::default().silence_s;
+                self.bridge.fail(Fault::PolicySilence { limit_ms });
+            } else if *self.bridge.phase() == Phase::Passive {
+                // It damps anyway: nothing to clear.
+                self.outlet.reset();
+            }
         }
         let now = Instant::now();
         if let Some(last) = self.last_sent.replace(now) {
