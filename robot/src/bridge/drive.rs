@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use supple::policy::Agent;
-use supple::robot::{Joints, joint_name};
+use supple::robot::{JOINTS, Joints, LEGS, of_leg};
 use supple::task::Command;
 use supple::util::terminal;
 
@@ -383,22 +383,27 @@ impl Drive<'_> {
         }
     }
 
-    /// Prints what would be sent.
+    /// Prints what would be sent, and where the joints are.
     fn show(&self) {
         let output = self.output();
-        let angles: Joints = self.bridge.reading().map_or([0.0; 12], |reading| reading.encoders.angles);
-        let worst = (0..12)
-            .max_by(|a, b| (output.targets[*a] - angles[*a]).abs().total_cmp(&(output.targets[*b] - angles[*b]).abs()));
-        let worst = worst.unwrap_or(0);
+        let angles: Joints = self.bridge.reading().map_or([0.0; JOINTS], |reading| reading.encoders.angles);
+        let legs = |joints: &Joints| -> String {
+            let leg = |leg: usize| {
+                let [hip, thigh, calf] = of_leg(joints, leg);
+                format!(" {} {hip:+.2} {thigh:+.2} {calf:+.2}", LEGS[leg])
+            };
+            (0..LEGS.len()).map(leg).collect()
+        };
+        let motor = &output.motors[0];
+        let wanted =
+            if self.bridge.phase().is_active() { format!("; wanted:{}", legs(&output.targets)) } else { String::new() };
         terminal::note(format_args!(
-            "{:8.3} s: dry run, {}: kp {}, kd {}; farthest from its target: {} at {:.2} rad, wanted at {:.2} rad",
+            "{:8.3} s: dry run, {}: kp {}, kd {}; joints (rad):{}{wanted}",
             self.now_s(),
             self.bridge.phase().name(),
-            output.motors[0].kp,
-            output.motors[0].kd,
-            joint_name(worst),
-            angles[worst],
-            output.targets[worst],
+            motor.kp,
+            motor.kd,
+            legs(&angles),
         ));
     }
 
