@@ -27,7 +27,7 @@ use kalman::{FilterNoise, Fit, FootMeasurement, KalmanFilter};
 use orientation::OrientationFilter;
 pub use sensors::{EncoderReading, ImuReading, SensorNoise, Sensors};
 
-use crate::robot::{GRAVITY_M_S2, Robot, kinematics};
+use crate::robot::{FootState, GRAVITY_M_S2, Robot, RobotState, kinematics};
 
 /// The reason why a reading was refused. The estimator keeps its last good state.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -111,6 +111,35 @@ pub struct Estimate {
     pub feet: [Vector3<f64>; 4],
     /// Agreement of the readings with the prediction, and the trust in each contact.
     pub fit: Fit,
+}
+
+impl Estimate {
+    /// Returns the state of the robot, with these readings of its encoders and contacts of its feet.
+    pub fn state(&self, robot: &Robot, encoders: &EncoderReading, contacts: [bool; 4]) -> RobotState {
+        let feet = kinematics::feet(&robot.legs, &encoders.angles, &encoders.rates);
+        let spin = self.angular_velocity_in_base;
+        let feet = std::array::from_fn(|leg| {
+            let foot = &feet[leg];
+            let in_base = self.velocity_in_base + spin.cross(&foot.position) + foot.velocity;
+            FootState {
+                height: self.feet[leg].z - robot.legs[leg].foot_radius_m,
+                velocity: (self.world_from_base * in_base).into(),
+                contact: contacts[leg],
+            }
+        });
+        RobotState {
+            position: self.position,
+            world_from_base: self.world_from_base,
+            height: self.height_m,
+            velocity_in_base: self.velocity_in_base,
+            angular_velocity_in_base: self.angular_velocity_in_base,
+            gravity_in_base: self.gravity_in_base,
+            joint_angles: encoders.angles,
+            joint_rates: encoders.rates,
+            feet,
+            felt_force: None,
+        }
+    }
 }
 
 /// The state estimator of one robot.

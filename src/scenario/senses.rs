@@ -23,7 +23,7 @@ use crate::estimate::{
     EncoderReading, Estimate, Estimator, EstimatorConfig, ImuReading, SensorFault, SensorNoise, Sensors,
 };
 use crate::mujoco::Data;
-use crate::robot::{FootState, Joints, Robot, RobotState, kinematics};
+use crate::robot::{Joints, Robot, RobotState};
 use crate::scenario::trace::Sensed;
 use crate::sim::{Conditions, Parts, Sim};
 use crate::util::files::FileError;
@@ -220,30 +220,8 @@ impl Senses {
     /// # Panics
     /// Never: there is an estimate from the start.
     pub fn state(&self) -> RobotState {
-        let estimate = self.estimate();
-        let feet = kinematics::feet(&self.robot.legs, &self.reading.angles, &self.reading.rates);
-        let spin = estimate.angular_velocity_in_base;
-        let feet = std::array::from_fn(|leg| {
-            let foot = &feet[leg];
-            let in_base = estimate.velocity_in_base + spin.cross(&foot.position) + foot.velocity;
-            FootState {
-                height: estimate.feet[leg].z - self.robot.legs[leg].foot_radius_m,
-                velocity: (estimate.world_from_base * in_base).into(),
-                contact: self.touching[leg],
-            }
-        });
-        RobotState {
-            position: estimate.position + self.origin,
-            world_from_base: estimate.world_from_base,
-            height: estimate.height_m,
-            velocity_in_base: estimate.velocity_in_base,
-            angular_velocity_in_base: estimate.angular_velocity_in_base,
-            gravity_in_base: estimate.gravity_in_base,
-            joint_angles: self.reading.angles,
-            joint_rates: self.reading.rates,
-            feet,
-            felt_force: None,
-        }
+        let state = self.estimate().state(&self.robot, &self.reading, self.touching);
+        RobotState { position: state.position + self.origin, ..state }
     }
 
     /// Returns the estimate as stored in a frame, with the true contacts.

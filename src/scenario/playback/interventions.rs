@@ -27,6 +27,12 @@ impl<'a> Playback<'a> {
         self.pull = force;
     }
 
+    /// Holds the script's clock at zero, for a robot that first has to get up: until it is released, there are no disturbances
+    /// of the script, no falls and no goal.
+    pub fn hold_clock(&mut self, hold: bool) {
+        self.clock_is_held = hold;
+    }
+
     /// Replaces the controller without changing the robot's state.
     pub fn hand_over(&mut self, controller: Box<dyn Controller + 'a>) {
         self.controller = controller;

@@ -89,6 +89,8 @@ pub struct Playback<'a> {
     /// Force of the interactive pull in the last step, world frame \[N\].
     pull_force: Option<Vector3<f64>>,
     fallen_since: Option<usize>,
+    /// True while the script's clock is held at zero.
+    clock_is_held: bool,
     failed: bool,
     spring: Option<SpringState>,
     rig: Option<RigState>,
@@ -143,6 +145,7 @@ impl<'a> Playback<'a> {
             script_pull_is_on: false,
             pull_force: None,
             fallen_since: None,
+            clock_is_held: false,
             failed: false,
             spring: script.spring.as_ref().map(|_| SpringState::new(&sim)).transpose()?,
             rig: script.rig.as_ref().map(|rig| RigState::new(rig, &sim)).transpose()?,
@@ -218,7 +221,12 @@ impl<'a> Playback<'a> {
         let (summary, meter) = self.simulate(&target)?;
         self.step += 1;
         let outcome = self.observe(&summary, &meter, events)?;
-        Ok(self.record(target, &summary, &meter, outcome))
+        let frame = self.record(target, &summary, &meter, outcome);
+        if self.clock_is_held {
+            self.step = 0;
+            self.sim.data_mut().set_time_s(0.0);
+        }
+        Ok(frame)
     }
 
     /// Returns the time at which the next step begins \[s\].
@@ -441,7 +449,7 @@ impl<'a> Playback<'a> {
 
     /// Adds an event at the first fall.
     fn look_for_fall(&mut self, summary: &StepSummary, time_s: f64, events: &mut Vec<Event>) {
-        let (Some(fall), None) = (summary.fall, self.fallen_since) else { return };
+        let (Some(fall), None, false) = (summary.fall, self.fallen_since, self.clock_is_held) else { return };
         self.fallen_since = Some(self.step);
         let after = self
             .last_disturbance
@@ -454,7 +462,8 @@ impl<'a> Playback<'a> {
     /// Adds an event when the robot first reaches the goal on its feet.
     fn look_for_goal(&mut self, time_s: f64, events: &mut Vec<Event>) {
         let (Some(goal), Some(from), None) = (&self.script.goal, self.goal_from, self.fallen_since) else { return };
-        if self.passed_goal_since.is_none()
+        if !self.clock_is_held
+            && self.passed_goal_since.is_none()
             && self.state.position.x > self.sim.data().body_positions()[3 * from] + goal.ahead_m
         {
             self.passed_goal_since = Some(self.step);

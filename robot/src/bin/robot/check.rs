@@ -1,0 +1,109 @@
+//! `robot check` and `robot rehearse`: command lines.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+use supple::policy::shipped;
+use supple::scenario::metrics::Metric;
+use supple::util::terminal;
+use supple::util::yaml;
+use supple_robot::check::{Columns, LogRows, Verdict, check};
+use supple_robot::lockstep::rehearse;
+
+/// The command line of `robot check`.
+#[derive(Args, Debug)]
+pub struct Check {
+    /// Log of `robot run`, or a CSV file of another program
+    log: PathBuf,
+    /// The policy that ran
+    #[arg(value_name = "FILE|NAME")]
+    policy: String,
+    /// YAML file with the names that a log of another program has for our columns: `names: {gyro_x: omega_x}`, and values of those that
+    /// it lacks: `constants: {kp: 40}`
+    #[arg(long, value_name = "FILE")]
+    columns: Option<PathBuf>,
+    /// Delay of the joint targets that is wanted (s) [default: that of the policy's training]
+    #[arg(long, value_name = "S")]
+    latency_s: Option<f64>,
+}
+
+/// Checks a log; returns true if it fits.
+pub fn run(args: &Check) -> anyhow::Result<bool> {
+    let agent = shipped::find(&args.policy)?;
+    let columns = match &args.columns {
+        Some(path) => {
+            let text = yaml::Text::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+            yaml::layered::<Columns>(&[text])?
+        }
+        None => Columns::default(),
+    };
+    let verdict = check(&LogRows::read(&args.log, &columns)?, &agent, args.latency_s)?;
+    let Verdict { at_first_rad, at_last_rad, findings } = &verdict;
+    terminal::print(format_args!(
+        "replayed and sent joint targets differ by {at_first_rad:.4} rad (root mean square)\n"
+    ))?;
+    for finding in findings {
+        let left = finding.difference_rad.map_or(String::new(), |left| format!(" (with it undone: {left:.4} rad)"));
+        terminal::print(format_args!("  {}{left}\n", finding.text))?;
+    }
+    if verdict.fits() {
+        terminal::print("the log fits the policy\n")?;
+    } else if findings.len() > 1 {
+        terminal::print(format_args!("with all of this undone: {at_last_rad:.4} rad\n"))?;
+    }
+    Ok(verdict.fits())
+}
+
+/// The command line of `robot rehearse`.
+#[derive(Args, Debug)]
+pub struct Rehearse {
+    /// Policy of the Go2
+    #[arg(value_name = "FILE|NAME")]
+    policy: String,
+    /// Scenario to play, as `scenario list` names them
+    #[arg(long, value_name = "NAME", default_value = "walk")]
+    scenario: String,
+    /// A parameter of the scenario by the name of its flag, such as push_m_s=0.5; may be repeated
+    #[arg(long, value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Seed of everything random
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Commanded compliance (m/s/N) [default: the policy's own]
+    #[arg(long, value_name = "C")]
+    compliance: Option<f64>,
+    /// Physics rate (Hz), a multiple of 500
+    #[arg(long, value_name = "HZ", default_value_t = 1000)]
+    physics_hz: u32,
+    /// Print one JSON object on stdout and nothing else there
+    #[arg(long)]
+    json: bool,
+}
+
+/// Rehearses, and prints the scenario's metrics.
+pub fn run_rehearsal(args: &Rehearse) -> anyhow::Result<()> {
+    let agent = shipped::find(&args.policy)?;
+    let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
+    let scenario = crate::serve::scenario(&args.scenario, &args.set)?;
+    let rehearsal = rehearse(&agent, &scenario, args.seed, compliance, args.physics_hz)?;
+    if args.json {
+        let metrics: serde_json::Map<String, serde_json::Value> =
+            rehearsal.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
+        let object = serde_json::json!({
+            "scenario": scenario.name(), "seed": args.seed, "metrics": metrics, "events": rehearsal.events,
+            "complaints": rehearsal.complaints, "notes": rehearsal.notes,
+        });
+        return Ok(terminal::print(format_args!("{object}\n"))?);
+    }
+    rehearsal.notes.iter().try_for_each(|note| terminal::print(format_args!("  {note}\n")))?;
+    for Metric { label, value, unit, .. } in &rehearsal.metrics {
+        if let Some(value) = value {
+            terminal::print(format_args!("  {label:26} {value:.3} {unit}\n"))?;
+        }
+    }
+    for event in &rehearsal.events {
+        terminal::print(format_args!("  {:6.2} s  {}\n", event.time_s, event.text))?;
+    }
+    Ok(())
+}

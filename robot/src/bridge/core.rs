@@ -1,0 +1,583 @@
+//! The bridge without a network: readings and orders in, commands to the motors out.
+
+use std::sync::Arc;
+
+use supple::config::Config;
+use supple::policy::{Agent, Controller};
+use supple::robot::{JOINTS, Joints, Robot};
+use supple::sim::control::Latency;
+use supple::task::Command;
+use supple::util::files::FileError;
+
+use super::log::Row;
+use super::orders::{Order, RemoteOrders};
+use super::perceive::{Perception, PerceptionError};
+use super::phase::{Phase, STAND_GAINS, Wish};
+use super::reading::Reading;
+use super::safety::{Fault, Guard, Limits};
+use crate::message::MotorCmd;
+use crate::motor;
+use crate::remote::FullSticks;
+
+/// Time between two commands to the motors \[s\].
+pub const COMMAND_S: f64 = 0.002;
+
+/// Largest step of the robot's clock between two readings, also backwards, that is no fault \[ms\].
+const MAX_GAP_MS: u32 = 100;
+
+/// The reason why a policy cannot be bridged.
+#[derive(Debug, thiserror::Error)]
+pub enum BridgeError {
+    /// The policy is one of another robot.
+    #[error("the policy is one of {found}, this interface is a Go2's: give a policy of go2, such as go2/compliant")]
+    OtherRobot {
+        /// The policy's robot.
+        found: String,
+    },
+    /// The robot's file.
+    #[error(transparent)]
+    Robot(#[from] FileError),
+    /// The estimators.
+    #[error(transparent)]
+    Perception(#[from] PerceptionError),
+    /// The latency.
+    #[error("latency {found} s: expected 0 to 0.2 s")]
+    Latency {
+        /// The latency that was given \[s\].
+        found: f64,
+    },
+}
+
+/// What goes to the motors.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Output {
+    /// The command of each motor.
+    pub motors: [MotorCmd; JOINTS],
+    /// The joint targets of phase or policy, before latency \[rad\]; the joint angles where there are none.
+    pub targets: Joints,
+}
+
+/// A policy on one robot.
+pub struct Bridge<'a> {
+    agent: &'a Agent,
+    config: &'a Config,
+    controller: Box<dyn Controller + 'a>,
+    stance: Joints,
+    perception: Perception,
+    /// True if the estimators have to start again.
+    perception_is_stale: bool,
+    guard: Guard,
+    phase: Phase,
+    command: Command,
+    remote: RemoteOrders,
+    latency: Latency,
+    /// Joint targets of the last policy step, or of the phase \[rad\].
+    targets: Joints,
+    /// Time until the next policy step \[s\].
+    policy_wait_s: f64,
+    policy_has_begun: bool,
+    last_tick_ms: Option<u32>,
+    /// Time of the last reading \[s\].
+    last_s: f64,
+    reading: Option<Reading>,
+    output: Output,
+    notes: Vec<String>,
+}
+
+impl<'a> Bridge<'a> {
+    /// Prepares a policy. `latency_s` is the delay of the joint targets \[s\]; `None` takes that of the policy's training.
+    ///
+    /// # Errors
+    /// The policy is not one of a Go2, or the estimators do not start.
+    pub fn new(agent: &'a Agent, limits: Limits, latency_s: Option<f64>) -> Result<Self, BridgeError> {
+        let config = &agent.config;
+        if config.robot.model != "go2" {
+            return Err(BridgeError::OtherRobot { found: config.robot.model.clone() });
+        }
+        let latency_s = latency_s.unwrap_or(config.simulation.latency_s);
+        if !(0.0..=0.2).contains(&latency_s) {
+            return Err(BridgeError::Latency { found: latency_s });
+        }
+        let robot: Arc<Robot> = config.robot.load()?;
+        let controller = agent.controller();
+        let stance = controller.rest();
+        Ok(Bridge {
+            controller,
+            guard: Guard::new(limits, robot.joint_limits, robot.torque_limits),
+            perception: Perception::new(robot)?,
+            perception_is_stale: false,
+            phase: Phase::Passive,
+            command: Command::default(),
+            remote: RemoteOrders::default(),
+            latency: Latency::new(latency_s, COMMAND_S, stance),
+            targets: stance,
+            stance,
+            policy_wait_s: 0.0,
+            policy_has_begun: false,
+            last_tick_ms: None,
+            last_s: 0.0,
+            reading: None,
+            output: Output { motors: motor::damping(), targets: stance },
+            notes: Vec::new(),
+            agent,
+            config,
+        })
+    }
+
+    /// Returns the phase.
+    pub fn phase(&self) -> &Phase {
+        &self.phase
+    }
+
+    /// Returns the command.
+    pub fn command(&self) -> &Command {
+        &self.command
+    }
+
+    /// Returns the last reading.
+    pub fn reading(&self) -> Option<&Reading> {
+        self.reading.as_ref()
+    }
+
+    /// Returns what to send.
+    pub fn output(&self) -> &Output {
+        &self.output
+    }
+
+    /// Returns the row of the log for the last reading and what was sent then.
+    pub fn row(&self, now_s: f64) -> Option<Row> {
+        let reading = self.reading.as_ref()?;
+        let orientation = reading.world_from_base;
+        let motors = &self.output.motors;
+        Some(Row {
+            time_s: now_s,
+            tick_s: 1e-3 * f64::from(reading.tick_ms),
+            q: reading.encoders.angles,
+            dq: reading.encoders.rates,
+            tau: reading.torques,
+            quaternion: [orientation.w, orientation.i, orientation.j, orientation.k],
+            gyro: reading.imu.gyro.into(),
+            accelerometer: reading.imu.specific_force.into(),
+            command: [self.command.forward, self.command.left, self.command.yaw],
+            target: motors.each_ref().map(|motor| f64::from(motor.q)),
+            gains: [f64::from(motors[0].kp), f64::from(motors[0].kd)],
+        })
+    }
+
+    /// Puts the bridge into the phase of a log that is replayed.
+    pub(crate) fn resume(&mut self, phase: Phase) {
+        self.enter(phase);
+    }
+
+    /// Takes the lines for people since the last call.
+    pub fn notes(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.notes)
+    }
+
+    /// Returns the velocities that full sticks mean: the ends of the policy's range.
+    pub fn full_sticks(&self) -> FullSticks {
+        let range = &self.config.command;
+        FullSticks([range.forward_m_s, range.left_m_s, range.yaw_rad_s])
+    }
+
+    /// Takes an order at `now_s` \[s\].
+    pub fn order(&mut self, order: &Order, now_s: f64) {
+        match order {
+            Order::Wish(wish) => self.wish(*wish, now_s),
+            Order::Quit => self.wish(Wish::Lie, now_s),
+            Order::Command(command) => {
+                let compliance = command.compliance.or(self.command.compliance);
+                self.ask(Command { compliance, ..*command });
+            }
+            Order::Change([forward, left, yaw]) => {
+                let Command { forward: f, left: l, yaw: y, compliance } = self.command;
+                self.ask(Command { compliance, ..Command::velocity(f + forward, l + left, y + yaw) });
+            }
+        }
+    }
+
+    fn ask(&mut self, command: Command) {
+        let FullSticks([forward, left, yaw]) = self.full_sticks();
+        let numbers = [command.forward, command.left, command.yaw];
+        if !numbers.into_iter().all(f64::is_finite) {
+            self.notes.push(format!("a command with numbers that are not finite is ignored: {numbers:?}"));
+            return;
+        }
+        if let Some(compliance) = command.compliance
+            && let Err(error) = self.agent.resolve_compliance(Some(compliance), None)
+        {
+            self.notes.push(format!("the command is ignored: {error}"));
+            return;
+        }
+        self.command = Command {
+            forward: command.forward.clamp(-forward, forward),
+            left: command.left.clamp(-left, left),
+            yaw: command.yaw.clamp(-yaw, yaw),
+            compliance: command.compliance,
+        };
+    }
+
+    fn wish(&mut self, wish: Wish, now_s: f64) {
+        let Some(reading) = &self.reading else {
+            self.notes.push("no state of the robot yet".to_owned());
+            return;
+        };
+        if wish != Wish::Damp
+            && wish != Wish::Lie
+            && let Err(fault) = self.guard.check(reading, 0.0)
+        {
+            self.notes.push(format!("not now: {fault}"));
+            return;
+        }
+        match self.phase.wish(wish, &reading.encoders.angles, now_s) {
+            Ok(phase) => self.enter(phase),
+            Err(reason) => self.notes.push(reason),
+        }
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        if phase == self.phase {
+            return;
+        }
+        match &phase {
+            Phase::Damped(fault) => self.notes.push(format!("DAMPED: {fault}")),
+            other => self.notes.push(other.name().replace('_', " ")),
+        }
+        if phase == Phase::Policy {
+            (self.policy_wait_s, self.policy_has_begun) = (0.0, false);
+        }
+        if phase == Phase::Hold {
+            // At rest on its feet: the best moment for estimators to start.
+            if let Err(error) = self.perception.restart() {
+                self.notes.push(error.to_string());
+            }
+            self.latency.reset(self.stance);
+            self.targets = self.stance;
+        }
+        self.phase = phase;
+    }
+
+    /// Damps at once, latched. In a phase that damps anyway, only noted.
+    pub fn fail(&mut self, fault: Fault) {
+        if self.phase.is_active() {
+            self.enter(Phase::Damped(fault));
+            self.output.motors = motor::damping();
+        }
+    }
+
+    /// Takes a reading that arrived at `now_s` \[s\], and returns what to send now.
+    pub fn take(&mut self, reading: Reading, now_s: f64) -> &Output {
+        let orders = self.remote.take(&reading.remote, &self.full_sticks());
+        let dt_s = match self.last_tick_ms.map(|last| (last, reading.tick_ms.wrapping_sub(last))) {
+            None => Ok(COMMAND_S),
+            // A robot whose clock stands at zero has none, such as unitree_mujoco: the time of arrival has to do.
+            Some((0, 0)) => Ok((now_s - self.last_s).clamp(1e-4, 1e-3 * f64::from(MAX_GAP_MS))),
+            // Twice the same state, or one that was overtaken on its way: nothing new.
+            Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => return &self.output,
+            Some((_, gap)) if gap <= MAX_GAP_MS => Ok(1e-3 * f64::from(gap)),
+            Some((last, _)) => Err(Fault::Clock { from_ms: last, to_ms: reading.tick_ms }),
+        };
+        (self.last_tick_ms, self.last_s) = (Some(reading.tick_ms), now_s);
+        let sound = dt_s.and_then(|dt_s| {
+            self.guard.check(&reading, dt_s)?;
+            if std::mem::take(&mut self.perception_is_stale) {
+                self.perception.restart().map_err(|error| Fault::Estimate { reason: error.to_string() })?;
+            }
+            self.perception.take(&reading, &self.targets, dt_s)?;
+            Ok(dt_s)
+        });
+        self.reading = Some(reading);
+        match sound {
+            Ok(dt_s) => {
+                orders.iter().for_each(|order| self.order(order, now_s));
+                if let Err(fault) = self.act(now_s, dt_s) {
+                    self.fail(fault);
+                }
+            }
+            Err(fault) => {
+                self.fail(fault);
+                // Whatever the estimators made of it: they start again with the next sound reading.
+                self.perception_is_stale = true;
+                // A person can always stop the robot.
+                if orders.contains(&Order::Wish(Wish::Damp)) {
+                    self.wish(Wish::Damp, now_s);
+                }
+            }
+        }
+        &self.output
+    }
+
+    /// Returns what to send while no reading has come for `silent_s` \[s\].
+    pub fn wait(&mut self, silent_s: f64) -> &Output {
+        if let Err(fault) = self.guard.silence(silent_s) {
+            self.fail(fault);
+        }
+        &self.output
+    }
+
+    /// Computes the next command.
+    fn act(&mut self, now_s: f64, dt_s: f64) -> Result<(), Fault> {
+        let simulation = &self.config.simulation;
+        if let Some((targets, is_over)) = self.phase.motion(&self.stance, now_s) {
+            self.targets = targets;
+            if is_over {
+                self.enter(self.phase.after());
+            }
+            let [kp, kd] = STAND_GAINS;
+            self.output = Output { motors: motor::holding(&targets, kp, kd), targets };
+            return Ok(());
+        }
+        if self.phase != Phase::Policy {
+            let targets = self.reading.as_ref().map_or(self.stance, |reading| reading.encoders.angles);
+            self.output = Output { motors: motor::damping(), targets };
+            return Ok(());
+        }
+        self.policy_wait_s -= dt_s;
+        if self.policy_wait_s <= 0.0 {
+            self.policy_wait_s = (self.policy_wait_s + simulation.policy_period_s()).max(0.0);
+            let Some(state) = self.perception.state() else { return Ok(()) };
+            if !std::mem::replace(&mut self.policy_has_begun, true) {
+                self.controller.begin(&state);
+            }
+            let wanted = self.controller.joint_targets(&state, &self.command);
+            self.targets = self.guard.limit(&wanted, &self.targets)?;
+        }
+        let acting = self.latency.delay(&self.targets);
+        let (kp, kd) = (simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad);
+        self.output = Output { motors: motor::holding(&acting, kp, kd), targets: self.targets };
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use supple::policy::shipped;
+    use supple::robot::same_in_every_leg;
+
+    use super::*;
+    use crate::bridge::phase::FOLDED;
+    use crate::bridge::reading::tests::state_at;
+    use crate::message::LowState;
+    use crate::remote::{Button, Remote};
+
+    /// A bridge and a robot whose joints are where they are wanted.
+    struct Rig<'a> {
+        bridge: Bridge<'a>,
+        angles: Joints,
+        tick_ms: u32,
+    }
+
+    impl<'a> Rig<'a> {
+        fn new(agent: &'a Agent) -> Self {
+            let bridge = Bridge::new(agent, Limits::default(), None).unwrap();
+            Rig { bridge, angles: same_in_every_leg(FOLDED), tick_ms: 0 }
+        }
+
+        fn step(&mut self, change: impl Fn(&mut LowState)) -> Output {
+            self.tick_ms += 2;
+            let mut state = state_at(&self.angles, self.tick_ms);
+            change(&mut state);
+            let reading = Reading::new(&state.sealed()).unwrap();
+            let output = self.bridge.take(reading, 1e-3 * f64::from(self.tick_ms)).clone();
+            for (angle, motor) in self.angles.iter_mut().zip(&output.motors) {
+                if motor::has_target(motor) {
+                    *angle = f64::from(motor.q);
+                }
+            }
+            output
+        }
+
+        fn run(&mut self, seconds: f64) -> Output {
+            let steps = (500.0 * seconds) as usize;
+            (0..steps).map(|_| self.step(|_| ())).last().unwrap()
+        }
+
+        fn order(&mut self, wish: Wish) {
+            self.bridge.order(&Order::Wish(wish), 1e-3 * f64::from(self.tick_ms));
+        }
+
+        fn to_policy(agent: &'a Agent) -> Self {
+            let mut rig = Rig::new(agent);
+            rig.run(0.1);
+            rig.order(Wish::Stand);
+            rig.run(2.5);
+            assert_eq!(rig.bridge.phase(), &Phase::Hold);
+            rig.order(Wish::Policy);
+            rig.run(0.1);
+            assert_eq!(rig.bridge.phase(), &Phase::Policy);
+            rig
+        }
+    }
+
+    fn agent() -> Agent {
+        shipped::find("go2/compliant").unwrap()
+    }
+
+    #[test]
+    fn bridge_stands_up_runs_the_policy_and_lies_down() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        let output = rig.run(0.1);
+        assert_eq!((output.motors[0].kp, output.motors[0].kd), (47.0, 1.2));
+        rig.order(Wish::Lie);
+        let output = rig.run(1.5);
+        assert_eq!((rig.bridge.phase(), &output.motors), (&Phase::Passive, &motor::damping()));
+    }
+
+    #[test]
+    fn policy_steps_at_its_own_rate_and_is_resent_between() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        let mut steps = 0;
+        let mut last = rig.step(|_| ()).targets;
+        for _ in 0..500 {
+            let targets = rig.step(|_| ()).targets;
+            steps += u32::from(targets != last);
+            last = targets;
+        }
+        assert!((59..=61).contains(&steps), "{steps}");
+    }
+
+    /// A fault, and how to make it.
+    type Break = fn(&mut LowState);
+
+    #[test]
+    fn each_fault_of_the_robot_damps_and_stays_damped() {
+        let agent = agent();
+        let breaks: [Break; 5] = [
+            |it| it.imu_state.quaternion = [0.6, 0.8, 0.0, 0.0],
+            |it| it.motor_state[3].dq = 40.0,
+            |it| it.motor_state[3].temperature = 99,
+            |it| it.motor_state[3].q = f32::NAN,
+            |it| it.tick += 5000,
+        ];
+        for (index, fault) in breaks.into_iter().enumerate() {
+            let mut rig = Rig::to_policy(&agent);
+            let output = rig.step(fault);
+            assert!(matches!(rig.bridge.phase(), Phase::Damped(_)), "{index}: {:?}", rig.bridge.phase());
+            assert_eq!(output.motors, motor::damping());
+            rig.tick_ms += if index == 4 { 5000 } else { 0 };
+            assert_eq!(rig.run(0.2).motors, motor::damping());
+            rig.order(Wish::Stand);
+            assert_eq!(rig.run(0.2).motors, motor::damping());
+            rig.order(Wish::Clear);
+            assert_eq!(rig.bridge.phase(), &Phase::Passive, "{index}");
+        }
+    }
+
+    #[test]
+    fn silence_of_the_robot_damps_after_100_ms() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        assert_ne!(rig.bridge.wait(0.09).motors, motor::damping());
+        assert_eq!(rig.bridge.wait(0.101).motors, motor::damping());
+        assert!(matches!(rig.bridge.phase(), Phase::Damped(Fault::Silence { .. })));
+    }
+
+    #[test]
+    fn overtaken_state_is_ignored() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        let before = rig.step(|_| ());
+        rig.tick_ms -= 20;
+        // It would be a fault if it counted.
+        let output = rig.step(|it| it.motor_state[3].dq = 40.0);
+        assert_eq!((rig.bridge.phase(), output), (&Phase::Policy, before));
+    }
+
+    #[test]
+    fn robot_without_a_clock_is_stood_up_by_arrival_times() {
+        let agent = agent();
+        let mut rig = Rig::new(&agent);
+        for _ in 0..50 {
+            rig.step(|it| it.tick = 0);
+        }
+        rig.order(Wish::Stand);
+        for _ in 0..1250 {
+            rig.step(|it| it.tick = 0);
+        }
+        assert_eq!(rig.bridge.phase(), &Phase::Hold);
+    }
+
+    #[test]
+    fn restart_of_the_robot_while_passive_is_no_fault() {
+        let agent = agent();
+        let mut rig = Rig::new(&agent);
+        rig.run(1.0);
+        rig.tick_ms = 0;
+        rig.run(0.1);
+        assert_eq!(rig.bridge.phase(), &Phase::Passive);
+        rig.order(Wish::Stand);
+        rig.run(2.5);
+        assert_eq!(rig.bridge.phase(), &Phase::Hold);
+    }
+
+    #[test]
+    fn remote_leads_through_the_phases_and_commands() {
+        let agent = agent();
+        let mut rig = Rig::new(&agent);
+        rig.run(0.1);
+        rig.step(|it| it.wireless_remote = Remote::default().with(Button::Start).to_bytes());
+        rig.run(2.5);
+        let walk = Remote { left: [0.0, 0.5], ..Remote::default() }.with(Button::A);
+        rig.step(|it| it.wireless_remote = walk.to_bytes());
+        assert_eq!(rig.bridge.phase(), &Phase::Policy);
+        assert_eq!(rig.bridge.command().forward, 0.5);
+        rig.step(|it| it.wireless_remote = walk.with(Button::Select).to_bytes());
+        assert_eq!(rig.bridge.phase(), &Phase::Damped(Fault::Asked));
+    }
+
+    #[test]
+    fn commands_stay_within_the_policys_range_and_finite() {
+        let agent = agent();
+        let mut rig = Rig::new(&agent);
+        rig.bridge.order(&Order::Command(Command::velocity(9.0, -9.0, 0.1)), 0.0);
+        assert_eq!(*rig.bridge.command(), Command::velocity(1.0, -0.5, 0.1));
+        rig.bridge.order(&Order::Command(Command::velocity(f64::NAN, 0.0, 0.0)), 0.0);
+        assert_eq!(*rig.bridge.command(), Command::velocity(1.0, -0.5, 0.1));
+    }
+
+    #[test]
+    fn compliance_out_of_the_policys_range_is_refused() {
+        let agent = shipped::find("go2/baseline").unwrap();
+        let mut rig = Rig::new(&agent);
+        let commanded = |compliance| Command { compliance: Some(compliance), ..Command::velocity(0.5, 0.0, 0.0) };
+        rig.bridge.order(&Order::Command(commanded(0.02)), 0.0);
+        for compliance in [0.0, -0.02, 9.0, f64::NAN] {
+            rig.bridge.order(&Order::Command(commanded(compliance)), 0.0);
+            assert_eq!(*rig.bridge.command(), commanded(0.02));
+        }
+        assert_eq!(rig.bridge.notes().len(), 4);
+    }
+
+    #[test]
+    fn external_policy_of_the_go2_acts_at_its_own_rate() {
+        let folder = tempfile::tempdir().unwrap();
+        let repository = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        std::fs::copy(repository.join("tests/fixtures/onnx/rsl_rl.onnx"), folder.path().join("rsl_rl.onnx")).unwrap();
+        let text = std::fs::read_to_string(repository.join("examples/policies/rsl_rl.yaml")).unwrap();
+        let path = folder.path().join("p.yaml");
+        let text = text.replace("onnx: policy.onnx", "onnx: rsl_rl.onnx").replace("model: go1", "model: go2");
+        std::fs::write(&path, text).unwrap();
+        let agent = Agent::load(&path).unwrap();
+        let mut rig = Rig::to_policy(&agent);
+        let output = rig.run(0.1);
+        let simulation = &agent.config.simulation;
+        assert_eq!(f64::from(output.motors[0].kp), simulation.kp_n_m_per_rad);
+        let mut steps = 0;
+        let mut last = output.targets;
+        for _ in 0..500 {
+            let targets = rig.step(|_| ()).targets;
+            steps += u32::from(targets != last);
+            last = targets;
+        }
+        assert!(steps.abs_diff(simulation.policy_rate_hz) <= 1, "{steps}");
+    }
+
+    #[test]
+    fn policy_of_another_robot_is_refused() {
+        let agent = shipped::find("compliant").unwrap();
+        let error = Bridge::new(&agent, Limits::default(), None).err().unwrap().to_string();
+        assert!(error.contains("go1"), "{error}");
+    }
+}

@@ -1,0 +1,475 @@
+//! The bridge on a network: states in, commands out, each within a millisecond; people's orders; the log.
+
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use supple::policy::Agent;
+use supple::robot::{JOINTS, Joints, LEGS, of_leg};
+use supple::task::Command;
+use supple::util::terminal;
+
+use super::core::{Bridge, BridgeError, Output};
+use super::log::Log;
+use super::orders::Order;
+use super::outlet::Outlet;
+use super::phase::{Phase, Wish};
+use super::reading::Reading;
+use super::safety::{Fault, Limits};
+use crate::dds::switcher::{Client, SwitchError};
+use crate::dds::{Arrival, Delivery, Node, NodeError, Place, Publisher, WriterId};
+use crate::message::{LowCmd, LowState};
+use crate::serve::{COMMANDS, STATES};
+
+/// Time in which the first state has to come.
+const FIRST_STATE: Duration = Duration::from_secs(5);
+
+/// Time for which other writers are looked for before the first command; they announce themselves every second.
+const LOOK: Duration = Duration::from_millis(1200);
+
+/// A command is sent again if no state has come for this long.
+const RESEND: Duration = Duration::from_micros(2500);
+
+/// Time that lying down may take at the end.
+const LIE: Duration = Duration::from_secs(5);
+
+/// Time for which the motors damp at the end, so that the robot does not drop.
+const DAMP: Duration = Duration::from_millis(500);
+
+/// The bridge's settings.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// The place in the network.
+    pub place: Place,
+    /// Limits of what is safe.
+    pub limits: Limits,
+    /// Delay of the joint targets \[s\]; `None` for that of the policy's training.
+    pub latency_s: Option<f64>,
+    /// The command at first.
+    pub command: Command,
+    /// True to send nothing.
+    pub dry_run: bool,
+    /// True to release the robot's own controller first.
+    pub release: bool,
+    /// File of the log, and the largest number of rows of each of its two halves.
+    pub log: Option<(PathBuf, u64)>,
+}
+
+/// The reason why a bridge does not start or stops.
+#[derive(Debug, thiserror::Error)]
+pub enum DriveError {
+    /// The network.
+    #[error(transparent)]
+    Node(#[from] NodeError),
+    /// The policy.
+    #[error(transparent)]
+    Bridge(#[from] BridgeError),
+    /// The robot's own controller.
+    #[error(transparent)]
+    Switch(#[from] SwitchError),
+    /// No state comes.
+    #[error(
+        "no rt/lowstate for {} s on {address}, DDS domain {domain}: is the robot on, the cable in, and the address of this \
+         interface in the robot's network? A Go2 is in domain 0", FIRST_STATE.as_secs()
+    )]
+    NoState {
+        /// The domain.
+        domain: u16,
+        /// The address.
+        address: std::net::Ipv4Addr,
+    },
+    /// Another program commands the motors.
+    #[error(
+        "another program writes rt/lowcmd: two would fight; stop it, or release the robot's own controller (without --no-release)"
+    )]
+    OtherWriter,
+    /// The log.
+    #[error("cannot write the log {}: {source}", path.display())]
+    Log {
+        /// Path of the log.
+        path: PathBuf,
+        /// Reason given by the operating system.
+        source: std::io::Error,
+    },
+}
+
+/// What came of it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+pub struct Report {
+    /// States that were taken.
+    pub states: u64,
+    /// States that were ignored: checksum or head.
+    pub ignored: u64,
+    /// Steps of the robot's clock that are missing: lost states of 2 ms.
+    pub lost: u64,
+    /// Commands that were sent.
+    pub commands: u64,
+    /// Commands that were sent again because no state came.
+    pub resent: u64,
+    /// Time from a state's arrival to its command, median \[ms\].
+    pub latency_median_ms: f64,
+    /// The same, 99th percentile \[ms\].
+    pub latency_p99_ms: f64,
+    /// Intervals between two commands, fraction of at most 4 ms \[%\].
+    pub intervals_within_4_ms_percent: f64,
+    /// Faults, in order, with their time \[s\].
+    pub faults: Vec<(f64, String)>,
+    /// Rows that the log lacks.
+    pub log_lost: u64,
+}
+
+/// Runs a policy until an order or `stop` ends it.
+///
+/// # Errors
+/// The network or the policy fails, the robot is silent at first, or another program commands it.
+pub fn drive(
+    settings: &Settings,
+    agent: &Agent,
+    orders: &Receiver<Order>,
+    stop: &AtomicBool,
+) -> Result<Report, DriveError> {
+    let mut bridge = Bridge::new(agent, settings.limits, settings.latency_s)?;
+    bridge.order(&Order::Command(settings.command), 0.0);
+    let node = Node::open(&settings.place)?;
+    let (sender, states) = sync_channel::<Arrival<LowState>>(64);
+    let _states = node.listen::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort, move |arrival| {
+        // Full: this loop hangs, which the outlet notices.
+        let _ = sender.try_send(arrival);
+    })?;
+    let others = Arc::new(Others::default());
+    let seen = Arc::clone(&others);
+    let _commands = node.listen::<LowCmd>(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, move |arrival| {
+        seen.see(arrival.writer);
+    })?;
+    let Ok(first) = states.recv_timeout(FIRST_STATE) else {
+        let Place { domain, address, .. } = settings.place;
+        return Err(DriveError::NoState { domain, address });
+    };
+    if Reading::is_unsigned(&first.message) {
+        terminal::note("note: states have no checksum, as those of unitree_mujoco; a Go2's have one");
+    }
+    if settings.release && !settings.dry_run {
+        let mode = Client::new(&node)?.release()?;
+        if !mode.is_empty() {
+            terminal::note(format_args!("released the robot's own controller, '{mode}'"));
+        }
+    }
+    others.forget();
+    std::thread::sleep(LOOK);
+    if others.any() {
+        return Err(DriveError::OtherWriter);
+    }
+    let outlet = if settings.dry_run {
+        Outlet::new(limit(settings), |_| ())
+    } else {
+        let publisher: Publisher<LowCmd> = node.publish(COMMANDS, LowCmd::TYPE, Delivery::BestEffort)?;
+        others.own(publisher.id());
+        Outlet::new(limit(settings), move |motors| {
+            // A network that is down is a silence, which both sides notice.
+            let _ = publisher.send(LowCmd::of_motors(motors));
+        })
+    };
+    let log = settings
+        .log
+        .as_ref()
+        .map(|(path, rows)| Log::create(path, *rows).map_err(|source| DriveError::Log { path: path.clone(), source }));
+    let mut drive = Drive {
+        bridge,
+        outlet,
+        others,
+        log: log.transpose()?,
+        dry_run: settings.dry_run,
+        begin: Instant::now(),
+        last_state: Instant::now(),
+        last_sent: None,
+        shown: Instant::now(),
+        report: Report::default(),
+        latencies: Histogram::default(),
+        intervals: [0, 0],
+        last_tick_ms: None,
+    };
+    // Those that came meanwhile are old.
+    while states.try_recv().is_ok() {}
+    drive.run(&states, orders, stop);
+    drive.finish(settings)
+}
+
+fn limit(settings: &Settings) -> Duration {
+    Duration::from_secs_f64(settings.limits.silence_s)
+}
+
+/// Writers of commands other than this one.
+#[derive(Default)]
+struct Others {
+    own: Mutex<Option<WriterId>>,
+    seen: AtomicBool,
+}
+
+impl Others {
+    fn see(&self, writer: WriterId) {
+        let own = *self.own.lock().unwrap_or_else(PoisonError::into_inner);
+        if own != Some(writer) {
+            self.seen.store(true, Ordering::Relaxed);
+        }
+    }
+
+    fn own(&self, writer: WriterId) {
+        *self.own.lock().unwrap_or_else(PoisonError::into_inner) = Some(writer);
+    }
+
+    fn forget(&self) {
+        self.seen.store(false, Ordering::Relaxed);
+    }
+
+    fn any(&self) -> bool {
+        self.seen.swap(false, Ordering::Relaxed)
+    }
+}
+
+struct Drive<'a> {
+    bridge: Bridge<'a>,
+    outlet: Outlet,
+    others: Arc<Others>,
+    log: Option<Log>,
+    dry_run: bool,
+    begin: Instant,
+    last_state: Instant,
+    last_sent: Option<Instant>,
+    shown: Instant,
+    report: Report,
+    latencies: Histogram,
+    /// Number of intervals between commands: up to 4 ms, and longer.
+    intervals: [u64; 2],
+    last_tick_ms: Option<u32>,
+}
+
+impl Drive<'_> {
+    fn now_s(&self) -> f64 {
+        self.begin.elapsed().as_secs_f64()
+    }
+
+    /// Runs until an order or `stop`, then lies down.
+    fn run(&mut self, states: &Receiver<Arrival<LowState>>, orders: &Receiver<Order>, stop: &AtomicBool) {
+        self.last_state = Instant::now();
+        let mut quits: Option<Instant> = None;
+        loop {
+            let mut wants_to_quit = stop.swap(false, Ordering::Relaxed);
+            while let Ok(order) = orders.try_recv() {
+                wants_to_quit |= order == Order::Quit;
+                if order == Order::Wish(Wish::Clear) {
+                    self.outlet.reset();
+                }
+                self.bridge.order(&order, self.now_s());
+            }
+            if wants_to_quit {
+                if quits.is_some() {
+                    // Asked twice: at once.
+                    self.bridge.order(&Order::Wish(Wish::Damp), self.now_s());
+                }
+                self.bridge.order(&Order::Wish(Wish::Lie), self.now_s());
+                quits.get_or_insert_with(Instant::now);
+            }
+            if self.others.any() {
+                self.bridge.fail(Fault::OtherWriter);
+            }
+            self.step(states);
+            for note in self.bridge.notes() {
+                terminal::note(format_args!("{:8.3} s: {note}", self.now_s()));
+                if let Phase::Damped(fault) = self.bridge.phase()
+                    && note.starts_with("DAMPED")
+                {
+                    self.report.faults.push((self.now_s(), fault.to_string()));
+                }
+            }
+            if let Some(since) = quits {
+                let is_still = !self.bridge.phase().is_active();
+                if (is_still && since.elapsed() > DAMP) || since.elapsed() > LIE + DAMP {
+                    return;
+                }
+            }
+        }
+    }
+
+    /// Waits for a state, or until it is time to send again.
+    fn step(&mut self, states: &Receiver<Arrival<LowState>>) {
+        let sent = self.last_sent.unwrap_or(self.begin);
+        let wait = RESEND.saturating_sub(sent.elapsed());
+        match states.recv_timeout(wait) {
+            Ok(arrival) => {
+                let mut at = None;
+                for arrival in std::iter::once(arrival).chain(states.try_iter()) {
+                    at = self.take(&arrival).or(at);
+                }
+                if let Some(at) = at {
+                    self.send();
+                    self.latencies.add(at.elapsed());
+                    self.log();
+                }
+            }
+            Err(RecvTimeoutError::Timeout) => {
+                self.bridge.wait(self.last_state.elapsed().as_secs_f64());
+                self.report.resent += 1;
+                self.send();
+            }
+            Err(RecvTimeoutError::Disconnected) => std::thread::sleep(wait),
+        }
+        if self.dry_run && self.shown.elapsed() > Duration::from_millis(500) {
+            self.shown = Instant::now();
+            self.show();
+        }
+    }
+
+    /// Takes a state; returns the time of its arrival if it counts.
+    fn take(&mut self, arrival: &Arrival<LowState>) -> Option<Instant> {
+        match Reading::new(&arrival.message) {
+            Ok(reading) => {
+                self.count_lost(reading.tick_ms);
+                self.report.states += 1;
+                self.last_state = arrival.at;
+                let now_s = self.now_s();
+                self.bridge.take(reading, now_s);
+                Some(arrival.at)
+            }
+            Err(reason) => {
+                self.report.ignored += 1;
+                if self.report.ignored == 1 {
+                    terminal::note(format_args!("a state is ignored: {reason}"));
+                }
+                None
+            }
+        }
+    }
+
+    /// Counts the states that are missing before this one; one that was overtaken on its way counts as missing.
+    fn count_lost(&mut self, tick_ms: u32) {
+        let gap_ms = self.last_tick_ms.map_or(0, |last| tick_ms.wrapping_sub(last));
+        let is_overtaken = gap_ms.wrapping_neg() <= 1000;
+        if (1..=1000).contains(&gap_ms) {
+            self.report.lost += u64::from(gap_ms / 2).saturating_sub(1);
+        }
+        if !is_overtaken || self.last_tick_ms.is_none() {
+            self.last_tick_ms = Some(tick_ms);
+        }
+    }
+
+    fn send(&mut self) {
+        if !self.outlet.send(&self.output().motors) {
+            if self.bridge.phase().is_active() {
+                let limit_ms = 1e3 * Limits::default().silence_s;
+                self.bridge.fail(Fault::PolicySilence { limit_ms });
+            } else if *self.bridge.phase() == Phase::Passive {
+                // It damps anyway: nothing to clear.
+                self.outlet.reset();
+            }
+        }
+        let now = Instant::now();
+        if let Some(last) = self.last_sent.replace(now) {
+            self.intervals[usize::from(now - last > Duration::from_millis(4))] += 1;
+        }
+        self.report.commands += 1;
+    }
+
+    fn output(&self) -> &Output {
+        self.bridge.output()
+    }
+
+    fn log(&mut self) {
+        let now_s = self.now_s();
+        if let (Some(log), Some(row)) = (&mut self.log, self.bridge.row(now_s)) {
+            log.add(self.bridge.phase().name(), &row);
+        }
+    }
+
+    /// Prints what would be sent, and where the joints are.
+    fn show(&self) {
+        let output = self.output();
+        let angles: Joints = self.bridge.reading().map_or([0.0; JOINTS], |reading| reading.encoders.angles);
+        let legs = |joints: &Joints| -> String {
+            let leg = |leg: usize| {
+                let [hip, thigh, calf] = of_leg(joints, leg);
+                format!(" {} {hip:+.2} {thigh:+.2} {calf:+.2}", LEGS[leg])
+            };
+            (0..LEGS.len()).map(leg).collect()
+        };
+        let motor = &output.motors[0];
+        let wanted =
+            if self.bridge.phase().is_active() { format!("; wanted:{}", legs(&output.targets)) } else { String::new() };
+        terminal::note(format_args!(
+            "{:8.3} s: dry run, {}: kp {}, kd {}; joints (rad):{}{wanted}",
+            self.now_s(),
+            self.bridge.phase().name(),
+            motor.kp,
+            motor.kd,
+            legs(&angles),
+        ));
+    }
+
+    fn finish(mut self, settings: &Settings) -> Result<Report, DriveError> {
+        self.report.latency_median_ms = self.latencies.quantile_ms(0.5);
+        self.report.latency_p99_ms = self.latencies.quantile_ms(0.99);
+        let [short, long] = self.intervals.map(|count| count as f64);
+        self.report.intervals_within_4_ms_percent = 100.0 * short / (short + long).max(1.0);
+        if let (Some(log), Some((path, _))) = (self.log, &settings.log) {
+            self.report.log_lost = log.finish().map_err(|source| DriveError::Log { path: path.clone(), source })?;
+        }
+        Ok(self.report)
+    }
+}
+
+/// Counts durations in bins of 10 µs up to 50 ms.
+struct Histogram(Vec<u64>);
+
+const BIN_MS: f64 = 0.01;
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Histogram(vec![0; 5001])
+    }
+}
+
+impl Histogram {
+    fn add(&mut self, duration: Duration) {
+        let bin = (1e3 * duration.as_secs_f64() / BIN_MS) as usize;
+        let last = self.0.len() - 1;
+        self.0[bin.min(last)] += 1;
+    }
+
+    /// Returns the duration below which this fraction lies \[ms\].
+    fn quantile_ms(&self, fraction: f64) -> f64 {
+        let wanted = fraction * self.0.iter().sum::<u64>() as f64;
+        let mut sum = 0.0;
+        let bin = self.0.iter().position(|count| {
+            sum += *count as f64;
+            sum >= wanted
+        });
+        BIN_MS * bin.unwrap_or(0) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_what_was_added() {
+        let mut histogram = Histogram::default();
+        (1..=100).for_each(|tenth| histogram.add(Duration::from_micros(100 * tenth + 5)));
+        assert!((histogram.quantile_ms(0.5) - 5.0).abs() < 0.011);
+        assert!((histogram.quantile_ms(0.99) - 9.9).abs() < 0.011);
+        histogram.add(Duration::from_secs(9));
+        assert_eq!(histogram.quantile_ms(1.0), 50.0);
+    }
+
+    #[test]
+    fn own_commands_are_not_those_of_another_writer() {
+        let others = Others::default();
+        others.own(WriterId::of_bytes([1; 16]));
+        others.see(WriterId::of_bytes([1; 16]));
+        assert!(!others.any());
+        others.see(WriterId::of_bytes([2; 16]));
+        assert!(others.any() && !others.any());
+    }
+}

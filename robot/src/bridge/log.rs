@@ -1,0 +1,206 @@
+/*! What happened: states and commands as CSV, written by a thread of its own, bounded.
+
+The log is two files, `NAME` and `NAME.old`: when the first is full, it replaces the second. `robot check` reads them.
+*/
+
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+
+use serde::{Deserialize, Serialize};
+use supple::robot::Joints;
+
+/// Rows in a file: four minutes at 500 Hz, some 80 MB.
+pub const ROWS: u64 = 120_000;
+
+/// Rows that wait for the disk: two seconds of them.
+const WAITING: usize = 1000;
+
+/// A command with the reading that it answers.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Row {
+    /// Time since the start \[s\].
+    pub time_s: f64,
+    /// Clock of the robot \[s\].
+    pub tick_s: f64,
+    /// Joint angles \[rad\].
+    pub q: Joints,
+    /// Joint rates [rad/s].
+    pub dq: Joints,
+    /// Torques [N·m].
+    pub tau: Joints,
+    /// Orientation of the IMU, world from base (w, x, y, z).
+    pub quaternion: [f64; 4],
+    /// Angular velocity, base frame [rad/s].
+    pub gyro: [f64; 3],
+    /// Specific force, base frame [m/s²].
+    pub accelerometer: [f64; 3],
+    /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
+    pub command: [f64; 3],
+    /// Joint targets that were sent \[rad\].
+    pub target: Joints,
+    /// Gains that were sent [N·m/rad], [N·m·s/rad].
+    pub gains: [f64; 2],
+}
+
+/// Names of the columns in order; the phase is the first.
+pub fn columns() -> Vec<String> {
+    let joints = |what: &str| (0..12).map(|joint| format!("{what}_{joint}")).collect::<Vec<_>>();
+    let mut names: Vec<String> = ["phase", "time_s", "tick_s"].map(str::to_owned).into();
+    for what in ["q", "dq", "tau"] {
+        names.extend(joints(what));
+    }
+    names.extend(["quaternion_w", "quaternion_x", "quaternion_y", "quaternion_z"].map(str::to_owned));
+    names
+        .extend(["gyro", "accelerometer"].iter().flat_map(|what| ["x", "y", "z"].map(|axis| format!("{what}_{axis}"))));
+    names.extend(["command_forward", "command_left", "command_yaw"].map(str::to_owned));
+    names.extend(joints("target"));
+    names.extend(["kp", "kd"].map(str::to_owned));
+    names
+}
+
+impl Row {
+    /// Returns the numbers in the order of [`columns`], without the phase.
+    pub fn numbers(&self) -> Vec<f64> {
+        let Row { time_s, tick_s, q, dq, tau, quaternion, gyro, accelerometer, command, target, gains } = self;
+        let parts: [&[f64]; 10] =
+            [&[*time_s, *tick_s], q, dq, tau, quaternion, gyro, accelerometer, command, target, gains];
+        parts.concat()
+    }
+
+    /// Returns the row of numbers in the order of [`columns`], without the phase; `None` if there are too few.
+    pub fn from_numbers(numbers: &[f64]) -> Option<Self> {
+        let mut rest = numbers;
+        fn take<const N: usize>(rest: &mut &[f64]) -> Option<[f64; N]> {
+            let (first, others) = rest.split_first_chunk::<N>()?;
+            *rest = others;
+            Some(*first)
+        }
+        let [time_s, tick_s] = take(&mut rest)?;
+        Some(Row {
+            time_s,
+            tick_s,
+            q: take(&mut rest)?,
+            dq: take(&mut rest)?,
+            tau: take(&mut rest)?,
+            quaternion: take(&mut rest)?,
+            gyro: take(&mut rest)?,
+            accelerometer: take(&mut rest)?,
+            command: take(&mut rest)?,
+            target: take(&mut rest)?,
+            gains: take(&mut rest)?,
+        })
+    }
+}
+
+/// Writes a log.
+pub struct Log {
+    sender: SyncSender<(&'static str, Row)>,
+    thread: JoinHandle<io::Result<()>>,
+    lost: u64,
+}
+
+/// Returns the path of the older half of a log.
+pub fn older(path: &Path) -> PathBuf {
+    let mut name = path.as_os_str().to_owned();
+    name.push(".old");
+    name.into()
+}
+
+impl Log {
+    /// Opens a log whose two files have at most `rows` rows each.
+    ///
+    /// # Errors
+    /// The file cannot be created.
+    pub fn create(path: &Path, rows: u64) -> io::Result<Self> {
+        let file = open(path)?;
+        let (sender, receiver) = sync_channel(WAITING);
+        let path = path.to_owned();
+        let thread = std::thread::spawn(move || write(&path, file, rows, &receiver));
+        Ok(Log { sender, thread, lost: 0 })
+    }
+
+    /// Adds a row; never waits. What a slow disk does not take is lost and counted.
+    pub fn add(&mut self, phase: &'static str, row: &Row) {
+        self.lost += u64::from(self.sender.try_send((phase, *row)).is_err());
+    }
+
+    /// Writes what is left; returns the number of lost rows.
+    ///
+    /// # Errors
+    /// The disk is full.
+    pub fn finish(self) -> io::Result<u64> {
+        drop(self.sender);
+        self.thread.join().unwrap_or_else(|_| Err(io::Error::other("the log's thread panicked")))?;
+        Ok(self.lost)
+    }
+}
+
+fn open(path: &Path) -> io::Result<BufWriter<File>> {
+    let mut file = BufWriter::new(File::create(path)?);
+    writeln!(file, "{}", columns().join(","))?;
+    Ok(file)
+}
+
+fn write(
+    path: &Path,
+    mut file: BufWriter<File>,
+    rows: u64,
+    receiver: &Receiver<(&'static str, Row)>,
+) -> io::Result<()> {
+    let mut written = 0;
+    for (phase, row) in receiver {
+        if written == rows {
+            file.flush()?;
+            std::fs::rename(path, older(path))?;
+            (file, written) = (open(path)?, 0);
+        }
+        write!(file, "{phase}")?;
+        for number in row.numbers() {
+            // Six digits are those of an f32.
+            write!(file, ",{}", number as f32)?;
+        }
+        writeln!(file)?;
+        written += 1;
+    }
+    file.flush()
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    /// A row that counts.
+    pub fn row(number: f64) -> Row {
+        let count = columns().len() - 1;
+        let numbers: Vec<f64> = (0..count).map(|index| number + index as f64 / 1024.0).collect();
+        Row::from_numbers(&numbers).unwrap()
+    }
+
+    #[test]
+    fn numbers_of_a_row_are_those_of_its_columns() {
+        let row = row(3.0);
+        assert_eq!(Row::from_numbers(&row.numbers()), Some(row));
+        assert_eq!(row.numbers().len() + 1, columns().len());
+        assert_eq!(Row::from_numbers(&row.numbers()[1..]), None);
+        let at = |name: &str| columns().iter().position(|known| known == name).unwrap() - 1;
+        assert_eq!(row.numbers()[at("dq_3")], row.dq[3]);
+        assert_eq!(row.numbers()[at("kd")], row.gains[1]);
+    }
+
+    #[test]
+    fn log_is_bounded_and_keeps_the_latest() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let mut log = Log::create(&path, 10).unwrap();
+        for number in 0..35 {
+            log.add("policy", &row(f64::from(number)));
+        }
+        assert_eq!(log.finish().unwrap(), 0);
+        let lines = |path: &Path| std::fs::read_to_string(path).unwrap().lines().count() - 1;
+        assert_eq!((lines(&path), lines(&older(&path))), (5, 10));
+        assert!(std::fs::read_to_string(&path).unwrap().lines().last().unwrap().starts_with("policy,34"));
+    }
+}

@@ -1,0 +1,110 @@
+/*! The last way out, watched: if the bridge gives no command for 100 ms, because its policy hangs or panics, the outlet damps by
+itself, and keeps doing so until it is reset. */
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use supple::robot::JOINTS;
+
+use crate::message::MotorCmd;
+use crate::motor;
+
+/// Time between two commands of the outlet's own \[s\].
+const PERIOD: Duration = Duration::from_millis(2);
+
+/// Where commands go.
+type Sink = Box<dyn Fn(&[MotorCmd; JOINTS]) + Send>;
+
+struct Slot {
+    sink: Sink,
+    last: Instant,
+    has_tripped: bool,
+}
+
+/// Sends commands, and watches that they come.
+pub struct Outlet {
+    slot: Arc<Mutex<Slot>>,
+    ends: Arc<AtomicBool>,
+    watch: Option<JoinHandle<()>>,
+}
+
+impl Outlet {
+    /// Opens an outlet that damps after a silence of `limit`.
+    pub fn new(limit: Duration, sink: impl Fn(&[MotorCmd; JOINTS]) + Send + 'static) -> Self {
+        let slot = Slot { sink: Box::new(sink), last: Instant::now(), has_tripped: false };
+        let (slot, ends) = (Arc::new(Mutex::new(slot)), Arc::new(AtomicBool::new(false)));
+        let (watched, ending) = (Arc::clone(&slot), Arc::clone(&ends));
+        let watch = move || {
+            while !ending.load(Ordering::Relaxed) {
+                let mut slot = watched.lock().unwrap_or_else(PoisonError::into_inner);
+                if slot.last.elapsed() > limit {
+                    slot.has_tripped = true;
+                }
+                if slot.has_tripped {
+                    (slot.sink)(&motor::damping());
+                }
+                drop(slot);
+                std::thread::sleep(PERIOD);
+            }
+        };
+        Outlet { slot, ends, watch: Some(std::thread::spawn(watch)) }
+    }
+
+    /// Sends a command, unless the outlet has tripped; returns true if it was sent.
+    pub fn send(&self, motors: &[MotorCmd; JOINTS]) -> bool {
+        let mut slot = self.slot.lock().unwrap_or_else(PoisonError::into_inner);
+        slot.last = Instant::now();
+        if !slot.has_tripped {
+            (slot.sink)(motors);
+        }
+        !slot.has_tripped
+    }
+
+    /// Lets commands through again.
+    pub fn reset(&self) {
+        let mut slot = self.slot.lock().unwrap_or_else(PoisonError::into_inner);
+        (slot.has_tripped, slot.last) = (false, Instant::now());
+    }
+}
+
+impl Drop for Outlet {
+    fn drop(&mut self) {
+        self.ends.store(true, Ordering::Relaxed);
+        if let Some(watch) = self.watch.take() {
+            // A thread that has panicked sends nothing any more.
+            let _ = watch.join();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+
+    use super::*;
+    use crate::message::{Field, SERVO};
+
+    #[test]
+    fn hanging_bridge_is_damped_and_stays_so_until_reset() {
+        let (sender, sent) = channel();
+        let outlet = Outlet::new(Duration::from_millis(100), move |motors| {
+            let _ = sender.send((Instant::now(), motors[0].clone()));
+        });
+        let command: [MotorCmd; JOINTS] =
+            std::array::from_fn(|_| MotorCmd { mode: SERVO, kp: 40.0, ..MotorCmd::zero() });
+        assert!(outlet.send(&command));
+        let begin = Instant::now();
+        assert_eq!(sent.recv().unwrap().1, command[0]);
+        // The bridge hangs.
+        let (at, damped) = sent.recv_timeout(Duration::from_secs(5)).unwrap();
+        assert_eq!(damped, motor::damping()[0]);
+        assert!(at - begin >= Duration::from_millis(100));
+        assert!(!outlet.send(&command));
+        assert_eq!(sent.recv().unwrap().1, motor::damping()[0]);
+        outlet.reset();
+        while sent.try_recv().is_ok() {}
+        assert!(outlet.send(&command));
+    }
+}

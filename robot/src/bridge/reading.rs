@@ -1,0 +1,147 @@
+//! The robot's state as the bridge understands it.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use supple::estimate::{EncoderReading, ImuReading};
+use supple::robot::{JOINTS, Joints, joint_name};
+
+use super::safety::Fault;
+use crate::message::{HEAD, LowState, crc};
+use crate::remote::Remote;
+
+/// A state of the robot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reading {
+    /// Clock of the robot \[ms\].
+    pub tick_ms: u32,
+    /// Gyro and accelerometer.
+    pub imu: ImuReading,
+    /// The IMU's own orientation, world from base.
+    pub world_from_base: UnitQuaternion<f64>,
+    /// Joint angles and rates.
+    pub encoders: EncoderReading,
+    /// Torques of the motors [N·m].
+    pub torques: Joints,
+    /// Temperature of the hottest motor \[°C\], and the motor.
+    pub hottest: (u8, usize),
+    /// State of charge \[%\]; `None` if the battery reports nothing, as in simulators.
+    pub charge_percent: Option<u8>,
+    /// The remote.
+    pub remote: Remote,
+}
+
+/// The reason why a state is ignored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Ignored {
+    /// The checksum does not fit.
+    #[error("its checksum is {found:08x}, expected {expected:08x}")]
+    Checksum {
+        /// The checksum of the message.
+        found: u32,
+        /// The checksum of its content.
+        expected: u32,
+    },
+    /// The head is another one.
+    #[error("its head is {0:02X?}, expected [FE, EF]")]
+    Head([u8; 2]),
+}
+
+impl Reading {
+    /// Reads a state. A checksum of zero counts as none: `unitree_mujoco` sets none.
+    ///
+    /// # Errors
+    /// Checksum or head do not fit.
+    pub fn new(state: &LowState) -> Result<Self, Ignored> {
+        let expected = crc(state);
+        if state.crc != expected && !Self::is_unsigned(state) {
+            return Err(Ignored::Checksum { found: state.crc, expected });
+        }
+        if state.head != HEAD && !Self::is_unsigned(state) {
+            return Err(Ignored::Head(state.head));
+        }
+        let of_motors = |value: fn(&crate::message::MotorState) -> f32| -> Joints {
+            std::array::from_fn(|joint| f64::from(value(&state.motor_state[joint])))
+        };
+        let imu = &state.imu_state;
+        let [w, x, y, z] = imu.quaternion.map(f64::from);
+        let hottest = state.motor_state[..JOINTS].iter().enumerate().max_by_key(|(_, motor)| motor.temperature);
+        let has_battery = state.bms_state.cell_vol.iter().any(|voltage| *voltage > 0);
+        Ok(Reading {
+            tick_ms: state.tick,
+            imu: ImuReading {
+                gyro: Vector3::from(imu.gyroscope.map(f64::from)),
+                specific_force: Vector3::from(imu.accelerometer.map(f64::from)),
+            },
+            world_from_base: UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)),
+            encoders: EncoderReading { angles: of_motors(|motor| motor.q), rates: of_motors(|motor| motor.dq) },
+            torques: of_motors(|motor| motor.tau_est),
+            hottest: hottest.map_or((0, 0), |(joint, motor)| (motor.temperature, joint)),
+            charge_percent: has_battery.then_some(state.bms_state.soc),
+            remote: Remote::from_bytes(&state.wireless_remote),
+        })
+    }
+
+    /// Returns true if a state has no checksum.
+    pub fn is_unsigned(state: &LowState) -> bool {
+        state.crc == 0
+    }
+
+    /// Checks that all numbers are finite.
+    ///
+    /// # Errors
+    /// A number is not finite; the fault names it.
+    pub fn check(&self) -> Result<(), Fault> {
+        let fault = |what: String| Err(Fault::NotFinite { what });
+        self.imu.check().and_then(|()| self.encoders.check()).or_else(|error| fault(error.to_string()))?;
+        if let Some(joint) = self.torques.iter().position(|torque| !torque.is_finite()) {
+            return fault(format!("torque of {}", joint_name(joint)));
+        }
+        if !self.world_from_base.coords.iter().all(|value| value.is_finite()) {
+            return fault("quaternion of the IMU".to_owned());
+        }
+        Ok(())
+    }
+
+    /// Returns the angle between the trunk's up and the world's \[rad\].
+    pub fn tilt_rad(&self) -> f64 {
+        (self.world_from_base * Vector3::z()).z.clamp(-1.0, 1.0).acos()
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::message::{Field, SERVO};
+
+    /// A Go2 at rest in this pose \[rad\].
+    pub fn state_at(angles: &Joints, tick_ms: u32) -> LowState {
+        let mut state = LowState { head: HEAD, tick: tick_ms, ..LowState::zero() };
+        state.imu_state.quaternion = [1.0, 0.0, 0.0, 0.0];
+        state.imu_state.accelerometer = [0.0, 0.0, 9.81];
+        for (motor, angle) in state.motor_state.iter_mut().zip(angles) {
+            (motor.mode, motor.q, motor.temperature) = (SERVO, *angle as f32, 40);
+        }
+        state.bms_state.soc = 80;
+        state.bms_state.cell_vol[0] = 3700;
+        state.sealed()
+    }
+
+    #[test]
+    fn state_with_a_flipped_bit_is_ignored_and_one_without_checksum_is_not() {
+        let state = state_at(&[0.1; JOINTS], 2);
+        let reading = Reading::new(&state).unwrap();
+        assert_eq!((reading.tick_ms, reading.charge_percent, reading.hottest.0), (2, Some(80), 40));
+        assert!(reading.tilt_rad() < 1e-6);
+        let mut flipped = state.clone();
+        flipped.motor_state[3].q = f32::from_bits(flipped.motor_state[3].q.to_bits() ^ 1);
+        assert!(matches!(Reading::new(&flipped), Err(Ignored::Checksum { .. })));
+        assert!(Reading::new(&LowState { crc: 0, ..flipped }).is_ok());
+    }
+
+    #[test]
+    fn number_that_is_not_finite_is_named() {
+        let mut state = state_at(&[0.1; JOINTS], 2);
+        state.motor_state[7].dq = f32::NAN;
+        let fault = Reading::new(&state.sealed()).unwrap().check().unwrap_err();
+        assert!(fault.to_string().contains("RR_thigh"), "{fault}");
+    }
+}

@@ -1,0 +1,323 @@
+/*! What ends in damping: limits on what the robot reports and on what the policy wants. A fault is latched until a person clears
+it. */
+
+use supple::robot::{JOINTS, Joints, joint_name};
+
+use super::reading::Reading;
+
+/// A reason for damping.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum Fault {
+    /// The robot is silent.
+    #[error("no state of the robot for {silent_ms:.0} ms, at most {limit_ms:.0} ms is allowed")]
+    Silence {
+        /// Length of the silence \[ms\].
+        silent_ms: f64,
+        /// Longest permitted silence \[ms\].
+        limit_ms: f64,
+    },
+    /// The policy, or the whole bridge, is late.
+    #[error("the policy gave no command for {limit_ms:.0} ms: it hangs, or this computer is too slow")]
+    PolicySilence {
+        /// Longest permitted silence \[ms\].
+        limit_ms: f64,
+    },
+    /// A number is not finite.
+    #[error("{what} is not a finite number")]
+    NotFinite {
+        /// What it is.
+        what: String,
+    },
+    /// The state estimate ends.
+    #[error("the state cannot be estimated: {reason}")]
+    Estimate {
+        /// The estimator's reason.
+        reason: String,
+    },
+    /// The trunk is tilted.
+    #[error("the trunk is tilted by {found_deg:.0}°, at most {limit_deg:.0}° is allowed")]
+    Tilt {
+        /// The angle \[°\].
+        found_deg: f64,
+        /// The limit \[°\].
+        limit_deg: f64,
+    },
+    /// A joint is too fast.
+    #[error("{joint} turns at {found:+.1} rad/s, at most {limit:.1} rad/s is allowed")]
+    JointRate {
+        /// Name of the joint.
+        joint: String,
+        /// The rate [rad/s].
+        found: f64,
+        /// The limit [rad/s].
+        limit: f64,
+    },
+    /// A motor is at its limit for too long.
+    #[error("{joint} has given {found:+.1} N m, close to its limit, for {for_s:.1} s")]
+    Torque {
+        /// Name of the joint.
+        joint: String,
+        /// The torque [N·m].
+        found: f64,
+        /// The time \[s\].
+        for_s: f64,
+    },
+    /// A motor is too hot.
+    #[error("the motor of {joint} is at {found} °C, at most {limit} °C is allowed: let it cool")]
+    Temperature {
+        /// Name of the joint.
+        joint: String,
+        /// The temperature \[°C\].
+        found: u8,
+        /// The limit \[°C\].
+        limit: u8,
+    },
+    /// The battery is empty.
+    #[error("the battery is at {found} %, at least {limit} % is needed: charge it")]
+    Battery {
+        /// State of charge \[%\].
+        found: u8,
+        /// The limit \[%\].
+        limit: u8,
+    },
+    /// A joint target is far out of range.
+    #[error("the policy wants {joint} at {found:.2} rad, its range is {low:.2} to {high:.2} rad")]
+    TargetRange {
+        /// Name of the joint.
+        joint: String,
+        /// The target \[rad\].
+        found: f64,
+        /// Range of the joint \[rad\].
+        low: f64,
+        /// Range of the joint \[rad\].
+        high: f64,
+    },
+    /// A joint target jumps.
+    #[error("the policy moves the target of {joint} by {found:+.2} rad in one step, at most {limit:.2} rad is allowed")]
+    TargetStep {
+        /// Name of the joint.
+        joint: String,
+        /// The change \[rad\].
+        found: f64,
+        /// The limit \[rad\].
+        limit: f64,
+    },
+    /// The robot's clock jumps.
+    #[error("the robot's clock went from {from_ms} ms to {to_ms} ms: it has restarted, or there are two robots")]
+    Clock {
+        /// The clock before \[ms\].
+        from_ms: u32,
+        /// The clock after \[ms\].
+        to_ms: u32,
+    },
+    /// Somebody else commands the motors.
+    #[error("another program writes rt/lowcmd: stop it, or release the robot's own controller")]
+    OtherWriter,
+    /// A person wants it.
+    #[error("a person asked for it")]
+    Asked,
+}
+
+/// The limits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Longest silence of the robot or of the policy \[s\].
+    pub silence_s: f64,
+    /// Largest tilt of the trunk \[rad\].
+    pub tilt_rad: f64,
+    /// Largest joint rate [rad/s]; a Go2's motors reach 30.
+    pub joint_rate_rad_s: f64,
+    /// Fraction of the torque limit above which a motor works too hard.
+    pub torque_fraction: f64,
+    /// Longest time above it \[s\].
+    pub torque_s: f64,
+    /// Highest temperature of a motor \[°C\].
+    pub temperature_c: u8,
+    /// Least state of charge \[%\].
+    pub charge_percent: u8,
+    /// A target out of the joint's range is limited to the range; farther out than this, it is a fault \[rad\].
+    pub target_beyond_rad: f64,
+    /// Largest change of a joint target in a policy step \[rad\].
+    pub target_step_rad: f64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Limits {
+            silence_s: 0.1,
+            tilt_rad: 1.0,
+            joint_rate_rad_s: 35.0,
+            torque_fraction: 0.95,
+            torque_s: 0.5,
+            temperature_c: 85,
+            charge_percent: 10,
+            target_beyond_rad: 1.5,
+            target_step_rad: 2.5,
+        }
+    }
+}
+
+/// Watches one robot and one policy.
+#[derive(Debug, Clone)]
+pub struct Guard {
+    limits: Limits,
+    joint_limits: [[f64; 2]; JOINTS],
+    torque_limits: Joints,
+    /// Time for which each motor has been close to its limit \[s\].
+    straining_s: Joints,
+}
+
+impl Guard {
+    /// Creates a guard for a robot with these joint ranges \[rad\] and torque limits [N·m].
+    pub fn new(limits: Limits, joint_limits: [[f64; 2]; JOINTS], torque_limits: Joints) -> Self {
+        Guard { limits, joint_limits, torque_limits, straining_s: [0.0; JOINTS] }
+    }
+
+    /// Returns the limits.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
+    /// Checks a reading, `dt_s` \[s\] after the last one.
+    ///
+    /// # Errors
+    /// The first limit that is exceeded.
+    pub fn check(&mut self, reading: &Reading, dt_s: f64) -> Result<(), Fault> {
+        reading.check()?;
+        let limits = &self.limits;
+        let tilt_rad = reading.tilt_rad();
+        if tilt_rad > limits.tilt_rad {
+            return Err(Fault::Tilt { found_deg: tilt_rad.to_degrees(), limit_deg: limits.tilt_rad.to_degrees() });
+        }
+        for joint in 0..JOINTS {
+            let (name, rate) = (joint_name(joint), reading.encoders.rates[joint]);
+            if rate.abs() > limits.joint_rate_rad_s {
+                return Err(Fault::JointRate { joint: name, found: rate, limit: limits.joint_rate_rad_s });
+            }
+            let torque = reading.torques[joint];
+            let strains = torque.abs() > limits.torque_fraction * self.torque_limits[joint];
+            let straining_s = &mut self.straining_s[joint];
+            *straining_s = if strains { *straining_s + dt_s } else { 0.0 };
+            if *straining_s > limits.torque_s {
+                return Err(Fault::Torque { joint: name, found: torque, for_s: *straining_s });
+            }
+        }
+        let (found, joint) = reading.hottest;
+        if found > limits.temperature_c {
+            return Err(Fault::Temperature { joint: joint_name(joint), found, limit: limits.temperature_c });
+        }
+        if let Some(found) = reading.charge_percent.filter(|charge| *charge < limits.charge_percent) {
+            return Err(Fault::Battery { found, limit: limits.charge_percent });
+        }
+        Ok(())
+    }
+
+    /// Checks the policy's joint targets \[rad\] against the last ones, and returns them within the joints' ranges.
+    ///
+    /// # Errors
+    /// A target is not finite, far out of range, or jumps.
+    pub fn limit(&self, targets: &Joints, last: &Joints) -> Result<Joints, Fault> {
+        let Limits { target_beyond_rad, target_step_rad, .. } = self.limits;
+        let mut limited = *targets;
+        for joint in 0..JOINTS {
+            let (name, found, [low, high]) = (joint_name(joint), targets[joint], self.joint_limits[joint]);
+            if !found.is_finite() {
+                return Err(Fault::NotFinite { what: format!("the policy's target of {name}") });
+            }
+            if found < low - target_beyond_rad || found > high + target_beyond_rad {
+                return Err(Fault::TargetRange { joint: name, found, low, high });
+            }
+            let change = found - last[joint];
+            if change.abs() > target_step_rad {
+                return Err(Fault::TargetStep { joint: name, found: change, limit: target_step_rad });
+            }
+            limited[joint] = found.clamp(low, high);
+        }
+        Ok(limited)
+    }
+
+    /// Checks a silence of the robot of this length \[s\].
+    ///
+    /// # Errors
+    /// It is too long.
+    pub fn silence(&self, silent_s: f64) -> Result<(), Fault> {
+        let limit_s = self.limits.silence_s;
+        if silent_s > limit_s {
+            return Err(Fault::Silence { silent_ms: 1e3 * silent_s, limit_ms: 1e3 * limit_s });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use supple::robot::Robot;
+
+    use super::*;
+    use crate::bridge::reading::tests::state_at;
+    use crate::message::LowState;
+
+    fn guard() -> Guard {
+        let robot = Robot::load("go2").unwrap();
+        Guard::new(Limits::default(), robot.joint_limits, robot.torque_limits)
+    }
+
+    fn pose() -> Joints {
+        Robot::load("go2").unwrap().nominal_pose
+    }
+
+    fn checked(change: impl Fn(&mut LowState)) -> Result<(), Fault> {
+        let mut state = state_at(&pose(), 2);
+        change(&mut state);
+        guard().check(&Reading::new(&state.sealed()).unwrap(), 0.002)
+    }
+
+    #[test]
+    fn each_limit_is_a_fault_of_its_own() {
+        assert_eq!(checked(|_| ()), Ok(()));
+        // Rolled by 70°: cos and sin of half of it.
+        let rolled = checked(|it| it.imu_state.quaternion = [0.819, 0.574, 0.0, 0.0]);
+        assert!(matches!(rolled, Err(Fault::Tilt { .. })), "{rolled:?}");
+        let fast = checked(|it| it.motor_state[4].dq = -36.0);
+        assert!(matches!(fast, Err(Fault::JointRate { ref joint, .. }) if joint == "FL_thigh"), "{fast:?}");
+        let hot = checked(|it| it.motor_state[4].temperature = 90);
+        assert!(matches!(hot, Err(Fault::Temperature { found: 90, .. })), "{hot:?}");
+        let empty = checked(|it| it.bms_state.soc = 5);
+        assert!(matches!(empty, Err(Fault::Battery { found: 5, .. })), "{empty:?}");
+        let broken = checked(|it| it.imu_state.gyroscope[1] = f32::NAN);
+        assert!(matches!(broken, Err(Fault::NotFinite { .. })), "{broken:?}");
+        // Simulators have no battery.
+        assert_eq!(checked(|it| (it.bms_state.soc, it.bms_state.cell_vol[0]) = (0, 0)), Ok(()));
+    }
+
+    #[test]
+    fn motor_may_strain_for_half_a_second() {
+        let (mut guard, mut state) = (guard(), state_at(&pose(), 2));
+        state.motor_state[1].tau_est = 23.5;
+        let reading = Reading::new(&state.clone().sealed()).unwrap();
+        let mut strain = |seconds: f64| (0..(seconds * 500.0) as usize).try_for_each(|_| guard.check(&reading, 0.002));
+        assert_eq!(strain(0.49), Ok(()));
+        assert!(matches!(strain(0.05), Err(Fault::Torque { .. })));
+    }
+
+    #[test]
+    fn targets_are_limited_to_the_range_and_refused_far_beyond() {
+        let (guard, last) = (guard(), pose());
+        let with = |joint: usize, target: f64| {
+            let mut targets = last;
+            targets[joint] = target;
+            guard.limit(&targets, &last)
+        };
+        // The calf's range is −2.7227 to −0.83776 rad.
+        assert_eq!(with(2, -0.5).map(|it| it[2]), Ok(-0.83776));
+        assert!(matches!(with(2, 1.0), Err(Fault::TargetRange { .. })));
+        assert!(matches!(with(1, -1.9), Err(Fault::TargetStep { .. })));
+        assert!(matches!(with(5, f64::NAN), Err(Fault::NotFinite { .. })));
+    }
+
+    #[test]
+    fn silence_is_a_fault_after_100_ms() {
+        assert_eq!(guard().silence(0.0999), Ok(()));
+        assert!(matches!(guard().silence(0.1001), Err(Fault::Silence { .. })));
+    }
+}

@@ -1,0 +1,418 @@
+/*! The mismatch finder: what does not fit between a policy and a log of a robot that it ran on.
+
+The policy is replayed on the logged readings, and its joint targets are compared with those that were sent. If they differ, the
+usual mistakes are tried one after the other: with the right one undone, the replay fits. Gains are compared directly, and with
+what torques, angles and rates say; units and quaternion with what is physically possible.
+*/
+
+mod mistakes;
+mod rows;
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use supple::estimate::{EncoderReading, ImuReading};
+use supple::policy::Agent;
+use supple::robot::{JOINTS, Joints};
+
+use crate::bridge::log::Row;
+use crate::bridge::orders::Order;
+use crate::bridge::phase::Phase;
+use crate::bridge::reading::Reading;
+use crate::bridge::safety::Limits;
+use crate::bridge::{Bridge, BridgeError};
+use crate::remote::Remote;
+use mistakes::{Mistake, mistakes};
+pub use rows::{Columns, LogRows};
+
+/// Replayed and sent joint targets that differ by no more than this fit \[rad\], root mean square.
+const FITS_RAD: f64 = 0.02;
+
+/// A mistake is accepted if undoing it leaves less than this fraction of the difference.
+const BETTER: f64 = 0.6;
+
+/// Most mistakes that are looked for, one after the other.
+const MOST: usize = 3;
+
+/// Delays that are tried: multiples of 2 ms.
+const DELAYS: usize = 41;
+const DELAY_S: f64 = 0.002;
+
+/// A delay that differs by more than this from the policy's is a mismatch \[s\].
+const DELAY_TOLERANCE_S: f64 = 0.006;
+
+/// Rows that a replay takes, 8 s at 500 Hz, and those that each of the usual mistakes is tried on.
+const MOST_ROWS: usize = 4000;
+const SEARCH_ROWS: usize = 500;
+
+/// Fewest rows of the policy that say anything, half a second.
+const FEWEST_ROWS: usize = 250;
+
+/// The reason why a log cannot be checked.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckError {
+    /// The file cannot be read.
+    #[error("cannot read the log {path}: {reason}")]
+    Read {
+        /// Path of the log.
+        path: String,
+        /// The reason.
+        reason: String,
+    },
+    /// A column is missing.
+    #[error(
+        "the log has no column '{name}': describe its columns in a YAML file (--columns), with the name of each of ours and that of \
+         the log's; it has: {found}"
+    )]
+    Column {
+        /// Name of the column.
+        name: String,
+        /// The columns that there are.
+        found: String,
+    },
+    /// There are too few rows.
+    #[error("the log has {found} rows of the phase 'policy', at least {FEWEST_ROWS} are needed")]
+    Short {
+        /// Number of rows.
+        found: usize,
+    },
+    /// The policy.
+    #[error(transparent)]
+    Bridge(#[from] BridgeError),
+}
+
+/// A mismatch, or the statement that there is none.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Finding {
+    /// What does not fit, in words.
+    pub text: String,
+    /// Remaining difference between replayed and sent joint targets \[rad\], where it was measured.
+    pub difference_rad: Option<f64>,
+}
+
+/// The result of a check.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Verdict {
+    /// Difference of the log as it is \[rad\].
+    pub at_first_rad: f64,
+    /// Difference after all mistakes are undone \[rad\].
+    pub at_last_rad: f64,
+    /// What does not fit.
+    pub findings: Vec<Finding>,
+}
+
+impl Verdict {
+    /// Returns true if the log fits the policy.
+    pub fn fits(&self) -> bool {
+        self.findings.is_empty() && self.at_first_rad <= FITS_RAD
+    }
+}
+
+/// Returns limits that nothing exceeds: a replay may see anything.
+fn no_limits() -> Limits {
+    Limits {
+        silence_s: f64::INFINITY,
+        tilt_rad: f64::INFINITY,
+        joint_rate_rad_s: f64::INFINITY,
+        torque_fraction: f64::INFINITY,
+        torque_s: f64::INFINITY,
+        temperature_c: u8::MAX,
+        charge_percent: 0,
+        target_beyond_rad: f64::INFINITY,
+        target_step_rad: f64::INFINITY,
+    }
+}
+
+/// Returns the joint targets of the policy for each row of its phase, before latency \[rad\].
+fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Vec<(f64, Joints, Joints)>, BridgeError> {
+    let mut bridge = Bridge::new(agent, no_limits(), Some(0.0))?;
+    let mut replayed = Vec::with_capacity(rows.len());
+    bridge.resume(Phase::Hold);
+    for (phase, row) in rows {
+        let mut row = *row;
+        undo.iter().for_each(|mistake| (mistake.undo)(&mut row));
+        if phase == "policy" {
+            bridge.resume(Phase::Policy);
+        }
+        let [forward, left, yaw] = row.command;
+        bridge.order(&Order::Command(supple::task::Command::velocity(forward, left, yaw)), row.time_s);
+        let [w, x, y, z] = row.quaternion;
+        let reading = Reading {
+            tick_ms: (1e3 * row.tick_s).round() as u32,
+            imu: ImuReading { gyro: Vector3::from(row.gyro), specific_force: Vector3::from(row.accelerometer) },
+            world_from_base: UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)),
+            encoders: EncoderReading { angles: row.q, rates: row.dq },
+            torques: row.tau,
+            hottest: (0, 0),
+            charge_percent: None,
+            remote: Remote::default(),
+        };
+        let targets = bridge.take(reading, row.time_s).targets;
+        if phase == "policy" {
+            replayed.push((row.tick_s, targets, row.target));
+        }
+    }
+    Ok(replayed)
+}
+
+/// Returns the root mean square between sent targets and replayed ones that are `delay` rows old \[rad\].
+fn difference(replayed: &[(f64, Joints, Joints)], delay: usize) -> f64 {
+    // What is no number, or no target, is far off.
+    let square = |a: f64, b: f64| if (a - b).abs() < 10.0 { (a - b).powi(2) } else { 100.0 };
+    // The delay line is full of the stance at first.
+    let pairs = replayed.iter().zip(replayed.iter().skip(delay)).skip(DELAYS);
+    let (mut sum, mut count) = (0.0, 0.0_f64);
+    for ((_, wanted, _), (_, _, sent)) in pairs {
+        sum += wanted.iter().zip(sent).map(|(a, b)| square(*a, *b)).sum::<f64>();
+        count += JOINTS as f64;
+    }
+    (sum / count.max(1.0)).sqrt()
+}
+
+/// Returns the best delay in rows and the difference that it leaves \[rad\].
+fn best_delay(replayed: &[(f64, Joints, Joints)]) -> (usize, f64) {
+    let each = (0..DELAYS).map(|delay| (delay, difference(replayed, delay)));
+    each.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
+}
+
+/// Checks a log against a policy; `latency_s` is the delay of the joint targets that is wanted \[s\], `None` for that of the
+/// policy's training.
+///
+/// # Errors
+/// The log is too short, or the policy is not one of a Go2.
+pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Verdict, CheckError> {
+    let rows = log.of_policy(MOST_ROWS);
+    let count = rows.iter().filter(|(phase, _)| phase == "policy").count();
+    if count < FEWEST_ROWS {
+        return Err(CheckError::Short { found: count });
+    }
+    let mut findings = physical(rows, agent);
+    let all = mistakes();
+    let mut undo: Vec<&Mistake> = Vec::new();
+    let first = replay(agent, rows, &undo)?;
+    let (mut delay, mut at_last_rad) = best_delay(&first);
+    let at_first_rad = at_last_rad;
+    while at_last_rad > FITS_RAD && undo.len() < MOST {
+        let few = &rows[..rows.len().min(SEARCH_ROWS)];
+        let mut best: Option<(&Mistake, f64)> = None;
+        for candidate in &all {
+            let tried: Vec<&Mistake> = undo.iter().copied().chain([candidate]).collect();
+            let (_, left_rad) = best_delay(&replay(agent, few, &tried)?);
+            if best.is_none_or(|(_, least_rad)| left_rad < least_rad) {
+                best = Some((candidate, left_rad));
+            }
+        }
+        let Some((found, _)) = best else { break };
+        undo.push(found);
+        let (found_delay, left_rad) = best_delay(&replay(agent, rows, &undo)?);
+        if left_rad > BETTER * at_last_rad {
+            break;
+        }
+        (delay, at_last_rad) = (found_delay, left_rad);
+        findings.push(Finding { text: found.text.clone(), difference_rad: Some(left_rad) });
+    }
+    if at_last_rad <= FITS_RAD {
+        let wanted_s = latency_s.unwrap_or(agent.config.simulation.latency_s);
+        let found_s = DELAY_S * delay as f64;
+        if (found_s - wanted_s).abs() > DELAY_TOLERANCE_S {
+            let text = format!(
+                "joint targets are sent {:.0} ms after the reading that they answer, {:.0} ms is what the policy was trained with",
+                1e3 * found_s,
+                1e3 * wanted_s
+            );
+            findings.push(Finding { text, difference_rad: Some(at_last_rad) });
+        }
+    } else if findings.is_empty() {
+        let text = "the joint targets are not those of this policy on these readings, and none of the usual mistakes explains it: \
+                    another policy, or other scales?";
+        findings.push(Finding { text: text.to_owned(), difference_rad: None });
+    }
+    Ok(Verdict { at_first_rad, at_last_rad, findings })
+}
+
+/// Finds what needs no replay: gains and quaternion.
+fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
+    let rows: Vec<&Row> = rows.iter().filter(|(phase, _)| phase == "policy").map(|(_, row)| row).collect();
+    let simulation = &agent.config.simulation;
+    let wanted = [simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad];
+    let mut findings = Vec::new();
+    let mut find = |text: String| findings.push(Finding { text, difference_rad: None });
+    let sent = rows.first().map_or(wanted, |row| row.gains);
+    let differs = |found: f64, wanted: f64, by: f64| (found - wanted).abs() > by * wanted;
+    if differs(sent[0], wanted[0], 0.02) || differs(sent[1], wanted[1], 0.02) {
+        find(format!(
+            "gains are kp {} and kd {}, the policy was trained with {} and {}",
+            sent[0], sent[1], wanted[0], wanted[1]
+        ));
+    } else if let Some([kp, kd]) = effective_gains(&rows) {
+        if differs(kp, wanted[0], 0.25) {
+            find(format!("torques are those of a gain kp of {kp:.0} N m/rad, not of the {} that was sent", sent[0]));
+        }
+        if differs(kd, wanted[1], 0.6) && !differs(kp, wanted[0], 0.25) {
+            find(format!("torques are those of a gain kd of {kd:.1} N m s/rad, not of the {} that was sent", sent[1]));
+        }
+    }
+    if let Some(text) = quaternion(&rows) {
+        find(text);
+    }
+    findings
+}
+
+/// Estimates the gains from torques by least squares: `τ = kp (target − q) − kd q̇`; `None` if that explains little.
+fn effective_gains(rows: &[&Row]) -> Option<[f64; 2]> {
+    let (mut a, mut b, mut square) = ([[0.0; 2]; 2], [0.0; 2], 0.0);
+    for pair in rows.windows(2) {
+        for joint in 0..JOINTS {
+            // The command of a row acts until the next.
+            let regressors = [pair[0].target[joint] - pair[1].q[joint], -pair[1].dq[joint]];
+            let torque = pair[1].tau[joint];
+            for i in 0..2 {
+                for k in 0..2 {
+                    a[i][k] += regressors[i] * regressors[k];
+                }
+                b[i] += regressors[i] * torque;
+            }
+            square += torque * torque;
+        }
+    }
+    let determinant = a[0][0] * a[1][1] - a[0][1] * a[1][0];
+    let gains = [(a[1][1] * b[0] - a[0][1] * b[1]) / determinant, (a[0][0] * b[1] - a[1][0] * b[0]) / determinant];
+    let explained = gains[0] * b[0] + gains[1] * b[1];
+    (gains.iter().all(|gain| gain.is_finite()) && explained > 0.8 * square).then_some(gains)
+}
+
+/// Compares the mean up of quaternion and accelerometer; the text says in which other reading they agree.
+fn quaternion(rows: &[&Row]) -> Option<String> {
+    let mut force = Vector3::zeros();
+    rows.iter().for_each(|row| force += Vector3::from(row.accelerometer));
+    let force = force.try_normalize(1e-9)?;
+    // A frame or sign of the accelerometer is found by the replay.
+    let up = |read: fn([f64; 4]) -> UnitQuaternion<f64>| {
+        let mut up = Vector3::zeros();
+        rows.iter().for_each(|row| up += read(row.quaternion).inverse() * Vector3::z());
+        up.try_normalize(1e-9).map_or(std::f64::consts::PI, |up| up.angle(&force))
+    };
+    const CLOSE_RAD: f64 = 0.15;
+    let plain = up(|[w, x, y, z]| UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)));
+    let last = up(|[x, y, z, w]| UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)));
+    (plain > CLOSE_RAD && last < CLOSE_RAD && last < 0.5 * plain)
+        .then(|| "the quaternion is in the order x, y, z, w; expected w, x, y, z".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::LazyLock;
+
+    use supple::policy::shipped;
+    use supple::scenario::catalog::Scenario;
+
+    use super::mistakes::{orders, permuted};
+    use super::*;
+    use crate::lockstep::rehearse;
+
+    static AGENT: LazyLock<Agent> = LazyLock::new(|| shipped::find("go2/compliant").unwrap());
+
+    /// A walk around a corner, of a robot that follows its policy.
+    static LOG: LazyLock<LogRows> = LazyLock::new(|| {
+        let scenario =
+            Scenario::named("walk", "{duration_s: 3.0, forward_m_s: 0.4, left_m_s: 0.2, yaw_rad_s: 0.3}").unwrap();
+        let rehearsal = rehearse(&AGENT, &scenario, 1, None, 1000).unwrap();
+        LogRows(rehearsal.log.into_iter().map(|(phase, row)| (phase.to_owned(), row)).collect())
+    });
+
+    fn broken(change: impl Fn(&mut Row)) -> Verdict {
+        let mut log = LOG.clone();
+        log.0.iter_mut().for_each(|(_, row)| change(row));
+        check(&log, &AGENT, None).unwrap()
+    }
+
+    #[test]
+    fn log_of_a_sound_bridge_fits() {
+        let verdict = check(&LOG, &AGENT, None).unwrap();
+        assert!(verdict.fits(), "{verdict:?}");
+    }
+
+    /// A mistake, and words that name it.
+    type Case = (&'static str, fn(&mut Row));
+
+    #[test]
+    fn twenty_mistakes_are_each_named() {
+        fn all(row: &mut Row, change: impl Fn(&Joints) -> Joints) {
+            (row.q, row.dq, row.tau) = (change(&row.q), change(&row.dq), change(&row.tau));
+        }
+        fn left_first(values: &Joints) -> Joints {
+            permuted(values, &orders()[0].1)
+        }
+        fn by_type(values: &Joints) -> Joints {
+            let mut theirs = [0.0; JOINTS];
+            orders()[3].1.iter().zip(values).for_each(|(place, value)| theirs[*place] = *value);
+            theirs
+        }
+        let cases: [Case; 20] = [
+            ("readings of the joints are in the order FL, FR", |row| all(row, left_first)),
+            ("readings of the joints are in the order all hips", |row| all(row, by_type)),
+            ("joint targets are in the order FL, FR", |row| row.target = left_first(&row.target)),
+            ("readings and targets of the joints are in the order FL, FR", |row| {
+                all(row, left_first);
+                row.target = left_first(&row.target);
+            }),
+            ("angle and rate of FR_thigh", |row| {
+                (row.q[1], row.dq[1], row.tau[1]) = (-row.q[1], -row.dq[1], -row.tau[1])
+            }),
+            ("the rate of RL_calf", |row| row.dq[11] = -row.dq[11]),
+            ("the target of FL_calf", |row| row.target[5] = -row.target[5]),
+            ("angle and rate of all calves", |row| {
+                [2, 5, 8, 11]
+                    .into_iter()
+                    .for_each(|k| (row.q[k], row.dq[k], row.tau[k]) = (-row.q[k], -row.dq[k], -row.tau[k]));
+            }),
+            ("joint angles are in degrees", |row| row.q = row.q.map(f64::to_degrees)),
+            ("joint rates are in degrees", |row| row.dq = row.dq.map(f64::to_degrees)),
+            ("joint angles and rates are in degrees", |row| {
+                (row.q, row.dq) = (row.q.map(f64::to_degrees), row.dq.map(f64::to_degrees));
+            }),
+            ("joint targets are in degrees", |row| row.target = row.target.map(f64::to_degrees)),
+            ("the gyro is in degrees", |row| row.gyro = row.gyro.map(f64::to_degrees)),
+            ("gyro and accelerometer are in forward, right, down", |row| {
+                [1, 2]
+                    .into_iter()
+                    .for_each(|k| (row.gyro[k], row.accelerometer[k]) = (-row.gyro[k], -row.accelerometer[k]));
+            }),
+            ("the gyro is in a frame whose y axis is to the right", |row| row.gyro[1] = -row.gyro[1]),
+            ("reads −g at rest", |row| row.accelerometer = row.accelerometer.map(|value| -value)),
+            ("gains are kp 20", |row| row.gains = [20.0, 0.5]),
+            ("torques are those of a gain kp of 23", |row| row.tau = row.tau.map(|torque| 0.5 * torque)),
+            ("the quaternion is in the order x, y, z, w", |row| row.quaternion.rotate_left(1)),
+            ("the command's yaw rate has the wrong sign", |row| row.command[2] = -row.command[2]),
+        ];
+        let unnamed: Vec<String> = std::thread::scope(|scope| {
+            let check = |(words, change): Case| {
+                scope.spawn(move || {
+                    let verdict = broken(change);
+                    let is_named = verdict.findings.iter().any(|finding| finding.text.contains(words));
+                    (!is_named).then(|| format!("{words}: {verdict:?}"))
+                })
+            };
+            let threads = cases.map(check);
+            threads.into_iter().filter_map(|thread| thread.join().unwrap()).collect()
+        });
+        assert!(unnamed.is_empty(), "{}", unnamed.join("\n"));
+    }
+
+    #[test]
+    fn delay_is_measured_to_a_few_milliseconds() {
+        let mut log = LOG.clone();
+        let targets: Vec<Joints> = log.0.iter().map(|(_, row)| row.target).collect();
+        // 20 ms more.
+        for (index, (_, row)) in log.0.iter_mut().enumerate().skip(10) {
+            row.target = targets[index - 10];
+        }
+        let verdict = check(&log, &AGENT, None).unwrap();
+        assert!(verdict.findings.iter().any(|finding| finding.text.contains("50 ms")), "{verdict:?}");
+    }
+
+    #[test]
+    fn log_of_another_policy_is_noticed() {
+        let other = shipped::find("go2/baseline").unwrap();
+        let verdict = check(&LOG, &other, None).unwrap();
+        assert!(!verdict.fits() && verdict.at_last_rad > FITS_RAD, "{verdict:?}");
+    }
+}

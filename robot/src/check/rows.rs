@@ -1,0 +1,107 @@
+//! Logs as `robot check` reads them: ours, or tables of other programs whose columns are described.
+
+use std::path::Path;
+
+use serde::Deserialize;
+
+use super::CheckError;
+use crate::bridge::log::{Row, columns};
+
+/// Rows of the stance before the policy, in which the estimators settle.
+const HELD_ROWS: usize = 100;
+
+/// The columns of a log of another program.
+#[derive(Debug, Clone, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Columns {
+    /// The log's name of each of our columns that has another one.
+    #[serde(default)]
+    pub names: std::collections::BTreeMap<String, String>,
+    /// Values of columns that the log lacks.
+    #[serde(default)]
+    pub constants: std::collections::BTreeMap<String, f64>,
+}
+
+/// A log: the phase of each row, and its numbers.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LogRows(pub Vec<(String, Row)>);
+
+impl LogRows {
+    /// Reads a log, and its older half if there is one. Rows without a phase count as those of the policy.
+    ///
+    /// # Errors
+    /// A file cannot be read, or lacks a column.
+    pub fn read(path: &Path, columns: &Columns) -> Result<Self, CheckError> {
+        let older = crate::bridge::log::older(path);
+        let mut rows = if older.exists() { Self::read_one(&older, columns)?.0 } else { Vec::new() };
+        rows.extend(Self::read_one(path, columns)?.0);
+        Ok(LogRows(rows))
+    }
+
+    fn read_one(path: &Path, names: &Columns) -> Result<Self, CheckError> {
+        let fail = |reason: String| CheckError::Read { path: path.display().to_string(), reason };
+        let mut table = csv::Reader::from_path(path).map_err(|error| fail(error.to_string()))?;
+        let found: Vec<String> = table
+            .headers()
+            .map_err(|error| fail(error.to_string()))?
+            .iter()
+            .map(|name| name.trim().to_owned())
+            .collect();
+        let place = |ours: &str| {
+            let name = names.names.get(ours).map_or(ours, String::as_str);
+            found.iter().position(|known| known == name)
+        };
+        let phase = place("phase");
+        let mut sources = Vec::new();
+        for ours in columns().iter().skip(1) {
+            sources.push(match (place(ours), names.constants.get(ours)) {
+                (Some(place), _) => Ok(place),
+                (None, Some(constant)) => Err(*constant),
+                (None, None) => return Err(CheckError::Column { name: ours.clone(), found: found.join(", ") }),
+            });
+        }
+        let mut rows = Vec::new();
+        for record in table.records() {
+            let record = record.map_err(|error| fail(error.to_string()))?;
+            let number = |source: &Result<usize, f64>| match source {
+                Ok(place) => record.get(*place).and_then(|text| text.trim().parse().ok()).unwrap_or(f64::NAN),
+                Err(constant) => *constant,
+            };
+            let numbers: Vec<f64> = sources.iter().map(number).collect();
+            let phase = phase.and_then(|place| record.get(place)).unwrap_or("policy").to_owned();
+            rows.extend(Row::from_numbers(&numbers).map(|row| (phase, row)));
+        }
+        Ok(LogRows(rows))
+    }
+
+    /// Returns the rows of the first run of the policy, at most `most`, with some of the stance before it.
+    pub(super) fn of_policy(&self, most: usize) -> &[(String, Row)] {
+        let Some(first) = self.0.iter().position(|(phase, _)| phase == "policy") else { return &[] };
+        let end = self.0[first..].iter().position(|(phase, _)| phase != "policy").map_or(self.0.len(), |at| first + at);
+        let held = self.0[..first].iter().rev().take(HELD_ROWS).take_while(|(phase, _)| phase == "hold").count();
+        &self.0[first - held..end.min(first + most)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn log_of_another_program_is_read_by_the_names_of_its_columns() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let header = columns().join(",").replace("gyro_x", "omega_x").replace(",kp,kd", "");
+        let row = crate::bridge::log::tests::row(1.0);
+        let numbers: Vec<String> = row.numbers().iter().map(f64::to_string).collect();
+        std::fs::write(&path, format!("{header}\npolicy,{}\n", numbers[..numbers.len() - 2].join(","))).unwrap();
+        let error = LogRows::read(&path, &Columns::default()).unwrap_err().to_string();
+        assert!(error.contains("gyro_x") && error.contains("omega_x"), "{error}");
+        let mut names = Columns::default();
+        names.names.insert("gyro_x".to_owned(), "omega_x".to_owned());
+        names.constants.insert("kp".to_owned(), 40.0);
+        names.constants.insert("kd".to_owned(), 1.0);
+        let read = LogRows::read(&path, &names).unwrap();
+        assert_eq!(read.0, [("policy".to_owned(), Row { gains: [40.0, 1.0], ..row })]);
+    }
+}

@@ -1,0 +1,289 @@
+/*! DDS on one network interface: a [`Node`] that publishes and listens.
+
+What the robot's own software (Cyclone DDS 0.10) needs, and dust_dds does not do by itself, is in two places: `transport`, and the
+settings below. Whatever is sent at a fixed rate is sent best-effort: a reliable writer blocks while a reader that was
+killed counts as alive, so that one dead `ros2 topic echo` would stop the robot.
+*/
+
+pub mod switcher;
+mod transport;
+
+use std::net::Ipv4Addr;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
+
+use dust_dds::dds_async::configuration::DustDdsConfigurationBuilder;
+use dust_dds::dds_async::data_reader::DataReaderAsync;
+use dust_dds::dds_async::domain_participant_factory::DomainParticipantFactoryAsync;
+use dust_dds::domain::domain_participant::DomainParticipant;
+use dust_dds::domain::domain_participant_factory::DomainParticipantFactory;
+use dust_dds::infrastructure::error::{DdsError, DdsResult};
+use dust_dds::infrastructure::listener::NO_LISTENER;
+use dust_dds::infrastructure::qos::{DataReaderQos, DataWriterQos, QosKind};
+use dust_dds::infrastructure::qos_policy::{
+    HistoryQosPolicy, HistoryQosPolicyKind, ReliabilityQosPolicy, ReliabilityQosPolicyKind,
+};
+use dust_dds::infrastructure::sample_info::{ANY_INSTANCE_STATE, ANY_SAMPLE_STATE, ANY_VIEW_STATE};
+use dust_dds::infrastructure::status::{NO_STATUS, StatusKind};
+use dust_dds::infrastructure::time::{Duration, DurationKind};
+use dust_dds::publication::data_writer::DataWriter;
+use dust_dds::std_runtime::StdRuntime;
+use dust_dds::subscription::data_reader::DataReader;
+use dust_dds::subscription::data_reader_listener::DataReaderListener;
+use dust_dds::topic_definition::topic::Topic;
+use dust_dds::xtypes::type_support::TypeSupport;
+use network_interface::{Addr, NetworkInterface, NetworkInterfaceConfig};
+
+/// The largest DDS domain: the ports of the next one would be beyond 65535.
+pub const MAX_DOMAIN: u16 = 231;
+
+/// The reason why a node cannot be opened or used.
+#[derive(Debug, thiserror::Error)]
+pub enum NodeError {
+    /// There is no such interface.
+    #[error("there is no network interface '{name}' with an IPv4 address; there are: {known}")]
+    Interface {
+        /// The name that was given.
+        name: String,
+        /// The interfaces that have an IPv4 address.
+        known: String,
+    },
+    /// The domain is too large.
+    #[error("DDS domain {found}: expected 0 to {MAX_DOMAIN}; a Go2 is in domain 0")]
+    Domain {
+        /// The domain that was given.
+        found: u16,
+    },
+    /// A port is in use, or the address is not one of this machine.
+    #[error("cannot open the ports of DDS domain {domain} on {address}: {source}")]
+    Ports {
+        /// The domain.
+        domain: u16,
+        /// The address.
+        address: Ipv4Addr,
+        /// Reason given by the operating system.
+        source: std::io::Error,
+    },
+    /// dust_dds refuses.
+    #[error("DDS, {what}: {reason}")]
+    Dds {
+        /// The attempted action.
+        what: &'static str,
+        /// Reason given by dust_dds.
+        reason: String,
+    },
+}
+
+fn dds(what: &'static str) -> impl Fn(DdsError) -> NodeError {
+    move |error| NodeError::Dds { what, reason: format!("{error:?}") }
+}
+
+/// The place in a network where a node listens and speaks.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Place {
+    /// DDS domain: 0 for a Go2, 1 by the custom of simulators.
+    pub domain: u16,
+    /// Address of the interface; nothing is sent on any other one.
+    pub address: Ipv4Addr,
+    /// Addresses that are announced to one by one, for networks without multicast.
+    pub peers: Vec<Ipv4Addr>,
+}
+
+impl Place {
+    /// Returns the place on an interface, given by its name or by its address. A loopback interface announces to itself,
+    /// since it often has no multicast.
+    ///
+    /// # Errors
+    /// There is no such interface, or the domain is too large.
+    pub fn new(interface: &str, domain: u16, peers: Vec<Ipv4Addr>) -> Result<Self, NodeError> {
+        if domain > MAX_DOMAIN {
+            return Err(NodeError::Domain { found: domain });
+        }
+        let interfaces = NetworkInterface::show().unwrap_or_default();
+        let ipv4 = |interface: &NetworkInterface| {
+            interface.addr.iter().find_map(|addr| if let Addr::V4(addr) = addr { Some(addr.ip) } else { None })
+        };
+        let named: Vec<(&str, Ipv4Addr)> =
+            interfaces.iter().filter_map(|interface| Some((interface.name.as_str(), ipv4(interface)?))).collect();
+        let of_name = || named.iter().find(|(name, _)| *name == interface).map(|(_, address)| *address);
+        let address = interface.parse().ok().or_else(of_name).ok_or_else(|| NodeError::Interface {
+            name: interface.to_owned(),
+            known: named.iter().map(|(name, address)| format!("{name} ({address})")).collect::<Vec<_>>().join(", "),
+        })?;
+        let peers = if peers.is_empty() && address.is_loopback() { vec![address] } else { peers };
+        Ok(Place { domain, address, peers })
+    }
+}
+
+/// A message that arrived.
+#[derive(Debug, Clone)]
+pub struct Arrival<T> {
+    /// The message.
+    pub message: T,
+    /// Time of the arrival.
+    pub at: Instant,
+    /// Identity of the writer.
+    pub writer: WriterId,
+}
+
+/// Identity of a writer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct WriterId([u8; 16]);
+
+impl WriterId {
+    /// Creates an identity from its bytes.
+    pub const fn of_bytes(bytes: [u8; 16]) -> Self {
+        WriterId(bytes)
+    }
+}
+
+/// How much is done for a message to arrive.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delivery {
+    /// A lost message is lost: for what is sent at a fixed rate.
+    BestEffort,
+    /// A lost message is repeated: for requests and responses.
+    Reliable,
+}
+
+impl Delivery {
+    fn qos(self) -> ReliabilityQosPolicy {
+        let kind = match self {
+            Delivery::BestEffort => ReliabilityQosPolicyKind::BestEffort,
+            Delivery::Reliable => ReliabilityQosPolicyKind::Reliable,
+        };
+        ReliabilityQosPolicy { kind, max_blocking_time: DurationKind::Finite(Duration::new(0, 100_000_000)) }
+    }
+}
+
+/// Messages kept by a reader until they are taken.
+const DEPTH: u32 = 16;
+
+/// A participant of a DDS domain on one interface.
+pub struct Node {
+    participant: DomainParticipant,
+    /// The topics by name: DDS creates each of them once.
+    topics: Mutex<Vec<(String, Topic)>>,
+}
+
+/// Publishes messages on a topic.
+pub struct Publisher<T> {
+    writer: DataWriter<T>,
+}
+
+/// Keeps a subscription alive.
+pub struct Subscription<T> {
+    _reader: DataReader<T>,
+}
+
+impl<T: TypeSupport> Publisher<T> {
+    /// Sends a message.
+    ///
+    /// # Errors
+    /// A reliable reader does not answer, or the participant is gone.
+    pub fn send(&self, message: T) -> Result<(), NodeError> {
+        self.writer.write(message, None).map_err(dds("sending"))
+    }
+
+    /// Returns the identity that arrivals of its messages carry.
+    pub fn id(&self) -> WriterId {
+        WriterId(self.writer.get_instance_handle().into())
+    }
+}
+
+impl Node {
+    /// Joins a domain.
+    ///
+    /// # Errors
+    /// The ports are in use, or the address is not one of this machine.
+    pub fn open(place: &Place) -> Result<Self, NodeError> {
+        let Place { domain, address, .. } = *place;
+        let udp = transport::Udp::open(place).map_err(|source| NodeError::Ports { domain, address, source })?;
+        let configuration = DustDdsConfigurationBuilder::new()
+            .participant_announcement_interval(std::time::Duration::from_secs(1))
+            // With type information, neither Cyclone 0.10 nor 11 match.
+            .enable_type_information(false)
+            .build()
+            .map_err(dds("configuration"))?;
+        let id = std::process::id().to_be_bytes();
+        let factory = DomainParticipantFactoryAsync::new(StdRuntime::new(), id, address.octets(), udp, configuration);
+        // dust_dds wants the factory for ever; a program opens a node once.
+        let participant = DomainParticipantFactory::new(Box::leak(Box::new(factory)))
+            .create_participant(domain.into(), QosKind::Default, NO_LISTENER, NO_STATUS)
+            .map_err(dds("joining"))?;
+        Ok(Node { participant, topics: Mutex::default() })
+    }
+
+    fn topic<T: TypeSupport + 'static>(&self, name: &str, type_name: &str) -> DdsResult<Topic> {
+        let mut topics = self.topics.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, topic)) = topics.iter().find(|(known, _)| known == name) {
+            return Ok(topic.clone());
+        }
+        let topic = self.participant.create_topic::<T>(name, type_name, QosKind::Default, NO_LISTENER, NO_STATUS)?;
+        topics.push((name.to_owned(), topic.clone()));
+        Ok(topic)
+    }
+
+    /// Publishes on a topic.
+    ///
+    /// # Errors
+    /// The topic exists with another type.
+    pub fn publish<T: TypeSupport + 'static>(
+        &self,
+        topic: &str,
+        type_name: &str,
+        delivery: Delivery,
+    ) -> Result<Publisher<T>, NodeError> {
+        let qos = DataWriterQos { reliability: delivery.qos(), ..Default::default() };
+        let publish = || {
+            let topic = self.topic::<T>(topic, type_name)?;
+            let publisher = self.participant.create_publisher(QosKind::Default, NO_LISTENER, NO_STATUS)?;
+            publisher.create_datawriter(&topic, QosKind::Specific(qos), NO_LISTENER, NO_STATUS)
+        };
+        Ok(Publisher { writer: publish().map_err(dds("publishing"))? })
+    }
+
+    /// Calls `take` with every message of a topic, in a thread of DDS, until the subscription is dropped.
+    ///
+    /// # Errors
+    /// The topic exists with another type.
+    pub fn listen<T: TypeSupport + Send + Sync + 'static>(
+        &self,
+        topic: &str,
+        type_name: &str,
+        delivery: Delivery,
+        take: impl FnMut(Arrival<T>) + Send + 'static,
+    ) -> Result<Subscription<T>, NodeError> {
+        let qos = DataReaderQos {
+            history: HistoryQosPolicy { kind: HistoryQosPolicyKind::KeepLast(DEPTH) },
+            reliability: delivery.qos(),
+            ..Default::default()
+        };
+        let listen = || {
+            let topic = self.topic::<T>(topic, type_name)?;
+            let subscriber = self.participant.create_subscriber(QosKind::Default, NO_LISTENER, NO_STATUS)?;
+            let listener = Listener { take };
+            subscriber.create_datareader(&topic, QosKind::Specific(qos), Some(listener), &[StatusKind::DataAvailable])
+        };
+        Ok(Subscription { _reader: listen().map_err(dds("listening"))? })
+    }
+}
+
+struct Listener<F> {
+    take: F,
+}
+
+impl<T: TypeSupport + Send + Sync + 'static, F: FnMut(Arrival<T>) + Send + 'static> DataReaderListener<T>
+    for Listener<F>
+{
+    async fn on_data_available(&mut self, reader: DataReaderAsync<T>) {
+        let at = Instant::now();
+        let samples = reader.take(DEPTH as i32, ANY_SAMPLE_STATE, ANY_VIEW_STATE, ANY_INSTANCE_STATE).await;
+        for sample in samples.into_iter().flatten() {
+            let writer = WriterId(sample.sample_info.publication_handle.into());
+            if let Some(message) = sample.data {
+                (self.take)(Arrival { message, at, writer });
+            }
+        }
+    }
+}

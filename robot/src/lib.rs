@@ -1,0 +1,16 @@
+/*! The Go2's own interface, on both sides of it.
+
+[`serve`] is the robot's side: a simulated Go2 that is as strict as a real one. [`bridge`] is the controller's: a policy of Supple, or
+an external one, on whatever speaks the interface. Both are pure code but for one file each, which puts them on the network
+([`dds`]); [`lockstep`] joins them without one. [`check`] finds out from a log what does not fit between a policy and a robot.
+Messages are in [`message`]; nothing is ever sent on another network interface than the one that is named.
+*/
+
+pub mod bridge;
+pub mod check;
+pub mod dds;
+pub mod lockstep;
+pub mod message;
+pub mod motor;
+pub mod remote;
+pub mod serve;

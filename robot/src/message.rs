@@ -1,0 +1,387 @@
+/*! The messages of the Go2's low-level interface, and the checksum that guards them.
+
+One declaration gives each message its DDS type and its C layout: the checksum runs over the struct as a C compiler would lay
+it out, so every field knows how to write itself with natural alignment. Joints and feet have Supple's order (FR, FL, RR, RL;
+hip, thigh, calf), which is Unitree's; entries 12 to 19 of the motors are unused.
+*/
+
+use dust_dds::infrastructure::type_support::DdsType;
+use supple::robot::JOINTS;
+
+/// Number of entries for motors in a message, of which the Go2 uses the first 12.
+pub const MOTORS: usize = 20;
+
+/// First two bytes of every frame.
+pub const HEAD: [u8; 2] = [0xFE, 0xEF];
+
+/// Level flag of frames of the low-level interface.
+pub const LOW_LEVEL: u8 = 0xFF;
+
+/// Motor mode in which the motor obeys; 0 switches it off.
+pub const SERVO: u8 = 1;
+
+/// Joint target that means "no position control".
+pub const POS_STOP: f32 = 2.146e9;
+
+/// Joint rate target that means "no velocity control".
+pub const VEL_STOP: f32 = 16_000.0;
+
+/// A value of a message: it can be written in C layout, and filled from a stream of words.
+pub trait Field {
+    /// Alignment in C \[bytes\].
+    const ALIGN: usize;
+    /// Returns the value whose bytes are zero.
+    fn zero() -> Self;
+    /// Appends the value in C layout.
+    fn put(&self, out: &mut Vec<u8>);
+    /// Replaces the value by one made of the next words.
+    fn fill(&mut self, next: &mut dyn FnMut() -> u32);
+}
+
+fn pad(out: &mut Vec<u8>, align: usize) {
+    out.resize(out.len().next_multiple_of(align), 0);
+}
+
+macro_rules! scalar {
+    ($($t:ty: $from:expr),*) => {$(
+        impl Field for $t {
+            const ALIGN: usize = size_of::<$t>();
+            fn zero() -> Self {
+                0 as $t
+            }
+            fn put(&self, out: &mut Vec<u8>) {
+                pad(out, Self::ALIGN);
+                out.extend(self.to_le_bytes());
+            }
+            fn fill(&mut self, next: &mut dyn FnMut() -> u32) {
+                *self = $from(next());
+            }
+        }
+    )*};
+}
+// An f32 made of 24 bits is exact, so that a peer can compare with ==.
+scalar!(u8: |x| x as u8, i16: |x| x as i16, u16: |x| x as u16, i32: |x| x as i32, u32: |x| x,
+        f32: |x| (x as i32 >> 8) as f32 / 256.0);
+
+impl<T: Field, const N: usize> Field for [T; N] {
+    const ALIGN: usize = T::ALIGN;
+    fn zero() -> Self {
+        std::array::from_fn(|_| T::zero())
+    }
+    fn put(&self, out: &mut Vec<u8>) {
+        self.iter().for_each(|value| value.put(out));
+    }
+    fn fill(&mut self, next: &mut dyn FnMut() -> u32) {
+        self.iter_mut().for_each(|value| value.fill(next));
+    }
+}
+
+macro_rules! message {
+    ($(#[$about:meta])* $name:ident = $dds:literal, align $align:literal
+     { $($(#[$doc:meta])* $field:ident: $t:ty),* $(,)? }) => {
+        $(#[$about])*
+        #[derive(DdsType, Debug, Clone, PartialEq)]
+        #[dust_dds(name = $dds)]
+        pub struct $name { $($(#[$doc])* pub $field: $t),* }
+        impl Field for $name {
+            const ALIGN: usize = $align;
+            fn zero() -> Self {
+                $name { $($field: <$t>::zero()),* }
+            }
+            fn put(&self, out: &mut Vec<u8>) {
+                pad(out, Self::ALIGN);
+                $(self.$field.put(out);)*
+                pad(out, Self::ALIGN);
+            }
+            fn fill(&mut self, next: &mut dyn FnMut() -> u32) {
+                $(self.$field.fill(next);)*
+            }
+        }
+        impl Default for $name {
+            fn default() -> Self {
+                Self::zero()
+            }
+        }
+        impl $name {
+            /// Name of the DDS type.
+            pub const TYPE: &str = $dds;
+        }
+    };
+}
+
+message! {
+    /// The command to one motor: torque = `tau + kp (q − angle) + kd (dq − rate)`.
+    MotorCmd = "unitree_go::msg::dds_::MotorCmd_", align 4 {
+        /// 1 to obey, 0 to switch the motor off.
+        mode: u8,
+        /// Joint target \[rad\], or [`POS_STOP`].
+        q: f32,
+        /// Joint rate target [rad/s], or [`VEL_STOP`].
+        dq: f32,
+        /// Additional torque [N·m].
+        tau: f32,
+        /// Proportional gain [N·m/rad].
+        kp: f32,
+        /// Derivative gain [N·m·s/rad].
+        kd: f32,
+        /// Unused.
+        reserve: [u32; 3],
+    }
+}
+message! {
+    /// The command to the battery.
+    BmsCmd = "unitree_go::msg::dds_::BmsCmd_", align 1 {
+        /// 0xA5 switches the battery off.
+        off: u8,
+        /// Unused.
+        reserve: [u8; 3],
+    }
+}
+message! {
+    /// A command to all motors, on the topic `rt/lowcmd`.
+    LowCmd = "unitree_go::msg::dds_::LowCmd_", align 4 {
+        /// [`HEAD`].
+        head: [u8; 2],
+        /// [`LOW_LEVEL`].
+        level_flag: u8,
+        /// Unused.
+        frame_reserve: u8,
+        /// Serial number.
+        sn: [u32; 2],
+        /// Version.
+        version: [u32; 2],
+        /// Bandwidth.
+        bandwidth: u16,
+        /// The commands to the motors.
+        motor_cmd: [MotorCmd; 20],
+        /// The command to the battery.
+        bms_cmd: BmsCmd,
+        /// Bytes for the remote.
+        wireless_remote: [u8; 40],
+        /// Lights.
+        led: [u8; 12],
+        /// Fans.
+        fan: [u8; 2],
+        /// Pins.
+        gpio: u8,
+        /// Unused.
+        reserve: u32,
+        /// The checksum, see [`crc`].
+        crc: u32,
+    }
+}
+message! {
+    /// The reading of the IMU.
+    ImuState = "unitree_go::msg::dds_::IMUState_", align 4 {
+        /// Orientation, world from IMU (w, x, y, z).
+        quaternion: [f32; 4],
+        /// Angular velocity, base frame [rad/s].
+        gyroscope: [f32; 3],
+        /// Specific force, base frame [m/s²]; about +9.81 along z at rest.
+        accelerometer: [f32; 3],
+        /// Roll, pitch, yaw \[rad\].
+        rpy: [f32; 3],
+        /// Temperature \[°C\].
+        temperature: u8,
+    }
+}
+message! {
+    /// The state of one motor.
+    MotorState = "unitree_go::msg::dds_::MotorState_", align 4 {
+        /// The mode in which the motor is.
+        mode: u8,
+        /// Joint angle \[rad\].
+        q: f32,
+        /// Joint rate [rad/s].
+        dq: f32,
+        /// Joint acceleration [rad/s²].
+        ddq: f32,
+        /// Estimated torque [N·m].
+        tau_est: f32,
+        /// Unfiltered joint angle \[rad\].
+        q_raw: f32,
+        /// Unfiltered joint rate [rad/s].
+        dq_raw: f32,
+        /// Unfiltered joint acceleration [rad/s²].
+        ddq_raw: f32,
+        /// Temperature of the winding \[°C\].
+        temperature: u8,
+        /// Number of lost packets between computer and motor.
+        lost: u32,
+        /// Unused.
+        reserve: [u32; 2],
+    }
+}
+message! {
+    /// The state of the battery.
+    BmsState = "unitree_go::msg::dds_::BmsState_", align 4 {
+        /// Major version.
+        version_high: u8,
+        /// Minor version.
+        version_low: u8,
+        /// Status.
+        status: u8,
+        /// State of charge \[%\].
+        soc: u8,
+        /// Current \[mA\]; negative while it is discharged.
+        current: i32,
+        /// Number of charging cycles.
+        cycle: u16,
+        /// Temperatures of the battery \[°C\].
+        bq_ntc: [u8; 2],
+        /// Temperatures of its electronics \[°C\].
+        mcu_ntc: [u8; 2],
+        /// Voltages of the cells \[mV\].
+        cell_vol: [u16; 15],
+    }
+}
+message! {
+    /// The state of the robot, on the topic `rt/lowstate` at 500 Hz.
+    LowState = "unitree_go::msg::dds_::LowState_", align 4 {
+        /// [`HEAD`].
+        head: [u8; 2],
+        /// [`LOW_LEVEL`].
+        level_flag: u8,
+        /// Unused.
+        frame_reserve: u8,
+        /// Serial number.
+        sn: [u32; 2],
+        /// Version.
+        version: [u32; 2],
+        /// Bandwidth.
+        bandwidth: u16,
+        /// The IMU.
+        imu_state: ImuState,
+        /// The motors.
+        motor_state: [MotorState; 20],
+        /// The battery.
+        bms_state: BmsState,
+        /// Forces of the feet, FR FL RR RL, in units of the sensor.
+        foot_force: [i16; 4],
+        /// Estimated forces of the feet.
+        foot_force_est: [i16; 4],
+        /// Clock of the robot \[ms\].
+        tick: u32,
+        /// The state of the remote, see [`Remote`](crate::remote::Remote).
+        wireless_remote: [u8; 40],
+        /// Flags.
+        bit_flag: u8,
+        /// Voltage of a line.
+        adc_reel: f32,
+        /// Temperature \[°C\].
+        temperature_ntc1: u8,
+        /// Temperature \[°C\].
+        temperature_ntc2: u8,
+        /// Voltage of the battery \[V\].
+        power_v: f32,
+        /// Current of the battery \[A\].
+        power_a: f32,
+        /// Frequencies of the fans.
+        fan_frequency: [u16; 4],
+        /// Unused.
+        reserve: u32,
+        /// The checksum, see [`crc`].
+        crc: u32,
+    }
+}
+
+const _: () = assert!(JOINTS <= MOTORS);
+
+/// Computes the checksum of a frame: CRC-32 with polynomial 04C11DB7, MSB first, over all little-endian words of its C layout
+/// except the last, which holds the checksum itself.
+pub fn crc(frame: &impl Field) -> u32 {
+    let mut bytes = Vec::with_capacity(1200);
+    frame.put(&mut bytes);
+    bytes.truncate(bytes.len().saturating_sub(4));
+    let words = bytes.chunks_exact(4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]));
+    words.flat_map(u32::to_be_bytes).fold(!0, |crc, byte| (crc << 8) ^ TABLE[(crc >> 24) as usize ^ usize::from(byte)])
+}
+
+/// The checksum's change for each leading byte.
+const TABLE: [u32; 256] = {
+    let mut table = [0; 256];
+    let mut byte = 0;
+    while byte < 256 {
+        let mut crc = (byte as u32) << 24;
+        let mut bit = 0;
+        while bit < 8 {
+            crc = (crc << 1) ^ if crc >> 31 == 1 { 0x04C1_1DB7 } else { 0 };
+            bit += 1;
+        }
+        table[byte] = crc;
+        byte += 1;
+    }
+    table
+};
+
+/// Fills every field from a generator that a peer in another language can repeat (see `scripts/check_go2`). Even seeds keep
+/// the top bit of bytes and half-words clear, which the vendor's own checksum helper needs.
+pub fn fill(frame: &mut impl Field, seed: u32) {
+    let mut x = seed.wrapping_mul(2_654_435_761) ^ 0x9E37_79B9;
+    frame.fill(&mut || {
+        x = x.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let y = x ^ (x >> 15);
+        if seed.is_multiple_of(2) { y & 0x7F7F_7F7F } else { y }
+    });
+}
+
+impl LowCmd {
+    /// Returns a command with head, flag and checksum in place, whose first 12 motors are those given, and whose others are
+    /// in servo mode without gains.
+    pub fn of_motors(motors: &[MotorCmd; JOINTS]) -> Self {
+        let idle = MotorCmd { mode: SERVO, q: POS_STOP, dq: VEL_STOP, ..MotorCmd::zero() };
+        let motor_cmd = std::array::from_fn(|index| motors.get(index).unwrap_or(&idle).clone());
+        LowCmd { head: HEAD, level_flag: LOW_LEVEL, motor_cmd, ..LowCmd::zero() }.sealed()
+    }
+
+    /// Returns the command with its checksum.
+    pub fn sealed(self) -> Self {
+        LowCmd { crc: crc(&self), ..self }
+    }
+}
+
+impl LowState {
+    /// Returns the state with its checksum.
+    pub fn sealed(self) -> Self {
+        LowState { crc: crc(&self), ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_are_those_of_the_c_structs() {
+        let (mut command, mut state) = (Vec::new(), Vec::new());
+        LowCmd::zero().put(&mut command);
+        LowState::zero().put(&mut state);
+        assert_eq!((command.len(), state.len()), (812, 1180));
+    }
+
+    #[test]
+    fn checksum_is_the_vendors_on_filled_frames() {
+        // What the vendor's library gives for the same frames: `scripts/check_go2 crc`.
+        let golden = [(0, 0x4B39_D8AB, 0x7BE8_6F5B), (2, 0x2FE7_E9D4, 0x0308_DF78), (4, 0x3A30_71CA, 0x1A27_0C51)];
+        for (seed, of_command, of_state) in golden {
+            let (mut command, mut state) = (LowCmd::zero(), LowState::zero());
+            fill(&mut command, seed);
+            fill(&mut state, seed);
+            assert_eq!((crc(&command), crc(&state)), (of_command, of_state));
+        }
+    }
+
+    #[test]
+    fn every_flipped_bit_changes_the_checksum() {
+        let command = LowCmd::of_motors(&std::array::from_fn(|_| MotorCmd { mode: SERVO, ..MotorCmd::zero() }));
+        assert_eq!(crc(&command), command.crc);
+        for motor in 0..MOTORS {
+            for bit in 0..32 {
+                let mut broken = command.clone();
+                let q = &mut broken.motor_cmd[motor].q;
+                *q = f32::from_bits(q.to_bits() ^ (1 << bit));
+                assert_ne!(crc(&broken), broken.crc, "motor {motor}, bit {bit}");
+            }
+        }
+    }
+}

@@ -1,0 +1,451 @@
+//! Plays the robot in real time: states out at 500 Hz, commands in, a scenario with metrics and a recording.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, channel, sync_channel};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use serde::Serialize;
+use serde_json::{Value, json};
+use supple::config::{Config, ConfigError};
+use supple::estimate::SensorNoise;
+use supple::mujoco;
+use supple::robot::{GRAVITY_M_S2, JointLosses};
+use supple::scenario::Script;
+use supple::scenario::catalog::{Scenario, ScriptError};
+use supple::scenario::metrics::Metric;
+use supple::scenario::trace::{Event, EventKind, Frame, Trace};
+use supple::sim::Ground;
+use supple::util::provenance::git_revision;
+use supple::util::random::{Purpose, stream};
+use supple::util::terminal;
+use supple_record::{RecordError, Recorder, RobotView, Sink};
+
+use super::body::{Body, FRAME_S, STATE_HZ, configuration};
+use super::judge::{Complaint, Judge, Kind};
+use super::link::{Faults, Link};
+use super::operator::Operator;
+use crate::dds::{Arrival, Delivery, Node, NodeError, Place, switcher};
+use crate::message::{LowCmd, LowState};
+use crate::remote::{FullSticks, Remote};
+
+/// Topics of the low-level interface.
+pub const COMMANDS: &str = "rt/lowcmd";
+/// Topic of the robot's state.
+pub const STATES: &str = "rt/lowstate";
+
+/// A tick that begins this much later than due is counted \[s\].
+const LATE_S: f64 = 0.002;
+
+/// A loop that is this far behind gives up catching up \[s\].
+const GIVE_UP_S: f64 = 0.05;
+
+/// Repeated complaints of one kind are printed no more often than this \[s\].
+const REPEAT_S: f64 = 2.0;
+
+/// The simulated robot, its scenario and its connection.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// The place in the network.
+    pub place: Place,
+    /// The scenario; `None` for the plane without end.
+    pub scenario: Option<Scenario>,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Losses in the joints.
+    pub joints: JointLosses,
+    /// Errors of the sensors; `None` for exact ones.
+    pub noise: Option<SensorNoise>,
+    /// Physics rate \[Hz\], a multiple of 500.
+    pub physics_hz: u32,
+    /// Errors of the connection, each way.
+    pub faults: Faults,
+    /// True if commands are obeyed without a release of the robot's own controller.
+    pub released: bool,
+    /// True if head and level flag of commands are not looked at.
+    pub any_head: bool,
+    /// The velocities that full sticks of the simulated remote mean.
+    pub full_sticks: FullSticks,
+    /// File of the recording.
+    pub record: Option<PathBuf>,
+    /// Time after which the program ends \[s\]; `None` for the scenario's end or Ctrl-C.
+    pub seconds: Option<f64>,
+}
+
+/// The reason why the robot cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The network.
+    #[error(transparent)]
+    Node(#[from] NodeError),
+    /// A shipped configuration.
+    #[error(transparent)]
+    Config(#[from] ConfigError),
+    /// A parameter of the scenario.
+    #[error(transparent)]
+    Script(#[from] ScriptError),
+    /// The physics.
+    #[error(transparent)]
+    Physics(#[from] mujoco::Error),
+    /// The recording.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+    /// The physics rate.
+    #[error("physics rate {found} Hz: expected a multiple of {STATE_HZ} Hz, from 500 to 4000")]
+    PhysicsRate {
+        /// The rate that was given \[Hz\].
+        found: u32,
+    },
+}
+
+impl ServeError {
+    /// Checks a physics rate \[Hz\].
+    ///
+    /// # Errors
+    /// It is not a multiple of 500 Hz from 500 to 4000 Hz.
+    pub fn check_physics_rate(found: u32) -> Result<(), Self> {
+        let fits = found.is_multiple_of(STATE_HZ) && (500..=4000).contains(&found);
+        if fits { Ok(()) } else { Err(ServeError::PhysicsRate { found }) }
+    }
+}
+
+/// Keeping of time.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Pace {
+    /// Number of ticks.
+    pub ticks: u64,
+    /// Ticks that began more than 2 ms late.
+    pub late: u64,
+    /// Ticks that were left out, because the machine is too slow.
+    pub skipped: u64,
+    /// The latest begin of a tick \[s\].
+    pub worst_s: f64,
+}
+
+/// What came of it.
+#[derive(Debug)]
+pub struct Summary {
+    /// Metrics of the scenario, if one began.
+    pub metrics: Vec<Metric>,
+    /// Events of the scenario.
+    pub events: Vec<Event>,
+    /// Faults of the client, by kind.
+    pub complaints: std::collections::BTreeMap<Kind, u64>,
+    /// Number of commands that were obeyed.
+    pub accepted: u64,
+    /// Keeping of time.
+    pub pace: Pace,
+}
+
+impl Summary {
+    /// Returns the summary as one JSON object, like that of the program `scenario`.
+    pub fn to_json(&self, settings: &Settings) -> Value {
+        let metrics: serde_json::Map<String, Value> =
+            self.metrics.iter().map(|metric| (metric.name.to_owned(), metric.to_json())).collect();
+        let units: serde_json::Map<String, Value> =
+            self.metrics.iter().map(|metric| (metric.name.to_owned(), json!(metric.unit))).collect();
+        json!({
+            "scenario": settings.scenario.as_ref().map(Scenario::name),
+            "revision": git_revision(),
+            "seed": settings.seed,
+            "parameters": settings.scenario,
+            "units": units,
+            "runs": [{"policy": "client", "robot": "go2", "metrics": metrics, "events": self.events}],
+            "client": {"accepted": self.accepted, "complaints": self.complaints},
+            "pace": self.pace,
+        })
+    }
+
+    /// Returns the summary for people.
+    pub fn text(&self) -> String {
+        let mut text = format!("commands obeyed: {}\n", self.accepted);
+        for (kind, count) in &self.complaints {
+            let verb = if kind.is_refused() { "refused" } else { "noted" };
+            text.push_str(&format!("  {verb}, {}: {count}\n", json!(kind).as_str().unwrap_or_default()));
+        }
+        let Pace { ticks, late, skipped, worst_s } = self.pace;
+        text.push_str(&format!(
+            "ticks: {ticks}; more than 2 ms late: {late}; left out: {skipped}; latest: {:.1} ms\n",
+            1e3 * worst_s
+        ));
+        for Metric { label, value, unit, .. } in &self.metrics {
+            if let Some(value) = value {
+                text.push_str(&format!("  {label:26} {value:.3} {unit}\n"));
+            }
+        }
+        for event in &self.events {
+            text.push_str(&format!("  {:6.2} s  {}\n", event.time_s, event.text));
+        }
+        text
+    }
+}
+
+/// Serves the robot until the scenario ends, the time is over, or `stop` is set.
+///
+/// # Errors
+/// The network, the scene or the recording fails.
+pub fn play(settings: &Settings, stop: &AtomicBool) -> Result<Summary, ServeError> {
+    ServeError::check_physics_rate(settings.physics_hz)?;
+    Served::new(settings)?.play(stop)
+}
+
+/// A robot being served.
+pub struct Served<'a> {
+    settings: &'a Settings,
+    script: Script,
+    body: Body,
+    judge: Judge,
+    operator: Option<Operator>,
+    remote: Remote,
+    recording: Option<Recording>,
+    trace: Trace,
+    has_begun: bool,
+    printed: Vec<(Kind, f64)>,
+    begin: Instant,
+}
+
+/// Duration of the plane without end \[s\].
+const ENDLESS_S: f64 = 1e8;
+
+impl<'a> Served<'a> {
+    /// Builds the robot in its scene.
+    fn new(settings: &'a Settings) -> Result<Self, ServeError> {
+        let mut config = configuration(Config::load("go2")?, settings.physics_hz);
+        config.robot.set_losses(settings.joints.into());
+        let mut script = match &settings.scenario {
+            Some(scenario) => scenario.script(settings.seed, &config)?,
+            None => Scenario::Walk(supple::scenario::catalog::defaults("walk")?).script(settings.seed, &config)?,
+        };
+        if settings.scenario.is_none() {
+            (script.duration_s, script.after_fall_s) = (ENDLESS_S, ENDLESS_S);
+        }
+        let robot = Arc::clone(&script.scene.robot);
+        let standing_m = robot.standing_height_m(&robot.nominal_pose);
+        let operator =
+            settings.scenario.as_ref().map(|_| Operator::new(&script.command, settings.full_sticks, standing_m));
+        let recording = settings.record.as_ref().map(|path| Recording::start(path.clone(), &script)).transpose()?;
+        let body = Body::new(script.clone(), config, settings.noise, settings.seed)?;
+        let trace = Trace { period_s: FRAME_S, weight_n: robot.mass_kg * GRAVITY_M_S2, ..Trace::default() };
+        Ok(Served {
+            settings,
+            judge: Judge::new(robot.joint_limits, settings.any_head),
+            script,
+            body,
+            operator,
+            remote: Remote::default(),
+            recording,
+            trace,
+            has_begun: false,
+            printed: Vec::new(),
+            begin: Instant::now(),
+        })
+    }
+
+    fn now_s(&self) -> f64 {
+        self.begin.elapsed().as_secs_f64()
+    }
+
+    fn play(mut self, stop: &AtomicBool) -> Result<Summary, ServeError> {
+        let node = Node::open(&self.settings.place)?;
+        let released = Arc::new(AtomicBool::new(self.settings.released));
+        let switched = Arc::clone(&released);
+        let always = self.settings.released;
+        let _switcher = switcher::serve(&node, move |mode| {
+            switched.store(always || mode.is_released(), Ordering::Relaxed);
+        })?;
+        let (sender, arrivals) = sync_channel::<Arrival<LowCmd>>(64);
+        let _commands = node.listen::<LowCmd>(COMMANDS, LowCmd::TYPE, Delivery::BestEffort, move |arrival| {
+            // Full: this loop is too slow, and the message is lost as on a full network.
+            let _ = sender.try_send(arrival);
+        })?;
+        let states = node.publish::<LowState>(STATES, LowState::TYPE, Delivery::BestEffort)?;
+        let mut rng = stream(self.settings.seed, Purpose::Sensor, 1, 0);
+        let mut outward = Link::new(self.settings.faults);
+        let mut inward = Link::new(self.settings.faults);
+        let mut pace = Pace::default();
+        self.begin = Instant::now();
+        let mut due_s = 0.0;
+        loop {
+            let now_s = self.now_s();
+            let late_s: f64 = now_s - due_s;
+            pace.ticks += 1;
+            pace.late += u64::from(late_s > LATE_S);
+            pace.worst_s = pace.worst_s.max(late_s);
+            if late_s > GIVE_UP_S {
+                let ticks = (late_s * f64::from(STATE_HZ)).floor();
+                pace.skipped += ticks as u64;
+                due_s += ticks / f64::from(STATE_HZ);
+            }
+            let is_over = self.tick(now_s)?;
+            outward.send(self.body.state(self.remote), now_s, &mut rng);
+            if is_over || stop.load(Ordering::Relaxed) || self.settings.seconds.is_some_and(|limit_s| now_s > limit_s) {
+                break;
+            }
+            due_s += 1.0 / f64::from(STATE_HZ);
+            // Until the next tick: messages.
+            loop {
+                let now_s = self.now_s();
+                while let Some(state) = outward.take(now_s) {
+                    // A client that is gone gets no state.
+                    let _ = states.send(state);
+                }
+                while let Some(arrival) = inward.take(now_s) {
+                    self.take(&arrival, released.load(Ordering::Relaxed));
+                }
+                let until_s = [outward.next_s(), inward.next_s()].into_iter().flatten().fold(due_s, f64::min);
+                let wait = Duration::from_secs_f64((until_s - self.now_s()).max(0.0));
+                match arrivals.recv_timeout(wait) {
+                    Ok(arrival) => inward.send(arrival, self.now_s(), &mut rng),
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => std::thread::sleep(wait),
+                }
+                if self.now_s() >= due_s {
+                    break;
+                }
+            }
+        }
+        self.finish(pace)
+    }
+
+    fn take(&mut self, arrival: &Arrival<LowCmd>, released: bool) {
+        let now_s = self.now_s();
+        let was_silent = self.judge.is_silent();
+        let complaints = self.judge.take(&arrival.message, arrival.writer, now_s, released);
+        complaints.iter().for_each(|complaint| self.complain(complaint, now_s));
+        if was_silent && !self.judge.is_silent() {
+            terminal::note(format_args!("{now_s:8.3} s: commands come"));
+        }
+    }
+
+    /// Plays a tick; returns true if the script is over.
+    fn tick(&mut self, now_s: f64) -> Result<bool, ServeError> {
+        if let Some(complaint) = self.judge.wait(now_s) {
+            self.complain(&complaint, now_s);
+        }
+        self.body.command(self.judge.motors());
+        if let Some(operator) = &mut self.operator {
+            let (remote, begins) = operator.act(&self.body.sight(now_s, !self.judge.is_silent()));
+            self.remote = remote;
+            if begins {
+                self.body.begin();
+                self.has_begun = true;
+                terminal::note(format_args!("{now_s:8.3} s: the robot stands: the scenario begins"));
+            }
+        }
+        let tick = self.body.tick();
+        if let Some((joint, torque, limit)) = tick.saturated {
+            let complaint = self.judge.saturated(joint, torque, limit);
+            self.complain(&complaint, now_s);
+        }
+        for event in &tick.events {
+            terminal::note(format_args!("{now_s:8.3} s: {}", event.text));
+        }
+        if let Some(recording) = &mut self.recording {
+            recording.add(tick.frame.as_ref(), &tick.events);
+        }
+        if self.has_begun && self.settings.scenario.is_some() {
+            self.trace.frames.extend(tick.frame.map(|frame| Frame { bodies: Vec::new(), ..frame }));
+            self.trace.events.extend(tick.events);
+        }
+        Ok(tick.is_over)
+    }
+
+    /// Prints a complaint, unless one of its kind has been printed a moment ago.
+    fn complain(&mut self, complaint: &Complaint, now_s: f64) {
+        let last = self.printed.iter_mut().find(|(kind, _)| *kind == complaint.kind);
+        match last {
+            Some((_, last_s)) if now_s - *last_s < REPEAT_S => return,
+            Some((_, last_s)) => *last_s = now_s,
+            None => self.printed.push((complaint.kind, now_s)),
+        }
+        let verb = if complaint.kind.is_refused() { "refused: " } else { "" };
+        terminal::note(format_args!("{now_s:8.3} s: {verb}{}", complaint.text));
+    }
+
+    fn finish(self, pace: Pace) -> Result<Summary, ServeError> {
+        if let Some(recording) = self.recording {
+            recording.finish()?;
+        }
+        let metrics = match &self.settings.scenario {
+            Some(scenario) if self.has_begun => scenario.metrics(&self.script, &self.trace),
+            _ => Vec::new(),
+        };
+        if let Some(fault) = self.trace.events.iter().find(|event| event.kind == EventKind::Fault) {
+            terminal::note(format_args!("the simulation stopped: {}", fault.text));
+        }
+        Ok(Summary {
+            metrics,
+            events: self.trace.events,
+            complaints: self.judge.counts().clone(),
+            accepted: self.judge.accepted(),
+            pace,
+        })
+    }
+}
+
+/// A recording that is written by a thread of its own, so that a slow disk does not delay the robot.
+struct Recording {
+    sender: SyncSender<(Option<Frame>, Vec<Event>)>,
+    thread: JoinHandle<Result<(), RecordError>>,
+    /// Time that has been recorded \[s\]; frames before the scenario have no time of their own.
+    time_s: f64,
+    lost: u64,
+}
+
+/// Frames that wait for the disk: four seconds of them.
+const WAITING_FRAMES: usize = 200;
+
+impl Recording {
+    fn start(path: PathBuf, script: &Script) -> Result<Self, ServeError> {
+        let model = script.scene.compile_visual()?;
+        let ground: Ground = script.scene.ground.clone();
+        let (sender, frames) = sync_channel::<(Option<Frame>, Vec<Event>)>(WAITING_FRAMES);
+        let (opened, open) = channel();
+        let record = move || {
+            let view = RobotView { name: "client", model: &model, ground: &ground, tint: None, estimates: false };
+            let mut recorder = Recorder::new(Sink::File(path), "Go2", &[view])?;
+            let _ = opened.send(());
+            write(&frames, &mut recorder)?;
+            recorder.finish()
+        };
+        let thread = std::thread::spawn(record);
+        if open.recv().is_err() {
+            thread.join().unwrap_or(Ok(()))?;
+            unreachable!("a thread that does not open its recording says why");
+        }
+        Ok(Recording { sender, thread, time_s: 0.0, lost: 0 })
+    }
+
+    fn add(&mut self, frame: Option<&Frame>, events: &[Event]) {
+        if frame.is_none() && events.is_empty() {
+            return;
+        }
+        self.time_s += if frame.is_some() { FRAME_S } else { 0.0 };
+        let time_s = self.time_s;
+        let frame = frame.map(|frame| Frame { time_s, ..frame.clone() });
+        let events = events.iter().map(|event| Event { time_s, ..event.clone() }).collect();
+        if let Err(TrySendError::Full(_)) = self.sender.try_send((frame, events)) {
+            self.lost += 1;
+        }
+    }
+
+    fn finish(self) -> Result<(), RecordError> {
+        drop(self.sender);
+        if self.lost > 0 {
+            terminal::note(format_args!("the recording lacks {} frames: the disk is too slow", self.lost));
+        }
+        self.thread.join().unwrap_or(Ok(()))
+    }
+}
+
+fn write(frames: &Receiver<(Option<Frame>, Vec<Event>)>, recorder: &mut Recorder) -> Result<(), RecordError> {
+    for (frame, events) in frames {
+        if let Some(frame) = &frame {
+            recorder.frame(0, frame)?;
+        }
+        events.iter().try_for_each(|event| recorder.event(0, event))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,208 @@
+//! Real processes on the loopback interface: what happens when one of them is killed, or when there is one too many.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStderr, Command, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::{Duration, Instant};
+
+use supple_robot::dds::{Delivery, Node, Place};
+use supple_robot::message::LowCmd;
+use supple_robot::motor::holding;
+use supple_robot::serve::COMMANDS;
+
+const ROBOT: &str = env!("CARGO_BIN_EXE_robot");
+
+/// Time after which a test gives up; the machine may be busy.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A DDS domain of this test's own, whose ports are below those that systems give to anyone.
+fn domain() -> String {
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    (2 + (8 * std::process::id() + NEXT.fetch_add(1, Ordering::Relaxed)) % 96).to_string()
+}
+
+/// A process and the lines that it prints on standard error.
+struct Program {
+    child: Child,
+    lines: Receiver<String>,
+    seen: Vec<String>,
+}
+
+impl Program {
+    fn start(arguments: &[&str]) -> Self {
+        let mut command = Command::new(ROBOT);
+        command.args(arguments).stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
+        let (sender, lines) = channel();
+        let errors: ChildStderr = child.stderr.take().unwrap();
+        std::thread::spawn(move || {
+            for line in BufReader::new(errors).lines().map_while(Result::ok) {
+                let _ = sender.send(line);
+            }
+        });
+        Program { child, lines, seen: Vec::new() }
+    }
+
+    fn serve(domain: &str) -> Self {
+        Self::start(&["serve", "--domain", domain, "--released"])
+    }
+
+    fn bridge(domain: &str, log: &std::path::Path) -> Self {
+        let log = log.to_str().unwrap();
+        Self::start(&["run", "go2/compliant", "--domain", domain, "--no-release", "--log", log])
+    }
+
+    /// Waits for a line that contains these words.
+    fn says(&mut self, words: &str) -> String {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            match self.lines.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(line) if line.contains(words) => return line,
+                Ok(line) => self.seen.push(line),
+                Err(_) => panic!("no line with '{words}' after: {:#?}", self.seen),
+            }
+        }
+    }
+
+    fn order(&mut self, line: &str) {
+        writeln!(self.child.stdin.as_mut().unwrap(), "{line}").unwrap();
+    }
+
+    /// Kills the process as `kill -9` does.
+    fn kill(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Runs a program to its end.
+fn output(arguments: &[&str]) -> Output {
+    Command::new(ROBOT).args(arguments).stdin(Stdio::null()).output().unwrap()
+}
+
+#[test]
+fn robot_damps_when_its_bridge_is_killed() {
+    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
+    let mut serve = Program::serve(&domain);
+    let mut bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
+    serve.says("commands come");
+    bridge.kill();
+    serve.says("no valid command for");
+    let mut next = Program::bridge(&domain, &folder.path().join("log.csv"));
+    serve.says("commands come");
+    next.order(r#"{"do": "stand"}"#);
+    next.says("stand up");
+}
+
+#[test]
+fn bridge_damps_when_the_robot_is_killed_until_it_is_cleared() {
+    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
+    let mut serve = Program::serve(&domain);
+    let mut bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
+    serve.says("commands come");
+    bridge.order(r#"{"do": "stand"}"#);
+    bridge.says("stand up");
+    serve.kill();
+    bridge.says("DAMPED: no state of the robot for");
+    let mut serve = Program::serve(&domain);
+    serve.says("commands come");
+    bridge.order(r#"{"do": "stand"}"#);
+    bridge.says("clear it first");
+    bridge.order(r#"{"do": "clear"}"#);
+    bridge.says("passive");
+}
+
+#[test]
+fn second_bridge_is_refused() {
+    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
+    let mut serve = Program::serve(&domain);
+    let _bridge = Program::bridge(&domain, &folder.path().join("first.csv"));
+    serve.says("commands come");
+    let log = folder.path().join("second.csv");
+    let second = output(&["run", "go2/compliant", "--domain", &domain, "--no-release", "--log", log.to_str().unwrap()]);
+    let words = String::from_utf8_lossy(&second.stderr);
+    assert!(second.status.code() == Some(2) && words.contains("another program writes rt/lowcmd"), "{words}");
+}
+
+#[test]
+fn dry_run_sends_nothing_and_shows_what_it_would_send() {
+    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
+    let log = folder.path().join("log.csv");
+    let serve = Command::new(ROBOT)
+        .args(["serve", "--domain", &domain, "--seconds", "6", "--json"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut bridge =
+        Program::start(&["run", "go2/compliant", "--domain", &domain, "--dry-run", "--log", log.to_str().unwrap()]);
+    bridge.says("dry run, passive: kp 0");
+    let served: serde_json::Value = serde_json::from_slice(&serve.wait_with_output().unwrap().stdout).unwrap();
+    assert_eq!(served["client"]["accepted"], 0);
+    assert_eq!(served["client"]["complaints"], serde_json::json!({}));
+}
+
+/// Sends a standing command at 500 Hz for this time; `change` may break each, by its number.
+fn intrude(domain: &str, time: Duration, mut change: impl FnMut(u32, LowCmd) -> LowCmd) {
+    let node = Node::open(&Place::new("lo", domain.parse().unwrap(), Vec::new()).unwrap()).unwrap();
+    let commands = node.publish::<LowCmd>(COMMANDS, LowCmd::TYPE, Delivery::BestEffort).unwrap();
+    let stance = supple::robot::Robot::load("go2").unwrap().nominal_pose;
+    let begin = Instant::now();
+    let mut number = 0;
+    while begin.elapsed() < time {
+        commands.send(change(number, LowCmd::of_motors(&holding(&stance, 60.0, 5.0)))).unwrap();
+        number += 1;
+        std::thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn second_writer_damps_the_bridge_and_is_told_by_the_robot() {
+    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
+    let mut serve = Program::serve(&domain);
+    let mut bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
+    serve.says("commands come");
+    bridge.order(r#"{"do": "stand"}"#);
+    bridge.says("stand up");
+    intrude(&domain, Duration::from_secs(2), |_, command| command);
+    serve.says("2 writers send rt/lowcmd");
+    bridge.says("DAMPED: another program writes rt/lowcmd");
+}
+
+#[test]
+fn commands_with_a_flipped_bit_are_refused_and_the_others_obeyed() {
+    let domain = domain();
+    let serve = Command::new(ROBOT)
+        .args(["serve", "--domain", &domain, "--released", "--seconds", "8", "--json"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    intrude(&domain, Duration::from_secs(3), |number, mut command| {
+        if number % 10 == 9 {
+            let q = &mut command.motor_cmd[number as usize % 12].q;
+            *q = f32::from_bits(q.to_bits() ^ (1 << (number % 23)));
+        }
+        command
+    });
+    let served: serde_json::Value = serde_json::from_slice(&serve.wait_with_output().unwrap().stdout).unwrap();
+    let client = &served["client"];
+    let (good, bad) = (client["accepted"].as_u64().unwrap(), client["complaints"]["checksum"].as_u64().unwrap());
+    // One of ten was broken.
+    assert!(good > 100 && (8.0..10.0).contains(&(good as f64 / bad as f64)), "{client}");
+}
+
+#[test]
+fn bridge_without_a_robot_says_so() {
+    let found = output(&["run", "go2/compliant", "--domain", &domain()]);
+    let words = String::from_utf8_lossy(&found.stderr);
+    assert!(found.status.code() == Some(2) && words.contains("no rt/lowstate"), "{words}");
+}
