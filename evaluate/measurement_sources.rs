@@ -11,7 +11,9 @@ const BELOW: [&str; 2] = ["mujoco-sys", "Cargo.lock"];
 
 /// Returns the folder of the workspace, to which all paths here are relative.
 pub fn root() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+    // Of the run, not of the compilation: checkouts may share a target folder.
+    let package = std::env::var_os("CARGO_MANIFEST_DIR").unwrap_or_else(|| env!("CARGO_MANIFEST_DIR").into());
+    PathBuf::from(package).join("..")
 }
 
 /// Returns the files that a measurement depends on: the sources of a trial, the modules that they import, directly or not, and

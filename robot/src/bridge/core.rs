@@ -190,7 +190,7 @@ impl<'a> Bridge<'a> {
                 self.ask(Command { compliance, ..*command });
             }
             Order::Change([forward, left, yaw]) => {
-                let Command { forward: f, left: l, yaw: y, compliance } = self.command;
+                let Command { forward: f, left: l, yaw: y, compliance, .. } = self.command;
                 self.ask(Command { compliance, ..Command::velocity(f + forward, l + left, y + yaw) });
             }
         }
@@ -213,7 +213,7 @@ impl<'a> Bridge<'a> {
             forward: command.forward.clamp(-forward, forward),
             left: command.left.clamp(-left, left),
             yaw: command.yaw.clamp(-yaw, yaw),
-            compliance: command.compliance,
+            ..command
         };
     }
 
