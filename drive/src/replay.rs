@@ -25,7 +25,7 @@ pub struct Replayed {
     pub shown_s: f64,
     /// Falls of each robot since the last set-up.
     pub falls: Vec<u32>,
-    /// Whether the final state is the saved one, bit for bit; `None` if the session was cut off.
+    /// The comparison of the final state with the saved one, bit for bit; `None` if the session was cut off.
     pub verified: Option<Result<(), String>>,
     /// Recordings written, one per set-up.
     pub recordings: Vec<PathBuf>,

@@ -40,7 +40,7 @@ pub enum RunError {
     Config(#[from] ConfigError),
 }
 
-/// What happens while an experiment is measured.
+/// An event while an experiment is measured.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Update {
     /// A trial of this cost was played \[seconds of simulated time\].

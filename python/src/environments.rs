@@ -100,7 +100,7 @@ struct Ended {
     report: EpisodeReport,
     /// The last observation of the episode, normalised.
     observation: Vec<f32>,
-    /// What the critic observes in addition.
+    /// The quantities that the critic observes in addition.
     critic: Vec<f32>,
     command: Command,
 }

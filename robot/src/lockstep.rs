@@ -38,7 +38,7 @@ pub enum RehearsalError {
     Bridge(#[from] BridgeError),
 }
 
-/// What came of a rehearsal.
+/// The outcome of a rehearsal.
 #[derive(Debug)]
 pub struct Rehearsal {
     /// Metrics of the scenario.
@@ -47,7 +47,7 @@ pub struct Rehearsal {
     pub events: Vec<Event>,
     /// Number of complaints of the robot about the bridge.
     pub complaints: u64,
-    /// What the bridge noted.
+    /// The notes of the bridge.
     pub notes: Vec<String>,
     /// The log of the bridge, with the phase of each row.
     pub log: Vec<(&'static str, Row)>,

@@ -1,6 +1,6 @@
 //! Files of PyTorch, which are recognised so that an error can say how to export them.
 
-/// What a file of PyTorch is, and what to do with it.
+/// The advice for a file of PyTorch that is given as a policy.
 pub const ADVICE: &str = "it is a zip archive or a pickle, as PyTorch (.pt, .pth) and Stable-Baselines3 (.zip) save networks, \
                           expected a network that runs without Python: export it to ONNX, in PyTorch with \
                           torch.onnx.export(network, observation, \"policy.onnx\"), and describe it in a YAML file as \

@@ -61,7 +61,7 @@ pub enum CalibrationError {
     Fault {
         /// Time of the fault \[s\].
         time_s: f64,
-        /// What failed.
+        /// The failure.
         problem: String,
     },
     /// The policy does not give way along an axis.

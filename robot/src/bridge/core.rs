@@ -48,7 +48,7 @@ pub enum BridgeError {
     },
 }
 
-/// What goes to the motors.
+/// The command that goes to the motors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Output {
     /// The command of each motor.

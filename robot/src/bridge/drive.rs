@@ -96,7 +96,7 @@ pub enum DriveError {
     },
 }
 
-/// What came of it.
+/// The report of a run of the bridge.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Report {
     /// States that were taken.

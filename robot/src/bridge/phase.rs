@@ -18,7 +18,7 @@ const RISE_S: f64 = 1.0;
 /// A robot whose joints are on average closer than this to the stance does not fold its legs first \[rad\].
 const NEAR_RAD: f64 = 0.5;
 
-/// What the bridge does.
+/// The phase that the bridge is in.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Phase {
     /// The motors only damp.
@@ -45,15 +45,15 @@ pub enum Phase {
     Damped(Fault),
 }
 
-/// What a person wants.
+/// A wish of the person who operates the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Wish {
-    /// To stand up, or to stop the policy and stand.
+    /// Stand up, or stop the policy and stand.
     Stand,
     /// The policy.
     Policy,
-    /// To lie down.
+    /// Lie down.
     Lie,
     /// Damping at once, latched.
     Damp,

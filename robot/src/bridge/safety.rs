@@ -25,7 +25,7 @@ pub enum Fault {
     /// A number is not finite.
     #[error("{what} is not a finite number")]
     NotFinite {
-        /// What it is.
+        /// Name of the number.
         what: String,
     },
     /// The state estimate ends.

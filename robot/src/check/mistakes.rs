@@ -6,7 +6,7 @@ use crate::bridge::log::Row;
 
 /// A usual mistake: its name, and how to undo it.
 pub struct Mistake {
-    /// Its name.
+    /// The name of the mistake.
     pub text: String,
     /// Undoes it in a row.
     pub undo: Box<dyn Fn(&mut Row)>,

@@ -82,7 +82,7 @@ pub enum CheckError {
 /// A mismatch, or the statement that there is none.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Finding {
-    /// What does not fit, in words.
+    /// The misfit in words.
     pub text: String,
     /// Remaining difference between replayed and sent joint targets \[rad\], where it was measured.
     pub difference_rad: Option<f64>,
@@ -95,7 +95,7 @@ pub struct Verdict {
     pub at_first_rad: f64,
     /// Difference after all mistakes are undone \[rad\].
     pub at_last_rad: f64,
-    /// What does not fit.
+    /// The things that do not fit.
     pub findings: Vec<Finding>,
 }
 

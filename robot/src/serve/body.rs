@@ -78,7 +78,7 @@ pub fn configuration(mut config: Config, physics_hz: u32) -> Config {
     config
 }
 
-/// What happened in a tick of [`STATE_HZ`].
+/// The events of a tick of [`STATE_HZ`].
 #[derive(Debug, Default)]
 pub struct Tick {
     /// The frame that was completed, if any.

@@ -58,9 +58,9 @@ impl Kind {
 /// A fault of the client.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Complaint {
-    /// Its kind.
+    /// The kind of the complaint.
     pub kind: Kind,
-    /// What was found, what was expected.
+    /// The value that was found and the one that was expected.
     pub text: String,
 }
 

@@ -26,7 +26,7 @@ pub struct Operator {
     started: bool,
 }
 
-/// What the operator sees.
+/// The state that the operator sees.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sight {
     /// Time \[s\].

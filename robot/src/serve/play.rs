@@ -124,7 +124,7 @@ pub struct Pace {
     pub worst_s: f64,
 }
 
-/// What came of it.
+/// The outcome of serving.
 #[derive(Debug)]
 pub struct Summary {
     /// Metrics of the scenario, if one began.
