@@ -344,6 +344,12 @@ impl Model {
         unsafe { sys::mj_defaultVFS(&mut *vfs) };
         let names: Vec<&str> = files.iter().map(|file| file.0).collect();
         let mut add = |name: &str, text: &str| {
+            // Later releases take other names, too.
+            if name.is_empty() || name.ends_with('/') || name.len() >= 1000 {
+                return Err(failed(format!(
+                    "'{name}' is no name of a file, expected one such as 'robot.xml', below 1000 bytes"
+                )));
+            }
             let tree = xml::parse(text).map_err(|error| failed(error.to_string()))?;
             let checked = sizes::check_sizes(&tree).and_then(|()| sizes::check_includes(&tree, &names));
             checked.map_err(|error| failed(error.to_string()))?;

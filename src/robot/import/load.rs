@@ -31,15 +31,17 @@ fn explained(error: mujoco::Error, document: &Element, files: &Files) -> RobotEr
     }
 }
 
-/// Explains a message of MuJoCo that names an element, but no line.
+/// Explains a message of MuJoCo that names an element or its file, but no line.
 fn named(message: &str, document: &Element, files: &Files) -> RobotError {
-    let Some((text, rest)) = message.split_once("Object name = ") else {
-        return RobotError::Engine(message.to_owned());
-    };
+    let (text, rest) = message.split_once("Object name = ").unwrap_or((message, ""));
     let name = rest.split_once(", id").map_or(rest, |(name, _)| name);
     let mut found = None;
+    let is_it = |element: &Element| match name {
+        "" => element.get("file").is_some_and(|file| !file.is_empty() && message.contains(file)),
+        _ => element.get("name") == Some(name),
+    };
     document.visit(&mut |element| {
-        if found.is_none() && element.get("name") == Some(name) {
+        if found.is_none() && is_it(element) {
             found = Some((files.at(element), described(element)));
         }
     });
