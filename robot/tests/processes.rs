@@ -83,6 +83,29 @@ impl Drop for Program {
     }
 }
 
+/// A robot and its bridge, which obeys orders and has been heard, in a domain and a folder of their own.
+struct Pair {
+    domain: String,
+    folder: tempfile::TempDir,
+    serve: Program,
+    bridge: Program,
+}
+
+impl Pair {
+    fn start() -> Self {
+        let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
+        let mut serve = Program::serve(&domain);
+        let bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
+        serve.says("commands come");
+        Pair { domain, folder, serve, bridge }
+    }
+
+    fn stand(&mut self) {
+        self.bridge.order(r#"{"do": "stand"}"#);
+        self.bridge.says("stand up");
+    }
+}
+
 /// Runs a program to its end.
 fn output(arguments: &[&str]) -> Output {
     Command::new(ROBOT).args(arguments).stdin(Stdio::null()).output().unwrap()
@@ -90,44 +113,34 @@ fn output(arguments: &[&str]) -> Output {
 
 #[test]
 fn robot_damps_when_its_bridge_is_killed() {
-    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
-    let mut serve = Program::serve(&domain);
-    let mut bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
-    serve.says("commands come");
-    bridge.kill();
-    serve.says("no valid command for");
-    let mut next = Program::bridge(&domain, &folder.path().join("log.csv"));
-    serve.says("commands come");
-    next.order(r#"{"do": "stand"}"#);
-    next.says("stand up");
+    let mut pair = Pair::start();
+    pair.bridge.kill();
+    pair.serve.says("no valid command for");
+    pair.bridge = Program::bridge(&pair.domain, &pair.folder.path().join("log.csv"));
+    pair.serve.says("commands come");
+    pair.stand();
 }
 
 #[test]
 fn bridge_damps_when_the_robot_is_killed_until_it_is_cleared() {
-    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
-    let mut serve = Program::serve(&domain);
-    let mut bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
-    serve.says("commands come");
-    bridge.order(r#"{"do": "stand"}"#);
-    bridge.says("stand up");
-    serve.kill();
-    bridge.says("DAMPED: no state of the robot for");
-    let mut serve = Program::serve(&domain);
-    serve.says("commands come");
-    bridge.order(r#"{"do": "stand"}"#);
-    bridge.says("clear it first");
-    bridge.order(r#"{"do": "clear"}"#);
-    bridge.says("passive");
+    let mut pair = Pair::start();
+    pair.stand();
+    pair.serve.kill();
+    pair.bridge.says("DAMPED: no state of the robot for");
+    pair.serve = Program::serve(&pair.domain);
+    pair.serve.says("commands come");
+    pair.bridge.order(r#"{"do": "stand"}"#);
+    pair.bridge.says("clear it first");
+    pair.bridge.order(r#"{"do": "clear"}"#);
+    pair.bridge.says("passive");
 }
 
 #[test]
 fn second_bridge_is_refused() {
-    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
-    let mut serve = Program::serve(&domain);
-    let _bridge = Program::bridge(&domain, &folder.path().join("first.csv"));
-    serve.says("commands come");
-    let log = folder.path().join("second.csv");
-    let second = output(&["run", "go2/compliant", "--domain", &domain, "--no-release", "--log", log.to_str().unwrap()]);
+    let pair = Pair::start();
+    let log = pair.folder.path().join("second.csv");
+    let arguments = ["run", "go2/compliant", "--domain", &pair.domain, "--no-release", "--log", log.to_str().unwrap()];
+    let second = output(&arguments);
     let words = String::from_utf8_lossy(&second.stderr);
     assert!(second.status.code() == Some(2) && words.contains("another program writes rt/lowcmd"), "{words}");
 }
@@ -166,15 +179,11 @@ fn intrude(domain: &str, time: Duration, mut change: impl FnMut(u32, LowCmd) -> 
 
 #[test]
 fn second_writer_damps_the_bridge_and_is_told_by_the_robot() {
-    let (domain, folder) = (domain(), tempfile::tempdir().unwrap());
-    let mut serve = Program::serve(&domain);
-    let mut bridge = Program::bridge(&domain, &folder.path().join("log.csv"));
-    serve.says("commands come");
-    bridge.order(r#"{"do": "stand"}"#);
-    bridge.says("stand up");
-    intrude(&domain, Duration::from_secs(2), |_, command| command);
-    serve.says("2 writers send rt/lowcmd");
-    bridge.says("DAMPED: another program writes rt/lowcmd");
+    let mut pair = Pair::start();
+    pair.stand();
+    intrude(&pair.domain, Duration::from_secs(2), |_, command| command);
+    pair.serve.says("2 writers send rt/lowcmd");
+    pair.bridge.says("DAMPED: another program writes rt/lowcmd");
 }
 
 #[test]

@@ -10,7 +10,8 @@ trunk:  w = r_base − Σ J_base,iᵀ f_i
 
 `M a + h` is MuJoCo's recursive Newton-Euler algorithm on a model of the robot alone; armature and joint losses `d` (damping
 times rate; dry friction, smoothed below 0.05 rad/s) are added. `J_i` is that of the point where the sphere of the foot
-would touch the ground: the plane along the lines between feet that carried weight together, over the last half second. All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
+would touch the ground: the plane along the lines between feet that carried weight together, over the last half second.
+All of it is written in the trunk's frame at the origin, at rest but for its rotation: the
 equations are the same in every frame that moves uniformly, and gravity is an acceleration of the frame. The
 accelerometer's specific force, brought from the IMU to the trunk's origin, thus stands for base acceleration and gravity
 together. Neither velocity nor height of the base is needed, and a wrong orientation turns the result but is not taken for
@@ -300,12 +301,10 @@ impl ForceObserver {
         if !force.iter().chain(&moment).all(|value| value.is_finite()) {
             return Ok(Some(Doubt::Overflow));
         }
-        let carrying = (0..4).filter(|&leg| feet[leg].dot(&up) > CARRIES * self.weight_n);
-        let standing: Vec<_> = carrying.map(|leg| before.world_from_base * centres[leg]).collect();
-        let lines = standing
-            .iter()
-            .enumerate()
-            .flat_map(|(index, foot)| standing[..index].iter().map(move |other| foot - other));
+        let carries = feet.map(|foot| foot.dot(&up) > CARRIES * self.weight_n);
+        let pairs = (0..4).flat_map(|leg| (0..leg).map(move |other| (leg, other)));
+        let standing = pairs.filter(|&(leg, other)| carries[leg] && carries[other]);
+        let lines = standing.map(|(leg, other)| before.world_from_base * (centres[leg] - centres[other]));
         let sum: Matrix3<f64> = lines.map(|line| line * line.transpose()).sum();
         self.lines += (1.0 - (-dt_s / GROUND_TIME_S).exp()) * (sum - self.lines);
         self.note(before, force, moment, feet);

@@ -112,7 +112,7 @@ fn by_gait_and_direction(
     .collect()
 }
 
-/// Checks the number of directions: at least three, so that sides can be told apart.
+/// Checks the number of directions: at least three, so that sides can be distinguished.
 fn check_directions(count: u32) -> Result<(), ParameterError> {
     in_range("directions", f64::from(count), 3.0, 360.0, "3 to 360")
 }

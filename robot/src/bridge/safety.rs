@@ -110,7 +110,7 @@ pub enum Fault {
         /// The clock after \[ms\].
         to_ms: u32,
     },
-    /// Somebody else commands the motors.
+    /// Another program commands the motors.
     #[error("another program writes rt/lowcmd: stop it, or release the robot's own controller")]
     OtherWriter,
     /// A person wants it.

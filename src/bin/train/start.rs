@@ -189,7 +189,7 @@ fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
         ));
     }
     let (begun_with, mujoco) = (&checkpoint.run.mujoco_version, mujoco_version());
-    if begun_with != mujoco {
+    if !begun_with.is_empty() && begun_with != mujoco {
         terminal::note(format_args!(
             "note: the checkpoint was written with MuJoCo {begun_with}, this program runs with {mujoco}: what follows differs \
              from what that one would have done"
