@@ -8,6 +8,7 @@ and the [`report`] from it. `docs/experiments.md` defines every number in words.
 Tables and figures show every set of policies; claims and differences compare the first set with the second.
 */
 
+pub mod exam;
 pub mod experiments;
 pub mod measurement_store;
 pub mod plot;

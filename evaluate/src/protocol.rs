@@ -13,6 +13,9 @@ pub const FULL: &str = include_str!("../../configs/evaluation/full.yaml");
 /// The text of the quick protocol: the values that differ from the full one.
 pub const QUICK: &str = include_str!("../../configs/evaluation/quick.yaml");
 
+/// The text of the protocol of an examination: the values that differ from the full one.
+pub const EXAM: &str = include_str!("../../configs/evaluation/exam.yaml");
+
 /// The reason why a protocol was refused.
 #[derive(Debug, thiserror::Error)]
 pub enum ProtocolError {
@@ -59,14 +62,26 @@ impl Protocol {
         Self::parse(&[Text::new("full", FULL), Text::new("quick", QUICK)])
     }
 
+    /// Returns the protocol of an [examination](crate::exam), with the values of a file that differ from it.
+    ///
+    /// # Errors
+    /// The same as those of [`Protocol::load`].
+    pub fn exam(differences: Option<&Path>) -> Result<Self, ProtocolError> {
+        let texts = [Text::new("full", FULL), Text::new("exam", EXAM)];
+        let own = differences.map(Self::read).transpose()?;
+        Self::parse(&texts.into_iter().chain(own).collect::<Vec<_>>())
+    }
+
     /// Reads a protocol from a file with the values that differ from the full protocol.
     ///
     /// # Errors
     /// The file cannot be read or is not YAML, a key is unknown, or a value is outside its range; the error names the key.
     pub fn load(path: &Path) -> Result<Self, ProtocolError> {
-        let text =
-            Text::read(path).map_err(|source| ProtocolError::Read { path: path.display().to_string(), source })?;
-        Self::parse(&[Text::new("full", FULL), text])
+        Self::parse(&[Text::new("full", FULL), Self::read(path)?])
+    }
+
+    fn read(path: &Path) -> Result<Text, ProtocolError> {
+        Text::read(path).map_err(|source| ProtocolError::Read { path: path.display().to_string(), source })
     }
 
     fn parse(layers: &[Text]) -> Result<Self, ProtocolError> {

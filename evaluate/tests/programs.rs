@@ -109,6 +109,32 @@ fn kept(out: &Path) -> Vec<(PathBuf, std::time::SystemTime)> {
 }
 
 #[test]
+fn examination_grades_a_policy_beside_the_references() {
+    let folder = folder_with(&[("mine.safetensors", falling_policy())]);
+    let tiny = format!("{TINY}calibration: {{compliances: [0.02], commands_m_s: [0.5], directions: 3}}\n");
+    std::fs::write(folder.path().join("tiny.yaml"), tiny).unwrap();
+    evaluate(folder.path(), &["--exam", "policies/mine.safetensors", "--out", "exam"]);
+    let read = |name: &str| std::fs::read_to_string(folder.path().join("exam").join(name)).unwrap();
+    let exam: Value = serde_json::from_str(&read("exam.json")).unwrap();
+    assert_eq!(exam["names"], serde_json::json!(["mine", "compliant", "baseline"]));
+    assert_eq!(exam["grades"].as_array().unwrap().len(), 8);
+    for grade in exam["grades"].as_array().unwrap() {
+        let [mine, compliant, baseline] = [0, 1, 2].map(|set| &grade["scores"][set]);
+        assert_eq!((&mine["passed"], &mine["trials"]), (&Value::from(0), &compliant["trials"]), "{grade}");
+        if grade["discipline"] == "compliance" {
+            // It has no calibration.
+            assert_eq!(mine["out_of_reach"], mine["trials"]);
+        } else {
+            assert_eq!(mine["falls"], mine["trials"], "{grade}");
+            assert!(baseline["passed"].as_u64() > Some(0), "{grade}");
+        }
+    }
+    let page = read("exam.html");
+    assert!(page.contains("--exam policies/mine.safetensors --protocol tiny.yaml --out exam"), "{page}");
+    assert!(folder.path().join("exam/exam.png").metadata().unwrap().len() > 10_000);
+}
+
+#[test]
 fn claims_stand_beside_those_of_an_equal_report() {
     let folder = folder_with_pair(standing_policy(), standing_policy());
     let folder = folder.path();

@@ -3,12 +3,10 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::{cells, claim_cells, claim_columns, columns, used_columns};
-use super::{Report, Section, duration, other_reports, samples_text};
+use super::{Report, STYLE, Section, duration, other_reports, samples_text};
 use crate::results::EndCounts;
 use crate::section_content::{Claim, Table};
 use crate::statistics::Verdict;
-
-const STYLE: &str = include_str!("style.css");
 
 /// Terms that all experiments use; `docs/experiments.md` defines more of them.
 const DEFINITIONS: &[(&str, &str)] = &[

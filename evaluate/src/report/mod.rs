@@ -25,6 +25,9 @@ use super::sensing::SensingComparison;
 use super::{Experiment, ExperimentInfo};
 use supple::util::files;
 
+/// The style of every page.
+pub(super) const STYLE: &str = include_str!("style.css");
+
 /// The reason why a report was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum ReportError {
@@ -278,7 +281,7 @@ fn remove_outdated(experiment: &str, folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
+pub(super) fn write(path: &Path, bytes: &[u8]) -> Result<(), ReportError> {
     files::write_atomically(path, bytes).map_err(|source| ReportError::Write { path: path.to_owned(), source })
 }
 

@@ -33,6 +33,11 @@ pub struct Args {
     /// Names of the two sets; the paper's claims are about the first
     #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1, default_value = "compliant,baseline")]
     pub names: Vec<String>,
+    /// Examine one policy beside the shipped references instead: eight disciplines, some minutes, one page (exam.html, exam.png)
+    #[arg(long, value_name = "PATH", conflicts_with_all = [
+        "experiments", "policies", "a", "b", "names", "also", "beside", "quick", "joints", "sensing", "results",
+    ])]
+    pub exam: Option<PathBuf>,
     /// Name and path of a further set, shown beside the two that are compared; may be repeated
     #[arg(long, value_name = "NAME=PATH[@C]", value_parser = name_and_path)]
     pub also: Vec<(String, PathBuf)>,
@@ -45,7 +50,7 @@ pub struct Args {
     /// Use the quick protocol: fewer trials, grid points and directions
     #[arg(long, conflicts_with = "protocol")]
     pub quick: bool,
-    /// YAML file with the values that differ from configs/evaluation/full.yaml
+    /// YAML file with the values that differ from configs/evaluation/full.yaml, or from exam.yaml with --exam
     #[arg(long, value_name = "FILE")]
     pub protocol: Option<PathBuf>,
     /// Joint losses of all robots [default: as each policy was trained]

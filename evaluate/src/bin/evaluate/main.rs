@@ -12,7 +12,8 @@ use clap::Parser;
 use progress::Progress;
 use supple::scenario::Sensing;
 use supple::util::files::Target;
-use supple::util::terminal;
+use supple::util::terminal::{self, shell_word};
+use supple_evaluate::exam::{Exam, Part, page};
 use supple_evaluate::measurement_store::MeasurementStore;
 use supple_evaluate::policy_sets::PolicySets;
 use supple_evaluate::protocol::Protocol;
@@ -37,6 +38,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         anyhow::ensure!(folder.is_none_or(Path::is_dir), "{}: there is no folder for it; make it", at());
     }
+    if let Some(policy) = &args.exam {
+        return examine(policy, args);
+    }
     let (name, protocol) = protocol(args)?;
     let mut policies = policies(args)?;
     if let Some(joints) = args.joints {
@@ -48,10 +52,7 @@ fn run(args: &Args) -> anyhow::Result<()> {
     let mut report = Report { other_reports, ..Report::new(&policies, name, command) };
     let on_sensors = report.sensing.notes.iter().filter(|_| args.sensing == Sensing::Estimated);
     policies.notes.iter().chain(on_sensors).for_each(|note| terminal::note(format_args!("note: {note}")));
-    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
-    // Zero threads mean all cores.
-    let threads = args.threads.map_or(0, usize::from);
-    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")?;
+    prepare(args)?;
     let settings = Settings { again: args.again, sensing: Sensing::True, store: MeasurementStore::new(&args.out) };
     let on_sensors = Settings { sensing: Sensing::Estimated, ..settings.clone() };
     let wanted = |name: &str| args.experiments.is_empty() || args.experiments.iter().any(|chosen| chosen == name);
@@ -104,6 +105,44 @@ fn run(args: &Args) -> anyhow::Result<()> {
             others.iter().for_each(|fault| terminal::note(format_args!("error: {fault}")));
             anyhow::bail!("{last}")
         }
+    }
+}
+
+/// Makes the folder of the report and starts the threads.
+fn prepare(args: &Args) -> anyhow::Result<()> {
+    std::fs::create_dir_all(&args.out).with_context(|| format!("cannot create the folder {}", args.out.display()))?;
+    // Zero threads mean all cores.
+    let threads = args.threads.map_or(0, usize::from);
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build_global().context("cannot start threads")
+}
+
+/// Examines one policy beside the shipped references.
+fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
+    let name = policy.file_stem().unwrap_or(policy.as_os_str()).to_string_lossy();
+    let name: String = name.chars().filter(|c| !c.is_control()).take(MOST_NAME).collect();
+    let exam = Exam::new(&name, policy, Protocol::exam(args.protocol.as_deref())?)?;
+    prepare(args)?;
+    let store = MeasurementStore::new(&args.out);
+    let settings = |sensing| Settings { again: args.again, sensing, store: store.clone() };
+    let mut progress = Progress::default();
+    for Part { experiment, policies, sensing } in exam.parts() {
+        progress.expect(runner::remaining_work(experiment, policies, &settings(sensing))?);
+    }
+    for Part { experiment, policies, sensing } in exam.parts() {
+        progress.begin(&experiment.info());
+        runner::measure(experiment, policies, &settings(sensing), &|update| progress.update(update))?;
+        progress.end(&experiment.info(), sensing);
+    }
+    progress.finish();
+    let examination = exam.grade(&store)?;
+    let mut words = vec!["cargo run --release --bin evaluate -- --exam".to_owned(), shell_word(policy)];
+    words.extend(args.protocol.iter().flat_map(|file| ["--protocol".to_owned(), shell_word(file)]));
+    words.extend(["--out".to_owned(), shell_word(&args.out)]);
+    page::save(&examination, &words.join(" "), &args.out)?;
+    terminal::print(format_args!("{}{}\n", page::text(&examination), args.out.join("exam.html").display()))?;
+    match &examination.notes[..] {
+        [] => Ok(()),
+        faults => anyhow::bail!("{}", faults.join("\n")),
     }
 }
 

@@ -1,0 +1,346 @@
+/*! The examination of one policy: the percentage of trials that it passes in each discipline, beside the shipped references.
+
+Each [`Discipline`] is made of experiments of the protocol `configs/evaluation/exam.yaml` and states what a trial must show to be passed.
+The trials are those of the experiments, with the same seeds for the policy and the references, and are kept in the same
+[store](crate::measurement_store). An interval is Wilson's (1927), at 95 %, over the trials of one policy.
+*/
+
+pub mod page;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+
+use crate::measurement_store::MeasurementStore;
+use crate::policy_sets::{PolicySetError, PolicySets};
+use crate::protocol::Protocol;
+use crate::results::{PolicyResult, Results};
+use crate::runner::{self, Measurement, RunError};
+use crate::trial::{Sample, TrialEnd};
+use crate::{Condition, Experiment};
+use supple::robot::JointLosses;
+use supple::scenario::Sensing;
+use supple::scenario::catalog::Scenario;
+
+/// The largest relative distance between the measured and the commanded compliance in a passed trial.
+const COMPLIANCE_TOLERANCE: f64 = 0.25;
+
+/// The largest velocity error in a passed trial of walking \[m/s\].
+const ERROR_BOUND_M_S: f64 = 0.1;
+
+/// How the robot is played.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Way {
+    /// On the true state.
+    Nominal,
+    /// On the estimate from its sensors.
+    Sensors,
+    /// On the true state, with friction and damping in its joints.
+    Losses,
+}
+
+/// What a trial must show to be passed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Pass {
+    /// The quantity of this name is 1, as for success.
+    Is(&'static str),
+    /// The robot stays on its feet, and its velocity error is at most [`ERROR_BOUND_M_S`].
+    Tracks,
+    /// The measured compliance is within [`COMPLIANCE_TOLERANCE`] of the commanded one. Trials without a pull do not count.
+    Yields,
+}
+
+impl Pass {
+    /// Returns whether a trial is passed; none if it does not count. A trial that failed, or whose compliance the policy does not
+    /// support, is not passed.
+    fn judge(self, results: &Results, condition: &Condition, sample: &Sample) -> Option<bool> {
+        let value = |name| sample.values[results.index(name)];
+        let passed = match self {
+            Pass::Is(quantity) => value(quantity) == Some(1.0),
+            Pass::Tracks => value("velocity_error_m_s").is_some_and(|error| error <= ERROR_BOUND_M_S),
+            Pass::Yields => {
+                let Scenario::Leash(_) = condition.scenario else { return None };
+                let commanded = condition.scenario.task().compliance?;
+                let near = |measured: f64| (measured / commanded - 1.0).abs() <= COMPLIANCE_TOLERANCE;
+                value("compliance_m_s_per_n").is_some_and(near)
+            }
+        };
+        Some(passed && matches!(sample.end, TrialEnd::Upright))
+    }
+}
+
+/// A discipline of the examination.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Discipline {
+    /// The name, for people and as a key.
+    pub name: &'static str,
+    /// What is played and what counts as passed, in words.
+    pub description: &'static str,
+    /// The experiments by name, how they are played, and what is to be shown.
+    parts: &'static [(&'static str, Way, Pass)],
+}
+
+/// All disciplines in the order of the page.
+pub const DISCIPLINES: &[Discipline] = &[
+    Discipline {
+        name: "tracking",
+        description: "16 commands: velocity error of at most 0.1 m/s, no fall",
+        parts: &[("walk", Way::Nominal, Pass::Tracks)],
+    },
+    Discipline {
+        name: "pushes",
+        description: "velocity offsets up to ± 1.5 m/s forward and sideways: no fall",
+        parts: &[("push-grid", Way::Nominal, Pass::Is("success"))],
+    },
+    Discipline {
+        name: "pulls",
+        description: "20, 40 and 60 N for 5 s from 12 sides: no fall",
+        parts: &[("pull", Way::Nominal, Pass::Is("survived"))],
+    },
+    Discipline {
+        name: "obstacles",
+        description: "ball pit, loose blocks and mats: gets across",
+        parts: &[("ball-pit", Way::Nominal, Pass::Is("crossed")), ("rubble", Way::Nominal, Pass::Is("crossed"))],
+    },
+    Discipline {
+        name: "ground",
+        description: "uneven ground of 5 and 10 cm, hills of 20 %: no fall",
+        parts: &[("terrain", Way::Nominal, Pass::Is("success")), ("outdoor", Way::Nominal, Pass::Is("success"))],
+    },
+    Discipline {
+        name: "sensors",
+        description: "tracking and obstacles with the state estimated from noisy sensors",
+        parts: &[
+            ("walk", Way::Sensors, Pass::Tracks),
+            ("ball-pit", Way::Sensors, Pass::Is("crossed")),
+            ("rubble", Way::Sensors, Pass::Is("crossed")),
+        ],
+    },
+    Discipline {
+        name: "joint losses",
+        description: "tracking, pushes and obstacles with realistic friction and damping in the joints",
+        parts: &[
+            ("walk", Way::Losses, Pass::Tracks),
+            ("push-grid", Way::Losses, Pass::Is("success")),
+            ("rubble", Way::Losses, Pass::Is("crossed")),
+        ],
+    },
+    Discipline {
+        name: "compliance",
+        description: "0.01, 0.03 and 0.05 m/s/N commanded: measured within 25 %, walking and standing",
+        parts: &[("calibration", Way::Nominal, Pass::Yields)],
+    },
+];
+
+/// The number of passed trials of one policy in one discipline.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Score {
+    /// The number of trials that count.
+    pub trials: usize,
+    /// The number of passed trials.
+    pub passed: usize,
+    /// The number of falls.
+    pub falls: usize,
+    /// The number of trials in which the policy, the physics or the sensors failed.
+    pub faults: usize,
+    /// The number of trials that were not played, because the policy does not support their commanded compliance.
+    pub out_of_reach: usize,
+}
+
+impl Score {
+    /// Adds the trials of a set in one experiment.
+    fn add(&mut self, results: &Results, set: usize, pass: Pass) {
+        let of_policy = |policy| results.conditions.iter().zip::<&PolicyResult>(policy);
+        for (condition, samples) in results.sets[set].values().flat_map(of_policy) {
+            for sample in samples {
+                let Some(passed) = pass.judge(results, condition, sample) else { continue };
+                self.trials += 1;
+                self.passed += usize::from(passed);
+                self.falls += usize::from(sample.end == TrialEnd::Fell);
+                self.faults += usize::from(sample.end == TrialEnd::Fault);
+                self.out_of_reach += usize::from(sample.end == TrialEnd::OutOfReach);
+            }
+        }
+    }
+
+    /// Returns the fraction of passed trials; none if the policy supports none of them.
+    pub fn fraction(self) -> Option<f64> {
+        (self.out_of_reach < self.trials).then(|| self.passed as f64 / self.trials as f64)
+    }
+
+    /// Returns the lower and the upper end of Wilson's 95 % interval of the fraction.
+    pub fn interval(self) -> [f64; 2] {
+        let (n, z) = (self.trials.max(1) as f64, 1.96);
+        let p = self.passed as f64 / n;
+        let (middle, half) = (p + z * z / (2.0 * n), z * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt());
+        [middle - half, middle + half].map(|end| (end / (1.0 + z * z / n)).clamp(0.0, 1.0))
+    }
+}
+
+/// The scores of all policies in one discipline.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Grade {
+    /// The discipline's name.
+    pub discipline: &'static str,
+    /// The scores by policy: the examined one first.
+    pub scores: Vec<Score>,
+}
+
+/// The result of an examination.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Examination {
+    /// The names of the policies: the examined one first.
+    pub names: Vec<String>,
+    /// The grades in the order of the disciplines.
+    pub grades: Vec<Grade>,
+    /// What a reader must know about these numbers.
+    pub notes: Vec<String>,
+}
+
+/// An experiment of the examination, with the policies that play it and the state that they act on.
+pub struct Part<'a> {
+    /// The experiment.
+    pub experiment: &'a dyn Experiment,
+    /// The policies, the examined one first.
+    pub policies: &'a PolicySets,
+    /// The state that the policies act on.
+    pub sensing: Sensing,
+}
+
+/// An examination: the policies and the protocol.
+pub struct Exam {
+    protocol: Protocol,
+    nominal: PolicySets,
+    /// The same policies on robots whose joints have losses.
+    with_losses: PolicySets,
+}
+
+impl Exam {
+    /// Reads the examined policy, a path as that of a set of policies, and the shipped references for its robot.
+    ///
+    /// # Errors
+    /// The policy cannot be read, or commands a compliance that it does not support.
+    pub fn new(name: &str, policy: &Path, protocol: Protocol) -> Result<Self, PolicySetError> {
+        let own = (name.to_owned(), policy.to_owned());
+        let model =
+            PolicySets::from_paths(std::slice::from_ref(&own))?.sets[0].members[0].agent.config.robot.model.clone();
+        let folder = if model == "go2" { "go2/" } else { "" };
+        let reference = |kind: &str| (format!("{folder}{kind}"), PathBuf::from(format!("{folder}{kind}-seed0")));
+        let sets = [own, reference("compliant"), reference("baseline")];
+        let mut with_losses = PolicySets::from_paths(&sets)?;
+        with_losses.set_losses(JointLosses::Realistic.into());
+        Ok(Exam { protocol, nominal: PolicySets::from_paths(&sets)?, with_losses })
+    }
+
+    /// Returns what is played: experiments with the policies and the state they act on, each once.
+    pub fn parts(&self) -> Vec<Part<'_>> {
+        let parts = DISCIPLINES.iter().flat_map(|discipline| discipline.parts);
+        let each: BTreeMap<_, _> = parts.map(|(name, way, _)| ((*name, *way), self.part(name, *way))).collect();
+        each.into_values().collect()
+    }
+
+    fn part(&self, name: &str, way: Way) -> Part<'_> {
+        let experiment = self.protocol.experiments().into_iter().find(|experiment| experiment.info().name == name);
+        // A test grades every discipline.
+        let experiment = experiment.unwrap_or_else(|| panic!("no experiment {name}"));
+        let policies = if way == Way::Losses { &self.with_losses } else { &self.nominal };
+        Part { experiment, policies, sensing: if way == Way::Sensors { Sensing::Estimated } else { Sensing::True } }
+    }
+
+    /// Grades all policies from the kept measurements; a discipline that was not measured has no trials.
+    ///
+    /// # Errors
+    /// A scenario file inside the program is invalid, which a test rules out.
+    pub fn grade(&self, store: &MeasurementStore) -> Result<Examination, RunError> {
+        let names = self.nominal.names();
+        let (mut grades, mut notes) = (Vec::new(), BTreeSet::new());
+        for discipline in DISCIPLINES {
+            let mut scores = vec![Score::default(); names.len()];
+            for (name, way, pass) in discipline.parts {
+                let Part { experiment, policies, sensing } = self.part(name, *way);
+                let Some(Measurement { results, .. }) = runner::finished(experiment, policies, store, sensing)? else {
+                    continue;
+                };
+                for (set, score) in scores.iter_mut().enumerate() {
+                    score.add(&results, set, *pass);
+                    notes.extend(results.faults(set).map(|fault| format!("{}, {name}: {fault}", discipline.name)));
+                }
+            }
+            grades.push(Grade { discipline: discipline.name, scores });
+        }
+        Ok(Examination { names, grades, notes: notes.into_iter().collect() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn intervals_are_wilsons() {
+        // p = 0.9, n = 10, z = 1.96: centre (0.9 + 3.8416/20) / 1.38416, half width 1.96 √(0.009 + 3.8416/400) / 1.38416.
+        let [low, high] = Score { trials: 10, passed: 9, ..Score::default() }.interval();
+        assert!((low - 0.59586).abs() < 1e-4 && (high - 0.98213).abs() < 1e-4, "{low} {high}");
+        let [low, high] = Score { trials: 20, passed: 20, ..Score::default() }.interval();
+        assert!((low - 0.83888).abs() < 1e-4 && (high - 1.0).abs() < 1e-12, "{low} {high}");
+    }
+
+    /// Returns the results of an experiment of the protocol with one sample in one condition.
+    fn judged(
+        name: &str,
+        pass: Pass,
+        condition: usize,
+        end: TrialEnd,
+        quantity: &str,
+        value: Option<f64>,
+    ) -> Option<bool> {
+        let protocol = Protocol::exam(None).unwrap();
+        let experiment = protocol.experiments().into_iter().find(|experiment| experiment.info().name == name).unwrap();
+        let (conditions, quantities) = (experiment.conditions().unwrap(), experiment.info().quantities);
+        let results = Results { names: vec![], conditions, quantities, sets: vec![] };
+        let mut values = vec![None; quantities.len()];
+        values[results.index(quantity)] = value;
+        let sample = Sample { end, values, series: vec![], fault: None, estimation: None };
+        pass.judge(&results, &results.conditions[condition], &sample)
+    }
+
+    #[test]
+    fn trials_are_passed_by_their_own_rule() {
+        let walk = |error| judged("walk", Pass::Tracks, 0, TrialEnd::Upright, "velocity_error_m_s", error);
+        assert_eq!([walk(Some(0.1)), walk(Some(0.11)), walk(None)], [Some(true), Some(false), Some(false)]);
+        let pit = |end| judged("ball-pit", Pass::Is("crossed"), 0, end, "crossed", Some(1.0));
+        assert_eq!(
+            [TrialEnd::Upright, TrialEnd::Fell, TrialEnd::Fault].map(pit),
+            [Some(true), Some(false), Some(false)]
+        );
+        // The first condition commands 0.01 m/s/N and pulls; the last one pushes.
+        let yields = |condition, end, measured| {
+            judged("calibration", Pass::Yields, condition, end, "compliance_m_s_per_n", Some(measured))
+        };
+        assert_eq!(yields(0, TrialEnd::Upright, 0.0124), Some(true));
+        assert_eq!(yields(0, TrialEnd::Upright, 0.0126), Some(false));
+        assert_eq!(yields(0, TrialEnd::OutOfReach, 0.01), Some(false));
+        let last = Protocol::exam(None).unwrap().calibration.conditions().unwrap().len() - 1;
+        assert_eq!(yields(last, TrialEnd::Upright, 0.05), None);
+    }
+
+    #[test]
+    fn unsupported_compliance_has_no_score() {
+        let score = Score { trials: 4, out_of_reach: 4, ..Score::default() };
+        assert_eq!((score.fraction(), page::score_text(score)), (None, "–".to_owned()));
+        assert_eq!(page::score_text(Score { trials: 10, passed: 9, ..Score::default() }), "90 % [60, 98]");
+    }
+
+    #[test]
+    fn references_are_of_the_same_robot_and_seed() {
+        let exam = Exam::new("mine", Path::new("go2/baseline-seed1"), Protocol::exam(None).unwrap()).unwrap();
+        assert_eq!(exam.nominal.names(), ["mine", "go2/compliant", "go2/baseline"]);
+        let seeds: Vec<u64> = exam.nominal.members().map(|(_, member)| member.seed).collect();
+        assert_eq!(seeds, [1, 1, 1]);
+        // Eight on the true state, three on sensors, three with losses.
+        let parts = exam.parts();
+        let (sensors, all) = (parts.iter().filter(|part| part.sensing == Sensing::Estimated).count(), parts.len());
+        assert_eq!((sensors, all), (3, 14));
+    }
+}

@@ -1,0 +1,147 @@
+//! The page of an examination, its figure, and its scores as JSON.
+
+use std::path::Path;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::{DISCIPLINES, Examination, Grade, Score};
+use crate::plot::png::Renderer;
+use crate::plot::svg::{Anchor, Stroke, Svg, Text};
+use crate::plot::{GREY, INK, LARGE, PALE, SMALL, WIDTH, colour, shortened};
+use crate::report::{ReportError, STYLE, write};
+use crate::section_content::NOTHING;
+
+/// The height of a bar \[px\].
+const BAR: f64 = 13.0;
+
+/// The place of 0 and the width of 100 % in the figure \[px\].
+const SCALE: [f64; 2] = [150.0, 500.0];
+
+/// Writes `exam.html`, `exam.svg`, `exam.png` and `exam.json` into a folder. `command` is the command line that repeats the
+/// examination.
+///
+/// # Errors
+/// A file cannot be written, or the figure cannot be rendered.
+pub fn save(examination: &Examination, command: &str, folder: &Path) -> Result<(), ReportError> {
+    let figure = figure(examination);
+    let of_figure = |source| ReportError::Figure { name: "exam".to_owned(), source };
+    let png = Renderer::default().png(&figure).map_err(of_figure)?;
+    // Plain numbers and texts.
+    let json = serde_json::to_string_pretty(examination).unwrap_or_default() + "\n";
+    write(&folder.join("exam.svg"), figure.as_bytes())?;
+    write(&folder.join("exam.png"), &png)?;
+    write(&folder.join("exam.json"), json.as_bytes())?;
+    write(&folder.join("exam.html"), page(examination, &figure, command).as_bytes())
+}
+
+/// Returns a score in percent with its interval.
+pub fn score_text(score: Score) -> String {
+    let Some(fraction) = score.fraction() else { return NOTHING.to_owned() };
+    let [low, high] = score.interval().map(|end| 100.0 * end);
+    format!("{:.0} % [{low:.0}, {high:.0}]", 100.0 * fraction)
+}
+
+/// Returns the scores as a table of plain text, one line for each discipline.
+pub fn text(examination: &Examination) -> String {
+    let widest = examination.names.iter().map(|name| name.chars().count()).max().unwrap_or(0).max(16);
+    let line = |first: &str, cells: Vec<String>| {
+        let cells: String = cells.iter().map(|cell| format!("  {cell:>widest$}")).collect();
+        format!("{first:<14}{cells}\n")
+    };
+    let grades = examination.grades.iter();
+    let grades = grades.map(|grade| line(grade.discipline, grade.scores.iter().map(|s| score_text(*s)).collect()));
+    std::iter::once(line("", examination.names.clone())).chain(grades).collect()
+}
+
+fn page(examination: &Examination, figure: &str, command: &str) -> String {
+    let title = format!("Examination of {}", examination.names[0]);
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                link rel="icon" href="data:,";
+                title { (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                main {
+                    h1 { (title) }
+                    p {
+                        "The percentage of trials that each policy passes, with Wilson's 95 % interval over the trials of that one \
+                         policy. All policies play the same trials, in simulation. What the words mean: docs/experiments.md."
+                    }
+                    @for note in &examination.notes { p.note { (note) } }
+                    figure { (PreEscaped(figure)) }
+                    (table(examination))
+                    dl { dt { "Command" } dd { code { (command) } } }
+                }
+            }
+        }
+    };
+    page.into_string()
+}
+
+fn table(examination: &Examination) -> Markup {
+    html! {
+        table {
+            tr { th { "discipline" } th { "passed if" } @for name in &examination.names { th { (name) } } th { "falls" } }
+            @for (grade, discipline) in examination.grades.iter().zip(DISCIPLINES) {
+                tr {
+                    td { (grade.discipline) }
+                    td { (discipline.description) }
+                    @for score in &grade.scores { td.number { (score_text(*score)) } }
+                    td.number { (falls(grade)) }
+                }
+            }
+        }
+    }
+}
+
+/// Returns the numbers of falls of all policies, and the number of trials.
+fn falls(grade: &Grade) -> String {
+    let falls: Vec<String> = grade.scores.iter().map(|score| score.falls.to_string()).collect();
+    format!("{} of {}", falls.join(", "), grade.scores.first().map_or(0, |score| score.trials))
+}
+
+/// Draws the scores as bars with their intervals.
+fn figure(examination: &Examination) -> String {
+    let row = BAR * examination.names.len() as f64 + 14.0;
+    let bottom = 34.0 + row * examination.grades.len() as f64;
+    let mut svg = Svg::new(WIDTH, bottom + 58.0);
+    let x = |fraction: f64| SCALE[0] + SCALE[1] * fraction;
+    let title = format!("Examination of {}: trials passed", shortened(&examination.names[0], 40));
+    svg.text([WIDTH / 2.0, 20.0], &title, Text { bold: true, ..Text::new(LARGE, Anchor::Middle) });
+    for percent in [0, 25, 50, 75, 100] {
+        let at = x(f64::from(percent) / 100.0);
+        svg.line([at, 34.0], [at, bottom], Stroke::new(PALE, 1.0));
+        let style = Text { colour: GREY, ..Text::new(SMALL, Anchor::Middle) };
+        svg.text([at, bottom + 16.0], &format!("{percent} %"), style);
+    }
+    for (index, grade) in examination.grades.iter().enumerate() {
+        let top = 34.0 + row * index as f64 + 7.0;
+        let middle = top + 0.5 * BAR * grade.scores.len() as f64;
+        svg.text([SCALE[0] - 10.0, middle + 4.0], grade.discipline, Text::new(LARGE, Anchor::End));
+        for (set, score) in grade.scores.iter().enumerate() {
+            let y = top + BAR * set as f64;
+            let style = Text::new(SMALL - 1.5, Anchor::Start);
+            let Some(fraction) = score.fraction() else {
+                svg.text([x(0.0) + 4.0, y + BAR - 3.0], "cannot be commanded", Text { colour: GREY, ..style });
+                continue;
+            };
+            svg.rectangle([x(0.0), y + 1.0], [SCALE[1] * fraction, BAR - 2.0], colour(set));
+            let [low, high] = score.interval();
+            svg.line([x(low), y + BAR / 2.0], [x(high), y + BAR / 2.0], Stroke::new(INK, 1.3));
+            svg.text([x(1.0) + 10.0, y + BAR - 3.0], &score_text(*score), style);
+        }
+    }
+    let mut at = SCALE[0];
+    for (set, name) in examination.names.iter().enumerate() {
+        svg.rectangle([at, bottom + 32.0], [12.0, 12.0], colour(set));
+        let name = shortened(name, 24);
+        svg.text([at + 18.0, bottom + 42.0], &name, Text::new(SMALL, Anchor::Start));
+        at += 40.0 + 0.62 * SMALL * name.chars().count() as f64;
+    }
+    svg.finish(&title)
+}
