@@ -27,15 +27,15 @@ pub const ROWS: usize = 32 * HALVES;
 pub const HALVES: usize = 2;
 
 /// A layer's panels, locked for reading.
-pub type LayerPanels<'a, 'b, const F: usize, const B: usize> = &'a [RwLockReadGuard<'b, Panel<F, B>>];
+pub type LayerPanels<'a, 'b> = &'a [RwLockReadGuard<'b, Panel>];
 
 /// Inputs and deltas of up to 64 rows, for the gradients of the weights. Columns are counted in units of 32.
 #[derive(Debug)]
-pub struct Block<const B: usize> {
+pub struct Block {
     /// Input of each layer as right operands, one for each 32 columns.
-    pub inputs: Vec<Vec<[Operand<B>; HALVES]>>,
+    pub inputs: Vec<Vec<[Operand<1>; HALVES]>>,
     /// Gradient of the loss by each layer's output before ELU, as left operands, one for each 32 columns.
-    pub deltas: Vec<Vec<[Operand<B>; HALVES]>>,
+    pub deltas: Vec<Vec<[Operand<1>; HALVES]>>,
     /// Sums of each layer's deltas over the rows.
     pub bias: Vec<Buffer>,
     /// Output of the last layer, shape (64, columns of the last layer).
@@ -44,19 +44,19 @@ pub struct Block<const B: usize> {
 }
 
 /// Scratch memory of one thread for a block, reused from block to block.
-pub struct Workspace<const F: usize, const B: usize> {
+pub struct Workspace {
     pub unit: TileUnit,
     /// Left operands of the forward product: a layer's input and output.
-    forward: [Vec<[Operand<F>; HALVES]>; 2],
+    forward: [Vec<[Operand<2>; HALVES]>; 2],
     /// Left operands of the backward product: the gradients by a layer's output and input.
-    backward: [Vec<[Operand<B>; HALVES]>; 2],
+    backward: [Vec<[Operand<1>; HALVES]>; 2],
     /// Sums from the tile unit: the present ones and those before.
     sums: [Buffer; 2],
     /// Deltas before they are transposed.
-    rows: Operand<B>,
+    rows: Operand<1>,
 }
 
-impl<const F: usize, const B: usize> Workspace<F, B> {
+impl Workspace {
     /// Allocates scratch memory for layers of up to `widest` columns, in units of 32.
     pub fn new(unit: TileUnit, widest: usize) -> Self {
         Self {
@@ -69,7 +69,7 @@ impl<const F: usize, const B: usize> Workspace<F, B> {
     }
 }
 
-impl<const B: usize> Block<B> {
+impl Block {
     /// Allocates room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
         let operands = |columns: usize| vec![[Operand::ZERO; HALVES]; columns.div_ceil(32)];
@@ -84,10 +84,10 @@ impl<const B: usize> Block<B> {
     }
 
     /// Gathers the observations of `rows` and evaluates the network.
-    pub fn forward<const F: usize>(
+    pub fn forward(
         &mut self,
-        workspace: &mut Workspace<F, B>,
-        layers: &[LayerPanels<'_, '_, F, B>],
+        workspace: &mut Workspace,
+        layers: &[LayerPanels<'_, '_>],
         (observations, size): (&[f32], usize),
         rows: &[u32],
     ) {
@@ -103,21 +103,21 @@ impl<const B: usize> Block<B> {
     }
 
     /// Propagates the loss gradient from the last layer's output back to the first layer's.
-    pub fn backward<const F: usize>(&mut self, workspace: &mut Workspace<F, B>, layers: &[LayerPanels<'_, '_, F, B>]) {
+    pub fn backward(&mut self, workspace: &mut Workspace, layers: &[LayerPanels<'_, '_>]) {
         workspace.unit.simd.vectorize(Backward { block: self, workspace, layers });
     }
 }
 
-struct Forward<'a, 'b, const F: usize, const B: usize> {
-    block: &'a mut Block<B>,
-    workspace: &'a mut Workspace<F, B>,
-    layers: &'a [LayerPanels<'a, 'b, F, B>],
+struct Forward<'a, 'b> {
+    block: &'a mut Block,
+    workspace: &'a mut Workspace,
+    layers: &'a [LayerPanels<'a, 'b>],
     observations: &'a [f32],
     size: usize,
     rows: &'a [u32],
 }
 
-impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
+impl NullaryFnOnce for Forward<'_, '_> {
     type Output = ();
 
     #[inline(always)]
@@ -180,19 +180,19 @@ fn store(to: &mut [f32], value: f32x16) {
 
 /// Converts the observations of `rows` to operands; missing rows become zero.
 #[inline(always)]
-fn gather<const F: usize, const B: usize>(
+fn gather(
     simd: V4,
     observations: (&[f32], usize),
     rows: &[u32],
-    left: &mut [[Operand<F>; HALVES]],
-    right: &mut [[Operand<B>; HALVES]],
+    left: &mut [[Operand<2>; HALVES]],
+    right: &mut [[Operand<1>; HALVES]],
 ) {
     for half in 0..HALVES {
         for row in 0..16 {
             let (upper, lower) = (rows.get(32 * half + row), rows.get(32 * half + 16 + row));
             for (column, (left, right)) in left.iter_mut().zip(right.iter_mut()).enumerate() {
                 let values = [lanes(simd, observations, upper, column), lanes(simd, observations, lower, column)];
-                put_both::<F, B>(simd, row, values, &mut left[half], &mut right[half]);
+                put_both(simd, row, values, &mut left[half], &mut right[half]);
             }
         }
     }
@@ -216,14 +216,13 @@ fn line(simd: V4, observation: &[f32], start: usize) -> f32x16 {
 
 /// Writes rows `row` and `row + 16` of 32 columns to a left operand and to a right one.
 #[inline(always)]
-fn put_both<const L: usize, const R: usize>(
+fn put_both<const L: usize>(
     simd: V4,
     row: usize,
     values: [[f32x16; 2]; 2],
     left: &mut Operand<L>,
-    right: &mut Operand<R>,
+    right: &mut Operand<1>,
 ) {
-    const { assert!(L >= R) };
     let [[a, b], [c, d]] = values;
     let (a, b) = (split::<L>(simd, a), split::<L>(simd, b));
     let (c, d) = (split::<L>(simd, c), split::<L>(simd, d));
@@ -241,22 +240,22 @@ fn rows_of(sums: &Square, row: usize) -> [[f32x16; 2]; 2] {
 }
 
 /// The conversion of sums to a hidden layer's output, as operands of the next layer.
-struct Activate<'a, const F: usize, const B: usize> {
+struct Activate<'a> {
     sums: &'a Square,
     bias: &'a [f32],
-    left: &'a mut Operand<F>,
-    right: &'a mut Operand<B>,
+    left: &'a mut Operand<2>,
+    right: &'a mut Operand<1>,
 }
 
-impl<'a, const F: usize, const B: usize> Activate<'a, F, B> {
+impl<'a> Activate<'a> {
     /// Creates the conversion of the products' column `column` (in units of 32).
     #[inline(always)]
     fn new(
         product: usize,
         sums: &'a Square,
-        panels: LayerPanels<'a, '_, F, B>,
-        output: &'a mut [[Operand<F>; HALVES]],
-        inputs: &'a mut [[Operand<B>; HALVES]],
+        panels: LayerPanels<'a, '_>,
+        output: &'a mut [[Operand<2>; HALVES]],
+        inputs: &'a mut [[Operand<1>; HALVES]],
     ) -> Self {
         let (column, half) = (product / HALVES, product % HALVES);
         let (left, right) = (&mut output[column][half], &mut inputs[column][half]);
@@ -264,7 +263,7 @@ impl<'a, const F: usize, const B: usize> Activate<'a, F, B> {
     }
 }
 
-impl<const F: usize, const B: usize> Meanwhile for Activate<'_, F, B> {
+impl Meanwhile for Activate<'_> {
     #[inline(always)]
     fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
         let bias = [load(self.bias), load(&self.bias[16..])];
@@ -299,13 +298,13 @@ fn activate(simd: V4, sum: f32x16, bias: f32x16) -> f32x16 {
     cast(avx._mm512_mask_sub_ps(cast(x), below, avx._mm512_scalef_ps(cast(p), n), one))
 }
 
-struct Backward<'a, 'b, const F: usize, const B: usize> {
-    block: &'a mut Block<B>,
-    workspace: &'a mut Workspace<F, B>,
-    layers: &'a [LayerPanels<'a, 'b, F, B>],
+struct Backward<'a, 'b> {
+    block: &'a mut Block,
+    workspace: &'a mut Workspace,
+    layers: &'a [LayerPanels<'a, 'b>],
 }
 
-impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
+impl NullaryFnOnce for Backward<'_, '_> {
     type Output = ();
 
     #[inline(always)]
@@ -355,25 +354,25 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
 }
 
 /// The conversion of sums to the loss gradient of the layer before, as operands.
-struct Differentiate<'a, const B: usize> {
+struct Differentiate<'a> {
     sums: &'a Square,
     /// Output of ELU in the layer before.
-    y: &'a Operand<B>,
+    y: &'a Operand<1>,
     bias: &'a mut [f32],
-    left: &'a mut Operand<B>,
-    rows: &'a mut Operand<B>,
+    left: &'a mut Operand<1>,
+    rows: &'a mut Operand<1>,
 }
 
-impl<'a, const B: usize> Differentiate<'a, B> {
+impl<'a> Differentiate<'a> {
     /// Creates the conversion of the products' column `column` (in units of 32).
     #[inline(always)]
     fn new(
         product: usize,
         sums: &'a Square,
-        y: &'a [[Operand<B>; HALVES]],
+        y: &'a [[Operand<1>; HALVES]],
         bias: &'a mut [f32],
-        left: &'a mut [[Operand<B>; HALVES]],
-        rows: &'a mut Operand<B>,
+        left: &'a mut [[Operand<1>; HALVES]],
+        rows: &'a mut Operand<1>,
     ) -> Self {
         let (column, half) = (product / HALVES, product % HALVES);
         let (y, left) = (&y[column][half], &mut left[column][half]);
@@ -381,7 +380,7 @@ impl<'a, const B: usize> Differentiate<'a, B> {
     }
 }
 
-impl<const B: usize> Meanwhile for Differentiate<'_, B> {
+impl Meanwhile for Differentiate<'_> {
     #[inline(always)]
     fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
         for row in pieces {

@@ -57,17 +57,8 @@ pub fn put<const PARTS: usize>(
 
 /// Reads the numbers written by [`put`].
 #[inline(always)]
-pub fn get<const PARTS: usize>(simd: V4, operand: &Operand<PARTS>, (half, row): (usize, usize)) -> [f32x16; 2] {
-    let [first, second] = unpaired(simd, operand.0[0][half].0[row]);
-    if PARTS == 1 {
-        return [first, second];
-    }
-    let [first_rest, second_rest] = unpaired(simd, operand.0[PARTS - 1][half].0[row]);
-    [simd.add_f32s(first, first_rest), simd.add_f32s(second, second_rest)]
-}
-
-#[inline(always)]
-fn unpaired(simd: V4, pairs: u32x16) -> [f32x16; 2] {
+pub fn get(simd: V4, operand: &Operand<1>, (half, row): (usize, usize)) -> [f32x16; 2] {
+    let pairs = operand.0[0][half].0[row];
     let first: u32x16 = cast(simd.avx512f._mm512_slli_epi32::<16>(cast(pairs)));
     [cast(first), cast(upper(simd, pairs))]
 }
@@ -173,9 +164,10 @@ mod tests {
     #[test]
     fn what_was_put_comes_back_and_transposed_pairs_stay_pairs() {
         let Some(simd) = V4::try_new() else { return };
-        let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| (i * 32 + j) as f32 / 64.0));
-        let operand = left::<2>(simd, &a);
-        let mut transposed = Operand::<2>::ZERO;
+        // No more than eight bits, as many as bf16 has.
+        let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| ((i * 37 + j * 23) % 251) as f32 / 64.0));
+        let operand = left::<1>(simd, &a);
+        let mut transposed = Operand::ZERO;
         transpose(simd, &operand, &mut transposed);
         for m in 0..32 {
             let [first, second] = get(simd, &operand, (m / 16, m % 16));
