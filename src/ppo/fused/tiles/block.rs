@@ -1,13 +1,11 @@
 /*! Forward and backward pass of one network over 64 rows of a minibatch, as two halves of 32, so that the weights of a
 product are loaded once for both.
 
-Between two layers 32 columns at a time come out of the tile unit as sums; while it computes the next ones, the vector
-units turn them into operands ([`Meanwhile`]).
+Between two layers 32 columns at a time come out of the tile unit as sums, and the vector units turn them into operands.
 */
 
 use std::arch::x86_64::_CMP_NGT_UQ;
 use std::mem;
-use std::ops::Range;
 use std::sync::RwLockReadGuard;
 
 use pulp::x86::V4;
@@ -15,7 +13,7 @@ use pulp::{NullaryFnOnce, Simd, cast, f32x16};
 
 use super::pack::{get, put, split, transpose};
 use super::panel::Panel;
-use super::unit::{Meanwhile, Operand, SQUARE, Square, TileUnit};
+use super::unit::{Operand, SQUARE, Square, TileUnit};
 use crate::network::Mlp;
 use crate::network::kernels::Buffer;
 use crate::ppo::fused::losses::Pass;
@@ -50,8 +48,8 @@ pub struct Workspace {
     forward: [Vec<[Operand<2>; HALVES]>; 2],
     /// Left operands of the backward product: the gradients by a layer's output and input.
     backward: [Vec<[Operand<1>; HALVES]>; 2],
-    /// Sums from the tile unit: the present ones and those before.
-    sums: [Buffer; 2],
+    /// Sums from the tile unit.
+    sums: Buffer,
     /// Deltas before they are transposed.
     rows: Operand<1>,
 }
@@ -63,7 +61,7 @@ impl Workspace {
             unit,
             forward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
             backward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
-            sums: [(); 2].map(|()| Buffer::zeros(SQUARE)),
+            sums: Buffer::zeros(SQUARE),
             rows: Operand::ZERO,
         }
     }
@@ -123,24 +121,19 @@ impl NullaryFnOnce for Forward<'_, '_> {
     #[inline(always)]
     fn call(self) {
         let Self { block, workspace, layers, observations, size, rows } = self;
-        let Workspace { unit, forward: [input, output], sums: [sums, before], .. } = workspace;
+        let Workspace { unit, forward: [input, output], sums, .. } = workspace;
         let simd = unit.simd;
-        let (mut sums, mut before) = (square(sums), square(before));
+        let sums = square(sums);
         gather(simd, (observations, size), rows, input, &mut block.inputs[0]);
         let last = layers.len() - 1;
         for (panels, inputs) in layers[..last].iter().zip(&mut block.inputs[1..]) {
             for product in 0..HALVES * panels.len() {
-                let (panel, half) = (&panels[product / HALVES], product % HALVES);
+                let (column, half) = (product / HALVES, product % HALVES);
+                let panel = &panels[column];
                 let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
-                if product == 0 {
-                    unit.product(steps, sums, false, &mut ());
-                } else {
-                    let mut work = Activate::new(product - 1, before, panels, output, inputs);
-                    unit.product(steps, sums, false, &mut work);
-                }
-                mem::swap(&mut sums, &mut before);
+                unit.product(steps, sums, false);
+                put_outputs(simd, sums, panel.bias(), &mut output[column][half], &mut inputs[column][half]);
             }
-            Activate::new(HALVES * panels.len() - 1, before, panels, output, inputs).pieces(simd, 0..16);
             mem::swap(input, output);
         }
         let columns = 32 * layers[last].len();
@@ -148,7 +141,7 @@ impl NullaryFnOnce for Forward<'_, '_> {
             let bias = [load(panel.bias()), load(&panel.bias()[16..])];
             for half in 0..HALVES {
                 let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
-                unit.product(steps, sums, false, &mut ());
+                unit.product(steps, sums, false);
                 for row in 0..16 {
                     for (quarter, values) in rows_of(sums, row).into_iter().enumerate() {
                         let output = &mut block.outputs[(32 * half + 16 * quarter + row) * columns + 32 * column..];
@@ -239,40 +232,15 @@ fn rows_of(sums: &Square, row: usize) -> [[f32x16; 2]; 2] {
     [[cast(rows[row]), cast(rows[16 + row])], [cast(rows[32 + row]), cast(rows[48 + row])]]
 }
 
-/// The conversion of sums to a hidden layer's output, as operands of the next layer.
-struct Activate<'a> {
-    sums: &'a Square,
-    bias: &'a [f32],
-    left: &'a mut Operand<2>,
-    right: &'a mut Operand<1>,
-}
-
-impl<'a> Activate<'a> {
-    /// Creates the conversion of the products' column `column` (in units of 32).
-    #[inline(always)]
-    fn new(
-        product: usize,
-        sums: &'a Square,
-        panels: LayerPanels<'a, '_>,
-        output: &'a mut [[Operand<2>; HALVES]],
-        inputs: &'a mut [[Operand<1>; HALVES]],
-    ) -> Self {
-        let (column, half) = (product / HALVES, product % HALVES);
-        let (left, right) = (&mut output[column][half], &mut inputs[column][half]);
-        Self { sums, bias: panels[column].bias(), left, right }
-    }
-}
-
-impl Meanwhile for Activate<'_> {
-    #[inline(always)]
-    fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
-        let bias = [load(self.bias), load(&self.bias[16..])];
-        for row in pieces {
-            let [[a, b], [c, d]] = rows_of(self.sums, row);
-            let upper = [activate(simd, a, bias[0]), activate(simd, b, bias[1])];
-            let lower = [activate(simd, c, bias[0]), activate(simd, d, bias[1])];
-            put_both(simd, row, [upper, lower], self.left, self.right);
-        }
+/// Converts sums to a hidden layer's output, as operands of the next layer.
+#[inline(always)]
+fn put_outputs(simd: V4, sums: &Square, bias: &[f32], left: &mut Operand<2>, right: &mut Operand<1>) {
+    let bias = [load(bias), load(&bias[16..])];
+    for row in 0..16 {
+        let [[a, b], [c, d]] = rows_of(sums, row);
+        let upper = [activate(simd, a, bias[0]), activate(simd, b, bias[1])];
+        let lower = [activate(simd, c, bias[0]), activate(simd, d, bias[1])];
+        put_both(simd, row, [upper, lower], left, right);
     }
 }
 
@@ -310,9 +278,9 @@ impl NullaryFnOnce for Backward<'_, '_> {
     #[inline(always)]
     fn call(self) {
         let Self { block, workspace, layers } = self;
-        let Workspace { unit, backward: [after, ahead], sums: [sums, before], rows, .. } = workspace;
+        let Workspace { unit, backward: [after, ahead], sums, rows, .. } = workspace;
         let simd = unit.simd;
-        let (mut sums, mut before) = (square(sums), square(before));
+        let sums = square(sums);
         block.bias.iter_mut().for_each(|bias| bias.fill(0.0));
         let last = layers.len() - 1;
         let columns = 32 * layers[last].len();
@@ -334,63 +302,27 @@ impl NullaryFnOnce for Backward<'_, '_> {
             let (bias, deltas) = (&mut block.bias[depth - 1], &mut block.deltas[depth - 1]);
             for product in 0..HALVES * y.len() {
                 let (column, half) = (product / HALVES, product % HALVES);
-                let steps = after[..panels.len()].iter().zip(panels);
-                let steps = steps.map(|(left, panel)| (&left[half], &panel.backward[column]));
-                if product == 0 {
-                    unit.product(steps, sums, false, &mut ());
-                } else {
-                    let mut work = Differentiate::new(product - 1, before, y, bias, ahead, rows);
-                    unit.product(steps, sums, false, &mut work);
-                    transpose(simd, rows, &mut deltas[(product - 1) / HALVES][(product - 1) % HALVES]);
-                }
-                mem::swap(&mut sums, &mut before);
+                let steps = after.iter().zip(panels).map(|(left, panel)| (&left[half], &panel.backward[column]));
+                unit.product(steps, sums, false);
+                put_deltas(simd, sums, &y[column][half], &mut bias[32 * column..], &mut ahead[column][half], rows);
+                transpose(simd, rows, &mut deltas[column][half]);
             }
-            let product = HALVES * y.len() - 1;
-            Differentiate::new(product, before, y, bias, ahead, rows).pieces(simd, 0..16);
-            transpose(simd, rows, &mut deltas[product / HALVES][product % HALVES]);
             mem::swap(after, ahead);
         }
     }
 }
 
-/// The conversion of sums to the loss gradient of the layer before, as operands.
-struct Differentiate<'a> {
-    sums: &'a Square,
-    /// Output of ELU in the layer before.
-    y: &'a Operand<1>,
-    bias: &'a mut [f32],
-    left: &'a mut Operand<1>,
-    rows: &'a mut Operand<1>,
-}
-
-impl<'a> Differentiate<'a> {
-    /// Creates the conversion of the products' column `column` (in units of 32).
-    #[inline(always)]
-    fn new(
-        product: usize,
-        sums: &'a Square,
-        y: &'a [[Operand<1>; HALVES]],
-        bias: &'a mut [f32],
-        left: &'a mut [[Operand<1>; HALVES]],
-        rows: &'a mut Operand<1>,
-    ) -> Self {
-        let (column, half) = (product / HALVES, product % HALVES);
-        let (y, left) = (&y[column][half], &mut left[column][half]);
-        Self { sums, y, bias: &mut bias[32 * column..], left, rows }
-    }
-}
-
-impl Meanwhile for Differentiate<'_> {
-    #[inline(always)]
-    fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
-        for row in pieces {
-            let [[a, b], [c, d]] = rows_of(self.sums, row);
-            let ([ya, yc], [yb, yd]) = (get(simd, self.y, (0, row)), get(simd, self.y, (1, row)));
-            let upper = [times_slope(simd, a, ya), times_slope(simd, b, yb)];
-            let lower = [times_slope(simd, c, yc), times_slope(simd, d, yd)];
-            add_rows(simd, self.bias, [upper, lower]);
-            put_both(simd, row, [upper, lower], self.left, self.rows);
-        }
+/// Converts sums to the loss gradient of the layer before, as operands, and adds it to that of the biases. `y` is the
+/// output of ELU in that layer.
+#[inline(always)]
+fn put_deltas(simd: V4, sums: &Square, y: &Operand<1>, bias: &mut [f32], left: &mut Operand<1>, rows: &mut Operand<1>) {
+    for row in 0..16 {
+        let [[a, b], [c, d]] = rows_of(sums, row);
+        let ([ya, yc], [yb, yd]) = (get(simd, y, (0, row)), get(simd, y, (1, row)));
+        let upper = [times_slope(simd, a, ya), times_slope(simd, b, yb)];
+        let lower = [times_slope(simd, c, yc), times_slope(simd, d, yd)];
+        add_rows(simd, bias, [upper, lower]);
+        put_both(simd, row, [upper, lower], left, rows);
     }
 }
 

@@ -112,7 +112,7 @@ impl Arithmetic for Tiles {
                 let (blocks, operands) = (&blocks[piece.blocks.clone()], &operands[piece.blocks]);
                 let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
                 let add = !piece.is_first;
-                self.simd.vectorize(Gradient { unit: &workspace.unit, operands, add, weights });
+                self.simd.vectorize(Gradient { unit: &mut workspace.unit, operands, add, weights });
                 if !add {
                     biases.fill(0.0);
                 }
@@ -159,7 +159,7 @@ impl Arithmetic for Tiles {
 
 /// The gradient by the weights of 32 outputs: deltas times inputs, over all blocks of rows.
 struct Gradient<'a> {
-    unit: &'a TileUnit,
+    unit: &'a mut TileUnit,
     /// Left operand and, for each 32 inputs, right operand of each block.
     operands: &'a [(&'a [Operand<1>; HALVES], &'a [[Operand<1>; HALVES]])],
     /// True if the result is added to the gradient of the chunks before.
@@ -178,7 +178,7 @@ impl NullaryFnOnce for Gradient<'_> {
                 let (left, right) = self.operands[step / HALVES];
                 (&left[step % HALVES], &right[column][step % HALVES])
             });
-            self.unit.product(steps, square, self.add, &mut ());
+            self.unit.product(steps, square, self.add);
         }
     }
 }

@@ -134,14 +134,14 @@ mod tests {
         operand
     }
 
-    fn check<const PARTS: usize>(unit: &TileUnit, scale: f32, error: f64) {
+    fn check<const PARTS: usize>(unit: &mut TileUnit, scale: f32, error: f64) {
         let number = |i: usize, j: usize| scale * ((i * 37 + j * 23) % 31) as f32 - 7.0;
         let a: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(i, j)));
         let b: Matrix = std::array::from_fn(|i| std::array::from_fn(|j| number(j, i + 5)));
         let (a_operand, b_operand) = (left::<PARTS>(unit.simd, &a), right::<PARTS>(unit.simd, &b));
         let mut sums = [f32::NAN; SQUARE];
         for (times, add) in [(1.0, false), (2.0, true)] {
-            unit.product([(&a_operand, &b_operand)].into_iter(), &mut sums, add, &mut ());
+            unit.product([(&a_operand, &b_operand)].into_iter(), &mut sums, add);
             for (m, row) in a.iter().enumerate() {
                 for n in 0..32 {
                     let exact: f64 = (0..32).map(|k| f64::from(row[k]) * f64::from(b[k][n])).sum();
@@ -154,11 +154,11 @@ mod tests {
 
     #[test]
     fn products_are_exact_for_small_whole_numbers_and_close_for_others() {
-        let Some(unit) = TileUnit::new() else { return };
-        check::<1>(&unit, 1.0, 0.0);
-        check::<2>(&unit, 1.0, 0.0);
-        check::<1>(&unit, 1.234, 64.0);
-        check::<2>(&unit, 1.234, 0.1);
+        let Some(mut unit) = TileUnit::new() else { return };
+        check::<1>(&mut unit, 1.0, 0.0);
+        check::<2>(&mut unit, 1.0, 0.0);
+        check::<1>(&mut unit, 1.234, 64.0);
+        check::<2>(&mut unit, 1.234, 0.1);
     }
 
     #[test]

@@ -80,12 +80,8 @@ impl NullaryFnOnce for Refresh<'_> {
             for row in 0..16 {
                 // By halves of outputs and of inputs.
                 let [a, b, c, d] = [0, 16, 32, 48].map(|tile| cast(square[tile + row]));
-                let [w00, w01, w10, w11] = [
-                    split::<2>(simd, a),
-                    split::<2>(simd, b),
-                    split::<2>(simd, c),
-                    split::<2>(simd, d),
-                ];
+                let [w00, w01, w10, w11] =
+                    [split::<2>(simd, a), split::<2>(simd, b), split::<2>(simd, c), split::<2>(simd, d)];
                 put(simd, &mut rows, (0, row), w00, w01);
                 put(simd, &mut rows, (1, row), w10, w11);
                 if let Some(backward) = panel.backward.get_mut(index) {
