@@ -98,7 +98,7 @@ pub fn measure(config: &Config, threads: usize, effort: &Effort) -> anyhow::Resu
     let with = |precision| Ppo { learner: LearnerKind::Fused, precision, ..ppo.clone() };
     let by_candle = Ppo { learner: LearnerKind::Candle, precision: Precision::F32, ..ppo.clone() };
     let precision = resolved(&with(Precision::Auto));
-    let mut precisions = vec![Precision::F32, Precision::Bf16x3, Precision::Mixed, Precision::Bf16];
+    let mut precisions = vec![Precision::F32, Precision::Mixed];
     precisions.retain(|precision| learner(&with(*precision), start.clone(), 1, Alone::shared()).is_ok());
 
     let flop = flop_per_sample_pass(&network);

@@ -550,11 +550,6 @@ pub enum Precision {
     F32,
     /// On tile units (AMX): outputs as exact as f32, operands of gradients rounded to bf16.
     Mixed,
-    /// On tile units (AMX): all as exact as f32, with three bf16 products in place of one of f32.
-    #[serde(rename = "bf16x3")]
-    Bf16x3,
-    /// On tile units (AMX): bf16 operands throughout.
-    Bf16,
 }
 
 impl Ppo {

@@ -10,7 +10,6 @@ use super::{Batch, CandleLearner, FusedLearner, UpdateFault, UpdateStatistics};
 use crate::config::{LearnerKind, Ppo, Precision};
 use crate::network::ActorCritic;
 use crate::ranks::Ranks;
-use crate::util::yaml;
 
 /// A learner that trains an [`ActorCritic`] by PPO.
 ///
@@ -70,17 +69,9 @@ pub fn learner(
         }
         #[cfg(tiles)]
         (LearnerKind::Fused, Precision::Mixed) if tiles_available() => {
-            Box::new(FusedLearner::<Tiles<2, 1>>::new(&state, settings, threads, ranks))
+            Box::new(FusedLearner::<Tiles>::new(&state, settings, threads, ranks))
         }
-        #[cfg(tiles)]
-        (LearnerKind::Fused, Precision::Bf16x3) if tiles_available() => {
-            Box::new(FusedLearner::<Tiles<2, 2>>::new(&state, settings, threads, ranks))
-        }
-        #[cfg(tiles)]
-        (LearnerKind::Fused, Precision::Bf16) if tiles_available() => {
-            Box::new(FusedLearner::<Tiles<1, 1>>::new(&state, settings, threads, ranks))
-        }
-        (LearnerKind::Fused, precision) => return Err(PrecisionError(precision)),
+        (LearnerKind::Fused, Precision::Mixed) => return Err(PrecisionError),
     })
 }
 
@@ -94,12 +85,12 @@ pub fn resolved(ppo: &Ppo) -> Precision {
 }
 
 /// The error of a precision that this processor does not support.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "ppo.precision is {}, but this processor has no tile unit for bf16 (AMX): \
-     go on where there is one, or start a run with ppo.precision: f32", yaml::to_text(.0).trim_end()
+    "ppo.precision is mixed, but this processor has no tile unit for bf16 (AMX): \
+     go on where there is one, or start a run with ppo.precision: f32"
 )]
-pub struct PrecisionError(Precision);
+pub struct PrecisionError;
 
 /// Complete state of a learner, as stored in a checkpoint.
 #[derive(Debug, Clone, PartialEq)]

@@ -1,13 +1,11 @@
 /*! Forward and backward pass of one network over 64 rows of a minibatch, as two halves of 32, so that the weights of a
 product are loaded once for both.
 
-Between two layers 32 columns at a time come out of the tile unit as sums; while it computes the next ones, the vector
-units turn them into operands ([`Meanwhile`]).
+Between two layers 32 columns at a time come out of the tile unit as sums, and the vector units turn them into operands.
 */
 
 use std::arch::x86_64::_CMP_NGT_UQ;
 use std::mem;
-use std::ops::Range;
 use std::sync::RwLockReadGuard;
 
 use pulp::x86::V4;
@@ -15,7 +13,7 @@ use pulp::{NullaryFnOnce, Simd, cast, f32x16};
 
 use super::pack::{get, put, split, transpose};
 use super::panel::Panel;
-use super::unit::{Meanwhile, Operand, SQUARE, Square, TileUnit};
+use super::unit::{Operand, SQUARE, Square, TileUnit};
 use crate::network::Mlp;
 use crate::network::kernels::Buffer;
 use crate::ppo::fused::losses::Pass;
@@ -27,15 +25,15 @@ pub const ROWS: usize = 32 * HALVES;
 pub const HALVES: usize = 2;
 
 /// A layer's panels, locked for reading.
-pub type LayerPanels<'a, 'b, const F: usize, const B: usize> = &'a [RwLockReadGuard<'b, Panel<F, B>>];
+pub type LayerPanels<'a, 'b> = &'a [RwLockReadGuard<'b, Panel>];
 
 /// Inputs and deltas of up to 64 rows, for the gradients of the weights. Columns are counted in units of 32.
 #[derive(Debug)]
-pub struct Block<const B: usize> {
+pub struct Block {
     /// Input of each layer as right operands, one for each 32 columns.
-    pub inputs: Vec<Vec<[Operand<B>; HALVES]>>,
+    pub inputs: Vec<Vec<[Operand<1>; HALVES]>>,
     /// Gradient of the loss by each layer's output before ELU, as left operands, one for each 32 columns.
-    pub deltas: Vec<Vec<[Operand<B>; HALVES]>>,
+    pub deltas: Vec<Vec<[Operand<1>; HALVES]>>,
     /// Sums of each layer's deltas over the rows.
     pub bias: Vec<Buffer>,
     /// Output of the last layer, shape (64, columns of the last layer).
@@ -44,32 +42,32 @@ pub struct Block<const B: usize> {
 }
 
 /// Scratch memory of one thread for a block, reused from block to block.
-pub struct Workspace<const F: usize, const B: usize> {
+pub struct Workspace {
     pub unit: TileUnit,
     /// Left operands of the forward product: a layer's input and output.
-    forward: [Vec<[Operand<F>; HALVES]>; 2],
+    forward: [Vec<[Operand<2>; HALVES]>; 2],
     /// Left operands of the backward product: the gradients by a layer's output and input.
-    backward: [Vec<[Operand<B>; HALVES]>; 2],
-    /// Sums from the tile unit: the present ones and those before.
-    sums: [Buffer; 2],
+    backward: [Vec<[Operand<1>; HALVES]>; 2],
+    /// Sums from the tile unit.
+    sums: Buffer,
     /// Deltas before they are transposed.
-    rows: Operand<B>,
+    rows: Operand<1>,
 }
 
-impl<const F: usize, const B: usize> Workspace<F, B> {
+impl Workspace {
     /// Allocates scratch memory for layers of up to `widest` columns, in units of 32.
     pub fn new(unit: TileUnit, widest: usize) -> Self {
         Self {
             unit,
             forward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
             backward: [(); 2].map(|()| vec![[Operand::ZERO; HALVES]; widest]),
-            sums: [(); 2].map(|()| Buffer::zeros(SQUARE)),
+            sums: Buffer::zeros(SQUARE),
             rows: Operand::ZERO,
         }
     }
 }
 
-impl<const B: usize> Block<B> {
+impl Block {
     /// Allocates room for one block of `mlp`.
     pub fn new(mlp: &Mlp) -> Self {
         let operands = |columns: usize| vec![[Operand::ZERO; HALVES]; columns.div_ceil(32)];
@@ -84,10 +82,10 @@ impl<const B: usize> Block<B> {
     }
 
     /// Gathers the observations of `rows` and evaluates the network.
-    pub fn forward<const F: usize>(
+    pub fn forward(
         &mut self,
-        workspace: &mut Workspace<F, B>,
-        layers: &[LayerPanels<'_, '_, F, B>],
+        workspace: &mut Workspace,
+        layers: &[LayerPanels<'_, '_>],
         (observations, size): (&[f32], usize),
         rows: &[u32],
     ) {
@@ -103,44 +101,39 @@ impl<const B: usize> Block<B> {
     }
 
     /// Propagates the loss gradient from the last layer's output back to the first layer's.
-    pub fn backward<const F: usize>(&mut self, workspace: &mut Workspace<F, B>, layers: &[LayerPanels<'_, '_, F, B>]) {
+    pub fn backward(&mut self, workspace: &mut Workspace, layers: &[LayerPanels<'_, '_>]) {
         workspace.unit.simd.vectorize(Backward { block: self, workspace, layers });
     }
 }
 
-struct Forward<'a, 'b, const F: usize, const B: usize> {
-    block: &'a mut Block<B>,
-    workspace: &'a mut Workspace<F, B>,
-    layers: &'a [LayerPanels<'a, 'b, F, B>],
+struct Forward<'a, 'b> {
+    block: &'a mut Block,
+    workspace: &'a mut Workspace,
+    layers: &'a [LayerPanels<'a, 'b>],
     observations: &'a [f32],
     size: usize,
     rows: &'a [u32],
 }
 
-impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
+impl NullaryFnOnce for Forward<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
         let Self { block, workspace, layers, observations, size, rows } = self;
-        let Workspace { unit, forward: [input, output], sums: [sums, before], .. } = workspace;
+        let Workspace { unit, forward: [input, output], sums, .. } = workspace;
         let simd = unit.simd;
-        let (mut sums, mut before) = (square(sums), square(before));
+        let sums = square(sums);
         gather(simd, (observations, size), rows, input, &mut block.inputs[0]);
         let last = layers.len() - 1;
         for (panels, inputs) in layers[..last].iter().zip(&mut block.inputs[1..]) {
             for product in 0..HALVES * panels.len() {
-                let (panel, half) = (&panels[product / HALVES], product % HALVES);
+                let (column, half) = (product / HALVES, product % HALVES);
+                let panel = &panels[column];
                 let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
-                if product == 0 {
-                    unit.product(steps, sums, false, &mut ());
-                } else {
-                    let mut work = Activate::new(product - 1, before, panels, output, inputs);
-                    unit.product(steps, sums, false, &mut work);
-                }
-                mem::swap(&mut sums, &mut before);
+                unit.product(steps, sums, false);
+                put_outputs(simd, sums, panel.bias(), &mut output[column][half], &mut inputs[column][half]);
             }
-            Activate::new(HALVES * panels.len() - 1, before, panels, output, inputs).pieces(simd, 0..16);
             mem::swap(input, output);
         }
         let columns = 32 * layers[last].len();
@@ -148,7 +141,7 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Forward<'_, '_, F, B> {
             let bias = [load(panel.bias()), load(&panel.bias()[16..])];
             for half in 0..HALVES {
                 let steps = input.iter().zip(&panel.forward).map(|(left, right)| (&left[half], right));
-                unit.product(steps, sums, false, &mut ());
+                unit.product(steps, sums, false);
                 for row in 0..16 {
                     for (quarter, values) in rows_of(sums, row).into_iter().enumerate() {
                         let output = &mut block.outputs[(32 * half + 16 * quarter + row) * columns + 32 * column..];
@@ -180,19 +173,19 @@ fn store(to: &mut [f32], value: f32x16) {
 
 /// Converts the observations of `rows` to operands; missing rows become zero.
 #[inline(always)]
-fn gather<const F: usize, const B: usize>(
+fn gather(
     simd: V4,
     observations: (&[f32], usize),
     rows: &[u32],
-    left: &mut [[Operand<F>; HALVES]],
-    right: &mut [[Operand<B>; HALVES]],
+    left: &mut [[Operand<2>; HALVES]],
+    right: &mut [[Operand<1>; HALVES]],
 ) {
     for half in 0..HALVES {
         for row in 0..16 {
             let (upper, lower) = (rows.get(32 * half + row), rows.get(32 * half + 16 + row));
             for (column, (left, right)) in left.iter_mut().zip(right.iter_mut()).enumerate() {
                 let values = [lanes(simd, observations, upper, column), lanes(simd, observations, lower, column)];
-                put_both::<F, B>(simd, row, values, &mut left[half], &mut right[half]);
+                put_both(simd, row, values, &mut left[half], &mut right[half]);
             }
         }
     }
@@ -216,14 +209,13 @@ fn line(simd: V4, observation: &[f32], start: usize) -> f32x16 {
 
 /// Writes rows `row` and `row + 16` of 32 columns to a left operand and to a right one.
 #[inline(always)]
-fn put_both<const L: usize, const R: usize>(
+fn put_both<const L: usize>(
     simd: V4,
     row: usize,
     values: [[f32x16; 2]; 2],
     left: &mut Operand<L>,
-    right: &mut Operand<R>,
+    right: &mut Operand<1>,
 ) {
-    const { assert!(L >= R) };
     let [[a, b], [c, d]] = values;
     let (a, b) = (split::<L>(simd, a), split::<L>(simd, b));
     let (c, d) = (split::<L>(simd, c), split::<L>(simd, d));
@@ -240,40 +232,15 @@ fn rows_of(sums: &Square, row: usize) -> [[f32x16; 2]; 2] {
     [[cast(rows[row]), cast(rows[16 + row])], [cast(rows[32 + row]), cast(rows[48 + row])]]
 }
 
-/// The conversion of sums to a hidden layer's output, as operands of the next layer.
-struct Activate<'a, const F: usize, const B: usize> {
-    sums: &'a Square,
-    bias: &'a [f32],
-    left: &'a mut Operand<F>,
-    right: &'a mut Operand<B>,
-}
-
-impl<'a, const F: usize, const B: usize> Activate<'a, F, B> {
-    /// Creates the conversion of the products' column `column` (in units of 32).
-    #[inline(always)]
-    fn new(
-        product: usize,
-        sums: &'a Square,
-        panels: LayerPanels<'a, '_, F, B>,
-        output: &'a mut [[Operand<F>; HALVES]],
-        inputs: &'a mut [[Operand<B>; HALVES]],
-    ) -> Self {
-        let (column, half) = (product / HALVES, product % HALVES);
-        let (left, right) = (&mut output[column][half], &mut inputs[column][half]);
-        Self { sums, bias: panels[column].bias(), left, right }
-    }
-}
-
-impl<const F: usize, const B: usize> Meanwhile for Activate<'_, F, B> {
-    #[inline(always)]
-    fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
-        let bias = [load(self.bias), load(&self.bias[16..])];
-        for row in pieces {
-            let [[a, b], [c, d]] = rows_of(self.sums, row);
-            let upper = [activate(simd, a, bias[0]), activate(simd, b, bias[1])];
-            let lower = [activate(simd, c, bias[0]), activate(simd, d, bias[1])];
-            put_both(simd, row, [upper, lower], self.left, self.right);
-        }
+/// Converts sums to a hidden layer's output, as operands of the next layer.
+#[inline(always)]
+fn put_outputs(simd: V4, sums: &Square, bias: &[f32], left: &mut Operand<2>, right: &mut Operand<1>) {
+    let bias = [load(bias), load(&bias[16..])];
+    for row in 0..16 {
+        let [[a, b], [c, d]] = rows_of(sums, row);
+        let upper = [activate(simd, a, bias[0]), activate(simd, b, bias[1])];
+        let lower = [activate(simd, c, bias[0]), activate(simd, d, bias[1])];
+        put_both(simd, row, [upper, lower], left, right);
     }
 }
 
@@ -299,21 +266,21 @@ fn activate(simd: V4, sum: f32x16, bias: f32x16) -> f32x16 {
     cast(avx._mm512_mask_sub_ps(cast(x), below, avx._mm512_scalef_ps(cast(p), n), one))
 }
 
-struct Backward<'a, 'b, const F: usize, const B: usize> {
-    block: &'a mut Block<B>,
-    workspace: &'a mut Workspace<F, B>,
-    layers: &'a [LayerPanels<'a, 'b, F, B>],
+struct Backward<'a, 'b> {
+    block: &'a mut Block,
+    workspace: &'a mut Workspace,
+    layers: &'a [LayerPanels<'a, 'b>],
 }
 
-impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
+impl NullaryFnOnce for Backward<'_, '_> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
         let Self { block, workspace, layers } = self;
-        let Workspace { unit, backward: [after, ahead], sums: [sums, before], rows, .. } = workspace;
+        let Workspace { unit, backward: [after, ahead], sums, rows, .. } = workspace;
         let simd = unit.simd;
-        let (mut sums, mut before) = (square(sums), square(before));
+        let sums = square(sums);
         block.bias.iter_mut().for_each(|bias| bias.fill(0.0));
         let last = layers.len() - 1;
         let columns = 32 * layers[last].len();
@@ -335,63 +302,27 @@ impl<const F: usize, const B: usize> NullaryFnOnce for Backward<'_, '_, F, B> {
             let (bias, deltas) = (&mut block.bias[depth - 1], &mut block.deltas[depth - 1]);
             for product in 0..HALVES * y.len() {
                 let (column, half) = (product / HALVES, product % HALVES);
-                let steps = after[..panels.len()].iter().zip(panels);
-                let steps = steps.map(|(left, panel)| (&left[half], &panel.backward[column]));
-                if product == 0 {
-                    unit.product(steps, sums, false, &mut ());
-                } else {
-                    let mut work = Differentiate::new(product - 1, before, y, bias, ahead, rows);
-                    unit.product(steps, sums, false, &mut work);
-                    transpose(simd, rows, &mut deltas[(product - 1) / HALVES][(product - 1) % HALVES]);
-                }
-                mem::swap(&mut sums, &mut before);
+                let steps = after.iter().zip(panels).map(|(left, panel)| (&left[half], &panel.backward[column]));
+                unit.product(steps, sums, false);
+                put_deltas(simd, sums, &y[column][half], &mut bias[32 * column..], &mut ahead[column][half], rows);
+                transpose(simd, rows, &mut deltas[column][half]);
             }
-            let product = HALVES * y.len() - 1;
-            Differentiate::new(product, before, y, bias, ahead, rows).pieces(simd, 0..16);
-            transpose(simd, rows, &mut deltas[product / HALVES][product % HALVES]);
             mem::swap(after, ahead);
         }
     }
 }
 
-/// The conversion of sums to the loss gradient of the layer before, as operands.
-struct Differentiate<'a, const B: usize> {
-    sums: &'a Square,
-    /// Output of ELU in the layer before.
-    y: &'a Operand<B>,
-    bias: &'a mut [f32],
-    left: &'a mut Operand<B>,
-    rows: &'a mut Operand<B>,
-}
-
-impl<'a, const B: usize> Differentiate<'a, B> {
-    /// Creates the conversion of the products' column `column` (in units of 32).
-    #[inline(always)]
-    fn new(
-        product: usize,
-        sums: &'a Square,
-        y: &'a [[Operand<B>; HALVES]],
-        bias: &'a mut [f32],
-        left: &'a mut [[Operand<B>; HALVES]],
-        rows: &'a mut Operand<B>,
-    ) -> Self {
-        let (column, half) = (product / HALVES, product % HALVES);
-        let (y, left) = (&y[column][half], &mut left[column][half]);
-        Self { sums, y, bias: &mut bias[32 * column..], left, rows }
-    }
-}
-
-impl<const B: usize> Meanwhile for Differentiate<'_, B> {
-    #[inline(always)]
-    fn pieces(&mut self, simd: V4, pieces: Range<usize>) {
-        for row in pieces {
-            let [[a, b], [c, d]] = rows_of(self.sums, row);
-            let ([ya, yc], [yb, yd]) = (get(simd, self.y, (0, row)), get(simd, self.y, (1, row)));
-            let upper = [times_slope(simd, a, ya), times_slope(simd, b, yb)];
-            let lower = [times_slope(simd, c, yc), times_slope(simd, d, yd)];
-            add_rows(simd, self.bias, [upper, lower]);
-            put_both(simd, row, [upper, lower], self.left, self.rows);
-        }
+/// Converts sums to the loss gradient of the layer before, as operands, and adds it to that of the biases. `y` is the
+/// output of ELU in that layer.
+#[inline(always)]
+fn put_deltas(simd: V4, sums: &Square, y: &Operand<1>, bias: &mut [f32], left: &mut Operand<1>, rows: &mut Operand<1>) {
+    for row in 0..16 {
+        let [[a, b], [c, d]] = rows_of(sums, row);
+        let ([ya, yc], [yb, yd]) = (get(simd, y, (0, row)), get(simd, y, (1, row)));
+        let upper = [times_slope(simd, a, ya), times_slope(simd, b, yb)];
+        let lower = [times_slope(simd, c, yc), times_slope(simd, d, yd)];
+        add_rows(simd, bias, [upper, lower]);
+        put_both(simd, row, [upper, lower], left, rows);
     }
 }
 

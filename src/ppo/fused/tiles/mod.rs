@@ -1,8 +1,8 @@
-/*! The bf16 arithmetic on the tile units of x86-64 (AMX): the operands of all products are sums of one or two bf16
-numbers, everything else (sums, activations, losses, Adam) stays f32.
+/*! The arithmetic `mixed` on the tile units of x86-64 (AMX): the operands of all products are bf16 numbers, everything else
+(sums, activations, losses, Adam) stays f32.
 
-[`Tiles<2, 2>`](Tiles) is as exact as f32, [`Tiles<2, 1>`](Tiles) has outputs as exact as f32 and gradients that are off by
-some thousandths, [`Tiles<1, 1>`](Tiles) is bf16 throughout.
+An operand of the forward pass is the sum of two bf16 numbers, so that outputs are as exact as in f32; one of the backward
+pass is a single bf16 number, so that gradients are off by some thousandths.
 
 As in [`panels`](super::panels), blocks and panels are in read-write locks, no gradient is summed across threads and all
 sums run in a fixed order: bits do not depend on the number of threads.
@@ -31,25 +31,25 @@ use crate::network::kernels::{Buffer, SumOfSquares};
 use crate::network::{ActorCritic, Mlp};
 use crate::ppo::loss::Minibatch;
 
-/// Both networks, with `FORWARD` and `BACKWARD` bf16 numbers for each operand of the forward and the backward pass.
+/// Both networks, with weights as operands of the tile unit.
 #[derive(Debug)]
-pub struct Tiles<const FORWARD: usize, const BACKWARD: usize> {
+pub struct Tiles {
     simd: V4,
     /// Panels of both networks, layer by layer.
-    panels: Vec<RwLock<Panel<FORWARD, BACKWARD>>>,
+    panels: Vec<RwLock<Panel>>,
     /// Blocks of the policy and of the value function.
-    blocks: [Vec<RwLock<Block<BACKWARD>>>; 2],
+    blocks: [Vec<RwLock<Block>>; 2],
     /// Number of layers of the policy.
     depth: usize,
     /// Number of columns of the widest layer, in units of 32.
     widest: usize,
 }
 
-impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
+impl Arithmetic for Tiles {
     const BLOCK: usize = ROWS;
     const CHUNK: usize = 256;
     const KL_ROUNDING: f64 = 1e-6;
-    type Workspace = Workspace<F, B>;
+    type Workspace = Workspace;
 
     fn new(parts: [&ActorCritic; 3], blocks: usize) -> Self {
         let simd = V4::try_new().expect("chosen where there are tiles");
@@ -83,7 +83,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
         let panels: Vec<_> = self.panels.iter().map(read).collect();
         let layers: Vec<_> = panels.chunk_by(|a, b| (a.network, a.depth) == (b.network, b.depth)).collect();
         let (policy, value) = layers.split_at(self.depth);
-        let networks: [&[LayerPanels<'_, '_, F, B>]; 2] = [policy, value];
+        let networks: [&[LayerPanels<'_, '_>]; 2] = [policy, value];
         let samples = minibatch.batch.returns.len();
         let inputs = [minibatch.batch.observations, minibatch.batch.value_inputs()];
         let inputs = inputs.map(|inputs| (inputs, inputs.len() / samples));
@@ -112,7 +112,7 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
                 let (blocks, operands) = (&blocks[piece.blocks.clone()], &operands[piece.blocks]);
                 let (weights, biases) = panel.parameters.gradient.split_at_mut(panel.forward.len() * SQUARE);
                 let add = !piece.is_first;
-                self.simd.vectorize(Gradient { unit: &workspace.unit, operands, add, weights });
+                self.simd.vectorize(Gradient { unit: &mut workspace.unit, operands, add, weights });
                 if !add {
                     biases.fill(0.0);
                 }
@@ -158,16 +158,16 @@ impl<const F: usize, const B: usize> Arithmetic for Tiles<F, B> {
 }
 
 /// The gradient by the weights of 32 outputs: deltas times inputs, over all blocks of rows.
-struct Gradient<'a, const B: usize> {
-    unit: &'a TileUnit,
+struct Gradient<'a> {
+    unit: &'a mut TileUnit,
     /// Left operand and, for each 32 inputs, right operand of each block.
-    operands: &'a [(&'a [Operand<B>; HALVES], &'a [[Operand<B>; HALVES]])],
+    operands: &'a [(&'a [Operand<1>; HALVES], &'a [[Operand<1>; HALVES]])],
     /// True if the result is added to the gradient of the chunks before.
     add: bool,
     weights: &'a mut [f32],
 }
 
-impl<const B: usize> NullaryFnOnce for Gradient<'_, B> {
+impl NullaryFnOnce for Gradient<'_> {
     type Output = ();
 
     #[inline(always)]
@@ -178,7 +178,7 @@ impl<const B: usize> NullaryFnOnce for Gradient<'_, B> {
                 let (left, right) = self.operands[step / HALVES];
                 (&left[step % HALVES], &right[column][step % HALVES])
             });
-            self.unit.product(steps, square, self.add, &mut ());
+            self.unit.product(steps, square, self.add);
         }
     }
 }

@@ -16,7 +16,7 @@ use crate::ppo::fused::tree::Tree;
 
 /// A panel of 32 outputs in training.
 #[derive(Debug)]
-pub struct Panel<const FORWARD: usize, const BACKWARD: usize> {
+pub struct Panel {
     /// Index of the network: 0 for the policy, 1 for the value function.
     pub network: usize,
     /// Index of the layer.
@@ -25,16 +25,16 @@ pub struct Panel<const FORWARD: usize, const BACKWARD: usize> {
     pub index: usize,
     pub parameters: Parameters,
     /// Right operands of the forward product, one for each 32 inputs.
-    pub forward: Vec<Operand<FORWARD>>,
+    pub forward: Vec<Operand<2>>,
     /// Right operands of the backward product; empty in the first layer, whose input needs no gradient.
-    pub backward: Vec<Operand<BACKWARD>>,
+    pub backward: Vec<Operand<1>>,
     /// Partial sums of the shards' gradients.
     pub tree: Tree,
     /// Sum of squares of the gradient.
     pub squares: f64,
 }
 
-impl<const FORWARD: usize, const BACKWARD: usize> Panel<FORWARD, BACKWARD> {
+impl Panel {
     /// Creates panel `index` of a layer, with its moments.
     pub fn new(network: usize, depth: usize, index: usize, layers: [&Layer; 3], simd: V4) -> Self {
         let inputs = layers[0].inputs().div_ceil(32);
@@ -62,30 +62,26 @@ impl<const FORWARD: usize, const BACKWARD: usize> Panel<FORWARD, BACKWARD> {
     }
 }
 
-struct Refresh<'a, const FORWARD: usize, const BACKWARD: usize> {
+struct Refresh<'a> {
     simd: V4,
-    panel: &'a mut Panel<FORWARD, BACKWARD>,
+    panel: &'a mut Panel,
 }
 
-impl<const FORWARD: usize, const BACKWARD: usize> NullaryFnOnce for Refresh<'_, FORWARD, BACKWARD> {
+impl NullaryFnOnce for Refresh<'_> {
     type Output = ();
 
     #[inline(always)]
     fn call(self) {
         let Self { simd, panel } = self;
-        let mut rows = Operand::<FORWARD>::ZERO;
+        let mut rows = Operand::<2>::ZERO;
         let (squares, _) = panel.parameters.values.as_chunks::<SQUARE>();
         for (index, (square, forward)) in squares.iter().zip(&mut panel.forward).enumerate() {
             let (square, _) = square.as_chunks::<16>();
             for row in 0..16 {
                 // By halves of outputs and of inputs.
                 let [a, b, c, d] = [0, 16, 32, 48].map(|tile| cast(square[tile + row]));
-                let [w00, w01, w10, w11] = [
-                    split::<FORWARD>(simd, a),
-                    split::<FORWARD>(simd, b),
-                    split::<FORWARD>(simd, c),
-                    split::<FORWARD>(simd, d),
-                ];
+                let [w00, w01, w10, w11] =
+                    [split::<2>(simd, a), split::<2>(simd, b), split::<2>(simd, c), split::<2>(simd, d)];
                 put(simd, &mut rows, (0, row), w00, w01);
                 put(simd, &mut rows, (1, row), w10, w11);
                 if let Some(backward) = panel.backward.get_mut(index) {

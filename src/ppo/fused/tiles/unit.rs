@@ -14,7 +14,6 @@ use std::arch::asm;
 use std::arch::x86_64::{__cpuid_count, _MM_HINT_T1, _mm_prefetch};
 use std::cell::Cell;
 use std::marker::PhantomData;
-use std::ops::Range;
 use std::sync::OnceLock;
 
 use pulp::u32x16;
@@ -43,21 +42,11 @@ pub type Square = [f32; SQUARE];
 /// Number of elements in a [`Square`].
 pub const SQUARE: usize = 32 * 32;
 
-/// Work for the vector units while the tile unit multiplies, divided into sixteen pieces.
-pub trait Meanwhile {
-    /// Does the pieces of a range, between 0 and 16.
-    fn pieces(&mut self, simd: V4, pieces: Range<usize>);
-}
-
-/// The work that does nothing.
-impl Meanwhile for () {
-    #[inline(always)]
-    fn pieces(&mut self, _: V4, _: Range<usize>) {}
-}
-
 /// The tile unit of this thread, configured for products.
 pub struct TileUnit {
     pub simd: V4,
+    /// Addresses of the two operands of each step of a product.
+    steps: Vec<[*const Tile; 2]>,
     /// Marker that keeps the value on its thread, because every thread has its own unit.
     thread: PhantomData<*const ()>,
 }
@@ -114,6 +103,46 @@ fn permitted() -> bool {
     answer == 0
 }
 
+/// Sums the products of all steps. It is one block of assembly, because Rust does not promise that tile registers keep
+/// their content between two. The instructions of a step find its left operand at `a`, its right one at `b`, the length of
+/// a tile's row in `row`, and the sums in tiles 0 to 3.
+macro_rules! sum_products {
+    ($steps:ident, $sums:ident, $add:ident, $($of_step:literal),+) => {
+        // SAFETY: `sums` is four tiles of 1024 bytes, an operand two for each part, which are only read. A step is two
+        // addresses. `TileUnit` says that the instructions are there.
+        unsafe {
+            asm!(
+                "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
+                "test {add}, {add}",
+                "jz 2f",
+                "tileloadd tmm0, [{c} + {row}]",
+                "tileloadd tmm1, [{c} + {row} + 1024]",
+                "tileloadd tmm2, [{c} + {row} + 2048]",
+                "tileloadd tmm3, [{c} + {row} + 3072]",
+                "2:",
+                "cmp {step}, {end}",
+                "je 3f",
+                "mov {a}, [{step}]",
+                "mov {b}, [{step} + 8]",
+                "add {step}, 16",
+                $($of_step,)+
+                "jmp 2b",
+                "3:",
+                "tilestored [{c} + {row}], tmm0",
+                "tilestored [{c} + {row} + 1024], tmm1",
+                "tilestored [{c} + {row} + 2048], tmm2",
+                "tilestored [{c} + {row} + 3072], tmm3",
+                c = in(reg) $sums.as_mut_ptr(), row = in(reg) 64_usize, add = in(reg) usize::from($add),
+                step = inout(reg) $steps.as_ptr() => _, end = in(reg) $steps.as_ptr_range().end,
+                a = out(reg) _, b = out(reg) _,
+                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
+                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
+                options(nostack),
+            );
+        }
+    };
+}
+
 impl TileUnit {
     /// Configures the tile unit of this thread; `None` if there is none.
     pub fn new() -> Option<Self> {
@@ -121,65 +150,63 @@ impl TileUnit {
         // SAFETY: the processor has the instruction and Linux permits it; it reads 64 bytes.
         unsafe { asm!("ldtilecfg [{0}]", in(reg) &raw const SHAPES, options(nostack, preserves_flags, readonly)) };
         UNITS.set(UNITS.get() + 1);
-        Some(Self { simd, thread: PhantomData })
+        Some(Self { simd, steps: Vec::new(), thread: PhantomData })
     }
 
-    /// Computes `sums = Σ left · right`, or adds to `sums`, while the vector units do other work. With two parts the
-    /// product of the two small ones, 2⁻¹⁶ of the whole, is omitted.
+    /// Computes `sums = Σ left · right`, or adds to `sums`. With two parts the product of the two small ones, 2⁻¹⁶ of the
+    /// whole, is omitted.
     #[inline(always)]
     pub fn product<'a, const PARTS: usize>(
-        &self,
-        steps: impl ExactSizeIterator<Item = (&'a Operand<PARTS>, &'a Operand<PARTS>)>,
+        &mut self,
+        steps: impl Iterator<Item = (&'a Operand<PARTS>, &'a Operand<PARTS>)>,
         sums: &mut Square,
         add: bool,
-        meanwhile: &mut impl Meanwhile,
     ) {
         const { assert!(PARTS == 1 || PARTS == 2) };
-        let count = steps.len();
-        // SAFETY: `sums` is four tiles of 1024 bytes; `TileUnit` says that the instructions are there.
-        unsafe {
-            if add {
-                asm!(
-                    "tileloadd tmm0, [{c} + {row}]",
-                    "tileloadd tmm1, [{c} + {row} + 1024]",
-                    "tileloadd tmm2, [{c} + {row} + 2048]",
-                    "tileloadd tmm3, [{c} + {row} + 3072]",
-                    c = in(reg) sums.as_ptr(), row = in(reg) 64_usize,
-                    out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-                    options(nostack, preserves_flags, readonly),
-                );
-            } else {
-                asm!(
-                    "tilezero tmm0", "tilezero tmm1", "tilezero tmm2", "tilezero tmm3",
-                    out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
-                );
-            }
-        }
-        // Vector work between every four products, so that both kinds of unit have something ahead of them.
-        let stages = if PARTS == 1 { 1 } else { 3 };
-        let (mut stage, count) = (0, stages * count);
-        for (left, right) in steps {
-            self.multiply_add_first(left, right);
-            meanwhile.pieces(self.simd, 16 * stage / count..16 * (stage + 1) / count);
-            stage += 1;
-            if PARTS == 2 {
-                self.multiply_add_second(left);
-                meanwhile.pieces(self.simd, 16 * stage / count..16 * (stage + 1) / count);
-                self.multiply_add_third(right);
-                meanwhile.pieces(self.simd, 16 * (stage + 1) / count..16 * (stage + 2) / count);
-                stage += 2;
-            }
-        }
-        // SAFETY: `sums` is four tiles of 1024 bytes. Nothing but this file's instructions touches tile registers: the
-        // compiler does not know them, so they hold from one block of assembly to the next.
-        unsafe {
-            asm!(
-                "tilestored [{c} + {row}], tmm0",
-                "tilestored [{c} + {row} + 1024], tmm1",
-                "tilestored [{c} + {row} + 2048], tmm2",
-                "tilestored [{c} + {row} + 3072], tmm3",
-                c = in(reg) sums.as_mut_ptr(), row = in(reg) 64_usize,
-                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, options(nostack, preserves_flags),
+        self.steps.clear();
+        self.steps.extend(steps.map(|(left, right)| [left.0.as_ptr().cast(), right.0.as_ptr().cast()]));
+        let steps = &self.steps;
+        // The last part of `left` times the first of `right`; with two parts then the first of both, and the first of `left`
+        // times the last of `right`.
+        if PARTS == 1 {
+            sum_products!(
+                steps,
+                sums,
+                add,
+                "tileloadd tmm6, [{b} + {row}]",
+                "tileloadd tmm4, [{a} + {row}]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 1024]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 1024]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7"
+            );
+        } else {
+            sum_products!(
+                steps,
+                sums,
+                add,
+                "tileloadd tmm6, [{b} + {row}]",
+                "tileloadd tmm4, [{a} + {row} + 2048]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 1024]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 3072]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                "tileloadd tmm4, [{a} + {row}]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tileloadd tmm5, [{a} + {row} + 1024]",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tdpbf16ps tmm3, tmm5, tmm7",
+                "tileloadd tmm6, [{b} + {row} + 2048]",
+                "tdpbf16ps tmm0, tmm4, tmm6",
+                "tdpbf16ps tmm2, tmm5, tmm6",
+                "tileloadd tmm7, [{b} + {row} + 3072]",
+                "tdpbf16ps tmm1, tmm4, tmm7",
+                "tdpbf16ps tmm3, tmm5, tmm7"
             );
         }
     }
@@ -191,69 +218,6 @@ pub fn prefetch(numbers: &[f32]) {
     for line in numbers.chunks(16) {
         // SAFETY: a hint, which cannot fault.
         unsafe { _mm_prefetch::<_MM_HINT_T1>(line.as_ptr().cast()) };
-    }
-}
-
-impl TileUnit {
-    /// Adds the product of the last part of `left` and the first of `right` to tiles 0 to 3.
-    #[inline(always)]
-    fn multiply_add_first<const PARTS: usize>(&self, left: &Operand<PARTS>, right: &Operand<PARTS>) {
-        // SAFETY: there is a `TileUnit`, so the instructions are there. Each part is two tiles of 1024 bytes, only read.
-        unsafe {
-            asm!(
-                "tileloadd tmm6, [{b} + {row}]",
-                "tileloadd tmm4, [{a} + {row}]",
-                "tdpbf16ps tmm0, tmm4, tmm6",
-                "tileloadd tmm7, [{b} + {row} + 1024]",
-                "tdpbf16ps tmm1, tmm4, tmm7",
-                "tileloadd tmm5, [{a} + {row} + 1024]",
-                "tdpbf16ps tmm2, tmm5, tmm6",
-                "tdpbf16ps tmm3, tmm5, tmm7",
-                a = in(reg) &left.0[PARTS - 1], b = in(reg) &right.0[0], row = in(reg) 64_usize,
-                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _,
-                out("tmm4") _, out("tmm5") _, out("tmm6") _, out("tmm7") _,
-                options(nostack, preserves_flags, readonly),
-            );
-        }
-    }
-
-    /// Adds the product of both first parts to tiles 0 to 3. The right one is still in tiles 6 and 7.
-    #[inline(always)]
-    fn multiply_add_second<const PARTS: usize>(&self, left: &Operand<PARTS>) {
-        // SAFETY: as above.
-        unsafe {
-            asm!(
-                "tileloadd tmm4, [{a} + {row}]",
-                "tdpbf16ps tmm0, tmm4, tmm6",
-                "tdpbf16ps tmm1, tmm4, tmm7",
-                "tileloadd tmm5, [{a} + {row} + 1024]",
-                "tdpbf16ps tmm2, tmm5, tmm6",
-                "tdpbf16ps tmm3, tmm5, tmm7",
-                a = in(reg) &left.0[0], row = in(reg) 64_usize,
-                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm4") _, out("tmm5") _,
-                options(nostack, preserves_flags, readonly),
-            );
-        }
-    }
-
-    /// Adds the product of the first part of the left operand, still in tiles 4 and 5, and the second of `right` to
-    /// tiles 0 to 3.
-    #[inline(always)]
-    fn multiply_add_third<const PARTS: usize>(&self, right: &Operand<PARTS>) {
-        // SAFETY: as above.
-        unsafe {
-            asm!(
-                "tileloadd tmm6, [{b} + {row}]",
-                "tdpbf16ps tmm0, tmm4, tmm6",
-                "tdpbf16ps tmm2, tmm5, tmm6",
-                "tileloadd tmm7, [{b} + {row} + 1024]",
-                "tdpbf16ps tmm1, tmm4, tmm7",
-                "tdpbf16ps tmm3, tmm5, tmm7",
-                b = in(reg) &right.0[PARTS - 1], row = in(reg) 64_usize,
-                out("tmm0") _, out("tmm1") _, out("tmm2") _, out("tmm3") _, out("tmm6") _, out("tmm7") _,
-                options(nostack, preserves_flags, readonly),
-            );
-        }
     }
 }
 
