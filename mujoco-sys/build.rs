@@ -33,7 +33,12 @@ fn main() {
     let folder = if prefix == Path::new("/usr") { String::new() } else { library.display().to_string() };
     println!("cargo::metadata=folder={folder}");
 
-    cc::Build::new().files(["src/shim.c", "src/render.c"]).include(&include).flag("-std=c11").warnings(true).compile("mujoco_shim");
+    cc::Build::new()
+        .files(["src/shim.c", "src/render.c"])
+        .include(&include)
+        .flag("-std=c11")
+        .warnings(true)
+        .compile("mujoco_shim");
     // The shim calls into libmujoco: it has to come before it on the linker's line.
     println!("cargo::rustc-link-lib=dylib=mujoco");
 

@@ -23,19 +23,20 @@ pub(super) fn press(trunk: [f64; 3], force: [f64; 3]) -> Arrow {
     towards(trunk, force, METRES_PER_NEWTON, TRUNK_FRONT_M)
 }
 
-/// Returns the arrow of a pulling force \[N\] at the far end of a rope that begins at the trunk.
-pub(super) fn pull(trunk: [f64; 3], force: [f64; 3]) -> Arrow {
+/// Returns the arrow of a pulling force \[N\] at the far end of a rope that begins at the trunk; `scale` is its length [m/N].
+pub(super) fn pull(trunk: [f64; 3], force: [f64; 3], scale: f64) -> Arrow {
     let size = size(force);
     let end = std::array::from_fn(|k| trunk[k] + force[k] / size * ROPE_LENGTH_M);
-    (end, force.map(|f| f * METRES_PER_NEWTON))
+    (end, force.map(|part| part * scale))
 }
 
-/// Returns the arrow of the felt force on the trunk, above it, and those of the felt forces on the feet.
-pub(super) fn felt(frame: &Frame, [x, y, z]: [f64; 3]) -> Option<(Arrow, [Arrow; 4])> {
+/// Returns the arrow of the felt force on the trunk, above it, and those of the felt forces on the feet; `scale` is their length
+/// [m/N].
+pub(super) fn felt(frame: &Frame, [x, y, z]: [f64; 3], scale: f64) -> Option<(Arrow, [Arrow; 4])> {
     let felt = frame.felt.as_ref()?;
     let (sin, cos) = frame.roll_pitch_yaw[2].sin_cos();
     let in_world = |[forward, left, up]: [f64; 3]| {
-        [forward * cos - left * sin, forward * sin + left * cos, up].map(|force| force * METRES_PER_NEWTON)
+        [forward * cos - left * sin, forward * sin + left * cos, up].map(|force| force * scale)
     };
     let feet = std::array::from_fn(|leg| (frame.foot_positions[leg], in_world(felt.feet[leg])));
     Some((([x, y, z + FELT_HEIGHT_M], in_world(felt.force)), feet))

@@ -201,7 +201,9 @@ impl Overlay {
 
     /// Logs the felt forces: on the trunk above it, on the feet beside their true ones. In doubt, the arrows are grey.
     fn log_felt(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
-        let Some((on_trunk, on_feet)) = marks::felt(frame, trunk.map(f64::from)) else { return Ok(()) };
+        let Some((on_trunk, on_feet)) = marks::felt(frame, trunk.map(f64::from), METRES_PER_NEWTON) else {
+            return Ok(());
+        };
         let colour = if frame.felt.is_some_and(|felt| felt.doubt.is_none()) { PURPLE } else { GREY };
         stream.log(&self.entity("felt force"), &arrows(&[on_trunk], 0.01, colour))?;
         stream.log(&self.entity("felt foot forces"), &arrows(&on_feet, 0.004, colour))
@@ -228,7 +230,7 @@ impl Overlay {
         let (rope, pull) = (self.entity("rope"), self.entity("pull"));
         match frame.disturbance {
             Some(Disturbance::Pull { force }) => {
-                let arrow = marks::pull(trunk, force);
+                let arrow = marks::pull(trunk, force, METRES_PER_NEWTON);
                 let strip = LineStrips3D::new([[trunk, arrow.0].map(|point| point.map(|x| x as f32))])
                     .with_radii([Radius::new_scene_units(0.005)])
                     .with_colors([opaque(YELLOW)]);

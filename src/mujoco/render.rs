@@ -1,6 +1,7 @@
 //! Pictures of a scene, drawn by MuJoCo's own renderer without a screen.
 
 use std::ptr::NonNull;
+use std::sync::RwLock;
 
 use mujoco_sys as sys;
 
@@ -13,6 +14,9 @@ pub const MOST_MARKS: usize = 200;
 
 /// Largest width and height of a picture \[px\].
 pub const LARGEST_PICTURE: usize = 4096;
+
+/// MuJoCo has one table of OpenGL's functions, which a new renderer writes and pictures read. Nothing else is behind the lock.
+static FUNCTIONS: RwLock<()> = RwLock::new(());
 
 /// Direction and distance from which a picture is taken.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,6 +83,7 @@ pub struct Renderer {
 
 impl Drop for Renderer {
     fn drop(&mut self) {
+        let _shared = FUNCTIONS.read();
         // SAFETY: the pointer is owned, came from the shim, and is on the thread that made it.
         unsafe { sys::supple_delete_renderer(self.raw.as_ptr()) }
     }
@@ -99,10 +104,12 @@ impl Renderer {
         let data = Data::new(model)?;
         let (mut raw, mut message) = (std::ptr::null_mut(), EMPTY_MESSAGE);
         let (model, marks) = (data.model().as_ptr(), MOST_MARKS as i32);
+        let alone = FUNCTIONS.write();
         // SAFETY: the model is valid, and owned by `data`; the shim catches errors.
         let failed = unsafe {
             sys::supple_new_renderer(&mut raw, model, width as i32, height as i32, marks, message.as_mut_ptr())
         };
+        drop(alone);
         let failure = || Error::Renderer { message: text(&message) };
         let raw = NonNull::new(raw).ok_or_else(failure)?;
         // From here on it is deleted when it is dropped.
@@ -138,6 +145,7 @@ impl Renderer {
             })
             .collect();
         let mut message = EMPTY_MESSAGE;
+        let _shared = FUNCTIONS.read();
         // SAFETY: model and data belong together; there is a pose for every body; the buffer holds width · height · 3 bytes; the
         // shim catches errors.
         let failed = unsafe {
@@ -157,81 +165,5 @@ impl Renderer {
             return Err(Error::Renderer { message: text(&message) });
         }
         Ok(self.upside_down.chunks(3 * self.size[0]).rev().flatten().copied().collect())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const WORLD: [f32; 7] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0];
-    const CAMERA: Camera = Camera { target: [0.0; 3], distance_m: 1.0, azimuth_deg: 90.0, elevation_deg: 0.0 };
-
-    fn model(body: &str) -> Model {
-        Model::from_xml(&[("m.xml", &format!("<mujoco><worldbody>{body}</worldbody></mujoco>"))]).unwrap()
-    }
-
-    /// Returns a renderer, or `None` after a note where no picture can be drawn.
-    fn renderer(body: &str, size: [usize; 2]) -> Option<Renderer> {
-        Renderer::new(model(body), size).inspect_err(|error| println!("skipped: {error}")).ok()
-    }
-
-    /// Returns the mean of each colour over the columns and rows of a picture.
-    fn mean(picture: &[u8], width: usize, columns: std::ops::Range<usize>, rows: std::ops::Range<usize>) -> [f64; 3] {
-        let count = (columns.len() * rows.len()) as f64;
-        let mut sum = [0.0; 3];
-        for (row, column) in rows.flat_map(|row| columns.clone().map(move |column| (row, column))) {
-            (0..3).for_each(|k| sum[k] += f64::from(picture[3 * (row * width + column) + k]) / count);
-        }
-        sum
-    }
-
-    #[test]
-    fn bodies_are_drawn_at_their_poses_and_marks_in_their_colours() {
-        let body = r#"<body name="b"><freejoint/><geom size="0.05" rgba="1 0 0 1"/></body>"#;
-        // An odd width: rows that are padded would shear the picture.
-        let Some(mut renderer) = renderer(body, [63, 48]) else { return };
-        // The camera looks along y: x is to the right, z up.
-        let ball = [0.2, 0.0, 0.2, 1.0, 0.0, 0.0, 0.0];
-        let rod = Mark {
-            shape: MarkShape::Rod,
-            from: [-0.3, 0.0, -0.2],
-            to: [-0.1, 0.0, -0.2],
-            radius_m: 0.05,
-            rgba: [0.0, 0.0, 1.0, 1.0],
-        };
-        let picture = renderer.picture(&[WORLD, ball], &CAMERA, &[rod]).unwrap();
-        assert_eq!(picture.len(), 3 * 63 * 48);
-        let [upper_right, lower_left] =
-            [mean(&picture, 63, 40..46, 10..14), mean(&picture, 63, 17..23, 34..38)];
-        assert!(upper_right[0] > 80.0 && upper_right[2] < 30.0, "{upper_right:?}");
-        assert!(lower_left[2] > 80.0 && lower_left[0] < 30.0, "{lower_left:?}");
-        assert_eq!(picture, renderer.picture(&[WORLD, ball], &CAMERA, &[rod]).unwrap());
-        let arrows = [Mark { shape: MarkShape::Arrow, ..rod }; MOST_MARKS + 20];
-        let error = renderer.picture(&[WORLD, ball], &CAMERA, &arrows).unwrap_err();
-        assert!(error.to_string().contains("too many marks"), "{error}");
-    }
-
-    #[test]
-    fn two_renderers_do_not_disturb_one_another() {
-        let ball = |colour: &str| format!(r#"<geom size="0.3" rgba="{colour} 1"/>"#);
-        let (red, green) = (renderer(&ball("1 0 0"), [16, 16]), renderer(&ball("0 1 0"), [32, 16]));
-        let (Some(mut red), Some(mut green)) = (red, green) else { return };
-        for _ in 0..2 {
-            let [r, g] = [(&mut red, 16), (&mut green, 32)].map(|(renderer, width)| {
-                mean(&renderer.picture(&[WORLD], &CAMERA, &[]).unwrap(), width, 7..9, 7..9)
-            });
-            assert!(r[0] > 3.0 * r[1] && (g[1] > 3.0 * g[0]), "{r:?} {g:?}");
-        }
-        drop(red);
-        green.picture(&[WORLD], &CAMERA, &[]).unwrap();
-    }
-
-    #[test]
-    fn sizes_out_of_range_are_refused() {
-        for size in [[0, 10], [10, 0], [LARGEST_PICTURE + 1, 10]] {
-            let error = Renderer::new(model(""), size).unwrap_err();
-            assert!(error.to_string().contains("expected 1x1 to 4096x4096"), "{error}");
-        }
     }
 }
