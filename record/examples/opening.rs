@@ -11,14 +11,14 @@ use supple::sim::Pull;
 use supple_record::{BLUE, ORANGE, RobotView, Video};
 
 /// Width and height of the videos \[px\].
-const SIZE: [usize; 2] = [720, 406];
+const SIZE: [usize; 2] = [640, 360];
 
 fn main() -> anyhow::Result<()> {
     let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "docs/images".into()));
-    let push = Scenario::named("push", "{at_s: 1.5, duration_s: 5.0}")?;
+    let push = Scenario::named("push", "{at_s: 1.0, duration_s: 3.5}")?;
     film(folder.join("push.webp"), "pushed sideways", (&push, 0), ["compliant", "baseline"], None)?;
-    let rubble = Scenario::named("rubble", "{duration_s: 5.0}")?;
-    let hand = Pull { from_s: 1.5, until_s: 4.0, force: [0.0, 20.0] };
+    let rubble = Scenario::named("rubble", "{duration_s: 4.5}")?;
+    let hand = Pull { from_s: 1.2, until_s: 3.5, force: [0.0, 20.0] };
     // In the layout of seed 0 both fall when they are pulled as hard.
     film(folder.join("hand.webp"), "pulled among rubble", (&rubble, 4), ["baseline@0.03", "baseline"], Some(hand))
 }

@@ -4,13 +4,14 @@
 mod support;
 
 use std::path::Path;
+use std::process::Command;
 
 use openh264::decoder::Decoder;
 use openh264::formats::YUVSource;
 use shiguredo_mp4::bitstream::h264::{LengthSize, length_prefixed_to_annexb};
 use shiguredo_mp4::boxes::SampleEntry;
 use shiguredo_mp4::demux::{Input, Mp4FileDemuxer};
-use support::{complaint, run};
+use support::{complaint, program, run};
 
 const SIZE: [usize; 2] = [480, 270];
 /// 0.3 s at 30 frames a second.
@@ -143,4 +144,17 @@ fn a_video_that_cannot_be_made_is_refused_and_leaves_no_file() {
         assert!(output.status.code() == Some(2) && words.contains(expected), "{name} {size}: {words}");
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn without_opengl_the_error_names_the_packages_to_install() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut scenario = Command::new(program("scenario"));
+    scenario.args(["walk", "--no-record", "--video", "a.mp4"]).current_dir(folder.path());
+    // Hides the drivers, if there are any.
+    let output = scenario.env("__EGL_VENDOR_LIBRARY_FILENAMES", "/none").output().unwrap();
+    let words = complaint(&output);
+    assert!(words.contains("cannot draw a picture: "), "{words}");
+    assert!(words.contains("on Debian: apt-get install libegl1 libgl1-mesa-dri"), "{words}");
+    assert_eq!((output.status.code(), std::fs::read_dir(folder.path()).unwrap().count()), (Some(2), 0));
 }

@@ -9,7 +9,6 @@ mod encode;
 mod panel;
 mod view;
 
-use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -130,15 +129,15 @@ impl Video {
             std::fs::create_dir_all(folder).map_err(failed)?;
         }
         // Drawn while the file is open: a folder that cannot be written to is known before the work.
-        let problem = RefCell::new(None);
+        let mut problem = None;
         let written = files::write_with(&self.path, |file| match self.encode(title, robots, &mut drawn) {
             Ok(bytes) => file.write_all(&bytes),
             Err(error) => {
-                problem.replace(Some(error));
+                problem = Some(error);
                 Err(std::io::Error::other("there is no video"))
             }
         });
-        match problem.into_inner() {
+        match problem {
             Some(error) => Err(error),
             None => written.map_err(failed),
         }

@@ -72,7 +72,7 @@ impl<'a> Panel<'a> {
     /// Returns width and height of a robot's picture \[px\].
     pub(super) fn picture_size(&self) -> [usize; 2] {
         let [width, height] = self.size;
-        let count = self.curves.len();
+        let count = self.curves.len().max(1);
         let strips = SHARES.map(|share| (share * height as f32) as usize);
         [(width - self.gap() * (count - 1)) / count, height - strips[0] - strips[1]]
     }
@@ -97,7 +97,8 @@ impl<'a> Panel<'a> {
         frame.text(&self.fonts, place, Anchor::Right, style, &format!("{}   {time_s:5.1} s", self.title));
         for curve in self.curves.iter().rev() {
             let until = curve.points.partition_point(|point| point[0] < time + 1e-3);
-            let line: Vec<[f32; 2]> = curve.points[..until].iter().map(|point| self.at(*point)).collect();
+            let inside = curve.points[..until].iter().filter(|point| point[1] <= self.ends[1]);
+            let line: Vec<[f32; 2]> = inside.map(|point| self.at(*point)).collect();
             frame.lines(&line, 2.4 * self.unit, curve.colour);
             if let Some(last) = line.last() {
                 frame.lines(&[*last, *last], 9.0 * self.unit, curve.colour);
@@ -123,7 +124,7 @@ impl<'a> Panel<'a> {
     /// Returns the place of a point of the plot \[px\].
     fn at(&self, [time_s, value]: [f32; 2]) -> [f32; 2] {
         let [left, top, right, bottom] = self.area;
-        [left + (right - left) * time_s / self.ends[0], bottom + (top - bottom) * (value / self.ends[1]).min(1.0)]
+        [left + (right - left) * time_s / self.ends[0], bottom + (top - bottom) * value / self.ends[1]]
     }
 
     fn draw_base(&mut self, robots: &[(RobotView<'_>, &Trace)]) {
