@@ -17,8 +17,9 @@ fn numbers(header: u32) -> [u32; 3] {
 }
 
 fn main() {
-    println!("cargo::rerun-if-changed=src/shim.c");
-    println!("cargo::rerun-if-changed=src/shim.h");
+    ["shim.c", "shim.h", "guard.h", "render.c", "render.h"]
+        .iter()
+        .for_each(|file| println!("cargo::rerun-if-changed=src/{file}"));
     println!("cargo::rerun-if-env-changed=MUJOCO_PREFIX");
     let prefix = find_prefix();
     let include = prefix.join("include");
@@ -32,17 +33,23 @@ fn main() {
     let folder = if prefix == Path::new("/usr") { String::new() } else { library.display().to_string() };
     println!("cargo::metadata=folder={folder}");
 
-    cc::Build::new().file("src/shim.c").include(&include).flag("-std=c11").warnings(true).compile("mujoco_shim");
+    cc::Build::new()
+        .files(["src/shim.c", "src/render.c"])
+        .include(&include)
+        .flag("-std=c11")
+        .warnings(true)
+        .compile("mujoco_shim");
     // The shim calls into libmujoco: it has to come before it on the linker's line.
     println!("cargo::rustc-link-lib=dylib=mujoco");
 
     let bindings = bindgen::Builder::default()
         .header("src/shim.h")
+        .header("src/render.h")
         .clang_arg(format!("-I{}", include.display()))
         .allowlist_function(
             "supple_.*|mj_(deleteModel|deleteData|deleteVFS|defaultVFS|freeLastXML|name2id|id2name|version)",
         )
-        .allowlist_type("mjModel|mjData|mjVFS|mjContact|mjt(Obj|Warning|Geom|Joint|Constraint|Trn|Bias)_?")
+        .allowlist_type("Supple.*|mjModel|mjData|mjVFS|mjContact|mjt(Obj|Warning|Geom|Joint|Constraint|Trn|Bias)_?")
         .allowlist_var("mjVERSION_HEADER|mjNGAIN|mjNIMP|SUPPLE_ERROR_SIZE")
         .default_enum_style(bindgen::EnumVariation::Consts)
         .prepend_enum_name(false)

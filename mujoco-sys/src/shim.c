@@ -4,24 +4,28 @@
 // mj_loadXML: its compiler is C++ and catches errors itself, its reader holds a lock. An error that comes
 // from there (memory has run out) leaves the lock held, and no other file can be read.
 
+#include "guard.h"
 #include "shim.h"
 
-#include <setjmp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-static _Thread_local jmp_buf* catch_point = NULL;
-static _Thread_local char* error_text = NULL;
+_Thread_local jmp_buf* supple_catch_point = NULL;
+_Thread_local char* supple_error_text = NULL;
 
-static void on_error(const char* message) {
-  if (!catch_point) {
+void supple_fail(const char* message) {
+  if (!supple_catch_point) {
     fprintf(stderr, "MuJoCo error outside a guarded call: %s\n", message);
     abort();
   }
-  strncpy(error_text, message, SUPPLE_ERROR_SIZE - 1);
-  error_text[SUPPLE_ERROR_SIZE - 1] = '\0';
-  longjmp(*catch_point, 1);
+  strncpy(supple_error_text, message, SUPPLE_ERROR_SIZE - 1);
+  supple_error_text[SUPPLE_ERROR_SIZE - 1] = '\0';
+  longjmp(*supple_catch_point, 1);
+}
+
+static void on_error(const char* message) {
+  supple_fail(message);
 }
 
 // MuJoCo counts warnings in mjData, where they are checked; the default handler would also write a log file.
@@ -33,21 +37,6 @@ void supple_init(void) {
   mju_user_error = on_error;
   mju_user_warning = on_warning;
 }
-
-#define GUARDED(call)        \
-  do {                       \
-    jmp_buf here;            \
-    catch_point = &here;     \
-    error_text = error;      \
-    error[0] = '\0';         \
-    if (setjmp(here)) {      \
-      catch_point = NULL;    \
-      return 1;              \
-    }                        \
-    call;                    \
-    catch_point = NULL;      \
-    return 0;                \
-  } while (0)
 
 #if SUPPLE_ARENA
 static int add_file(mjVFS* vfs, const char* name, const char* text, int size) {

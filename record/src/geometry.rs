@@ -111,6 +111,22 @@ fn looks_of(body: usize, geoms: &[Geom]) -> Vec<&Geom> {
     if shown.is_empty() && body != 0 { hidden } else { shown }
 }
 
+/// Returns the colour and opacity of every geometry in pictures, 0 to 1; `None` for those that are not drawn.
+#[cfg(feature = "video")]
+pub(super) fn colours(model: &Model, tint: Option<Rgb>) -> supple::mujoco::Result<Vec<Option<[f32; 4]>>> {
+    let trunk = model.id(Kind::Body, "trunk")?;
+    let geoms: Vec<Geom> = (0..model.count(Kind::Geom)).map(|id| model.geom(id)).collect();
+    let rgba = |geom: &Geom| {
+        if matches!(geom.shape, Shape::Plane | Shape::HeightField(_)) {
+            return Some(geom.rgba);
+        }
+        looks_of(geom.body, &geoms).into_iter().find(|drawn| std::ptr::eq(*drawn, geom))?;
+        let tint = tint.filter(|_| model.is_below(geom.body, trunk));
+        Some(colour(geom.rgba, tint).to_array().map(|part| f32::from(part) / 255.0))
+    };
+    Ok(geoms.iter().map(rgba).collect())
+}
+
 /// Returns the drawn colour: light parts take on some of the tint, dark parts keep their colour.
 fn colour([red, green, blue, alpha]: [f32; 4], tint: Option<Rgb>) -> Color {
     let lightness = red.max(green).max(blue);

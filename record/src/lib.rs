@@ -1,4 +1,4 @@
-/*! Recordings for the rerun viewer: robots in their scenes, forces, plots and events on one time axis.
+/*! Recordings for the rerun viewer: robots in their scenes, forces, plots and events on one time axis; with the feature `video`, videos.
 
 Start with [`Recorder`]. This package and `drive` are the only ones that use rerun. A recording contains its own layout:
 robots on the left, one view for each, plots on the right, events below. It receives finished [`Frame`]s and [`Event`]s;
@@ -8,6 +8,7 @@ no physics runs here, and a playback never waits here for longer than a few seco
 mod blueprint;
 mod geometry;
 mod ground;
+mod marks;
 mod overlay;
 mod plots;
 mod robot;
@@ -15,9 +16,13 @@ mod stream;
 mod style;
 #[cfg(test)]
 mod tests;
+#[cfg(feature = "video")]
+mod video;
 
 pub use stream::{LiveSink, Sink, check_name, page_url};
 pub use style::{BLUE, ORANGE, Rgb};
+#[cfg(feature = "video")]
+pub use video::{FRAME_RATE, Video, VideoError};
 
 use std::path::PathBuf;
 

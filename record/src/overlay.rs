@@ -10,6 +10,7 @@ use rerun::{Arrows3D, Color, Ellipsoids3D, EntityPath, FillMode, LineStrips3D, P
 
 use super::RecordError;
 use super::geometry::child;
+use super::marks::{self, Arrow};
 use super::stream::Stream;
 use super::style::*;
 use supple::scenario::trace::{Disturbance, Event, EventKind, Frame};
@@ -23,12 +24,6 @@ const FOOT_TRAIL: (f64, usize) = (1.0 / 30.0, 22);
 const ABOVE_GROUND_M: f32 = 0.003;
 /// Height of an event's label above the trunk \[m\].
 const LABEL_HEIGHT_M: f32 = 0.28;
-/// Height of the arrow of the felt force above the trunk \[m\].
-const FELT_HEIGHT_M: f32 = 0.14;
-/// Distance from the trunk's origin to its side \[m\].
-const TRUNK_RADIUS_M: f64 = 0.13;
-/// Distance from the trunk's origin to its front \[m\].
-const TRUNK_FRONT_M: f64 = 0.3;
 
 /// The marks that are drawn, and the times at which they end.
 #[derive(Debug)]
@@ -206,24 +201,12 @@ impl Overlay {
 
     /// Logs the felt forces: on the trunk above it, on the feet beside their true ones. In doubt, the arrows are grey.
     fn log_felt(&self, stream: &Stream, frame: &Frame, trunk: [f32; 3]) -> Result<(), RecordError> {
-        let Some(felt) = &frame.felt else { return Ok(()) };
-        let (sin, cos) = frame.roll_pitch_yaw[2].sin_cos();
-        let in_world = |[forward, left, up]: [f64; 3]| {
-            let horizontal = [forward * cos - left * sin, forward * sin + left * cos, up];
-            horizontal.map(|force| (force * METRES_PER_NEWTON) as f32)
+        let Some((on_trunk, on_feet)) = marks::felt(frame, trunk.map(f64::from), METRES_PER_NEWTON) else {
+            return Ok(());
         };
-        let colour = if felt.doubt.is_none() { PURPLE } else { GREY };
-        let [x, y, z] = trunk;
-        let on_trunk = Arrows3D::from_vectors([in_world(felt.force)])
-            .with_origins([[x, y, z + FELT_HEIGHT_M]])
-            .with_radii([Radius::new_scene_units(0.01)])
-            .with_colors([opaque(colour)]);
-        stream.log(&self.entity("felt force"), &on_trunk)?;
-        let on_feet = Arrows3D::from_vectors(felt.feet.map(in_world))
-            .with_origins(frame.foot_positions.map(|foot| foot.map(|x| x as f32)))
-            .with_radii([Radius::new_scene_units(0.004)])
-            .with_colors([opaque(colour)]);
-        stream.log(&self.entity("felt foot forces"), &on_feet)
+        let colour = if frame.felt.is_some_and(|felt| felt.doubt.is_none()) { PURPLE } else { GREY };
+        stream.log(&self.entity("felt force"), &arrows(&[on_trunk], 0.01, colour))?;
+        stream.log(&self.entity("felt foot forces"), &arrows(&on_feet, 0.004, colour))
     }
 
     /// Logs the disturbance of a frame: pushes and pressing obstacles as arrows that end at the trunk; a pull as a rope
@@ -240,32 +223,23 @@ impl Overlay {
                 stream.clear(&path, &Arrows3D::clear_fields())?;
             }
             Some((_, velocity)) => {
-                let speed = velocity.iter().map(|v| v * v).sum::<f64>().sqrt().max(1e-9);
-                let vector = velocity.map(|v| v * METRES_PER_PUSH);
-                // The tip is at the trunk's side.
-                let reach = METRES_PER_PUSH + TRUNK_RADIUS_M / speed;
-                let origin: [f64; 3] = std::array::from_fn(|k| trunk[k] - velocity[k] * reach);
-                stream.log(&path, &arrow(origin, vector, VERMILLION))?;
+                stream.log(&path, &arrows(&[marks::push(trunk, velocity)], 0.012, VERMILLION))?;
             }
             None => {}
         }
         let (rope, pull) = (self.entity("rope"), self.entity("pull"));
-        let size = |force: [f64; 3]| force.iter().map(|f| f * f).sum::<f64>().sqrt().max(1e-9);
         match frame.disturbance {
             Some(Disturbance::Pull { force }) => {
-                let size = size(force);
-                let end: [f64; 3] = std::array::from_fn(|k| trunk[k] + force[k] / size * ROPE_LENGTH_M);
-                let strip = LineStrips3D::new([[trunk, end].map(|point| point.map(|x| x as f32))])
+                let arrow = marks::pull(trunk, force, METRES_PER_NEWTON);
+                let strip = LineStrips3D::new([[trunk, arrow.0].map(|point| point.map(|x| x as f32))])
                     .with_radii([Radius::new_scene_units(0.005)])
                     .with_colors([opaque(YELLOW)]);
                 stream.log(&rope, &strip)?;
-                stream.log(&pull, &arrow(end, force.map(|f| f * METRES_PER_NEWTON), VERMILLION))?;
+                stream.log(&pull, &arrows(&[arrow], 0.012, VERMILLION))?;
                 self.is_pulled = true;
             }
             Some(Disturbance::Press { force }) => {
-                let reach = METRES_PER_NEWTON + TRUNK_FRONT_M / size(force);
-                let origin: [f64; 3] = std::array::from_fn(|k| trunk[k] - force[k] * reach);
-                stream.log(&pull, &arrow(origin, force.map(|f| f * METRES_PER_NEWTON), VERMILLION))?;
+                stream.log(&pull, &arrows(&[marks::press(trunk, force)], 0.012, VERMILLION))?;
                 self.is_pulled = true;
             }
             _ if self.is_pulled => {
@@ -297,10 +271,12 @@ impl Overlay {
     }
 }
 
-fn arrow(origin: [f64; 3], vector: [f64; 3], colour: Rgb) -> Arrows3D {
-    Arrows3D::from_vectors([vector.map(|x| x as f32)])
-        .with_origins([origin.map(|x| x as f32)])
-        .with_radii([Radius::new_scene_units(0.012)])
+fn arrows(all: &[Arrow], radius_m: f32, colour: Rgb) -> Arrows3D {
+    let (origins, vectors): (Vec<_>, Vec<_>) =
+        all.iter().map(|(origin, vector)| (origin.map(|x| x as f32), vector.map(|x| x as f32))).unzip();
+    Arrows3D::from_vectors(vectors)
+        .with_origins(origins)
+        .with_radii([Radius::new_scene_units(radius_m)])
         .with_colors([opaque(colour)])
 }
 

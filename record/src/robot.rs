@@ -11,7 +11,7 @@ use super::ground::{Patch, log_grounds};
 use super::overlay::{Overlay, overlay_path};
 use super::plots::{self, Shown};
 use super::stream::Stream;
-use super::style::{BLUE, EYE_DISTANCE_M};
+use super::style::{BLUE, CAMERA_LAG_S, EYE_DISTANCE_M};
 use super::{RecordError, RobotView};
 use supple::mujoco::Kind;
 use supple::scenario::trace::{Event, EventKind, Frame, Pose};
@@ -23,8 +23,6 @@ const LEAST_CHANGE: f32 = 2e-5;
 const BALLS_IN_EVERY_FRAME: usize = 500;
 /// Smallest movement of a ball that is logged \[m\].
 const LEAST_BALL_CHANGE_M: f32 = 5e-4;
-/// Time constant of the camera \[s\].
-const CAMERA_LAG_S: f32 = 0.25;
 
 /// The entities of a robot, and the values that were logged last.
 #[derive(Debug)]

@@ -46,6 +46,9 @@ pub(super) const EYE_DISTANCE_M: f32 = 1.6;
 /// Direction from the robot to the camera: right of it, a little behind and above. World frame, any length.
 pub(super) const EYE_DIRECTION: [f32; 3] = [-0.3, -1.0, 0.48];
 
+/// Time constant of the camera \[s\].
+pub(super) const CAMERA_LAG_S: f32 = 0.25;
+
 /// Longest wait for a disk or a viewer before it counts as failed.
 pub(super) const PATIENCE: Duration = Duration::from_secs(5);
 

@@ -257,6 +257,10 @@ impl Data {
         self.model.limit_contacts(contacts);
     }
 
+    pub(super) fn as_ptr(&self) -> *mut sys::mjData {
+        self.raw.as_ptr()
+    }
+
     fn raw(&self) -> &sys::mjData {
         // SAFETY: the pointer is valid as long as `self`.
         unsafe { self.raw.as_ref() }

@@ -64,6 +64,12 @@ pub enum Error {
         /// Message of MuJoCo.
         message: String,
     },
+    /// No picture can be drawn: OpenGL is missing, or the picture's size is out of range.
+    #[error("cannot draw a picture: {message}")]
+    Renderer {
+        /// What is missing or wrong, and what to do.
+        message: String,
+    },
     /// An input of the simulation is NaN or infinite, and was not passed to MuJoCo.
     #[error("{what} is {found}, expected a finite number: whatever controls the robot is at fault, not the physics")]
     Input {

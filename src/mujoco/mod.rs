@@ -12,12 +12,14 @@ mod data;
 mod error;
 mod library;
 mod model;
+mod render;
 mod sizes;
 
 pub use data::{Contact, Data};
 pub use error::{Buffer, Error, Result, StateKind};
 pub use library::library_file;
 pub use model::{Actuator, Geom, GeomContact, Inertial, Kind, Model, Shape};
+pub use render::{Camera, LARGEST_PICTURE, MOST_MARKS, Mark, MarkShape, Renderer};
 pub use sizes::{SizeError, check_sizes};
 
 use std::ffi::CStr;

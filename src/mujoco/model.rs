@@ -716,6 +716,20 @@ impl Model {
         }
     }
 
+    /// Sets the colour and opacity of a geometry in pictures, 0 to 1, and whether it is drawn at all.
+    ///
+    /// # Panics
+    /// There is no geometry of this id.
+    pub fn set_look(&mut self, geom: usize, rgba: [f32; 4], is_drawn: bool) {
+        assert!(geom < self.count(Kind::Geom), "geom {geom} out of range");
+        let raw = self.raw_mut();
+        // SAFETY: the arrays hold four numbers and one group for each geom; the id was checked. Groups from 3 are not drawn.
+        unsafe {
+            *raw.geom_group.add(geom) = if is_drawn { 0 } else { 3 };
+            (0..4).for_each(|part| *raw.geom_rgba.add(4 * geom + part) = rgba[part]);
+        }
+    }
+
     /// Returns rows, columns, and (half-length x, half-length y, height of elevation 1, base depth) \[m\] of a height
     /// field.
     pub fn height_field_size(&self, id: usize) -> (usize, usize, [f64; 4]) {

@@ -16,6 +16,7 @@ pub mod control;
 mod dynamics;
 pub mod ground;
 pub mod last_second;
+mod look;
 mod parts;
 pub mod scene;
 

@@ -16,6 +16,7 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use super::ground::{Ground, HeightField};
+use super::look;
 use crate::mujoco::{Kind, Model, Result, VERSION};
 use crate::robot::Robot;
 
@@ -126,6 +127,7 @@ impl Scene {
     /// Returns the MJCF text that MuJoCo compiles; it includes the robot.
     pub fn xml(&self, discard_visual: bool) -> String {
         let Buffers { contacts, rows, stack } = self.buffers;
+        let [settings, sun] = if discard_visual { ["", ""] } else { [look::SETTINGS, look::SUN] };
         let mut xml = String::new();
         // Writing into a String cannot fail.
         let _ = write!(
@@ -135,9 +137,9 @@ impl Scene {
   <compiler discardvisual="{discard_visual}"/>
   <size njmax="{rows}" nconmax="{contacts}" nstack="{stack}"/>
   <option timestep="{timestep}" integrator="Euler" cone="pyramidal" {solver}/>
-{pairs}{assets}{extras}  <worldbody>
+{settings}{pairs}{assets}{extras}  <worldbody>
     {ground}
-{obstacles}  </worldbody>
+{sun}{obstacles}  </worldbody>
 </mujoco>
 "#,
             timestep = self.timestep_s,
@@ -145,7 +147,7 @@ impl Scene {
             pairs = self.pairs(),
             assets = self.ground_asset(),
             extras = self.extras,
-            ground = self.ground_geom(),
+            ground = self.ground_geom(discard_visual),
             obstacles = self.obstacles,
         );
         xml
@@ -182,7 +184,7 @@ impl Scene {
     }
 
     /// Returns the ground's element. Its priority makes its friction the friction of every contact.
-    fn ground_geom(&self) -> String {
+    fn ground_geom(&self, discard_visual: bool) -> String {
         let shape = match self.ground {
             Ground::Flat => r#"type="plane" size="0 0 1""#.to_owned(),
             Ground::Field(_) => {
@@ -190,8 +192,12 @@ impl Scene {
             }
         };
         let [sliding, torsional, rolling] = FRICTION;
+        let look = match discard_visual {
+            true => r#"rgba="0.35 0.38 0.42 1""#.to_owned(),
+            false => format!(r#"material="{}""#, look::GROUND_MATERIAL),
+        };
         format!(
-            r#"<geom name="{GROUND}" {shape} condim="3" priority="1" friction="{sliding} {torsional} {rolling}" rgba="0.35 0.38 0.42 1"/>"#
+            r#"<geom name="{GROUND}" {shape} condim="3" priority="1" friction="{sliding} {torsional} {rolling}" {look}/>"#
         )
     }
 

@@ -39,7 +39,7 @@ pub struct Args {
     pub seed: u64,
     /// Seeds from the first to the last, both included: prints means and spread, and writes no recording
     #[arg(long, global = true, help_heading = INPUT, value_name = "FIRST..LAST", value_parser = seed_range,
-          conflicts_with_all = ["seed", "record", "connect", "serve", "on_fall", "csv"])]
+          conflicts_with_all = ["seed", "record", "connect", "serve", "on_fall", "csv", "video"])]
     pub seeds: Option<RangeInclusive<u64>>,
     /// State that the policy acts on: the true one, or an estimate from noisy sensors
     #[arg(long, global = true, help_heading = INPUT, value_enum, default_value_t)]
@@ -61,6 +61,13 @@ pub struct Args {
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "PORT", num_args = 0..=1, require_equals = true,
           default_missing_value = "9090", conflicts_with_all = ["record", "no_record", "connect"])]
     pub serve: Option<u16>,
+    /// Draw a video as well, 30 frames a second: its ending is .mp4, .webp or .gif
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "FILE")]
+    pub video: Option<PathBuf>,
+    /// Width and height of the video (px), even numbers
+    #[arg(long, global = true, help_heading = OUTPUT, value_name = "WIDTHxHEIGHT", default_value = "960x540",
+          value_parser = picture_size)]
+    pub video_size: [usize; 2],
     /// Keep the last 2 s before a fall as a recording of their own in this folder
     #[arg(long, global = true, help_heading = OUTPUT, value_name = "DIR")]
     pub on_fall: Option<PathBuf>,
@@ -153,6 +160,12 @@ fn seed_range(text: &str) -> Result<RangeInclusive<u64>, String> {
         Some((first, last)) if last - first < 10_000 => Ok(first..=last),
         _ => Err("expected FIRST..LAST, both included, as in 0..9; at most 10000 seeds".into()),
     }
+}
+
+/// Parses a size such as `960x540`.
+fn picture_size(text: &str) -> Result<[usize; 2], String> {
+    let ends = text.split_once('x').and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
+    ends.ok_or_else(|| "expected WIDTHxHEIGHT in pixels, as in 960x540".into())
 }
 
 #[cfg(test)]

@@ -5,6 +5,8 @@ mod output;
 mod recording;
 mod seeds;
 mod session;
+#[cfg(feature = "video")]
+mod video;
 
 use std::ops::RangeInclusive;
 use std::process::ExitCode;
@@ -27,6 +29,11 @@ use supple::scenario::trace::Trace;
 use supple::scenario::{Playback, Script, Sensing};
 use supple::util::progress::{ProgressBar, progress};
 use supple::util::terminal;
+
+/// The error of `--video` in a program without the feature of that name.
+#[cfg(not(feature = "video"))]
+const NO_VIDEO: &str =
+    "this program was built without videos; build it with: cargo build --release --features video --bin scenario";
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
@@ -53,6 +60,10 @@ fn list() -> anyhow::Result<()> {
 
 fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
     output::check(args)?;
+    #[cfg(not(feature = "video"))]
+    anyhow::ensure!(args.video.is_none(), NO_VIDEO);
+    #[cfg(feature = "video")]
+    let video = video::check(args)?;
     let mut robots = robots(args)?;
     if let Some(model) = &args.model {
         terminal::note(format_args!("{model}:"));
@@ -98,6 +109,10 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
         terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
     }
     told.and(recorded)?;
+    #[cfg(feature = "video")]
+    if let Some(video) = &video {
+        video::write(video, args, scenario, &robots, &scripts, &traces)?;
+    }
     let failed = outcomes.iter().find_map(|outcome| Some((outcome.policy, outcome.trace.fault()?)));
     if let Some((policy, fault)) = failed {
         anyhow::bail!("{policy}: stopped after {:.2} s: {}", fault.time_s, fault.text);

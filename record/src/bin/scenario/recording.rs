@@ -126,13 +126,28 @@ fn open(
     robots: &[(String, Agent)],
     scripts: &[Script],
 ) -> anyhow::Result<Recorder> {
-    let models: Vec<Model> =
-        scripts.iter().map(|script| script.scene.compile_visual()).collect::<supple::mujoco::Result<_>>()?;
+    let models = models(scripts)?;
+    let views = views(sensing, robots, scripts, &models);
+    Ok(Recorder::new(sink, title, &views)?)
+}
+
+/// Compiles the model of each robot for display.
+pub fn models(scripts: &[Script]) -> supple::mujoco::Result<Vec<Model>> {
+    scripts.iter().map(|script| script.scene.compile_visual()).collect()
+}
+
+/// Returns how each robot is drawn: in blue and orange if there are two.
+pub fn views<'a>(
+    sensing: Sensing,
+    robots: &'a [(String, Agent)],
+    scripts: &'a [Script],
+    models: &'a [Model],
+) -> Vec<RobotView<'a>> {
     let tints = if robots.len() > 1 { vec![Some(BLUE), Some(ORANGE)] } else { vec![None] };
-    let views: Vec<RobotView<'_>> = robots
+    robots
         .iter()
         .zip(scripts)
-        .zip(&models)
+        .zip(models)
         .zip(tints)
         .map(|((((name, _), script), model), tint)| RobotView {
             name,
@@ -141,8 +156,7 @@ fn open(
             tint,
             estimates: sensing == Sensing::Estimated,
         })
-        .collect();
-    Ok(Recorder::new(sink, title, &views)?)
+        .collect()
 }
 
 fn clip(

@@ -17,8 +17,10 @@ pub fn measure(args: &Args, file: &Path) -> anyhow::Result<()> {
         !asked.contains(&true),
         "a session has its own policies and robots: measure it without naming others"
     );
-    let drawn = [args.record.is_some(), args.connect.is_some(), args.serve.is_some(), args.on_fall.is_some()];
-    anyhow::ensure!(!drawn.contains(&true), "record a session with `drive --replay {} --record FILE`", file.display());
+    let drawn = [&args.record, &args.on_fall, &args.video].map(Option::is_some).contains(&true)
+        || args.connect.is_some()
+        || args.serve.is_some();
+    anyhow::ensure!(!drawn, "record a session with `drive --replay {} --record FILE`", file.display());
 
     let mut playback = SavedSession::load(file)?.play()?;
     let takes = takes(&mut playback)?;

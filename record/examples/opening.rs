@@ -1,0 +1,56 @@
+//! Draws the videos at the top of the README: a push while walking, and a hand that pulls among blocks and mats.
+//!
+//! `cargo run --release -p supple-record --features video --example opening -- docs/images`
+
+use std::path::PathBuf;
+
+use supple::policy::shipped;
+use supple::scenario::Playback;
+use supple::scenario::catalog::Scenario;
+use supple::sim::Pull;
+use supple_record::{BLUE, ORANGE, RobotView, Video};
+
+/// Width and height of the videos \[px\].
+const SIZE: [usize; 2] = [640, 360];
+
+fn main() -> anyhow::Result<()> {
+    let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "docs/images".into()));
+    let push = Scenario::named("push", "{at_s: 1.0, duration_s: 3.5}")?;
+    film(folder.join("push.webp"), "pushed sideways", (&push, 0), ["compliant", "baseline"], None)?;
+    let rubble = Scenario::named("rubble", "{duration_s: 4.5}")?;
+    let hand = Pull { from_s: 1.2, until_s: 3.5, force: [0.0, 20.0] };
+    // In the layout of seed 0 both fall when they are pulled as hard.
+    film(folder.join("hand.webp"), "pulled among rubble", (&rubble, 4), ["baseline@0.03", "baseline"], Some(hand))
+}
+
+/// Plays a scenario, with its seed, with two policies, pulled by a hand or not, and writes the video.
+fn film(
+    path: PathBuf,
+    title: &str,
+    (scenario, seed): (&Scenario, u64),
+    policies: [&str; 2],
+    hand: Option<Pull>,
+) -> anyhow::Result<()> {
+    let video = Video::new(&path, SIZE)?;
+    let (mut models, mut scripts, mut traces) = (Vec::new(), Vec::new(), Vec::new());
+    for policy in policies {
+        let agent = shipped::find(policy)?;
+        let mut script = scenario.script(seed, &agent.config)?;
+        script.command.compliance = agent.resolve_compliance(None, script.command.compliance)?;
+        script.pull = script.pull.or(hand);
+        let playback = Playback::new(&script, &agent.config, agent.controller())?.with_felt_forces()?.with_bodies();
+        traces.push(playback.trace());
+        models.push(script.scene.compile_visual()?);
+        scripts.push(script);
+    }
+    let view = |index: usize, tint| RobotView {
+        name: policies[index],
+        model: &models[index],
+        ground: &scripts[index].scene.ground,
+        tint: Some(tint),
+        estimates: false,
+    };
+    video.write(title, &[(view(0, BLUE), &traces[0]), (view(1, ORANGE), &traces[1])], |_, _| {})?;
+    println!("{}: {} kB", path.display(), std::fs::metadata(&path)?.len() / 1000);
+    Ok(())
+}

@@ -1,0 +1,185 @@
+/*! Videos of finished playbacks: one picture for each robot, side by side, over a plot of what a disturbance leaves.
+
+Start with [`Video`]. Pictures are drawn by MuJoCo without a screen; frames depend on the traces alone, so that the same playback
+gives the same frames on the same OpenGL.
+*/
+
+mod canvas;
+mod encode;
+mod panel;
+mod view;
+
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use encode::{Encoder, Format};
+use panel::Panel;
+use supple::mujoco::{self, Model, Renderer};
+use supple::scenario::trace::Trace;
+use supple::util::files::{self, Target};
+use view::View;
+
+use super::RobotView;
+
+/// Frames of a video in one second of simulation.
+pub const FRAME_RATE: u32 = 30;
+
+/// Smallest and largest width and height of a video \[px\].
+const SIZES: [[usize; 2]; 2] = [[480, 270], [3840, 2160]];
+
+/// The reason why there is no video.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// The name of the file has none of the known endings.
+    #[error("cannot write the video {}: its name says what it is and ends with .mp4, .webp or .gif; name it {}", path.display(), path.with_extension("mp4").display())]
+    Ending {
+        /// Path of the file.
+        path: PathBuf,
+    },
+    /// The size is out of range.
+    #[error("the size of the video is {width}x{height} px, expected even numbers from 480x270 to 3840x2160")]
+    Size {
+        /// Width \[px\].
+        width: usize,
+        /// Height \[px\].
+        height: usize,
+    },
+    /// There is no picture to show.
+    #[error("there is no frame of {robot} to show: its playback ended before the first step")]
+    Empty {
+        /// Name of the robot.
+        robot: String,
+    },
+    /// A frame belongs to another scene: its number of bodies differs.
+    #[error(
+        "a frame of {robot} has {found} bodies, its model {expected}; draw it with the scene's own visual model, and play it with bodies"
+    )]
+    Bodies {
+        /// Name of the robot.
+        robot: String,
+        /// Number of bodies in the frame.
+        found: usize,
+        /// Number of bodies in the robot's model.
+        expected: usize,
+    },
+    /// No picture can be drawn.
+    #[error(transparent)]
+    Picture(#[from] mujoco::Error),
+    /// One of the threads that draw has ended early.
+    #[error("cannot draw the video: a thread that draws has stopped")]
+    Stopped,
+    /// The frames cannot be encoded.
+    #[error("cannot encode the video: {0}")]
+    Encode(Box<dyn std::error::Error + Send + Sync>),
+    /// The file cannot be written.
+    #[error("cannot write the video {}: {source}", path.display())]
+    Write {
+        /// Path of the file.
+        path: PathBuf,
+        /// Reason given by the operating system.
+        source: std::io::Error,
+    },
+}
+
+/// A video to be written: its file, format and size.
+#[derive(Debug, Clone)]
+pub struct Video {
+    path: PathBuf,
+    format: Format,
+    size: [usize; 2],
+}
+
+impl Video {
+    /// Checks that a video of this width and height \[px\] can be drawn and can have this name; writes nothing.
+    ///
+    /// # Errors
+    /// The ending is none of `.mp4`, `.webp` and `.gif`, the size is out of range, or no OpenGL without a screen is installed.
+    pub fn new(path: &Path, size: [usize; 2]) -> Result<Self, VideoError> {
+        let format = Format::of(path).ok_or_else(|| VideoError::Ending { path: path.to_owned() })?;
+        let [width, height] = size;
+        let in_range =
+            (0..2).all(|axis| (SIZES[0][axis]..=SIZES[1][axis]).contains(&size[axis]) && size[axis] % 2 == 0);
+        if !in_range {
+            return Err(VideoError::Size { width, height });
+        }
+        let write = |source| VideoError::Write { path: path.to_owned(), source };
+        Target::of(path).map_err(write)?;
+        Renderer::new(Model::from_xml(&[("nothing.xml", "<mujoco/>")])?, [16, 16])?;
+        Ok(Video { path: path.to_owned(), format, size })
+    }
+
+    /// Returns the path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Draws the playbacks and writes the file: whole or not at all, in place of one that is there; folders are created. Calls
+    /// `drawn` after each frame with the number of frames that are drawn and of all frames.
+    ///
+    /// # Errors
+    /// A trace has no frames, MuJoCo or the encoder fails, or the file cannot be written.
+    pub fn write(
+        &self,
+        title: &str,
+        robots: &[(RobotView<'_>, &Trace)],
+        mut drawn: impl FnMut(u64, u64),
+    ) -> Result<(), VideoError> {
+        let failed = |source| VideoError::Write { path: self.path.clone(), source };
+        if let Some(folder) = self.path.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            std::fs::create_dir_all(folder).map_err(failed)?;
+        }
+        // Drawn while the file is open: a folder that cannot be written to is known before the work.
+        let mut problem = None;
+        let written = files::write_with(&self.path, |file| match self.encode(title, robots, &mut drawn) {
+            Ok(bytes) => file.write_all(&bytes),
+            Err(error) => {
+                problem = Some(error);
+                Err(std::io::Error::other("there is no video"))
+            }
+        });
+        match problem {
+            Some(error) => Err(error),
+            None => written.map_err(failed),
+        }
+    }
+
+    /// Returns the bytes of the file.
+    fn encode(
+        &self,
+        title: &str,
+        robots: &[(RobotView<'_>, &Trace)],
+        drawn: &mut dyn FnMut(u64, u64),
+    ) -> Result<Vec<u8>, VideoError> {
+        let mut panel = Panel::new(self.size, title, robots)?;
+        let mut encoder = Encoder::new(self.format, self.size)?;
+        let end_s = robots.iter().filter_map(|(_, trace)| Some(trace.frames.last()?.time_s)).fold(0.0, f64::max);
+        let count = (end_s * f64::from(FRAME_RATE)).round().max(1.0) as u64;
+        let time_s = |frame: u64| frame as f64 / f64::from(FRAME_RATE);
+        let size = panel.picture_size();
+        // A thread for each robot, on which its renderer stays.
+        std::thread::scope(|scope| {
+            let draw = |(robot, trace): &(RobotView<'_>, &Trace), to: SyncSender<_>| {
+                let drawn = View::new(robot, trace, size).and_then(|mut view| {
+                    // Nothing takes the pictures of a video that has failed.
+                    (1..=count)
+                        .try_for_each(|frame| to.send(view.picture(time_s(frame))).map_err(|_| VideoError::Stopped))
+                });
+                drawn.unwrap_or_else(|error| drop(to.send(Err(error))));
+            };
+            let start = |robot| {
+                let (to, from) = sync_channel(2);
+                scope.spawn(move || draw(robot, to));
+                from
+            };
+            let pictures: Vec<_> = robots.iter().map(start).collect();
+            for frame in 1..=count {
+                let next = |from: &Receiver<_>| from.recv().unwrap_or(Err(VideoError::Stopped));
+                let pictures = pictures.iter().map(next).collect::<Result<Vec<_>, _>>()?;
+                encoder.frame(panel.compose(time_s(frame), &pictures))?;
+                drawn(frame, count);
+            }
+            Ok::<_, VideoError>(())
+        })?;
+        encoder.finish()
+    }
+}
