@@ -113,7 +113,7 @@ fn examination_grades_a_policy_beside_the_references() {
     let folder = folder_with(&[("mine.safetensors", falling_policy())]);
     let tiny = format!("{TINY}calibration: {{compliances: [0.02], commands_m_s: [0.5], directions: 3}}\n");
     std::fs::write(folder.path().join("tiny.yaml"), tiny).unwrap();
-    evaluate(folder.path(), &["--exam", "policies/mine.safetensors", "--out", "exam"]);
+    let notes = evaluate(folder.path(), &["--exam", "policies/mine.safetensors", "--out", "exam"]);
     let read = |name: &str| std::fs::read_to_string(folder.path().join("exam").join(name)).unwrap();
     let exam: Value = serde_json::from_str(&read("exam.json")).unwrap();
     assert_eq!(exam["names"], serde_json::json!(["mine", "compliant", "baseline"]));
@@ -132,6 +132,11 @@ fn examination_grades_a_policy_beside_the_references() {
     let page = read("exam.html");
     assert!(page.contains("--exam policies/mine.safetensors --protocol tiny.yaml --out exam"), "{page}");
     assert!(folder.path().join("exam/exam.png").metadata().unwrap().len() > 10_000);
+    // A film, or a note that says why there is none; it is as wide as its six pictures.
+    match std::fs::read(folder.path().join("exam/fall.png")) {
+        Ok(png) => assert_eq!((&png[16..24], page.contains("fall.png")), (&[0, 0, 7, 128, 0, 0, 0, 240][..], true)),
+        Err(_) => assert!(notes.contains("no film of the worst fall: cannot draw a picture"), "{notes}"),
+    }
 }
 
 #[test]

@@ -5,6 +5,7 @@ The trials are those of the experiments, with the same seeds for the policy and 
 [store](crate::measurement_store). An interval is Wilson's (1927), at 95 %, over the trials of one policy.
 */
 
+pub mod film;
 pub mod page;
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
+use super::film::Film;
 use super::{DISCIPLINES, Examination, Grade, Score};
 use crate::plot::png::Renderer;
 use crate::plot::svg::{Anchor, Stroke, Svg, Text};
@@ -17,12 +18,12 @@ const BAR: f64 = 13.0;
 /// The place of 0 and the width of 100 % in the figure \[px\].
 const SCALE: [f64; 2] = [150.0, 500.0];
 
-/// Writes `exam.html`, `exam.svg`, `exam.png` and `exam.json` into a folder. `command` is the command line that repeats the
-/// examination.
+/// Writes `exam.html`, `exam.svg`, `exam.png`, `exam.json` and, if there is a film, `fall.png` into a folder. `command` is the command
+/// line that repeats the examination.
 ///
 /// # Errors
 /// A file cannot be written, or the figure cannot be rendered.
-pub fn save(examination: &Examination, command: &str, folder: &Path) -> Result<(), ReportError> {
+pub fn save(examination: &Examination, film: Option<&Film>, command: &str, folder: &Path) -> Result<(), ReportError> {
     let figure = figure(examination);
     let of_figure = |source| ReportError::Figure { name: "exam".to_owned(), source };
     let png = Renderer::default().png(&figure).map_err(of_figure)?;
@@ -31,7 +32,10 @@ pub fn save(examination: &Examination, command: &str, folder: &Path) -> Result<(
     write(&folder.join("exam.svg"), figure.as_bytes())?;
     write(&folder.join("exam.png"), &png)?;
     write(&folder.join("exam.json"), json.as_bytes())?;
-    write(&folder.join("exam.html"), page(examination, &figure, command).as_bytes())
+    if let Some(film) = film {
+        write(&folder.join("fall.png"), &film.png)?;
+    }
+    write(&folder.join("exam.html"), page(examination, film, &figure, command).as_bytes())
 }
 
 /// Returns a score in percent with its interval.
@@ -53,7 +57,7 @@ pub fn text(examination: &Examination) -> String {
     std::iter::once(line("", examination.names.clone())).chain(grades).collect()
 }
 
-fn page(examination: &Examination, figure: &str, command: &str) -> String {
+fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &str) -> String {
     let title = format!("Examination of {}", examination.names[0]);
     let page = html! {
         (DOCTYPE)
@@ -75,6 +79,12 @@ fn page(examination: &Examination, figure: &str, command: &str) -> String {
                     @for note in &examination.notes { p.note { (note) } }
                     figure { (PreEscaped(figure)) }
                     (table(examination))
+                    @if let Some(film) = film {
+                        figure {
+                            img src="fall.png" alt="Six pictures of a fall" style="width:100%";
+                            figcaption { (film.caption) }
+                        }
+                    }
                     dl { dt { "Command" } dd { code { (command) } } }
                 }
             }

@@ -135,10 +135,14 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     }
     progress.finish();
     let examination = exam.grade(&store)?;
+    let film = exam.worst_fall(&store).unwrap_or_else(|error| {
+        terminal::note(format_args!("note: no film of the worst fall: {error}"));
+        None
+    });
     let mut words = vec!["cargo run --release --bin evaluate -- --exam".to_owned(), shell_word(policy)];
     words.extend(args.protocol.iter().flat_map(|file| ["--protocol".to_owned(), shell_word(file)]));
     words.extend(["--out".to_owned(), shell_word(&args.out)]);
-    page::save(&examination, &words.join(" "), &args.out)?;
+    page::save(&examination, film.as_ref(), &words.join(" "), &args.out)?;
     terminal::print(format_args!("{}{}\n", page::text(&examination), args.out.join("exam.html").display()))?;
     match &examination.notes[..] {
         [] => Ok(()),

@@ -1,0 +1,116 @@
+//! A film strip of the worst fall: the trial is played again and drawn by MuJoCo, without a screen.
+
+use resvg::tiny_skia::{ColorU8, Pixmap};
+
+use super::{DISCIPLINES, Exam, Part};
+use crate::measurement_store::MeasurementStore;
+use crate::runner;
+use crate::trial::{self, TrialEnd};
+use supple::mujoco::{Camera, Renderer};
+use supple::scenario::Playback;
+use supple::scenario::trace::{EventKind, Frame};
+
+/// The width and the height of a picture \[px\].
+const SIZE: [usize; 2] = [320, 240];
+
+/// The times of the pictures, from the fall on \[s\].
+const TIMES_S: [f64; 6] = [-0.75, -0.45, -0.25, -0.1, 0.0, 0.25];
+
+/// How long the playback goes on after the fall \[s\].
+const AFTER_FALL_S: f64 = 0.3;
+
+/// The film strip of a fall.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Film {
+    /// What is seen, in words.
+    pub caption: String,
+    /// The strip as a PNG file.
+    pub png: Vec<u8>,
+}
+
+impl Exam {
+    /// Draws the first fall of the examined policy in the condition in which it falls most often; none if it never falls.
+    ///
+    /// # Errors
+    /// The trial cannot be played, or nothing can be drawn here (the error says what to install).
+    pub fn worst_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, Box<dyn std::error::Error>> {
+        let mut worst: Option<(f64, Fall<'_>)> = None;
+        for (name, way, _) in DISCIPLINES.iter().flat_map(|discipline| discipline.parts) {
+            let part = self.part(name, *way);
+            let measured = runner::finished(part.experiment, part.policies, store, part.sensing)?;
+            let Some(policy) = measured.as_ref().and_then(|found| found.results.sets[0].values().next()) else {
+                continue;
+            };
+            for (condition, samples) in policy.iter().enumerate() {
+                let fell = |sample: &&trial::Sample| sample.end == TrialEnd::Fell;
+                let Some(trial) = samples.iter().position(|sample| fell(&sample)) else { continue };
+                let fraction = samples.iter().filter(fell).count() as f64 / samples.len() as f64;
+                if worst.as_ref().is_none_or(|(most, _)| fraction > *most) {
+                    worst = Some((fraction, Fall { part: self.part(name, *way), condition, trial }));
+                }
+            }
+        }
+        worst.map(|(_, fall)| fall.draw()).transpose()
+    }
+}
+
+/// A trial in which the examined policy falls.
+struct Fall<'a> {
+    part: Part<'a>,
+    condition: usize,
+    trial: usize,
+}
+
+impl Fall<'_> {
+    fn draw(&self) -> Result<Film, Box<dyn std::error::Error>> {
+        let Part { experiment, policies, sensing } = self.part;
+        let (info, condition) = (experiment.info(), &experiment.conditions()?[self.condition]);
+        let member = &policies.sets[0].members[0];
+        let seed = trial::trial_seed(member.seed, info.number, self.condition, self.trial as u32);
+        let mut script = trial::vary(&condition.scenario, seed).script(seed, &member.agent.config)?;
+        script.command.compliance = member.agent.resolve_compliance(script.command.compliance, None)?;
+        script.after_fall_s = AFTER_FALL_S;
+        let playback = Playback::new(&script, &member.agent.config, member.agent.controller())?;
+        let trace = playback.with_sensing(sensing, seed)?.with_bodies().trace();
+        let fall = trace.events.iter().find(|event| event.kind == EventKind::Fall).ok_or("it does not fall again")?;
+        let mut renderer = Renderer::new(script.scene.compile_visual()?, SIZE)?;
+        let [width, height] = SIZE.map(|pixels| pixels as u32);
+        let mut strip = Pixmap::new(width * TIMES_S.len() as u32, height).ok_or("the strip is empty")?;
+        for (index, time_s) in TIMES_S.iter().enumerate() {
+            let later = trace.frames.partition_point(|frame| frame.time_s < fall.time_s + time_s);
+            let frame = &trace.frames[later.min(trace.frames.len() - 1)];
+            let poses: Vec<[f32; 7]> = frame
+                .bodies
+                .iter()
+                .map(|pose| {
+                    let ([x, y, z], [w, i, j, k]) = (pose.position, pose.quaternion);
+                    [x, y, z, w, i, j, k]
+                })
+                .collect();
+            let picture = renderer.picture(&poses, &camera(frame), &[])?;
+            for (row, line) in picture.chunks_exact(3 * SIZE[0]).enumerate() {
+                let start = row * SIZE[0] * TIMES_S.len() + index * SIZE[0];
+                for (pixel, colour) in strip.pixels_mut()[start..][..SIZE[0]].iter_mut().zip(line.chunks_exact(3)) {
+                    *pixel = ColorU8::from_rgba(colour[0], colour[1], colour[2], 255).premultiply();
+                }
+            }
+        }
+        let caption = format!(
+            "The first fall in the condition in which it falls most often: {}, {}, trial {} (seed {seed}), {:.2} s after its start: {}. The \
+             pictures are at {} s from the fall.",
+            info.title,
+            condition.label,
+            self.trial + 1,
+            fall.time_s,
+            fall.text,
+            TIMES_S.map(|time| format!("{time:+.2}")).join(", ").replace('-', "−"),
+        );
+        Ok(Film { caption, png: strip.encode_png()? })
+    }
+}
+
+/// Returns a camera beside the robot, behind and above.
+fn camera(frame: &Frame) -> Camera {
+    let [x, y, z] = frame.position;
+    Camera { target: [x, y, z - frame.height_m + 0.2], distance_m: 1.6, azimuth_deg: 45.0, elevation_deg: -25.0 }
+}
