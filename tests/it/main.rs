@@ -7,6 +7,7 @@ mod kill;
 mod killing;
 mod licences;
 mod model;
+mod package;
 mod pictures;
 mod programs;
 #[cfg(feature = "mpi")]
