@@ -19,6 +19,8 @@ const FRAMES: usize = 9;
 
 /// A decoded picture, shape (height, width, 3).
 type Picture = Vec<u8>;
+/// A function that decodes a file.
+type Decode = fn(&[u8]) -> Vec<Picture>;
 
 /// Plays a scenario with a video; `None` after a note where no picture can be drawn.
 fn film(folder: &Path, name: &str) -> Option<Vec<u8>> {
@@ -98,7 +100,7 @@ fn count(picture: &Picture, is: impl Fn([i32; 3]) -> bool) -> [usize; 2] {
 #[test]
 fn each_format_shows_both_robots_in_their_colours() {
     let folder = tempfile::tempdir().unwrap();
-    let formats: [(&str, fn(&[u8]) -> Vec<Picture>); 3] =
+    let formats: [(&str, Decode); 3] =
         [("a.mp4", pictures_of_mp4), ("new folder/a.webp", pictures_of_webp), ("a.gif", pictures_of_gif)];
     for (name, decode) in formats {
         let Some(file) = film(folder.path(), name) else { return };

@@ -55,7 +55,7 @@ pub(super) struct Encoder {
 
 enum Kind {
     Mp4(Box<Mp4>),
-    WebP(webp_animation::Encoder),
+    WebP(Box<webp_animation::Encoder>),
     Gif(Box<gif::Encoder<Vec<u8>>>),
 }
 
@@ -77,7 +77,7 @@ impl Encoder {
                 let encoding_config = Some(EncodingConfig::new_lossy(WEBP_QUALITY));
                 let options = EncoderOptions { encoding_config, ..EncoderOptions::default() };
                 let dimensions = (width as u32, height as u32);
-                Kind::WebP(webp_animation::Encoder::new_with_options(dimensions, options).map_err(failed)?)
+                Kind::WebP(Box::new(webp_animation::Encoder::new_with_options(dimensions, options).map_err(failed)?))
             }
             Format::Gif => {
                 let mut gif = gif::Encoder::new(Vec::new(), width as u16, height as u16, &[]).map_err(failed)?;

@@ -98,7 +98,7 @@ impl Video {
         let format = Format::of(path).ok_or_else(|| VideoError::Ending { path: path.to_owned() })?;
         let [width, height] = size;
         let in_range =
-            (0..2).all(|axis| (SIZES[0][axis]..=SIZES[1][axis]).contains(&size[axis]) && size[axis] % 2 == 0);
+            (0..2).all(|axis| (SIZES[0][axis]..=SIZES[1][axis]).contains(&size[axis]) && size[axis].is_multiple_of(2));
         if !in_range {
             return Err(VideoError::Size { width, height });
         }
