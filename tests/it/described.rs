@@ -36,7 +36,7 @@ fn behaviour(folder: &Path, policy: &str) -> (Value, String) {
     let observation: Vec<f64> = (0..48).map(|k| 0.02 * f64::from(k)).collect();
     let command = format!("echo '{observation:?}' | {} run {policy}", program("policy"));
     let output = Command::new("sh").args(["-c", &command]).current_dir(folder).output().unwrap();
-    (shown["observation"].clone(), String::from_utf8(output.stdout).unwrap())
+    (shown["observation_elements"].clone(), String::from_utf8(output.stdout).unwrap())
 }
 
 #[test]
@@ -111,5 +111,5 @@ fn an_onnx_file_with_metadata_is_described_and_one_without_is_told_what_to_do() 
     let targets: Vec<f64> = serde_json::from_str(&targets).unwrap();
     assert_eq!(targets.len(), 12);
     let text = std::fs::read_to_string(folder.join("mine.yaml")).unwrap();
-    assert!(text.contains("policy_rate_hz: 50   # check this") && !text.contains("robot names"), "{text}");
+    assert!(text.contains("policy_rate_hz: 50   # check this") && !text.contains("names no robot"), "{text}");
 }

@@ -243,14 +243,11 @@ fn clip(key: &str, term: &RawTerm, scale_first: bool) -> Result<Option<f64>, Fau
     }
 }
 
-/// Returns true if these indices choose all joints in the policy's order: none, a whole slice of Python, or 0 to 11.
+/// Returns true if these indices choose all joints in the policy's order: none, a whole slice as Python writes it, or 0 to 11.
 fn is_of_all_joints(indices: &Value) -> bool {
-    match indices {
-        Value::Null => true,
-        Value::Tagged(slice) => slice.value.as_sequence().is_some_and(|ends| ends.iter().all(Value::is_null)),
-        Value::Sequence(indices) => indices.iter().map(Value::as_u64).eq((0..JOINTS as u64).map(Some)),
-        _ => false,
-    }
+    indices.as_sequence().map_or(indices.is_null(), |indices| {
+        indices.iter().all(Value::is_null) || indices.iter().map(Value::as_u64).eq((0..JOINTS as u64).map(Some))
+    })
 }
 
 fn of_some_joints(key: &str) -> Fault {
