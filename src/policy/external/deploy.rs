@@ -22,6 +22,9 @@ const ACTION: &str = "JointPositionAction";
 /// Largest relative error of `step_dt`, which the exporter rounds to three digits.
 const ROUNDING: f64 = 5e-3;
 
+/// Longest history of a term \[policy steps\].
+const MAX_HISTORY: u32 = 200;
+
 /// A file; what it says of commands and of the names of joints is not needed.
 #[derive(Deserialize)]
 struct Deploy {
@@ -155,19 +158,21 @@ fn observation(terms: &Value) -> Result<(Vec<Observed>, Vec<u32>), Fault> {
         let key = format!("observations.{name}");
         let term: RawTerm = yaml::typed(content.clone(), &[])
             .map_err(|error| Fault::Text(format!("{key}: {}", error.without_name())))?;
-        let history = ages(term.history_length.unwrap_or(1));
+        let length = term.history_length.unwrap_or(1);
+        if length > MAX_HISTORY {
+            return Err(value(&format!("{key}.history_length"), format!("is {length}"), "at most 200 steps"));
+        }
+        let history = ages(length);
         let own = if whole { vec![0] } else { history.clone() };
         entries.extend(observed(&key, name, &term, &own, scale_first)?);
         histories.push(history);
     }
-    if !whole {
-        return Ok((entries, vec![0]));
-    }
-    match histories.iter().find(|history| **history != histories[0]) {
-        None => Ok((entries, histories.swap_remove(0))),
+    let Some(history) = histories.first().filter(|_| whole) else { return Ok((entries, vec![0])) };
+    match histories.iter().find(|other| *other != history) {
+        None => Ok((entries, history.clone())),
         Some(other) => Err(value(
             "observations.use_gym_history",
-            format!("is true with a history_length of {} and of {}", histories[0].len(), other.len()),
+            format!("is true with a history_length of {} and of {}", history.len(), other.len()),
             "the same history_length in all observations",
         )),
     }
@@ -208,10 +213,10 @@ fn observed(key: &str, name: &str, term: &RawTerm, ages: &[u32], scale_first: bo
 /// Returns the scale of each of `width` numbers of a term.
 fn scales(key: &str, term: &RawTerm, width: usize) -> Result<Vec<f64>, Fault> {
     let scales = term.scale.clone().unwrap_or_else(|| vec![1.0; width]);
-    if scales.len() == width {
+    if scales.len() == width && scales.iter().all(|scale| scale.is_finite()) {
         Ok(scales)
     } else {
-        Err(value(&format!("{key}.scale"), format!("has {} numbers", scales.len()), &width.to_string()))
+        Err(value(&format!("{key}.scale"), format!("has {} numbers", scales.len()), &format!("{width} finite ones")))
     }
 }
 
@@ -384,7 +389,7 @@ observations:
             ("base_ang_vel", "foot_forces", "'foot_forces', which needs a quantity that is not known here"),
             ("clip: [-100, 100]", "clip: [-100, 50]", "base_ang_vel.clip is -100 to 50"),
             ("0.2], history", "0.3], history", "base_ang_vel.clip is 100 before a scale of"),
-            ("scale: [2.0, 2.0, 0.5]", "scale: [2.0]", "velocity_commands.scale has 1 numbers, expected 3"),
+            ("scale: [2.0, 2.0, 0.5]", "scale: [2.0]", "velocity_commands.scale has 1 numbers, expected 3 finite"),
             ("scale: [2.0, 2.0, 0.5]", "modifiers: 1", "observations.velocity_commands: modifiers: unknown field"),
         ] {
             assert!(FILE.contains(from), "{from}");
