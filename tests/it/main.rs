@@ -1,6 +1,7 @@
 //! Tests of the whole: the compiled model, the programs as a user runs them, and properties of every scenario.
 
 mod bad_input;
+mod described;
 mod faults;
 mod foreign_robots;
 mod kill;

@@ -1,6 +1,7 @@
 //! The program `policy`: shows, checks and exports policy files.
 
 mod card;
+mod describe;
 mod show;
 
 use std::path::{Path, PathBuf};
@@ -90,6 +91,21 @@ enum Command {
         #[arg(long, value_name = "FILE", default_value = "fast")]
         config: String,
     },
+    /// Write the YAML file of an external policy from the file of its framework, and check it with the network
+    Describe {
+        /// deploy.yaml of unitree_rl_lab or unitree_rl_mjlab, or ONNX file with the metadata of mjlab's or an Isaac Lab project's
+        /// exporter
+        source: PathBuf,
+        /// ONNX file of the policy [default: that one, or ../exported/policy.onnx beside deploy.yaml]
+        #[arg(long, value_name = "FILE")]
+        onnx: Option<PathBuf>,
+        /// Robot of the policy, as the YAML file names it [default: go2]
+        #[arg(long, value_name = "ROBOT")]
+        robot: Option<String>,
+        /// YAML file to write, `-` for standard output; one that exists is not replaced
+        #[arg(long)]
+        out: PathBuf,
+    },
     /// Write the policy in another format
     Export {
         /// Policy file, run folder, or name of a shipped policy
@@ -177,6 +193,7 @@ fn run(command: Command) -> anyhow::Result<()> {
             answer(&agent, compliant.transpose()?)?;
         }
         Command::List => list()?,
+        Command::Describe { source, onnx, robot, out } => describe::describe(&source, onnx, robot.as_deref(), &out)?,
         Command::Card { policy, name } => terminal::print(card::card(&policy, name.as_deref())?)?,
         Command::Export { policy, format: Format::Onnx, out } => {
             let calibration = shipped::find(&policy)?.calibration;

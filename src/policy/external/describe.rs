@@ -1,7 +1,6 @@
 //! Descriptions of ONNX files: writes the YAML file that makes an exported network an external policy.
 
-use std::fmt::Write as _;
-
+use super::text::Description;
 use crate::config::Config;
 use crate::observation::{Numbers, Observed, Quantity, Word};
 use crate::policy::{Policy, Provenance};
@@ -30,7 +29,7 @@ pub fn describe(policy: &Policy, onnx: &str) -> String {
         let (offset, scale) = (Some(Numbers::Each(offset)), Some(Numbers::All(scale)));
         Observed { quantity: Quantity::LastTarget, offset, scale, ..observed }
     });
-    text(&title, onnx, config, policy.nominal_pose(), observation, ("joint_angle", 1.0))
+    text(title, onnx, config, policy.nominal_pose(), observation, ("joint_angle", 1.0))
 }
 
 /// Returns the YAML description of the ONNX file `onnx` of a network trained in the environment of `config`: its inputs
@@ -46,47 +45,32 @@ pub fn describe_network(config_name: &str, config: &Config, onnx: &str) -> Strin
         let offset = if is_nominal_height { Some(height.clone()) } else { observed.offset.clone() };
         Observed { offset, ..observed.clone() }
     });
-    text(&title, onnx, config, &pose, observation, ("offset_from_nominal", config.action.scale_rad))
+    text(title, onnx, config, &pose, observation, ("offset_from_nominal", config.action.scale_rad))
 }
 
 fn text(
-    title: &str,
+    title: String,
     onnx: &str,
     Config { robot, simulation, .. }: &Config,
     nominal_pose: &Joints,
     observation: impl Iterator<Item = Observed>,
-    (meaning, scale_rad): (&str, f64),
+    (meaning, scale_rad): (&'static str, f64),
 ) -> String {
-    let mut text = String::new();
-    // Writing into a String cannot fail.
-    let _ = write!(
-        text,
-        "# {}\n\
-         onnx: {}\n\
-         robot: {}\n\
-         simulation:\n  physics_rate_hz: {}\n  policy_rate_hz: {}\n  kp_n_m_per_rad: {:?}\n  kd_n_m_s_per_rad: {:?}\n  \
-         latency_s: {:?}\n\
-         joints: [{}]\n\
-         nominal_pose_rad: {:?}\n\
-         observation:\n",
-        // A comment is one line.
-        title.replace(char::is_control, " "),
-        // JSON is YAML.
-        serde_json::Value::from(onnx),
-        serde_json::to_value(robot).unwrap_or_default(),
-        simulation.physics_rate_hz,
-        simulation.policy_rate_hz,
-        simulation.kp_n_m_per_rad,
-        simulation.kd_n_m_s_per_rad,
-        simulation.latency_s,
-        joint_names().join(", "),
+    let description = Description {
+        // The first line says whose it is.
+        title: title.replace(char::is_control, " "),
+        onnx,
+        robot,
+        simulation,
+        joints: joint_names().into(),
         nominal_pose,
-    );
-    for observed in observation {
-        let _ = writeln!(text, "  - {}", serde_json::to_value(observed).unwrap_or_default());
-    }
-    let _ = write!(text, "action:\n  meaning: {meaning}\n  scale_rad: {scale_rad:?}\n");
-    text
+        observation: observation.collect(),
+        history: vec![0],
+        meaning,
+        scale_rad: Numbers::All(scale_rad),
+        notes: &[],
+    };
+    description.to_string()
 }
 
 #[cfg(test)]

@@ -16,7 +16,7 @@ mod weights;
 mod wire;
 
 pub use export::export;
-pub use network::{Network, Scratch};
+pub use network::{Network, Scratch, metadata};
 
 /// The reason why a network cannot be run: what a file, a tensor or an operator has, and what is supported. The errors of
 /// [`Network::load`] show it.

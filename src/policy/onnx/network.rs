@@ -1,6 +1,6 @@
 //! A network read from an ONNX file, evaluated with one observation at a time.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 
 use prost::Message;
@@ -53,6 +53,16 @@ pub struct Network {
 /// Values of an evaluation by [`Network::forward`]; each robot needs its own.
 #[derive(Debug, Default)]
 pub struct Scratch(Vec<Option<Tensor>>);
+
+/// Reads the metadata of an ONNX file: keys and values.
+///
+/// # Errors
+/// The file cannot be read or is not an ONNX model.
+pub fn metadata(path: &Path) -> std::result::Result<BTreeMap<String, String>, FileError> {
+    let bytes = files::read_bounded(path, MAX_BYTES).map_err(FileError::of(ONNX, path))?;
+    let model = decode(&bytes).map_err(FileError::of(ONNX, path))?;
+    Ok(model.metadata_props.into_iter().map(|property| (property.key, property.value)).collect())
+}
 
 impl Network {
     /// Reads a file, and the files of weights beside it that it names, and evaluates the network once. Returns the network

@@ -1,0 +1,192 @@
+//! The metadata of an ONNX file, as mjlab's exporter and those of Isaac Lab projects write them: keys, and values separated by
+//! commas, in the order of `joint_names`. They have neither rates, scales nor clips.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::translate::{Fault, Found, ages, for_each_joint, one_gain, quantity, steps_ago};
+use crate::observation::{Numbers, Observed, Quantity};
+use crate::policy::inference::Meaning;
+use crate::policy::onnx;
+use crate::robot::JOINTS;
+
+/// Policy rate of the velocity tasks of Isaac Lab and mjlab \[Hz\].
+const POLICY_RATE_HZ: u32 = 50;
+
+/// Names that a commanded velocity has in these frameworks; others are motions, poses, grasps.
+const VELOCITY_COMMANDS: [&str; 2] = ["base_velocity", "twist"];
+
+/// What to do about a file without metadata.
+const REMEDY: &str = " among its metadata: export it with them, give the policy's deploy.yaml, or write the description by hand, as \
+                      examples/policies/rsl_rl.yaml does (mujoco_playground: examples/policies/playground.yaml)";
+
+/// Reads the description in an ONNX file.
+pub(super) fn read(path: &Path) -> Result<Found, Fault> {
+    found(&Entries(onnx::metadata(path)?))
+}
+
+fn found(entries: &Entries) -> Result<Found, Fault> {
+    let joints: Vec<String> = entries.list("joint_names")?.iter().map(|name| short(name).to_owned()).collect();
+    if joints.len() != JOINTS {
+        let expected = format!("the {JOINTS} joints of a quadruped");
+        let found = format!("has {} names", joints.len());
+        return Err(Fault::Value { key: "joint_names".into(), found, expected });
+    }
+    let scale = entries.numbers("action_scale")?;
+    let scale_rad = match scale[..] {
+        [scale] if scale.is_finite() => Numbers::All(scale),
+        _ => Numbers::Each(for_each_joint("action_scale", &scale)?.to_vec()),
+    };
+    Ok(Found {
+        nominal_pose: for_each_joint("default_joint_pos", &entries.numbers("default_joint_pos")?)?,
+        kp_n_m_per_rad: one_gain("joint_stiffness", &entries.numbers("joint_stiffness")?, &joints)?,
+        kd_n_m_s_per_rad: one_gain("joint_damping", &entries.numbers("joint_damping")?, &joints)?,
+        joints,
+        policy_rate_hz: POLICY_RATE_HZ,
+        observation: observation(entries)?,
+        history: vec![0],
+        meaning: Meaning::OffsetFromNominal,
+        scale_rad,
+        notes: vec![
+            ("policy_rate_hz", "check this: the file has none; usual in Isaac Lab and mjlab"),
+            (
+                "observation",
+                "check this: the file has no scales and clips; joint_pos is taken as the offset from the nominal pose",
+            ),
+            ("meaning", "check this: the file does not say it; usual in Isaac Lab and mjlab"),
+        ],
+    })
+}
+
+/// Returns the entries of the observation: the terms in order, each with its own history.
+fn observation(entries: &Entries) -> Result<Vec<Observed>, Fault> {
+    let terms = entries.list("observation_names")?;
+    let lengths = if entries.0.contains_key("observation_history_lengths") {
+        entries.numbers("observation_history_lengths")?
+    } else {
+        vec![1.0; terms.len()]
+    };
+    if lengths.len() != terms.len() || !lengths.iter().all(|length| (0.0..=200.0).contains(length)) {
+        let expected = format!("one number of steps, at most 200, for each of {} observations", terms.len());
+        return Err(Fault::Value {
+            key: "observation_history_lengths".into(),
+            found: format!("is {lengths:?}"),
+            expected,
+        });
+    }
+    let entry = |(term, length): (&String, f64)| {
+        let quantity = quantity(term, Quantity::JointOffsets)?;
+        if quantity == Quantity::Command {
+            check_command(entries)?;
+        }
+        Ok(Observed { steps_ago: steps_ago(&ages(length as u32)), ..Observed::now(quantity) })
+    };
+    terms.iter().zip(lengths).map(entry).collect()
+}
+
+/// Checks that the policy's only command, if it is named, is a velocity.
+fn check_command(entries: &Entries) -> Result<(), Fault> {
+    let Some(found) = entries.0.get("command_names") else { return Ok(()) };
+    if VELOCITY_COMMANDS.contains(&found.trim()) {
+        return Ok(());
+    }
+    let expected = format!("one of {}: the command is a velocity here", VELOCITY_COMMANDS.join(", "));
+    Err(Fault::Value { key: "command_names".into(), found: format!("is '{found}'"), expected })
+}
+
+/// Returns the name of a joint without the name of its robot before a slash.
+fn short(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
+/// The metadata: keys and values.
+struct Entries(BTreeMap<String, String>);
+
+impl Entries {
+    /// Splits a value at its commas.
+    fn list(&self, key: &str) -> Result<Vec<String>, Fault> {
+        let text = self.0.get(key).ok_or_else(|| Fault::Missing { key: key.to_owned(), remedy: REMEDY })?;
+        let text = text.trim().trim_matches(['[', ']', '(', ')']);
+        Ok(text.split(',').map(|part| part.trim().trim_matches(['\'', '"']).to_owned()).collect())
+    }
+
+    fn numbers(&self, key: &str) -> Result<Vec<f64>, Fault> {
+        let number = |part: &String| {
+            part.parse().map_err(|_| Fault::Value {
+                key: key.to_owned(),
+                found: format!("has '{part}'"),
+                expected: "numbers separated by commas".to_owned(),
+            })
+        };
+        self.list(key)?.iter().map(number).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::observation::Ages;
+
+    fn metadata(changes: &[(&str, &str)]) -> Entries {
+        let entries = [
+            (
+                "joint_names",
+                "robot/FL_hip_joint,FR_hip_joint,RL_hip_joint,RR_hip_joint,FL_thigh_joint,FR_thigh_joint,RL_thigh_joint,RR_thigh_joint,FL_calf_joint,FR_calf_joint,RL_calf_joint,RR_calf_joint",
+            ),
+            ("joint_stiffness", "25.000,25.000,25.000,25.000,25.000,25.000,25.000,25.000,25.000,25.000,25.000,25.000"),
+            ("joint_damping", "0.500,0.500,0.500,0.500,0.500,0.500,0.500,0.500,0.500,0.500,0.500,0.500"),
+            ("default_joint_pos", "0.100,-0.100,0.100,-0.100,0.800,0.800,1.000,1.000,-1.500,-1.500,-1.500,-1.500"),
+            ("command_names", "twist"),
+            ("observation_names", "base_lin_vel,base_ang_vel,projected_gravity,joint_pos,joint_vel,actions,command"),
+            ("action_scale", "0.25"),
+        ];
+        let owned = |(key, value): &(&str, &str)| (key.to_string(), value.to_string());
+        Entries(entries.iter().chain(changes).map(owned).collect())
+    }
+
+    #[test]
+    fn joints_pose_and_terms_are_read_in_the_files_order() {
+        let found = found(&metadata(&[("observation_history_lengths", "0,1,3,1,1,1,1")])).ok().unwrap();
+        assert_eq!(found.joints[..2], ["FL_hip_joint", "FR_hip_joint"]);
+        assert_eq!(found.nominal_pose[..2], [0.1, -0.1]);
+        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (25.0, 0.5));
+        assert_eq!(found.scale_rad, Numbers::All(0.25));
+        let quantities: Vec<Quantity> = found.observation.iter().map(|observed| observed.quantity).collect();
+        assert_eq!(
+            quantities[..4],
+            [Quantity::BaseVelocity, Quantity::AngularVelocity, Quantity::ProjectedGravity, Quantity::JointOffsets]
+        );
+        assert_eq!(quantities[4..], [Quantity::JointRates, Quantity::LastAction, Quantity::Command]);
+        let ages: Vec<_> = found.observation.iter().map(|observed| observed.steps_ago.clone()).collect();
+        assert_eq!(ages[..3], [None, None, Some(Ages::Several(vec![2, 1, 0]))]);
+    }
+
+    #[test]
+    fn what_has_no_counterpart_is_refused_by_name() {
+        let twelve = |first: &str| format!("{first}{}", ",0.5".repeat(11));
+        for (key, value, expected) in [
+            ("joint_names", "FL_hip_joint,FR_hip_joint", "joint_names has 2 names, expected the 12 joints"),
+            (
+                "joint_damping",
+                &twelve("2.0"),
+                "joint_damping differs by joint (FL_hip_joint has 2, FR_hip_joint has 0.5)",
+            ),
+            ("default_joint_pos", &twelve("nan"), "default_joint_pos is [NaN"),
+            ("action_scale", "a quarter", "action_scale has 'a quarter', expected numbers"),
+            ("action_scale", "0.25,0.5", "action_scale has 2 numbers, expected 12"),
+            ("command_names", "motion", "command_names is 'motion', expected one of base_velocity, twist"),
+            (
+                "observation_names",
+                "command,motion_anchor_pos_b",
+                "'motion_anchor_pos_b', which needs a reference motion",
+            ),
+            ("observation_names", "phase", "'phase', which needs the gait's period"),
+            ("observation_history_lengths", "1,1", "observation_history_lengths is [1.0, 1.0], expected"),
+        ] {
+            let error = found(&metadata(&[(key, value)])).err().unwrap().to_string();
+            assert!(error.contains(expected), "{expected}\n{error}");
+        }
+        let error = found(&Entries(BTreeMap::new())).err().unwrap().to_string();
+        assert!(error.contains("no joint_names among its metadata") && error.contains("playground.yaml"), "{error}");
+    }
+}

@@ -1,0 +1,71 @@
+//! The text of a description: the YAML file of an external policy.
+
+use std::fmt::{self, Display, Formatter};
+
+use crate::config::{RobotModel, Simulation};
+use crate::observation::{Numbers, Observed};
+use crate::robot::Joints;
+
+/// A description of an external policy; its `Display` is the YAML text.
+pub(super) struct Description<'a> {
+    /// The first lines, a comment.
+    pub(super) title: String,
+    /// Path of the ONNX file, relative to the YAML file.
+    pub(super) onnx: &'a str,
+    pub(super) robot: &'a RobotModel,
+    pub(super) simulation: &'a Simulation,
+    /// Names of the joints in the policy's order.
+    pub(super) joints: Vec<String>,
+    /// Nominal pose, in the order of `joints` \[rad\].
+    pub(super) nominal_pose: &'a Joints,
+    pub(super) observation: Vec<Observed>,
+    /// Ages of the whole observation \[policy steps\].
+    pub(super) history: Vec<u32>,
+    /// Meaning of the outputs: `joint_angle` or `offset_from_nominal`.
+    pub(super) meaning: &'static str,
+    /// Scale of the outputs \[rad\].
+    pub(super) scale_rad: Numbers,
+    /// Comments: the key beside which a comment goes, and the comment.
+    pub(super) notes: &'a [(&'a str, &'a str)],
+}
+
+impl Description<'_> {
+    /// Returns the comment of a key, to go at the end of its line.
+    fn note(&self, key: &str) -> String {
+        let note = self.notes.iter().find(|(place, _)| *place == key);
+        note.map_or_else(String::new, |(_, note)| format!("   # {note}"))
+    }
+}
+
+impl Display for Description<'_> {
+    fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
+        for line in self.title.lines() {
+            writeln!(out, "# {}", line.replace(char::is_control, " "))?;
+        }
+        // JSON is YAML.
+        writeln!(out, "onnx: {}", json(self.onnx))?;
+        writeln!(out, "robot: {}{}", json(self.robot), self.note("robot"))?;
+        let Simulation { physics_rate_hz, policy_rate_hz, kp_n_m_per_rad, kd_n_m_s_per_rad, latency_s } =
+            self.simulation;
+        writeln!(out, "simulation:")?;
+        writeln!(out, "  physics_rate_hz: {physics_rate_hz}{}", self.note("physics_rate_hz"))?;
+        writeln!(out, "  policy_rate_hz: {policy_rate_hz}{}", self.note("policy_rate_hz"))?;
+        writeln!(out, "  kp_n_m_per_rad: {kp_n_m_per_rad:?}\n  kd_n_m_s_per_rad: {kd_n_m_s_per_rad:?}")?;
+        writeln!(out, "  latency_s: {latency_s:?}{}", self.note("latency_s"))?;
+        writeln!(out, "joints: [{}]\nnominal_pose_rad: {:?}", self.joints.join(", "), self.nominal_pose)?;
+        writeln!(out, "observation:{}", self.note("observation"))?;
+        for observed in &self.observation {
+            writeln!(out, "  - {}", json(observed))?;
+        }
+        if self.history != [0] {
+            writeln!(out, "history: {:?}", self.history)?;
+        }
+        writeln!(out, "action:\n  meaning: {}{}", self.meaning, self.note("meaning"))?;
+        writeln!(out, "  scale_rad: {}", json(&self.scale_rad))
+    }
+}
+
+/// Formats names, numbers and lists, whose serialisation cannot fail, as JSON.
+fn json(value: &(impl serde::Serialize + ?Sized)) -> String {
+    serde_json::to_value(value).unwrap_or_default().to_string()
+}
