@@ -149,6 +149,19 @@ pub fn vary(scenario: &Scenario, seed: u64) -> Scenario {
     scenario.later(PHASE_S * stream(seed, Purpose::Scenario, 0, 2).random_range(0.0..1.0))
 }
 
+/// Returns the scenario and the script of a trial; none if the policy does not support its compliance, which is that behind the
+/// policy's name where the condition commands none.
+///
+/// # Errors
+/// A parameter of the scenario or the robot is invalid.
+pub fn set_up(condition: &Condition, seed: u64, agent: &Agent) -> Result<Option<(Scenario, Script)>, TrialError> {
+    let scenario = vary(&condition.scenario, seed);
+    let mut script = scenario.script(seed, &agent.config)?;
+    let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else { return Ok(None) };
+    script.command.compliance = compliance;
+    Ok(Some((scenario, script)))
+}
+
 /// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.
 ///
 /// # Errors
@@ -160,13 +173,10 @@ pub fn play(
     agent: &Agent,
     sensing: Sensing,
 ) -> Result<Sample, TrialError> {
-    let scenario = vary(&condition.scenario, seed);
-    let mut script = scenario.script(seed, &agent.config)?;
-    let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else {
+    let Some((scenario, mut script)) = set_up(condition, seed, agent)? else {
         let values = vec![None; experiment.info().quantities.len()];
         return Ok(Sample { end: TrialEnd::OutOfReach, values, series: Vec::new(), fault: None, estimation: None });
     };
-    script.command.compliance = compliance;
     // End the playback at the last measured instant or at the fall.
     script.duration_s = experiment.until_s(&script);
     script.after_fall_s = 0.0;

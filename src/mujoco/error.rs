@@ -67,7 +67,7 @@ pub enum Error {
     /// No picture can be drawn: OpenGL is missing, or the picture's size is out of range.
     #[error("cannot draw a picture: {message}")]
     Renderer {
-        /// What is missing or wrong, and what to do.
+        /// The cause and its remedy.
         message: String,
     },
     /// An input of the simulation is NaN or infinite, and was not passed to MuJoCo.

@@ -17,6 +17,14 @@ pub struct Pose {
     pub quaternion: [f32; 4],
 }
 
+impl Pose {
+    /// Returns position and quaternion as a row of poses, as [`Renderer::picture`](crate::mujoco::Renderer::picture) takes them.
+    pub fn row(&self) -> [f32; 7] {
+        let ([x, y, z], [w, i, j, k]) = (self.position, self.quaternion);
+        [x, y, z, w, i, j, k]
+    }
+}
+
 /// An external disturbance of the robot.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]

@@ -29,7 +29,7 @@ observations:
   last_action: {params: {}, clip: null, scale: null}
 ";
 
-/// What a policy observes, number by number, and its joint targets for an observation.
+/// Returns the names of the numbers that a policy observes, and its joint targets for an observation.
 fn behaviour(folder: &Path, policy: &str) -> (Value, String) {
     let shown = run("policy", folder, &["show", policy, "--json"]);
     let shown: Value = serde_json::from_slice(&shown.stdout).unwrap_or_else(|_| panic!("{}", complaint(&shown)));
@@ -64,7 +64,7 @@ fn a_deploy_yaml_becomes_the_description_written_by_hand() {
         assert!(deploy(&DEPLOY.replace(from, to)).status.success());
         assert_ne!(behaviour(folder, "mine.yaml"), hand, "{to}");
     }
-    // A network that takes other observations is told before anything is written.
+    // A network that takes other observations is refused before anything is written.
     std::fs::remove_file(folder.join("mine.yaml")).unwrap();
     let output = deploy(&DEPLOY.replace("  projected_gravity: {params: {}, clip: null, scale: null}\n", ""));
     assert!(complaint(&output).contains("has 45 numbers"), "{}", complaint(&output));
@@ -72,7 +72,7 @@ fn a_deploy_yaml_becomes_the_description_written_by_hand() {
 }
 
 #[test]
-fn an_onnx_file_with_metadata_is_described_and_one_without_is_told_what_to_do() {
+fn an_onnx_file_is_described_by_its_metadata_or_refused_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     let bare = std::fs::read(repository("tests/fixtures/onnx/rsl_rl.onnx")).unwrap();

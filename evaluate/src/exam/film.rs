@@ -4,11 +4,11 @@ use resvg::tiny_skia::{ColorU8, Pixmap};
 
 use super::{DISCIPLINES, Exam, Part};
 use crate::measurement_store::MeasurementStore;
-use crate::runner;
-use crate::trial::{self, TrialEnd};
-use supple::mujoco::{Camera, Renderer};
+use crate::runner::{self, RunError};
+use crate::trial::{self, TrialEnd, TrialError};
+use supple::mujoco::{self, Camera, Renderer};
 use supple::scenario::Playback;
-use supple::scenario::trace::{EventKind, Frame};
+use supple::scenario::trace::{EventKind, Frame, Pose};
 
 /// The width and the height of a picture \[px\].
 const SIZE: [usize; 2] = [320, 240];
@@ -19,10 +19,30 @@ const TIMES_S: [f64; 6] = [-0.75, -0.45, -0.25, -0.1, 0.0, 0.25];
 /// How long the playback goes on after the fall \[s\].
 const AFTER_FALL_S: f64 = 0.3;
 
+/// The reason why there is no film strip.
+#[derive(Debug, thiserror::Error)]
+pub enum FilmError {
+    /// The measurements cannot be read.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The trial cannot be played.
+    #[error(transparent)]
+    Trial(#[from] TrialError),
+    /// The scene cannot be drawn.
+    #[error(transparent)]
+    Picture(#[from] mujoco::Error),
+    /// The robot does not fall when the trial is played again, which a policy with a state outside this program may do.
+    #[error("the robot does not fall when the trial is played again")]
+    NoFall,
+    /// The strip cannot be encoded.
+    #[error("cannot encode the film strip: {0}")]
+    Encode(Box<dyn std::error::Error + Send + Sync>),
+}
+
 /// The film strip of a fall.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Film {
-    /// What is seen, in words.
+    /// A sentence about the trial, the cause of the fall and the times of the pictures.
     pub caption: String,
     /// The strip as a PNG file.
     pub png: Vec<u8>,
@@ -33,7 +53,7 @@ impl Exam {
     ///
     /// # Errors
     /// The trial cannot be played, or nothing can be drawn here (the error says what to install).
-    pub fn worst_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, Box<dyn std::error::Error>> {
+    pub fn worst_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, FilmError> {
         let mut worst: Option<(f64, Fall<'_>)> = None;
         for (name, way, _) in DISCIPLINES.iter().flat_map(|discipline| discipline.parts) {
             let part = self.part(name, *way);
@@ -62,31 +82,24 @@ struct Fall<'a> {
 }
 
 impl Fall<'_> {
-    fn draw(&self) -> Result<Film, Box<dyn std::error::Error>> {
+    fn draw(&self) -> Result<Film, FilmError> {
         let Part { experiment, policies, sensing } = self.part;
-        let (info, condition) = (experiment.info(), &experiment.conditions()?[self.condition]);
+        let (info, condition) = (experiment.info(), &experiment.conditions().map_err(RunError::from)?[self.condition]);
         let member = &policies.sets[0].members[0];
         let seed = trial::trial_seed(member.seed, info.number, self.condition, self.trial as u32);
-        let mut script = trial::vary(&condition.scenario, seed).script(seed, &member.agent.config)?;
-        script.command.compliance = member.agent.resolve_compliance(script.command.compliance, None)?;
+        let (_, mut script) = trial::set_up(condition, seed, &member.agent)?.ok_or(FilmError::NoFall)?;
         script.after_fall_s = AFTER_FALL_S;
         let playback = Playback::new(&script, &member.agent.config, member.agent.controller())?;
-        let trace = playback.with_sensing(sensing, seed)?.with_bodies().trace();
-        let fall = trace.events.iter().find(|event| event.kind == EventKind::Fall).ok_or("it does not fall again")?;
+        let playback = playback.with_sensing(sensing, seed).map_err(TrialError::from)?;
+        let trace = playback.with_bodies().trace();
+        let fall = trace.events.iter().find(|event| event.kind == EventKind::Fall).ok_or(FilmError::NoFall)?;
         let mut renderer = Renderer::new(script.scene.compile_visual()?, SIZE)?;
         let [width, height] = SIZE.map(|pixels| pixels as u32);
-        let mut strip = Pixmap::new(width * TIMES_S.len() as u32, height).ok_or("the strip is empty")?;
+        let mut strip = Pixmap::new(width * TIMES_S.len() as u32, height).ok_or(FilmError::NoFall)?;
         for (index, time_s) in TIMES_S.iter().enumerate() {
             let later = trace.frames.partition_point(|frame| frame.time_s < fall.time_s + time_s);
             let frame = &trace.frames[later.min(trace.frames.len() - 1)];
-            let poses: Vec<[f32; 7]> = frame
-                .bodies
-                .iter()
-                .map(|pose| {
-                    let ([x, y, z], [w, i, j, k]) = (pose.position, pose.quaternion);
-                    [x, y, z, w, i, j, k]
-                })
-                .collect();
+            let poses: Vec<[f32; 7]> = frame.bodies.iter().map(Pose::row).collect();
             let picture = renderer.picture(&poses, &camera(frame), &[])?;
             for (row, line) in picture.chunks_exact(3 * SIZE[0]).enumerate() {
                 let start = row * SIZE[0] * TIMES_S.len() + index * SIZE[0];
@@ -105,7 +118,7 @@ impl Fall<'_> {
             fall.text,
             TIMES_S.map(|time| format!("{time:+.2}")).join(", ").replace('-', "−"),
         );
-        Ok(Film { caption, png: strip.encode_png()? })
+        Ok(Film { caption, png: strip.encode_png().map_err(|error| FilmError::Encode(error.into()))? })
     }
 }
 

@@ -41,7 +41,7 @@ enum Way {
     Losses,
 }
 
-/// What a trial must show to be passed.
+/// The rule by which a trial is passed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Pass {
     /// The quantity of this name is 1, as for success.
@@ -76,7 +76,7 @@ impl Pass {
 pub struct Discipline {
     /// The name, for people and as a key.
     pub name: &'static str,
-    /// What is played and what counts as passed, in words.
+    /// A description of the trials and of a passed one.
     pub description: &'static str,
     /// The experiments by name, how they are played, and what is to be shown.
     parts: &'static [(&'static str, Way, Pass)],
@@ -195,7 +195,7 @@ pub struct Examination {
     pub names: Vec<String>,
     /// The grades in the order of the disciplines.
     pub grades: Vec<Grade>,
-    /// What a reader must know about these numbers.
+    /// The faults in the trials, which count as not passed.
     pub notes: Vec<String>,
 }
 

@@ -2,14 +2,15 @@
 
 use std::path::Path;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
 use super::film::Film;
 use super::{DISCIPLINES, Examination, Grade, Score};
 use crate::plot::png::Renderer;
 use crate::plot::svg::{Anchor, Stroke, Svg, Text};
 use crate::plot::{GREY, INK, LARGE, PALE, SMALL, WIDTH, colour, shortened};
-use crate::report::{ReportError, STYLE, write};
+use crate::report::html::styled;
+use crate::report::{ReportError, write};
 use crate::section_content::NOTHING;
 
 /// The height of a bar \[px\].
@@ -32,8 +33,11 @@ pub fn save(examination: &Examination, film: Option<&Film>, command: &str, folde
     write(&folder.join("exam.svg"), figure.as_bytes())?;
     write(&folder.join("exam.png"), &png)?;
     write(&folder.join("exam.json"), json.as_bytes())?;
-    if let Some(film) = film {
-        write(&folder.join("fall.png"), &film.png)?;
+    let fall = folder.join("fall.png");
+    match film {
+        Some(film) => write(&fall, &film.png)?,
+        // One that an earlier examination left is not of this policy.
+        None => drop(std::fs::remove_file(fall)),
     }
     write(&folder.join("exam.html"), page(examination, film, &figure, command).as_bytes())
 }
@@ -59,38 +63,23 @@ pub fn text(examination: &Examination) -> String {
 
 fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &str) -> String {
     let title = format!("Examination of {}", examination.names[0]);
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                link rel="icon" href="data:,";
-                title { (title) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body {
-                main {
-                    h1 { (title) }
-                    p {
-                        "The percentage of trials that each policy passes, with Wilson's 95 % interval over the trials of that one \
-                         policy. All policies play the same trials, in simulation. What the words mean: docs/experiments.md."
-                    }
-                    @for note in &examination.notes { p.note { (note) } }
-                    figure { (PreEscaped(figure)) }
-                    (table(examination))
-                    @if let Some(film) = film {
-                        figure {
-                            img src="fall.png" alt="Six pictures of a fall" style="width:100%";
-                            figcaption { (film.caption) }
-                        }
-                    }
-                    dl { dt { "Command" } dd { code { (command) } } }
-                }
+    let content = html! {
+        p {
+            "The percentage of trials that each policy passes, with Wilson's 95 % interval over the trials of that one policy. All \
+             policies play the same trials, in simulation. What the words mean: docs/experiments.md."
+        }
+        @for note in &examination.notes { p.note { (note) } }
+        figure { (PreEscaped(figure)) }
+        (table(examination))
+        @if let Some(film) = film {
+            figure {
+                img src="fall.png" alt="Six pictures of a fall" style="width:100%";
+                figcaption { (film.caption) }
             }
         }
+        dl { dt { "Command" } dd { code { (command) } } }
     };
-    page.into_string()
+    styled(&title, &content)
 }
 
 fn table(examination: &Examination) -> Markup {

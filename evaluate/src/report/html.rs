@@ -3,10 +3,12 @@
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::markdown::{cells, claim_cells, claim_columns, columns, used_columns};
-use super::{Report, STYLE, Section, duration, other_reports, samples_text};
+use super::{Report, Section, duration, other_reports, samples_text};
 use crate::results::EndCounts;
 use crate::section_content::{Claim, Table};
 use crate::statistics::Verdict;
+
+const STYLE: &str = include_str!("style.css");
 
 /// Terms that all experiments use; `docs/experiments.md` defines more of them.
 const DEFINITIONS: &[(&str, &str)] = &[
@@ -48,6 +50,24 @@ const DEFINITIONS: &[(&str, &str)] = &[
 pub fn page(report: &Report) -> String {
     let (first, others) = report.names.split_first().map_or(("", String::new()), |(a, rest)| (a, rest.join(" and ")));
     let title = format!("{first} against {others} under disturbance");
+    let content = html! {
+        (introduction(report))
+        details {
+            summary { "Definitions" }
+            dl { @for (term, meaning) in DEFINITIONS { dt { (term) } dd { (meaning) } } }
+        }
+        (claims(report))
+        @if !report.other_reports.is_empty() { (other_reports_table(report)) }
+        (policies(report))
+        @for section in &report.sections { (experiment(section, report)) }
+        @if !report.sensing.experiments.is_empty() { (sensing(report)) }
+        @if !report.missing.is_empty() { (missing(report)) }
+    };
+    styled(&title, &content)
+}
+
+/// Returns a page of this title with its content, in the style of every page.
+pub fn styled(title: &str, content: &Markup) -> String {
     let page = html! {
         (DOCTYPE)
         html lang="en" {
@@ -58,22 +78,7 @@ pub fn page(report: &Report) -> String {
                 title { (title) }
                 style { (PreEscaped(STYLE)) }
             }
-            body {
-                main {
-                    h1 { (title) }
-                    (introduction(report))
-                    details {
-                        summary { "Definitions" }
-                        dl { @for (term, meaning) in DEFINITIONS { dt { (term) } dd { (meaning) } } }
-                    }
-                    (claims(report))
-                    @if !report.other_reports.is_empty() { (other_reports_table(report)) }
-                    (policies(report))
-                    @for section in &report.sections { (experiment(section, report)) }
-                    @if !report.sensing.experiments.is_empty() { (sensing(report)) }
-                    @if !report.missing.is_empty() { (missing(report)) }
-                }
-            }
+            body { main { h1 { (title) } (content) } }
         }
     };
     page.into_string()

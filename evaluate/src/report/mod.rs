@@ -5,7 +5,7 @@ have six digits. Durations and the command are in the page only.
 */
 
 mod csv_tables;
-mod html;
+pub(crate) mod html;
 mod markdown;
 pub mod other_reports;
 mod summary;
@@ -24,9 +24,6 @@ use super::section_content::{Figure, SectionContent, Table};
 use super::sensing::SensingComparison;
 use super::{Experiment, ExperimentInfo};
 use supple::util::files;
-
-/// The style of every page.
-pub(super) const STYLE: &str = include_str!("style.css");
 
 /// The reason why a report was not written.
 #[derive(Debug, thiserror::Error)]

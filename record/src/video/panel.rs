@@ -33,7 +33,7 @@ pub(super) struct Panel<'a> {
     ends: [f32; 2],
 }
 
-/// What is plotted and told of a robot.
+/// The curve and the captions of a robot.
 struct Curve<'a> {
     colour: Rgb,
     /// Time \[s\] and deviation [m/s] of each frame.

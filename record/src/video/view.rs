@@ -5,7 +5,7 @@ use crate::marks::{self, Arrow};
 use crate::style::{BLUE, CAMERA_LAG_S, GREY, PURPLE, PUSH_SHOWN_S, Rgb, VERMILLION, YELLOW};
 use crate::{RobotView, geometry};
 use supple::mujoco::{Camera, Kind, Mark, MarkShape, Renderer};
-use supple::scenario::trace::{Disturbance, Frame, Trace};
+use supple::scenario::trace::{Disturbance, Frame, Pose, Trace};
 
 /// Length of the arrows of pulls and felt forces [m/N]; longer than in recordings, as there is no zoom.
 const METRES_PER_NEWTON: f64 = 1.0 / 80.0;
@@ -58,14 +58,7 @@ impl<'a> View<'a> {
                 expected: self.bodies,
             });
         }
-        let poses: Vec<[f32; 7]> = frame
-            .bodies
-            .iter()
-            .map(|pose| {
-                let ([x, y, z], [w, i, j, k]) = (pose.position, pose.quaternion);
-                [x, y, z, w, i, j, k]
-            })
-            .collect();
+        let poses: Vec<[f32; 7]> = frame.bodies.iter().map(Pose::row).collect();
         let mut marks = self.trail(past);
         marks.extend(disturbance(past));
         marks.extend(felt(frame));

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::translate::{Fault, Found, ages, for_each_joint, one_gain, quantity, steps_ago};
+use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, one_gain, quantity, steps_ago};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
@@ -21,9 +21,6 @@ const ACTION: &str = "JointPositionAction";
 
 /// Largest relative error of `step_dt`, which the exporter rounds to three digits.
 const ROUNDING: f64 = 5e-3;
-
-/// Longest history of a term \[policy steps\].
-const MAX_HISTORY: u32 = 200;
 
 /// A file; what it says of commands and of the names of joints is not needed.
 #[derive(Deserialize)]
@@ -160,7 +157,11 @@ fn observation(terms: &Value) -> Result<(Vec<Observed>, Vec<u32>), Fault> {
             .map_err(|error| Fault::Text(format!("{key}: {}", error.without_name())))?;
         let length = term.history_length.unwrap_or(1);
         if length > MAX_HISTORY {
-            return Err(value(&format!("{key}.history_length"), format!("is {length}"), "at most 200 steps"));
+            return Err(value(
+                &format!("{key}.history_length"),
+                format!("is {length}"),
+                &format!("at most {MAX_HISTORY} steps"),
+            ));
         }
         let history = ages(length);
         let own = if whole { vec![0] } else { history.clone() };
@@ -399,7 +400,7 @@ observations:
     }
 
     #[test]
-    fn a_wide_clip_of_joint_targets_is_left_out_and_zero_offsets_are_joint_angles() {
+    fn wide_clips_are_left_out_and_zero_offsets_are_joint_angles() {
         let spec = described(&FILE.replace("    clip: null", "    clip: [[-100, 100]]")).unwrap();
         assert_eq!(spec.action.clip, f64::INFINITY);
         let (before, rest) = FILE.split_once("    offset: [").unwrap();

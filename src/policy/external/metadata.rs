@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::translate::{Fault, Found, ages, for_each_joint, one_gain, quantity, steps_ago};
+use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, one_gain, quantity, steps_ago};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::policy::onnx;
@@ -16,7 +16,7 @@ const POLICY_RATE_HZ: u32 = 50;
 /// Names that a commanded velocity has in these frameworks; others are motions, poses, grasps.
 const VELOCITY_COMMANDS: [&str; 2] = ["base_velocity", "twist"];
 
-/// What to do about a file without metadata.
+/// The remedy for a file without metadata, as the end of an error.
 const REMEDY: &str = " among its metadata: export it with them, give the policy's deploy.yaml, or write the description by hand, as \
                       examples/policies/rsl_rl.yaml does (mujoco_playground: examples/policies/playground.yaml)";
 
@@ -66,8 +66,8 @@ fn observation(entries: &Entries) -> Result<Vec<Observed>, Fault> {
     } else {
         vec![1.0; terms.len()]
     };
-    if lengths.len() != terms.len() || !lengths.iter().all(|length| (0.0..=200.0).contains(length)) {
-        let expected = format!("one number of steps, at most 200, for each of {} observations", terms.len());
+    if lengths.len() != terms.len() || !lengths.iter().all(|length| (0.0..=f64::from(MAX_HISTORY)).contains(length)) {
+        let expected = format!("one number of steps, at most {MAX_HISTORY}, for each of {} observations", terms.len());
         return Err(Fault::Value {
             key: "observation_history_lengths".into(),
             found: format!("is {lengths:?}"),

@@ -24,6 +24,9 @@ const ROBOT: &str = "go2";
 /// Smallest physics rate that is assumed where a file has none \[Hz\]: that of Isaac Lab and mjlab at 50 policy steps a second.
 const PHYSICS_RATE_HZ: u32 = 200;
 
+/// Longest history of a term \[policy steps\].
+pub(super) const MAX_HISTORY: u32 = 200;
+
 /// A description of another framework, in the terms of ours.
 pub(super) struct Found {
     /// Names of the joints in the policy's order.

@@ -139,10 +139,11 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
         terminal::note(format_args!("note: no film of the worst fall: {error}"));
         None
     });
-    let mut words = vec!["cargo run --release --bin evaluate -- --exam".to_owned(), shell_word(policy)];
-    words.extend(args.protocol.iter().flat_map(|file| ["--protocol".to_owned(), shell_word(file)]));
-    words.extend(["--out".to_owned(), shell_word(&args.out)]);
-    page::save(&examination, film.as_ref(), &words.join(" "), &args.out)?;
+    let mut options = vec!["--exam".to_owned(), shell_word(policy)];
+    options.extend(args.protocol.iter().flat_map(|file| ["--protocol".to_owned(), shell_word(file)]));
+    options.extend(["--out".to_owned(), shell_word(&args.out)]);
+    let command = CommandLine { experiments: Vec::new(), options };
+    page::save(&examination, film.as_ref(), &command.text(None), &args.out)?;
     terminal::print(format_args!("{}{}\n", page::text(&examination), args.out.join("exam.html").display()))?;
     match &examination.notes[..] {
         [] => Ok(()),
