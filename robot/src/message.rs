@@ -1,7 +1,7 @@
 /*! The messages of the Go2's low-level interface, and the checksum that guards them.
 
-One declaration gives each message its DDS type and its C layout: the checksum runs over the struct as a C compiler would lay
-it out, so every field knows how to write itself with natural alignment. Joints and feet have Supple's order (FR, FL, RR, RL;
+One declaration gives each message its DDS type, its C layout, over which the checksum runs, and its CDR, the encoding in which
+DDS and ROS 2 send and record it. Joints and feet have Supple's order (FR, FL, RR, RL;
 hip, thigh, calf), which is Unitree's; entries 12 to 19 of the motors are unused.
 */
 
@@ -26,14 +26,51 @@ pub const POS_STOP: f32 = 2.146e9;
 /// Joint rate target that means "no velocity control".
 pub const VEL_STOP: f32 = 16_000.0;
 
-/// A value of a message: it can be written in C layout, and filled from a stream of words.
-pub trait Field {
+/// How the bytes of a message lie: numbers are aligned by their size in both.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Layout {
+    /// As a C compiler lays a struct out: structs begin and end on their alignment.
+    C,
+    /// As DDS sends it: nothing but numbers is aligned.
+    Cdr,
+}
+
+/// A message in CDR that is read from its beginning.
+pub struct Cdr<'a> {
+    body: &'a [u8],
+    at: usize,
+    big_endian: bool,
+}
+
+impl<'a> Cdr<'a> {
+    /// Begins with the four bytes that state the encoding; `None` if it is not plain CDR.
+    pub fn new(message: &'a [u8]) -> Option<Self> {
+        let ([0, endianness @ 0..=1, _, _], body) = message.split_first_chunk()? else { return None };
+        Some(Cdr { body, at: 0, big_endian: *endianness == 0 })
+    }
+
+    /// Returns the next number in little-endian order; `None` after the end.
+    fn number<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let from = self.at.next_multiple_of(N);
+        let mut bytes: [u8; N] = self.body.get(from..from + N)?.try_into().ok()?;
+        self.at = from + N;
+        if self.big_endian {
+            bytes.reverse();
+        }
+        Some(bytes)
+    }
+}
+
+/// A value of a message: it can be written in a layout, read from CDR, and filled from a stream of words.
+pub trait Field: Sized {
     /// Alignment in C \[bytes\].
     const ALIGN: usize;
     /// Returns the value whose bytes are zero.
     fn zero() -> Self;
-    /// Appends the value in C layout.
-    fn put(&self, out: &mut Vec<u8>);
+    /// Appends the value.
+    fn put(&self, out: &mut Vec<u8>, layout: Layout);
+    /// Reads the value; `None` if the message ends before.
+    fn read(from: &mut Cdr) -> Option<Self>;
     /// Replaces the value by one made of the next words.
     fn fill(&mut self, next: &mut dyn FnMut() -> u32);
 }
@@ -49,9 +86,12 @@ macro_rules! scalar {
             fn zero() -> Self {
                 0 as $t
             }
-            fn put(&self, out: &mut Vec<u8>) {
+            fn put(&self, out: &mut Vec<u8>, _: Layout) {
                 pad(out, Self::ALIGN);
                 out.extend(self.to_le_bytes());
+            }
+            fn read(from: &mut Cdr) -> Option<Self> {
+                from.number().map(Self::from_le_bytes)
             }
             fn fill(&mut self, next: &mut dyn FnMut() -> u32) {
                 *self = $from(next());
@@ -68,8 +108,15 @@ impl<T: Field, const N: usize> Field for [T; N] {
     fn zero() -> Self {
         std::array::from_fn(|_| T::zero())
     }
-    fn put(&self, out: &mut Vec<u8>) {
-        self.iter().for_each(|value| value.put(out));
+    fn put(&self, out: &mut Vec<u8>, layout: Layout) {
+        self.iter().for_each(|value| value.put(out, layout));
+    }
+    fn read(from: &mut Cdr) -> Option<Self> {
+        let mut values = Self::zero();
+        for value in &mut values {
+            *value = T::read(from)?;
+        }
+        Some(values)
     }
     fn fill(&mut self, next: &mut dyn FnMut() -> u32) {
         self.iter_mut().for_each(|value| value.fill(next));
@@ -88,10 +135,14 @@ macro_rules! message {
             fn zero() -> Self {
                 $name { $($field: <$t>::zero()),* }
             }
-            fn put(&self, out: &mut Vec<u8>) {
-                pad(out, Self::ALIGN);
-                $(self.$field.put(out);)*
-                pad(out, Self::ALIGN);
+            fn put(&self, out: &mut Vec<u8>, layout: Layout) {
+                let align = if layout == Layout::C { Self::ALIGN } else { 1 };
+                pad(out, align);
+                $(self.$field.put(out, layout);)*
+                pad(out, align);
+            }
+            fn read(from: &mut Cdr) -> Option<Self> {
+                Some($name { $($field: Field::read(from)?),* })
             }
             fn fill(&mut self, next: &mut dyn FnMut() -> u32) {
                 $(self.$field.fill(next);)*
@@ -291,7 +342,7 @@ const _: () = assert!(JOINTS <= MOTORS);
 /// except the last, which holds the checksum itself.
 pub fn crc(frame: &impl Field) -> u32 {
     let mut bytes = Vec::with_capacity(1200);
-    frame.put(&mut bytes);
+    frame.put(&mut bytes, Layout::C);
     bytes.truncate(bytes.len().saturating_sub(4));
     let words = bytes.chunks_exact(4).map(|word| u32::from_le_bytes([word[0], word[1], word[2], word[3]]));
     words.flat_map(u32::to_be_bytes).fold(!0, |crc, byte| (crc << 8) ^ TABLE[(crc >> 24) as usize ^ usize::from(byte)])
@@ -348,14 +399,14 @@ impl LowState {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     #[test]
     fn sizes_are_those_of_the_c_structs() {
         let (mut command, mut state) = (Vec::new(), Vec::new());
-        LowCmd::zero().put(&mut command);
-        LowState::zero().put(&mut state);
+        LowCmd::zero().put(&mut command, Layout::C);
+        LowState::zero().put(&mut state, Layout::C);
         assert_eq!((command.len(), state.len()), (812, 1180));
     }
 
@@ -369,6 +420,35 @@ mod tests {
             fill(&mut state, seed);
             assert_eq!((crc(&command), crc(&state)), (of_command, of_state));
         }
+    }
+
+    /// Returns a message in CDR, little-endian.
+    pub fn cdr(message: &impl Field) -> Vec<u8> {
+        let mut body = Vec::new();
+        message.put(&mut body, Layout::Cdr);
+        [vec![0, 1, 0, 0], body].concat()
+    }
+
+    #[test]
+    fn cdr_is_the_vendors_on_filled_frames() {
+        // FNV-1a of what the vendor's library writes: `scripts/check_go2 crc`.
+        let fnv = |bytes: &[u8]| {
+            bytes
+                .iter()
+                .fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| (hash ^ u64::from(*byte)).wrapping_mul(0x100_0000_01B3))
+        };
+        let golden = [(0, 0xB381_73BD_27DD_570C), (2, 0xB094_FA61_C1A6_DA65), (4, 0x8B5E_E262_C260_3A34)];
+        for (seed, of_state) in golden {
+            let mut state = LowState::zero();
+            fill(&mut state, seed);
+            let bytes = cdr(&state);
+            assert_eq!(fnv(&bytes), of_state, "{seed}");
+            assert_eq!(LowState::read(&mut Cdr::new(&bytes).unwrap()), Some(state));
+            assert_eq!(LowState::read(&mut Cdr::new(&bytes[..bytes.len() - 1]).unwrap()), None);
+        }
+        let big = [&[0, 0, 0, 0, 7, 0][..], &[1, 2]].concat();
+        let mut big = Cdr::new(&big).unwrap();
+        assert_eq!((u8::read(&mut big), u16::read(&mut big), u8::read(&mut big)), (Some(7), Some(0x0102), None));
     }
 
     #[test]

@@ -5,6 +5,7 @@ usual mistakes are tried one after the other: with the right one undone, the rep
 what torques, angles and rates say; units and quaternion with what is physically possible.
 */
 
+mod bag;
 mod mistakes;
 mod rows;
 
@@ -23,7 +24,7 @@ use crate::remote::Remote;
 use mistakes::{Mistake, mistakes};
 pub use rows::{Columns, LogRows};
 
-/// Replayed and sent joint targets that differ by no more than this fit \[rad\], root mean square.
+/// Replayed and sent joint targets that differ by no more than this fit \[rad\].
 const FITS_RAD: f64 = 0.02;
 
 /// A mistake is accepted if undoing it leaves less than this fraction of the difference.
@@ -43,8 +44,11 @@ const DELAY_TOLERANCE_S: f64 = 0.006;
 const MOST_ROWS: usize = 4000;
 const SEARCH_ROWS: usize = 500;
 
-/// Fewest rows of the policy that say anything, half a second.
-const FEWEST_ROWS: usize = 250;
+/// Rows of a tenth of a second.
+const WINDOW_ROWS: usize = 50;
+
+/// Fewest rows of the policy that say anything, two seconds.
+const FEWEST_ROWS: usize = 1000;
 
 /// The reason why a log cannot be checked.
 #[derive(Debug, thiserror::Error)]
@@ -153,18 +157,22 @@ fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Ve
     Ok(replayed)
 }
 
-/// Returns the root mean square between sent targets and replayed ones that are `delay` rows old \[rad\].
+/// Returns the difference between sent targets and replayed ones that are `delay` rows old \[rad\]: the root mean square of each
+/// tenth of a second, and of these the upper quartile. A mistake is always there; but which foot a standing robot lifts first is
+/// decided by the last digits, and a replay may lift another.
 fn difference(replayed: &[(f64, Joints, Joints)], delay: usize) -> f64 {
     // What is no number, or no target, is far off.
     let square = |a: f64, b: f64| if (a - b).abs() < 10.0 { (a - b).powi(2) } else { 100.0 };
     // The delay line is full of the stance at first.
-    let pairs = replayed.iter().zip(replayed.iter().skip(delay)).skip(DELAYS);
-    let (mut sum, mut count) = (0.0, 0.0_f64);
-    for ((_, wanted, _), (_, _, sent)) in pairs {
-        sum += wanted.iter().zip(sent).map(|(a, b)| square(*a, *b)).sum::<f64>();
-        count += JOINTS as f64;
-    }
-    (sum / count.max(1.0)).sqrt()
+    let rows: Vec<f64> = (replayed.iter().zip(replayed.iter().skip(delay)).skip(DELAYS))
+        .map(|((_, wanted, _), (_, _, sent))| {
+            wanted.iter().zip(sent).map(|(a, b)| square(*a, *b)).sum::<f64>() / JOINTS as f64
+        })
+        .collect();
+    let mut windows: Vec<f64> =
+        rows.chunks_exact(WINDOW_ROWS).map(|rows| rows.iter().sum::<f64>() / WINDOW_ROWS as f64).collect();
+    windows.sort_by(f64::total_cmp);
+    windows.get(3 * windows.len() / 4).map_or(f64::INFINITY, |square| square.sqrt())
 }
 
 /// Returns the best delay in rows and the difference that it leaves \[rad\].

@@ -1,4 +1,4 @@
-//! Logs as `robot check` reads them: ours, or tables of other programs whose columns are described.
+//! Logs as `robot check` reads them: ours, bags of ROS 2, or tables of other programs whose columns are described.
 
 use std::path::Path;
 
@@ -20,6 +20,9 @@ pub struct Columns {
     /// Values of columns that the log lacks.
     #[serde(default)]
     pub constants: std::collections::BTreeMap<String, f64>,
+    /// Time from the first row from which on the policy acted \[s\], in a log without phases.
+    #[serde(default)]
+    pub from_s: f64,
 }
 
 /// A log: the phase of each row, and its numbers.
@@ -27,11 +30,18 @@ pub struct Columns {
 pub struct LogRows(pub Vec<(String, Row)>);
 
 impl LogRows {
-    /// Reads a log, and its older half if there is one. Rows without a phase count as those of the policy.
+    /// Reads a log, and its older half if there is one; `.mcap` is a bag. Rows without a phase count as those of the policy from
+    /// [`Columns::from_s`] on, and as those of the stance before.
     ///
     /// # Errors
     /// A file cannot be read, or lacks a column.
     pub fn read(path: &Path, columns: &Columns) -> Result<Self, CheckError> {
+        if path.extension().is_some_and(|extension| extension == "mcap") {
+            let rows = super::bag::read(path, columns)?;
+            let begin_s = rows.first().map_or(0.0, |row| row.time_s);
+            let phased = |row: Row| (phase_at(row.time_s - begin_s, columns).to_owned(), row);
+            return Ok(LogRows(rows.into_iter().map(phased).collect()));
+        }
         let older = crate::bridge::log::older(path);
         let mut rows = if older.exists() { Self::read_one(&older, columns)?.0 } else { Vec::new() };
         rows.extend(Self::read_one(path, columns)?.0);
@@ -68,8 +78,10 @@ impl LogRows {
                 Err(constant) => *constant,
             };
             let numbers: Vec<f64> = sources.iter().map(number).collect();
-            let phase = phase.and_then(|place| record.get(place)).unwrap_or("policy").to_owned();
-            rows.extend(Row::from_numbers(&numbers).map(|row| (phase, row)));
+            let Some(row) = Row::from_numbers(&numbers) else { continue };
+            let begin_s = rows.first().map_or(row.time_s, |(_, first): &(String, Row)| first.time_s);
+            let logged = phase.and_then(|place| record.get(place));
+            rows.push((logged.unwrap_or(phase_at(row.time_s - begin_s, names)).to_owned(), row));
         }
         Ok(LogRows(rows))
     }
@@ -81,6 +93,11 @@ impl LogRows {
         let held = self.0[..first].iter().rev().take(HELD_ROWS).take_while(|(phase, _)| phase == "hold").count();
         &self.0[first - held..end.min(first + most)]
     }
+}
+
+/// Returns the phase of a row in a log without phases.
+fn phase_at(time_s: f64, columns: &Columns) -> &'static str {
+    if time_s < columns.from_s { "hold" } else { "policy" }
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 """The vendor's Python SDK as a client of `robot serve`: scripts/check_go2 runs it.
 
-    sdk.py crc                  the vendor's checksum of filled frames, which a unit test in src/message.rs has
+    sdk.py crc                  the vendor's checksums of filled frames, and that of a state in CDR, which unit tests in src/message.rs have
     sdk.py stand [--seconds S]  release the mode, stand up, hold: as the SDK's own example for the Go2 does
 """
 import argparse
@@ -58,7 +58,10 @@ def print_crc():
     for seed in (0, 2, 4):
         cmd = crc.Crc(fill(unitree_go_msg_dds__LowCmd_(), words(seed)))
         state = crc.Crc(fill(unitree_go_msg_dds__LowState_(), words(seed)))
-        print(f"{seed} {cmd:08x} {state:08x}")
+        cdr = 0xCBF29CE484222325
+        for byte in fill(unitree_go_msg_dds__LowState_(), words(seed)).serialize():
+            cdr = (cdr ^ byte) * 0x100000001B3 & 0xFFFFFFFFFFFFFFFF
+        print(f"{seed} {cmd:08x} {state:08x} {cdr:016x}")
 
 
 def stand(seconds):

@@ -14,13 +14,13 @@ use supple_robot::lockstep::rehearse;
 /// The command line of `robot check`.
 #[derive(Args, Debug)]
 pub struct Check {
-    /// Log of `robot run`, or a CSV file of another program
+    /// Log of `robot run`, a bag of ROS 2 (.mcap), or a CSV file of another program
     log: PathBuf,
     /// The policy that ran
     #[arg(value_name = "FILE|NAME")]
     policy: String,
-    /// YAML file with the names that a log of another program has for our columns: `names: {gyro_x: omega_x}`, and values of those that
-    /// it lacks: `constants: {kp: 40}`
+    /// YAML file about a log of another program: names that it has for our columns, as in `names: {gyro_x: omega_x}`, values of those that
+    /// it lacks, as in `constants: {kp: 40}`, and when the policy began, as in `from_s: 6`
     #[arg(long, value_name = "FILE")]
     columns: Option<PathBuf>,
     /// Delay of the joint targets that is wanted (s) [default: that of the policy's training]
@@ -40,9 +40,7 @@ pub fn run(args: &Check) -> anyhow::Result<bool> {
     };
     let verdict = check(&LogRows::read(&args.log, &columns)?, &agent, args.latency_s)?;
     let Verdict { at_first_rad, at_last_rad, findings } = &verdict;
-    terminal::print(format_args!(
-        "replayed and sent joint targets differ by {at_first_rad:.4} rad (root mean square)\n"
-    ))?;
+    terminal::print(format_args!("replayed and sent joint targets differ by {at_first_rad:.4} rad\n"))?;
     for finding in findings {
         let left = finding.difference_rad.map_or(String::new(), |left| format!(" (with it undone: {left:.4} rad)"));
         terminal::print(format_args!("  {}{left}\n", finding.text))?;
