@@ -34,6 +34,7 @@ angles, rates = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
 motors = [list(model.actuator_trnid[:, 0]).index(joint) for joint in joints]
 limits = model.actuator_ctrlrange[motors, 1]
 trunk = data.body(model.jnt_bodyid[list(model.jnt_type).index(mujoco.mjtJoint.mjJNT_FREE)])
+kp, kd = (np.resize(simulation[key], 12) for key in ("kp_n_m_per_rad", "kd_n_m_s_per_rad"))  # one, three (a leg) or twelve
 paper_axes = [1, 2, 0]  # the paper's x, y, z are left, up, forward
 
 # On its feet, which are spheres.
@@ -63,7 +64,7 @@ for step in range(5 * simulation["policy_rate_hz"]):
     for _ in range(simulation["physics_rate_hz"] // simulation["policy_rate_hz"]):
         issued = issued[1:] + [target]
         acting = (delay % 1) * issued[0] + (1 - delay % 1) * issued[1]
-        torque = simulation["kp_n_m_per_rad"] * (acting - data.qpos[angles]) - simulation["kd_n_m_s_per_rad"] * data.qvel[rates]
+        torque = kp * (acting - data.qpos[angles]) - kd * data.qvel[rates]
         data.ctrl[motors] = np.clip(torque, -limits, limits)
         mujoco.mj_step(model, data)
     mujoco.mj_kinematics(model, data)

@@ -304,7 +304,7 @@ impl Environments {
         let nominal = action.nominal_pose_rad.joints();
         let bound = |side: usize, sign: f64| -> Vec<f32> {
             let of = |joint: usize| {
-                let beyond = sign * self.shared.robot.torque_limits[joint] / simulation.kp_n_m_per_rad;
+                let beyond = sign * self.shared.robot.torque_limits[joint] / simulation.kp_n_m_per_rad.joints()[joint];
                 // A joint without limits: a turn about where it stands.
                 let limit = Some(self.shared.robot.joint_limits[joint][side]).filter(|limit| limit.is_finite());
                 let limit = limit.unwrap_or_else(|| nominal[joint] + sign * std::f64::consts::TAU);

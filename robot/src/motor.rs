@@ -15,13 +15,13 @@ pub fn damping() -> [MotorCmd; JOINTS] {
     std::array::from_fn(|_| MotorCmd { mode: SERVO, q: POS_STOP, kd: DAMPING_KD, ..MotorCmd::zero() })
 }
 
-/// Returns the command that holds joint targets \[rad\] with these gains.
-pub fn holding(targets: &Joints, kp: f64, kd: f64) -> [MotorCmd; JOINTS] {
+/// Returns the command that holds joint targets \[rad\] with these gains of each joint.
+pub fn holding(targets: &Joints, kp: &Joints, kd: &Joints) -> [MotorCmd; JOINTS] {
     std::array::from_fn(|joint| MotorCmd {
         mode: SERVO,
         q: targets[joint] as f32,
-        kp: kp as f32,
-        kd: kd as f32,
+        kp: kp[joint] as f32,
+        kd: kd[joint] as f32,
         ..MotorCmd::zero()
     })
 }

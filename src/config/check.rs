@@ -5,7 +5,7 @@ use std::ops::RangeInclusive;
 
 use garde::Validate;
 
-use super::{Config, LearnerKind, LegPose, Precision};
+use super::{Config, Gain, LearnerKind, LegPose, Precision};
 use crate::observation::LayoutError;
 use crate::util::yaml;
 
@@ -82,6 +82,11 @@ pub fn positive(value: &f64, _: &Config) -> garde::Result {
 
 pub fn not_negative(value: &f64, _: &Config) -> garde::Result {
     require(*value >= 0.0 && value.is_finite(), value, "a number not below zero")
+}
+
+pub fn gains_not_negative(gain: &Gain, _: &Config) -> garde::Result {
+    let valid = gain.joints().iter().all(|gain| *gain >= 0.0 && gain.is_finite());
+    require(valid, gain, "a number not below zero, three (hip, thigh, calf), or twelve")
 }
 
 /// The weight of a cost.

@@ -68,8 +68,10 @@ impl Config {
         scale(&mut config.reward.base_height_m, height);
         scale(&mut config.reward.foot_height_m, height);
         scale(&mut config.episode.min_height_m, height);
-        scale(&mut config.simulation.kp_n_m_per_rad, mass * height);
-        scale(&mut config.simulation.kd_n_m_s_per_rad, mass * height * height.sqrt());
+        let simulation = &mut config.simulation;
+        simulation.kp_n_m_per_rad = simulation.kp_n_m_per_rad.map(|gain| rounded(gain * (mass * height)));
+        simulation.kd_n_m_s_per_rad =
+            simulation.kd_n_m_s_per_rad.map(|gain| rounded(gain * (mass * height * height.sqrt())));
         scale(&mut config.reward.energy, 1.0 / mass);
         scale(&mut config.reward.torque, (mass * height).powi(-2));
         scale(&mut config.reward.height_sharpness, height.powi(-2));
@@ -105,7 +107,8 @@ impl Simulation {
     /// Doubles the physics rate until it holds the gains on joints that feel an inertia [kg·m²].
     fn hold_gains(&mut self, inertia: f64) -> Result<(), String> {
         let part = |simulation: &Simulation| {
-            let (h, kp, kd) = (simulation.timestep_s(), simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad);
+            let (kp, kd) = (simulation.kp_n_m_per_rad.largest(), simulation.kd_n_m_s_per_rad.largest());
+            let h = simulation.timestep_s();
             (2.0 * kd * h + kp * h * h) / (4.0 * inertia)
         };
         while part(self).is_nan() || part(self) > LARGEST_PART {
@@ -157,6 +160,7 @@ fn rounded(value: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Gain;
     use crate::robot::{Robot, same_in_every_leg};
 
     #[test]
@@ -175,7 +179,8 @@ mod tests {
         assert_eq!((config.reward.base_height_m, config.reward.foot_height_m), (0.228, 0.0588));
         assert_eq!(config.episode.min_height_m, 0.147);
         // 40 · 7.352, 7.352 · √0.7352
-        assert_eq!((config.simulation.kp_n_m_per_rad, config.simulation.kd_n_m_s_per_rad), (294.0, 6.3));
+        let gains = (config.simulation.kp_n_m_per_rad, config.simulation.kd_n_m_s_per_rad);
+        assert_eq!(gains, (Gain::Same(294.0), Gain::Same(6.3)));
         // 0.015 / 10, 0.0015 / 7.352², 10 / 0.7352², 0.1 / 0.7352²
         assert_eq!((config.reward.energy, config.reward.torque), (-0.0015, -2.78e-5));
         assert_eq!((config.reward.height_sharpness, config.reward.foot_clearance), (18.5, -0.185));
@@ -196,8 +201,8 @@ mod tests {
         let numbers = |config: &Config| {
             let (simulation, reward) = (&config.simulation, &config.reward);
             [
-                simulation.kp_n_m_per_rad,
-                simulation.kd_n_m_s_per_rad,
+                simulation.kp_n_m_per_rad.largest(),
+                simulation.kd_n_m_s_per_rad.largest(),
                 reward.energy,
                 reward.torque,
                 reward.foot_clearance,

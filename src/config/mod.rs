@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 pub use check::ValueError;
 pub use sections::{
-    Action, CommandRange, Config, Episode, HeldFeet, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation,
+    Action, CommandRange, Config, Episode, Gain, HeldFeet, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation,
     Reward, RobotModel, Run, Simulation, Terrain,
 };
 

@@ -9,12 +9,14 @@ use serde::{Deserialize, Serialize};
 use super::LOG_STD_RANGE;
 use super::check::{
     MAX_BATCH_SIZE, MAX_EPOCHS, MAX_STAGE_S, a_step_to_an_hour, at_least_one, between_learning_rates, cost, delays,
-    divides_batch, divides_batch_above_one, finite_angles, fraction, known_to_learner, layer_widths, low_and_high,
-    not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one, shortest_and_longest, within,
+    divides_batch, divides_batch_above_one, finite_angles, fraction, gains_not_negative, known_to_learner,
+    layer_widths, low_and_high, not_negative, physics_rate, positive, power_of_two_that_divides, rising_to_one,
+    shortest_and_longest, within,
 };
 use crate::observation::{Layout, LayoutError, Nominal, Observed};
 use crate::robot::{JOINTS, Joints, Losses, Robot, same_in_every_leg};
 use crate::util::files::FileError;
+use crate::util::numbers::maximum;
 
 /// A training configuration: everything that defines a run except its seed.
 ///
@@ -127,11 +129,11 @@ pub struct Simulation {
     #[garde(custom(within(1..=1000, " Hz")))]
     pub policy_rate_hz: u32,
     /// Proportional gain `K_p` of the PD controller [N·m/rad].
-    #[garde(custom(not_negative))]
-    pub kp_n_m_per_rad: f64,
+    #[garde(custom(gains_not_negative))]
+    pub kp_n_m_per_rad: Gain,
     /// `K_d` [N·m·s/rad].
-    #[garde(custom(not_negative))]
-    pub kd_n_m_s_per_rad: f64,
+    #[garde(custom(gains_not_negative))]
+    pub kd_n_m_s_per_rad: Gain,
     /// Delay of the joint target \[s\].
     #[garde(custom(within(0.0..=1.0, " s")))]
     pub latency_s: f64,
@@ -156,6 +158,69 @@ impl Simulation {
     /// Returns the number of policy steps in a duration \[s\], rounded.
     pub fn policy_steps(&self, duration_s: f64) -> usize {
         (duration_s * f64::from(self.policy_rate_hz)).round() as usize
+    }
+}
+
+/// A gain of the joint controller: one for all joints, one for each joint of a leg, or one for each joint.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(untagged, expecting = "a number, three (hip, thigh, calf), or twelve")]
+pub enum Gain {
+    /// The gain of every joint.
+    Same(f64),
+    /// Those of hip, thigh and calf of every leg.
+    Alike([f64; 3]),
+    /// Twelve, in the order of [`crate::robot::LEGS`].
+    Each(Joints),
+}
+
+impl Gain {
+    /// Returns the gain of each joint.
+    pub fn joints(&self) -> Joints {
+        match *self {
+            Gain::Same(gain) => [gain; JOINTS],
+            Gain::Alike(leg) => same_in_every_leg(leg),
+            Gain::Each(joints) => joints,
+        }
+    }
+
+    /// Returns the gain with every number replaced.
+    pub fn map(self, f: impl Fn(f64) -> f64) -> Self {
+        match self {
+            Gain::Same(gain) => Gain::Same(f(gain)),
+            Gain::Alike(leg) => Gain::Alike(leg.map(f)),
+            Gain::Each(joints) => Gain::Each(joints.map(f)),
+        }
+    }
+
+    /// Returns the largest gain of a joint.
+    pub fn largest(&self) -> f64 {
+        self.joints().into_iter().fold(0.0, maximum)
+    }
+}
+
+impl fmt::Display for Gain {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Gain::Same(gain) => write!(f, "{gain}"),
+            Gain::Alike(leg) => write!(f, "{leg:?}"),
+            Gain::Each(joints) => write!(f, "{joints:?}"),
+        }
+    }
+}
+
+impl From<f64> for Gain {
+    fn from(gain: f64) -> Self {
+        Gain::Same(gain)
+    }
+}
+
+impl From<Joints> for Gain {
+    fn from(joints: Joints) -> Self {
+        match LegPose::from(joints) {
+            _ if joints == [joints[0]; JOINTS] => Gain::Same(joints[0]),
+            LegPose::Alike(leg) => Gain::Alike(leg),
+            LegPose::Each(joints) => Gain::Each(joints),
+        }
     }
 }
 

@@ -7,22 +7,29 @@ steps is kept exactly: within a step the PD law sees the delayed target averaged
 
 use serde::{Deserialize, Serialize};
 
+use crate::config::Simulation;
 use crate::robot::{JOINTS, Joints};
 
 /// Gains of the PD controller.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Gains {
-    /// Proportional gain `K_p` [N·m/rad].
-    pub proportional: f64,
-    /// Derivative gain `K_d` [N·m·s/rad].
-    pub derivative: f64,
+    /// Proportional gain `K_p` of each joint [N·m/rad].
+    pub proportional: Joints,
+    /// Derivative gain `K_d` of each joint [N·m·s/rad].
+    pub derivative: Joints,
 }
 
 impl Gains {
+    /// Returns the gains of a configuration.
+    pub fn new(config: &Simulation) -> Self {
+        Gains { proportional: config.kp_n_m_per_rad.joints(), derivative: config.kd_n_m_s_per_rad.joints() }
+    }
+
     /// Computes `τ = K_p (target − q) − K_d q̇`, limited to ± `limits` [N·m].
     pub fn torques(&self, target: &Joints, angles: &Joints, rates: &Joints, limits: &Joints) -> Joints {
         std::array::from_fn(|joint| {
-            let torque = self.proportional * (target[joint] - angles[joint]) - self.derivative * rates[joint];
+            let torque =
+                self.proportional[joint] * (target[joint] - angles[joint]) - self.derivative[joint] * rates[joint];
             torque.clamp(-limits[joint], limits[joint])
         })
     }
@@ -83,6 +90,7 @@ pub fn squared_torque(torques: &Joints) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::same_in_every_leg;
 
     fn filled(value: f64) -> Joints {
         [value; JOINTS]
@@ -90,9 +98,13 @@ mod tests {
 
     #[test]
     fn torque_is_kp_times_error_minus_kd_times_rate_within_limits() {
-        let gains = Gains { proportional: 40.0, derivative: 1.0 };
+        let gains = Gains { proportional: filled(40.0), derivative: filled(1.0) };
         // 40 · (0.5 − 0.2) − 1 · 3 = 9
         assert!((gains.torques(&filled(0.5), &filled(0.2), &filled(3.0), &filled(23.7))[0] - 9.0).abs() < 1e-12);
+        let knees = Gains { proportional: same_in_every_leg([20.0, 20.0, 40.0]), ..gains };
+        // 40 · 0.3 − 1 · 3 at a calf, 20 · 0.3 − 1 · 3 at a thigh.
+        let torques = knees.torques(&filled(0.5), &filled(0.2), &filled(3.0), &filled(23.7));
+        assert!((torques[5] - 9.0).abs() < 1e-12 && (torques[4] - 3.0).abs() < 1e-12);
         assert_eq!(gains.torques(&filled(2.0), &filled(0.0), &filled(0.0), &filled(23.7))[0], 23.7);
         assert_eq!(gains.torques(&filled(-2.0), &filled(0.0), &filled(0.0), &filled(23.7))[0], -23.7);
     }

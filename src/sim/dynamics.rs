@@ -39,7 +39,7 @@ impl Nominal {
     pub(super) fn new(data: &Data, parts: &Parts, config: &Simulation, losses: Losses) -> Self {
         Nominal {
             trunk: data.model().inertial(parts.trunk()),
-            gains: Gains { proportional: config.kp_n_m_per_rad, derivative: config.kd_n_m_s_per_rad },
+            gains: Gains::new(config),
             timestep_s: config.timestep_s(),
             losses,
         }
@@ -52,8 +52,8 @@ impl Nominal {
         let damping = self.losses.damping_n_m_s_per_rad + to.joint_damping_n_m_s_per_rad;
         parts.joints().into_iter().for_each(|joint| data.set_losses(joint, friction, damping));
         let gains = Gains {
-            proportional: to.gains[0] * self.gains.proportional,
-            derivative: to.gains[1] * self.gains.derivative,
+            proportional: self.gains.proportional.map(|gain| to.gains[0] * gain),
+            derivative: self.gains.derivative.map(|gain| to.gains[1] * gain),
         };
         Ok((gains, Latency::new(to.latency_s, self.timestep_s, [0.0; JOINTS])))
     }

@@ -177,7 +177,7 @@ impl Sim {
             parts,
             robot: Arc::clone(&scene.robot),
             ground: scene.ground.clone(),
-            gains: Gains { proportional: config.kp_n_m_per_rad, derivative: config.kd_n_m_s_per_rad },
+            gains: Gains::new(config),
             latency: Latency::new(config.latency_s, config.timestep_s(), [0.0; JOINTS]),
             conditions,
             substeps: config.substeps(),

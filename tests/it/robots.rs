@@ -101,7 +101,11 @@ fn robot_without_pose_trains_with_bent_knees() {
         assert!((foot.x - place).abs() < 0.002, "{foot}");
     }
     let ratio = (40.0 / 13.100_448) * height / 0.340_27;
-    assert!((config.simulation.kp_n_m_per_rad / (40.0 * ratio) - 1.0).abs() < 0.01, "{:?}", config.simulation);
+    assert!(
+        (config.simulation.kp_n_m_per_rad.largest() / (40.0 * ratio) - 1.0).abs() < 0.01,
+        "{:?}",
+        config.simulation
+    );
     assert!((config.reward.base_height_m / (0.31 * height / 0.340_27) - 1.0).abs() < 0.01, "{:?}", config.reward);
 
     // What the command line says has the last word, and a run goes on with its robot.
@@ -110,7 +114,7 @@ fn robot_without_pose_trains_with_bent_knees() {
     let own = run("train", folder, &[&arguments[..], &["--out", "own"]].concat());
     assert!(own.status.success(), "{}", complaint(&own));
     let own = Config::load(folder.join("own/config.yaml").to_str().unwrap()).unwrap();
-    assert_eq!(own.simulation.kp_n_m_per_rad, 99.0);
+    assert_eq!(own.simulation.kp_n_m_per_rad, 99.0.into());
     // Its own pose changes no rule, and its own configuration fits it, whatever its file is called.
     let pose = "action.nominal_pose_rad=[0, 0.5, -1]";
     let posed = ["--config", "small.yaml", "--robot", "robot.xml", "--set", pose, "--samples", "256", "--out", "posed"];
@@ -208,7 +212,7 @@ fn joints_lose_what_a_configuration_says_and_nothing_by_default() {
         let scene = Scene::flat(config.robot.load().unwrap(), config.simulation.timestep_s());
         let mut simulation = config.simulation.clone();
         // Nothing drives the joints.
-        (simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad) = (0.0, 0.0);
+        (simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad) = (0.0.into(), 0.0.into());
         let mut sim = Sim::new(&scene, &simulation, 0.0).unwrap();
         let conditions = Conditions { gravity: [0.0; 3], friction: 0.8, encoder_bias: [0.0; 12] };
         sim.reset(conditions, &config.action.nominal_pose_rad.joints()).unwrap();

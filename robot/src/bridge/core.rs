@@ -323,8 +323,8 @@ impl<'a> Bridge<'a> {
             if is_over {
                 self.enter(self.phase.after());
             }
-            let [kp, kd] = STAND_GAINS;
-            self.output = Output { motors: motor::holding(&targets, kp, kd), targets };
+            let [kp, kd] = STAND_GAINS.map(|gain| [gain; JOINTS]);
+            self.output = Output { motors: motor::holding(&targets, &kp, &kd), targets };
             return Ok(());
         }
         if self.phase != Phase::Policy {
@@ -343,8 +343,8 @@ impl<'a> Bridge<'a> {
             self.targets = self.guard.limit(&wanted, &self.targets)?;
         }
         let acting = self.latency.delay(&self.targets);
-        let (kp, kd) = (simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad);
-        self.output = Output { motors: motor::holding(&acting, kp, kd), targets: self.targets };
+        let (kp, kd) = (simulation.kp_n_m_per_rad.joints(), simulation.kd_n_m_s_per_rad.joints());
+        self.output = Output { motors: motor::holding(&acting, &kp, &kd), targets: self.targets };
         Ok(())
     }
 }
@@ -563,7 +563,7 @@ mod tests {
         let mut rig = Rig::to_policy(&agent);
         let output = rig.run(0.1);
         let simulation = &agent.config.simulation;
-        assert_eq!(f64::from(output.motors[0].kp), simulation.kp_n_m_per_rad);
+        assert_eq!(f64::from(output.motors[0].kp), simulation.kp_n_m_per_rad.joints()[0]);
         let mut steps = 0;
         let mut last = output.targets;
         for _ in 0..500 {

@@ -240,7 +240,9 @@ pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Ver
 fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
     let rows: Vec<&Row> = rows.iter().filter(|(phase, _)| phase == "policy").map(|(_, row)| row).collect();
     let simulation = &agent.config.simulation;
-    let wanted = [simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad];
+    let gains = [simulation.kp_n_m_per_rad.joints(), simulation.kd_n_m_s_per_rad.joints()];
+    // A log has those of the first joint.
+    let wanted = gains.map(|joints| joints[0]);
     let mut findings = Vec::new();
     let mut find = |text: String| findings.push(Finding { text, difference_rad: None });
     let sent = rows.first().map_or(wanted, |row| row.gains);
@@ -250,7 +252,7 @@ fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
             "gains are kp {} and kd {}, the policy was trained with {} and {}",
             sent[0], sent[1], wanted[0], wanted[1]
         ));
-    } else if let Some([kp, kd]) = effective_gains(&rows) {
+    } else if let Some([kp, kd]) = effective_gains(&rows, &gains) {
         if differs(kp, wanted[0], 0.25) {
             find(format!("torques are those of a gain kp of {kp:.0} N m/rad, not of the {} that was sent", sent[0]));
         }
@@ -264,13 +266,18 @@ fn physical(rows: &[(String, Row)], agent: &Agent) -> Vec<Finding> {
     findings
 }
 
-/// Estimates the gains from torques by least squares: `τ = kp (target − q) − kd q̇`; `None` if that explains little.
-fn effective_gains(rows: &[&Row]) -> Option<[f64; 2]> {
+/// Estimates the gains of the first joint from torques by least squares: `τ = kp (target − q) − kd q̇`, where those of the other
+/// joints are in the same proportion as in `wanted`; `None` if that explains little.
+fn effective_gains(rows: &[&Row], wanted: &[Joints; 2]) -> Option<[f64; 2]> {
+    let part = |of: &Joints, joint: usize| if of[0] == 0.0 { 1.0 } else { of[joint] / of[0] };
     let (mut a, mut b, mut square) = ([[0.0; 2]; 2], [0.0; 2], 0.0);
     for pair in rows.windows(2) {
         for joint in 0..JOINTS {
             // The command of a row acts until the next.
-            let regressors = [pair[0].target[joint] - pair[1].q[joint], -pair[1].dq[joint]];
+            let regressors = [
+                part(&wanted[0], joint) * (pair[0].target[joint] - pair[1].q[joint]),
+                -part(&wanted[1], joint) * pair[1].dq[joint],
+            ];
             let torque = pair[1].tau[joint];
             for i in 0..2 {
                 for k in 0..2 {

@@ -71,8 +71,8 @@ pub fn configuration(mut config: Config, physics_hz: u32) -> Config {
     config.simulation = Simulation {
         physics_rate_hz: physics_hz,
         policy_rate_hz: physics_hz,
-        kp_n_m_per_rad: 1.0,
-        kd_n_m_s_per_rad: 0.0,
+        kp_n_m_per_rad: 1.0.into(),
+        kd_n_m_s_per_rad: 0.0.into(),
         latency_s: 0.0,
     };
     config
@@ -375,7 +375,7 @@ mod tests {
     fn held_robot_reports_what_it_is() {
         let mut body = body(None);
         let pose = body.robot.nominal_pose;
-        body.command(&motor::holding(&pose, 60.0, 5.0));
+        body.command(&motor::holding(&pose, &[60.0; JOINTS], &[5.0; JOINTS]));
         (0..2 * STATE_HZ).for_each(|_| drop(body.tick()));
         let state = body.state(Remote::default());
         assert_eq!(crc(&state), state.crc);

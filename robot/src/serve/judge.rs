@@ -222,7 +222,11 @@ mod tests {
     use super::*;
 
     fn command() -> LowCmd {
-        LowCmd::of_motors(&motor::holding(&[0.0, 0.8, -1.5, 0.0, 0.8, -1.5, 0.0, 0.8, -1.5, 0.0, 0.8, -1.5], 50.0, 3.0))
+        LowCmd::of_motors(&motor::holding(
+            &[0.0, 0.8, -1.5, 0.0, 0.8, -1.5, 0.0, 0.8, -1.5, 0.0, 0.8, -1.5],
+            &[50.0; 12],
+            &[3.0; 12],
+        ))
     }
 
     fn writer(number: u8) -> WriterId {

@@ -10,7 +10,7 @@ use std::path::Path;
 
 use serde::Deserialize;
 
-use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, one_gain, quantity, steps_ago};
+use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, gain, quantity, steps_ago};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::robot::{JOINTS, joint_names};
@@ -78,8 +78,8 @@ pub(super) fn read(path: &Path) -> Result<Found, Fault> {
         meaning: meaning(&action.offset, &nominal_pose)?,
         nominal_pose,
         // The SDK's motors are Supple's joints, in the same order.
-        kp_n_m_per_rad: one_gain("stiffness", &stiffness, &motors)?,
-        kd_n_m_s_per_rad: one_gain("damping", &damping, &motors)?,
+        kp_n_m_per_rad: gain("stiffness", &stiffness, &motors)?,
+        kd_n_m_s_per_rad: gain("damping", &damping, &motors)?,
         joints: joints.into(),
         policy_rate_hz: policy_rate(step_dt)?,
         observation,
@@ -267,6 +267,7 @@ fn value(key: &str, found: String, expected: &str) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Gain;
     use crate::policy::external::spec::Spec;
     use crate::policy::external::translate;
 
@@ -315,8 +316,19 @@ observations:
         assert_eq!(names[last + 6], "previous RL_thigh output [1]");
         let simulation = &spec.config.simulation;
         assert_eq!((simulation.physics_rate_hz, simulation.policy_rate_hz), (200, 50));
-        assert_eq!((simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad), (25.0, 0.5));
+        assert_eq!((simulation.kp_n_m_per_rad, simulation.kd_n_m_s_per_rad), (Gain::Same(25.0), Gain::Same(0.5)));
         assert_eq!(spec.config.robot.model, "go2");
+    }
+
+    #[test]
+    fn gains_of_each_joint_are_kept() {
+        // In the SDK's order: hip, thigh and calf of every leg; then those of one hip differ.
+        let leg = |numbers: &str| format!("[{}]", [numbers; 4].join(", "));
+        let text = FILE.replace(&leg("25.0, 25.0, 25.0"), &leg("20.0, 20.0, 40.0"));
+        let text = text.replace("damping: [0.5,", "damping: [1.5,");
+        let simulation = described(&text).unwrap().config.simulation;
+        assert_eq!(simulation.kp_n_m_per_rad, Gain::Alike([20.0, 20.0, 40.0]));
+        assert_eq!(simulation.kd_n_m_s_per_rad.joints()[..2], [1.5, 0.5]);
     }
 
     #[test]
@@ -363,11 +375,6 @@ observations:
     #[test]
     fn what_has_no_counterpart_is_refused_by_name() {
         for (from, to, expected) in [
-            (
-                "stiffness: [25.0, 25.0, 25.0",
-                "stiffness: [25.0, 25.0, 40.0",
-                "stiffness differs by joint (FR_hip has 25, FR_calf has 40)",
-            ),
             ("damping: [0.5, 0.5,", "damping: [0.5,", "damping has 11 numbers, expected 12"),
             ("joint_ids_map: [3, 0,", "joint_ids_map: [3, 3,", "expected each of 0 to 11 once"),
             ("step_dt: 0.02", "step_dt: 0.0", "step_dt is 0 s"),

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, one_gain, quantity, steps_ago};
+use super::translate::{Fault, Found, MAX_HISTORY, ages, for_each_joint, gain, quantity, steps_ago};
 use crate::observation::{Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
 use crate::policy::onnx;
@@ -39,8 +39,8 @@ fn found(entries: &Entries) -> Result<Found, Fault> {
     };
     Ok(Found {
         nominal_pose: for_each_joint("default_joint_pos", &entries.numbers("default_joint_pos")?)?,
-        kp_n_m_per_rad: one_gain("joint_stiffness", &entries.numbers("joint_stiffness")?, &joints)?,
-        kd_n_m_s_per_rad: one_gain("joint_damping", &entries.numbers("joint_damping")?, &joints)?,
+        kp_n_m_per_rad: gain("joint_stiffness", &entries.numbers("joint_stiffness")?, &joints)?,
+        kd_n_m_s_per_rad: gain("joint_damping", &entries.numbers("joint_damping")?, &joints)?,
         joints,
         policy_rate_hz: POLICY_RATE_HZ,
         observation: observation(entries)?,
@@ -125,6 +125,7 @@ impl Entries {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::config::Gain;
     use crate::observation::Ages;
 
     fn metadata(changes: &[(&str, &str)]) -> Entries {
@@ -145,11 +146,19 @@ mod tests {
     }
 
     #[test]
+    fn gains_of_each_joint_are_in_the_robots_order() {
+        // Hips, thighs, calves in the file; FL before FR.
+        let changes = [("joint_stiffness", "20,21,22,23,30,31,32,33,40,41,42,43")];
+        let gains = found(&metadata(&changes)).ok().unwrap().kp_n_m_per_rad;
+        assert_eq!(gains.joints(), [21.0, 31.0, 41.0, 20.0, 30.0, 40.0, 23.0, 33.0, 43.0, 22.0, 32.0, 42.0]);
+    }
+
+    #[test]
     fn joints_pose_and_terms_are_read_in_the_files_order() {
         let found = found(&metadata(&[("observation_history_lengths", "0,1,3,1,1,1,1")])).ok().unwrap();
         assert_eq!(found.joints[..2], ["FL_hip_joint", "FR_hip_joint"]);
         assert_eq!(found.nominal_pose[..2], [0.1, -0.1]);
-        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (25.0, 0.5));
+        assert_eq!((found.kp_n_m_per_rad, found.kd_n_m_s_per_rad), (Gain::Same(25.0), Gain::Same(0.5)));
         assert_eq!(found.scale_rad, Numbers::All(0.25));
         let quantities: Vec<Quantity> = found.observation.iter().map(|observed| observed.quantity).collect();
         assert_eq!(
@@ -166,11 +175,6 @@ mod tests {
         let twelve = |first: &str| format!("{first}{}", ",0.5".repeat(11));
         for (key, value, expected) in [
             ("joint_names", "FL_hip_joint,FR_hip_joint", "joint_names has 2 names, expected the 12 joints"),
-            (
-                "joint_damping",
-                &twelve("2.0"),
-                "joint_damping differs by joint (FL_hip_joint has 2, FR_hip_joint has 0.5)",
-            ),
             ("default_joint_pos", &twelve("nan"), "default_joint_pos is [NaN"),
             ("action_scale", "a quarter", "action_scale has 'a quarter', expected numbers"),
             ("action_scale", "0.25,0.5", "action_scale has 2 numbers, expected 12"),

@@ -50,7 +50,7 @@ impl Display for Description<'_> {
         writeln!(out, "simulation:")?;
         writeln!(out, "  physics_rate_hz: {physics_rate_hz}{}", self.note("physics_rate_hz"))?;
         writeln!(out, "  policy_rate_hz: {policy_rate_hz}{}", self.note("policy_rate_hz"))?;
-        writeln!(out, "  kp_n_m_per_rad: {kp_n_m_per_rad:?}\n  kd_n_m_s_per_rad: {kd_n_m_s_per_rad:?}")?;
+        writeln!(out, "  kp_n_m_per_rad: {}\n  kd_n_m_s_per_rad: {}", json(kp_n_m_per_rad), json(kd_n_m_s_per_rad))?;
         writeln!(out, "  latency_s: {latency_s:?}{}", self.note("latency_s"))?;
         writeln!(out, "joints: [{}]\nnominal_pose_rad: {:?}", self.joints.join(", "), self.nominal_pose)?;
         writeln!(out, "observation:{}", self.note("observation"))?;

@@ -9,10 +9,10 @@ use std::path::Path;
 
 use super::text::Description;
 use super::{deploy, metadata};
-use crate::config::{RobotModel, Simulation};
+use crate::config::{Gain, RobotModel, Simulation};
 use crate::observation::{Ages, Numbers, Observed, Quantity};
 use crate::policy::inference::Meaning;
-use crate::robot::JOINTS;
+use crate::robot::{JOINTS, joint_names};
 use crate::util::files::FileError;
 
 /// Name of the file type in error messages.
@@ -33,8 +33,8 @@ pub(super) struct Found {
     pub(super) joints: Vec<String>,
     /// Nominal pose in that order \[rad\].
     pub(super) nominal_pose: [f64; JOINTS],
-    pub(super) kp_n_m_per_rad: f64,
-    pub(super) kd_n_m_s_per_rad: f64,
+    pub(super) kp_n_m_per_rad: Gain,
+    pub(super) kd_n_m_s_per_rad: Gain,
     pub(super) policy_rate_hz: u32,
     pub(super) observation: Vec<Observed>,
     /// Ages of the whole observation \[policy steps\].
@@ -53,11 +53,6 @@ pub(super) enum Fault {
     Value { key: String, found: String, expected: String },
     #[error("it has no {key}{remedy}")]
     Missing { key: String, remedy: &'static str },
-    #[error(
-        "{key} differs by joint ({first} has {}, {other} has {}), expected one number for all joints: an external policy has one \
-         K_p and one K_d, train it with one", found[0], found[1]
-    )]
-    Gains { key: String, first: String, other: String, found: [f64; 2] },
     #[error("the observation has '{term}', which needs {needs}")]
     Term { term: String, needs: String },
     #[error("{0}")]
@@ -165,14 +160,21 @@ pub(super) fn for_each_joint(key: &str, found: &[f64]) -> Result<[f64; JOINTS], 
     if numbers.iter().all(|number| number.is_finite()) { Ok(numbers) } else { Err(wrong(format!("is {numbers:?}"))) }
 }
 
-/// Checks that all joints have the same gain, and returns it; `joints` are their names, in the order of the gains.
-pub(super) fn one_gain(key: &str, found: &[f64], joints: &[String]) -> Result<f64, Fault> {
+/// Returns the gains of a list in the order of `joints`, names that a leg and a part begin, such as `FL_hip_joint`.
+pub(super) fn gain(key: &str, found: &[f64], joints: &[String]) -> Result<Gain, Fault> {
     let gains = for_each_joint(key, found)?;
-    match gains.iter().zip(joints).find(|(gain, _)| **gain != gains[0]) {
-        None => Ok(gains[0]),
-        Some((gain, other)) => {
-            let first = joints.first().cloned().unwrap_or_default();
-            Err(Fault::Gains { key: key.to_owned(), first, other: other.clone(), found: [gains[0], *gain] })
-        }
+    if gains == [gains[0]; JOINTS] {
+        return Ok(Gain::Same(gains[0]));
     }
+    let mut ordered = [0.0; JOINTS];
+    for (place, name) in joint_names().iter().enumerate() {
+        let at = joints.iter().position(|joint| joint.strip_suffix("_joint").unwrap_or(joint) == name);
+        let at = at.ok_or_else(|| Fault::Value {
+            key: key.to_owned(),
+            found: format!("differs by joint, and no joint is named {name} or {name}_joint: {}", joints.join(", ")),
+            expected: "such names, or one number for all joints".to_owned(),
+        })?;
+        ordered[place] = gains[at];
+    }
+    Ok(Gain::from(ordered))
 }
