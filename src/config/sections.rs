@@ -514,6 +514,10 @@ pub struct Randomisation {
     #[serde(default, skip_serializing_if = "is_zero")]
     #[garde(custom(not_negative))]
     pub tilt_error_sd_rad: f64,
+    /// Standard deviation of the constant error of the observed felt force, forward and left \[N\].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[garde(custom(not_negative))]
+    pub felt_force_error_sd_n: f64,
 }
 
 fn is_zero(value: &f64) -> bool {

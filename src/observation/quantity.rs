@@ -34,6 +34,9 @@ pub enum Quantity {
     AngularVelocity,
     /// The network's last outputs, clipped, not scaled; zero at first.
     LastAction,
+    /// Force on the trunk from outside that the robot feels in its joints, forward and left in the heading frame, mean over the last
+    /// policy step, at most ± [`MOST_FELT_N`] \[N\]; zero where it is not felt.
+    FeltForce,
     /// The last joint targets \[rad\]; the nominal pose at first. `a_{t−1}` of the paper.
     LastTarget,
     /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
@@ -63,6 +66,9 @@ pub enum Quantity {
     /// Privileged: delay of the joint target \[s\].
     Latency,
 }
+
+/// Largest felt force that a policy observes on each axis \[N\]: a push within one step would be several hundred.
+pub const MOST_FELT_N: f64 = 100.0;
 
 /// What the simulator knows and no robot measures: only a critic may observe it.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -120,6 +126,7 @@ impl Quantity {
             Quantity::JointRates => (Kind::Joints, "rate", "rad/s"),
             Quantity::BaseVelocity => (Kind::Polar, "velocity", "m/s"),
             Quantity::AngularVelocity => (Kind::Axial, "angular velocity", "rad/s"),
+            Quantity::FeltForce => (Kind::Polar, "felt force", "N"),
             Quantity::LastAction => (Kind::Joints, "output", "1"),
             Quantity::LastTarget => (Kind::Joints, "target", "rad"),
             Quantity::Command => (Kind::Command, "commanded", "m/s, m/s, rad/s"),
@@ -167,6 +174,10 @@ impl Quantity {
             Quantity::ProjectedGravity => vector(state.gravity_in_base.normalize().into()),
             Quantity::BaseVelocity => vector(state.velocity_in_base.into()),
             Quantity::AngularVelocity => vector(state.angular_velocity_in_base.into()),
+            Quantity::FeltForce => {
+                let [forward, left] = state.felt_force.unwrap_or_default();
+                vector([forward, left, 0.0].map(|force| force.clamp(-MOST_FELT_N, MOST_FELT_N)));
+            }
             Quantity::Command => vector([now.command.forward, now.command.left, now.command.yaw]),
             Quantity::JointAngles => reorder(&state.joint_angles, order, out),
             Quantity::JointOffsets => {

@@ -260,6 +260,10 @@ impl Controller for CompliantController<'_> {
         let command = self.mass.command(force, command, compliance, &mut self.change);
         self.policy.joint_targets(state, &command)
     }
+
+    fn needs_felt_force(&self) -> bool {
+        self.policy.needs_felt_force()
+    }
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use super::controller::Controller;
 use super::onnx;
 use crate::config::Config;
 use crate::network::{PackedMlp, Scratch};
-use crate::observation::{Command, Layout, LayoutError, Moment, Observer, Privileged};
+use crate::observation::{Command, Layout, LayoutError, Moment, Observer, Privileged, Quantity};
 use crate::robot::{JOINTS, Joints, RobotState, joint_target};
 
 /// The meaning of a network's output.
@@ -218,6 +218,10 @@ impl<I: Borrow<Inference> + Send> Controller for PolicyController<I> {
         (*last_action, *last_target) = inference.act(&self.seen, &mut self.buffers);
         *step += 1;
         *last_target
+    }
+
+    fn needs_felt_force(&self) -> bool {
+        self.inference.borrow().layout.blocks().iter().any(|block| block.quantity == Quantity::FeltForce)
     }
 }
 

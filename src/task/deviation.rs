@@ -46,13 +46,16 @@ pub struct ImuErrors {
     pub gyro_noise_sd_rad_s: f64,
     /// Constant errors of roll and pitch in the direction of gravity \[rad\].
     pub tilt_rad: [f64; 2],
+    /// Constant error of the felt force, forward and left in the heading frame \[N\]: that of the accelerometer, times the mass.
+    pub felt_force_n: [f64; 2],
 }
 
 impl ImuErrors {
     /// Draws the constant errors of an episode; `None` if the sensor has none.
     pub(super) fn draw(range: &Randomisation, rng: &mut impl Rng) -> Option<Self> {
         let (bias, noise, tilt) = (range.gyro_bias_sd_rad_s, range.gyro_noise_sd_rad_s, range.tilt_error_sd_rad);
-        if !range.enabled || [bias, noise, tilt] == [0.0; 3] {
+        let felt_force = range.felt_force_error_sd_n;
+        if !range.enabled || [bias, noise, tilt, felt_force] == [0.0; 4] {
             return None;
         }
         let mut normal = |sd: f64| sd * rng.sample::<f64, _>(StandardNormal);
@@ -60,6 +63,7 @@ impl ImuErrors {
             gyro_bias_rad_s: std::array::from_fn(|_| normal(bias)),
             gyro_noise_sd_rad_s: noise,
             tilt_rad: std::array::from_fn(|_| normal(tilt)),
+            felt_force_n: std::array::from_fn(|_| normal(felt_force)),
         })
     }
 
@@ -71,6 +75,7 @@ impl ImuErrors {
         RobotState {
             gravity_in_base: UnitQuaternion::from_euler_angles(roll, pitch, 0.0) * state.gravity_in_base,
             angular_velocity_in_base: state.angular_velocity_in_base + bias + noise,
+            felt_force: state.felt_force.map(|force| [0, 1].map(|axis| force[axis] + self.felt_force_n[axis])),
             ..state.clone()
         }
     }
@@ -180,11 +185,18 @@ mod tests {
         let state = RobotState {
             gravity_in_base: Vector3::new(0.0, 0.0, -10.0),
             angular_velocity_in_base: Vector3::new(1.0, 2.0, 3.0),
+            felt_force: Some([10.0, 20.0]),
             ..RobotState::default()
         };
-        let errors = ImuErrors { gyro_bias_rad_s: [0.1, 0.2, 0.3], gyro_noise_sd_rad_s: 0.0, tilt_rad: [0.1, 0.0] };
+        let errors = ImuErrors {
+            gyro_bias_rad_s: [0.1, 0.2, 0.3],
+            gyro_noise_sd_rad_s: 0.0,
+            tilt_rad: [0.1, 0.0],
+            felt_force_n: [1.0, -2.0],
+        };
         let mut rng = stream(1, Purpose::Imu, 0, 0);
         let seen = errors.seen(&state, &mut rng);
+        assert_eq!(seen.felt_force, Some([11.0, 18.0]));
         assert!((seen.angular_velocity_in_base - Vector3::new(1.1, 2.2, 3.3)).norm() < 1e-12);
         // Turned about the forward axis: (0, 10 sin 0.1, −10 cos 0.1).
         assert!((seen.gravity_in_base - Vector3::new(0.0, 0.998_334, -9.950_042)).norm() < 1e-6);

@@ -432,9 +432,14 @@ impl LocomotionEnv {
             std::array::from_fn(|joint| joint_target(self.nominal[joint], scale, f64::from(action[joint])));
         self.last_second.note(self.sim.data().positions(), self.sim.data().velocities(), &target);
         let stage = self.stages.at(self.progress.step);
+        let mut from_outside = Vector3::zeros();
         if self.progress.step == self.stages.recovery_start {
             // Without a push the episode ended with the step before.
             if let Some(push) = &self.progress.plan.push {
+                let [forward, left] = push.linear;
+                let impulse =
+                    self.sim.robot().mass_kg * (self.sim.state().heading() * Vector3::new(forward, left, 0.0));
+                from_outside += impulse / self.config.simulation.policy_period_s();
                 self.sim.push(push)?;
                 self.progress.pushed = true;
             }
@@ -443,7 +448,9 @@ impl LocomotionEnv {
         if let Some(pulls) = &self.config.pulls {
             let time_s = self.progress.step as f64 * self.config.simulation.policy_period_s();
             let force = self.progress.plan.force(time_s);
-            self.sim.set_trunk_force(Vector3::new(force[0], force[1], 0.0));
+            let pull = Vector3::new(force[0], force[1], 0.0);
+            self.sim.set_trunk_force(pull);
+            from_outside += pull;
             if force != [0.0; 2] {
                 reward.tracking_sharpness *= pulls.sharpness_factor;
             }
@@ -458,7 +465,10 @@ impl LocomotionEnv {
         let mut meter = StepMeter { swings, foot_forces, held_feet };
         let summary = self.sim.step(&target, &mut meter)?;
         let foot_forces = meter.foot_forces.map_or([Vector3::zeros(); 4], |forces| forces.mean());
-        let state = self.sim.state();
+        let mut state = self.sim.state();
+        // What an observer of forces would find, without its cost.
+        let felt = state.heading().inverse() * from_outside;
+        state.felt_force = Some([felt.x, felt.y]);
 
         let p = &mut self.progress;
         let landings = p.swings.take();
@@ -602,7 +612,7 @@ mod tests {
     use super::*;
     use crate::config::{HeldFeet as HeldFeetRange, Pulls, Terrain};
     use crate::observation::{Observed, Quantity};
-    use crate::sim::Pull;
+    use crate::sim::{Pull, Push};
     use crate::task::deviation::Hold;
 
     /// Returns an action of a clumsy trot.
@@ -905,7 +915,7 @@ mod tests {
     fn tracking_is_paid_by_the_pulls_sharpness_while_they_last() {
         let mut config = Config { pulls: Some(pulls()), ..Config::load("fast").unwrap() };
         (config.command.forward_m_s, config.command.left_m_s, config.command.yaw_rad_s) = (0.0, 0.0, 0.0);
-        let tracking = |sharpness_factor: f64, until_s: f64| {
+        let mut tracking = |sharpness_factor: f64, until_s: f64| {
             config.pulls.as_mut().unwrap().sharpness_factor = sharpness_factor;
             let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
             env.progress.plan.pulls = vec![Pull { from_s: 0.0, until_s, force: [0.0, 60.0] }];
@@ -920,6 +930,32 @@ mod tests {
         assert_eq!(short[..15], loose[..15]);
         let sharp = tracking(1.0, 0.25);
         assert_eq!(short[16..], sharp[16..], "after the pull");
+    }
+
+    #[test]
+    fn pulls_and_pushes_are_felt_in_the_step_in_which_they_act() {
+        let observation = vec![Observed::now(Quantity::FeltForce)];
+        let mut config = Config { pulls: Some(pulls()), observation, ..Config::load("fast").unwrap() };
+        config.episode.slope = 0.0;
+        let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
+        env.without_stagger();
+        env.progress.plan.pulls = vec![Pull { from_s: 0.01, until_s: 0.1, force: [3.0, -4.0] }];
+        env.progress.plan.push = Some(Push { linear: [0.01, 2.0], angular: [0.0; 3] });
+        let felt = |env: &mut LocomotionEnv| {
+            env.step(&[0.0; 12]);
+            let [forward, left, _] = *env.observation().first_chunk().unwrap();
+            [forward, left]
+        };
+        assert_eq!(felt(&mut env), [0.0; 2]);
+        // The heading has hardly changed.
+        let [forward, left] = felt(&mut env);
+        assert!((forward - 3.0).abs() < 0.1 && (left + 4.0).abs() < 0.1, "{forward}, {left}");
+        while env.progress.step < env.stages.recovery_start {
+            felt(&mut env);
+        }
+        // 13.1 kg · 0.01 m/s · 60 /s, and beyond what is observed.
+        let [forward, left] = felt(&mut env);
+        assert!((forward - 7.86).abs() < 0.1 && left == 100.0, "{forward}, {left}");
     }
 
     #[test]

@@ -157,14 +157,15 @@ impl<'a> Playback<'a> {
             script,
             config,
         };
-        match playback.command.compliance {
-            Some(_) => playback.with_felt_forces(),
-            None => Ok(playback),
+        if playback.command.compliance.is_some() || playback.controller.needs_felt_force() {
+            playback.with_felt_forces()
+        } else {
+            Ok(playback)
         }
     }
 
-    /// Observes the forces from outside, as a commanded compliance needs (which switches this on by itself), and stores them
-    /// in the frames. Call it before the first step.
+    /// Observes the forces from outside, as a commanded compliance and some policies need (which switches this on by itself), and
+    /// stores them in the frames. Call it before the first step.
     ///
     /// # Errors
     /// MuJoCo cannot compile the robot alone.
