@@ -171,7 +171,7 @@ fn intrude(domain: &str, time: Duration, mut change: impl FnMut(u32, LowCmd) -> 
     let begin = Instant::now();
     let mut number = 0;
     while begin.elapsed() < time {
-        commands.send(change(number, LowCmd::of_motors(&holding(&stance, 60.0, 5.0)))).unwrap();
+        commands.send(change(number, LowCmd::of_motors(&holding(&stance, &[60.0; 12], &[5.0; 12])))).unwrap();
         number += 1;
         std::thread::sleep(Duration::from_millis(2));
     }
