@@ -35,7 +35,7 @@ pub enum Quantity {
     /// The network's last outputs, clipped, not scaled; zero at first.
     LastAction,
     /// Force on the trunk from outside that the robot feels in its joints, forward and left in the heading frame, mean over the last
-    /// policy step, at most ± [`MOST_FELT_N`] \[N\]; zero where it is not felt.
+    /// policy step, between ± 100 \[N\]; zero where it is not felt.
     FeltForce,
     /// The last joint targets \[rad\]; the nominal pose at first. `a_{t−1}` of the paper.
     LastTarget,
