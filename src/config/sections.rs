@@ -359,11 +359,6 @@ pub struct Pulls {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[garde(custom(rising_to_one))]
     pub buckets: Vec<f64>,
-    /// Factor of `reward.tracking_sharpness` while a robot is pulled: below 1, one that is dragged along faster than it was
-    /// commanded is still paid for slowing down.
-    #[serde(default = "unchanged")]
-    #[garde(custom(fraction))]
-    pub sharpness_factor: f64,
 }
 
 /// Feet that are held back in their swing, as by the edge of a mat or a root, in training; not in the paper.
@@ -600,10 +595,6 @@ pub struct Ppo {
 
 fn one() -> usize {
     1
-}
-
-fn unchanged() -> f64 {
-    1.0
 }
 
 /// The implementation of PPO's update, see [`crate::ppo`].

@@ -17,7 +17,7 @@ pub trait Controller: Send {
     /// Returns the joint targets \[rad\] for the present state and command.
     fn joint_targets(&mut self, state: &RobotState, command: &Command) -> Joints;
 
-    /// Returns true if the controller reads the felt force, which somebody then has to observe.
+    /// Returns true if the controller reads [`RobotState::felt_force`]: a playback then observes that force.
     fn needs_felt_force(&self) -> bool {
         false
     }

@@ -297,7 +297,6 @@ mod tests {
             fraction_step: 0.001,
             fraction_gate: 0.8,
             buckets: vec![0.0, 0.2, 0.5, 1.0],
-            sharpness_factor: 1.0,
         });
         let mut counts = [0; 4];
         for k in 0..1000 {
@@ -320,7 +319,6 @@ mod tests {
             fraction_step: 0.001,
             fraction_gate: 0.8,
             buckets: Vec::new(),
-            sharpness_factor: 1.0,
         };
         let without = Config::load("fast").unwrap();
         let config = Config { pulls: Some(pulls), ..without.clone() };

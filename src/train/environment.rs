@@ -444,16 +444,12 @@ impl LocomotionEnv {
                 self.progress.pushed = true;
             }
         }
-        let mut reward = self.reward.clone();
-        if let Some(pulls) = &self.config.pulls {
+        if self.config.pulls.is_some() {
             let time_s = self.progress.step as f64 * self.config.simulation.policy_period_s();
             let force = self.progress.plan.force(time_s);
             let pull = Vector3::new(force[0], force[1], 0.0);
             self.sim.set_trunk_force(pull);
             from_outside += pull;
-            if force != [0.0; 2] {
-                reward.tracking_sharpness *= pulls.sharpness_factor;
-            }
         }
         let EpisodeState { plan, step, swings, pins, .. } = &mut self.progress;
         let period_s = self.config.simulation.policy_period_s();
@@ -477,7 +473,7 @@ impl LocomotionEnv {
             command: &p.plan.command,
             summary: &summary,
             landings: &landings,
-            config: &reward,
+            config: &self.reward,
         };
         let terms = Terms::new(&step);
         p.terms.add(&terms);
@@ -491,7 +487,7 @@ impl LocomotionEnv {
             }
             Stage::Recovery | Stage::PostRecovery => {}
         }
-        let reward = paid.total(&reward);
+        let reward = paid.total(&self.reward);
         p.reward += reward;
         p.step += 1;
         if let Some(course) = &mut p.course {
@@ -907,29 +903,7 @@ mod tests {
             fraction_step: 0.001,
             fraction_gate: 0.8,
             buckets: Vec::new(),
-            sharpness_factor: 1.0,
         }
-    }
-
-    #[test]
-    fn tracking_is_paid_by_the_pulls_sharpness_while_they_last() {
-        let mut config = Config { pulls: Some(pulls()), ..Config::load("fast").unwrap() };
-        (config.command.forward_m_s, config.command.left_m_s, config.command.yaw_rad_s) = (0.0, 0.0, 0.0);
-        let mut tracking = |sharpness_factor: f64, until_s: f64| {
-            config.pulls.as_mut().unwrap().sharpness_factor = sharpness_factor;
-            let mut env = LocomotionEnv::new(&config, 1, 0, Curriculum::complete()).unwrap();
-            env.progress.plan.pulls = vec![Pull { from_s: 0.0, until_s, force: [0.0, 60.0] }];
-            (0..30).map(|_| env.step(&[0.0; 12]).0.terms.linear_velocity()).collect::<Vec<f64>>()
-        };
-        let (plain, loose, short) = (tracking(1.0, 10.0), tracking(0.25, 10.0), tracking(0.25, 0.25));
-        for step in 0..30 {
-            // exp(−8 e²) and exp(−2 e²).
-            assert!((loose[step].powi(4) - plain[step]).abs() < 1e-12, "step {step}");
-        }
-        assert!(plain[29] < 0.9, "the pull moves it: {}", plain[29]);
-        assert_eq!(short[..15], loose[..15]);
-        let sharp = tracking(1.0, 0.25);
-        assert_eq!(short[16..], sharp[16..], "after the pull");
     }
 
     #[test]

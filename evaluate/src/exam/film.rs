@@ -95,7 +95,8 @@ impl Fall<'_> {
         let fall = trace.events.iter().find(|event| event.kind == EventKind::Fall).ok_or(FilmError::NoFall)?;
         let mut renderer = Renderer::new(script.scene.compile_visual()?, SIZE)?;
         let [width, height] = SIZE.map(|pixels| pixels as u32);
-        let mut strip = Pixmap::new(width * TIMES_S.len() as u32, height).ok_or(FilmError::NoFall)?;
+        let mut strip =
+            Pixmap::new(width * TIMES_S.len() as u32, height).ok_or(FilmError::Encode("it is too large".into()))?;
         for (index, time_s) in TIMES_S.iter().enumerate() {
             let later = trace.frames.partition_point(|frame| frame.time_s < fall.time_s + time_s);
             let frame = &trace.frames[later.min(trace.frames.len() - 1)];

@@ -23,12 +23,8 @@ const MOST_BYTES: u64 = 1 << 30;
 pub(super) fn read(path: &Path, columns: &Columns) -> Result<Vec<Row>, CheckError> {
     let fail = |reason: String| CheckError::Read { path: path.display().to_string(), reason };
     let bytes = read_bounded(path, MOST_BYTES).map_err(|error| fail(error.to_string()))?;
-    let command = ["command_forward", "command_left", "command_yaw"].map(|name| {
-        let found = || "a bag has none of the commanded velocities; give them under `constants`".to_owned();
-        columns.constants.get(name).copied().ok_or_else(|| CheckError::Column { name: name.to_owned(), found: found() })
-    });
-    let [forward, left, yaw] = command;
-    let command = [forward?, left?, yaw?];
+    let constant = |name| columns.constants.get(name).copied().ok_or(CheckError::Command { name });
+    let command = [constant("command_forward")?, constant("command_left")?, constant("command_yaw")?];
     let (mut state, mut start_ns, mut rows) = (None, None, Vec::new());
     let topics = for_each_message(&bytes, |topic, time_ns, data| {
         let no_message = |what: &str| format!("a message of the topic {topic} is not the Go2's {what} in CDR");

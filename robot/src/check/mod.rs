@@ -72,6 +72,14 @@ pub enum CheckError {
         /// The columns that there are.
         found: String,
     },
+    /// A bag was given without what the policy was commanded.
+    #[error(
+        "a bag does not say what the policy was commanded: give {name} in a YAML file (--columns), under `constants`"
+    )]
+    Command {
+        /// The column that is missing.
+        name: &'static str,
+    },
     /// There are too few rows.
     #[error("the log has {found} rows of the phase 'policy', at least {FEWEST_ROWS} are needed")]
     Short {
