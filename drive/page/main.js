@@ -23,6 +23,7 @@ const send = connect({
     [most["m/s"], most["N·s"], most.N] = about.most;
     fill($("policies"), about.policies);
     fill($("scene"), about.scenes);
+    document.body.classList.toggle("served", about.is_served);
     if (about.viewer && !$("robots").firstChild) openViewer();
   },
   state(now) {
@@ -36,7 +37,7 @@ const send = connect({
   refused: (problem) => notice(problem),
   lost() {
     state = null;
-    status("connection lost: check that drive is still running", true);
+    status("connection lost: check that the program is still running", true);
   },
 });
 
@@ -183,7 +184,7 @@ function draw() {
   $("take").hidden = driver === me;
   document.body.classList.toggle("watching", driver !== me);
   for (const [id, value] of [["scene", state.scene], ["speed", String(speed)]]) {
-    if (document.activeElement !== $(id)) $(id).value = value;
+    if (document.activeElement !== $(id)) $(id).value = value ?? "";
   }
   const [count, texts] = state.notices;
   for (const text of count > noticed ? texts.slice(-(count - noticed)) : []) notice(text);

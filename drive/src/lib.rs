@@ -10,6 +10,7 @@ This is the only package that contains a web server.
 
 pub mod change;
 pub mod clock;
+pub mod driver;
 pub mod live;
 pub mod message;
 pub mod publisher;

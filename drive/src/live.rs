@@ -1,7 +1,7 @@
 /*! The thread that owns the robots.
 
 It waits until the next step is due and reads messages meanwhile; they take effect with that step and are written into the
-session as inputs. The driving page must keep sending messages: after [`SILENCE`] without one, the command becomes zero and
+session as inputs. The driving page must keep sending messages: after [`SILENCE`](crate::driver::SILENCE) without one, the command becomes zero and
 a pull ends.
 */
 
@@ -9,23 +9,18 @@ use std::fs::File;
 use std::path::PathBuf;
 use std::sync::mpsc::{Receiver, SyncSender};
 use std::sync::{Arc, Mutex};
-use std::time::{Duration, Instant};
 
 use anyhow::Context;
-use supple::scenario::session::{
-    Act, AgentCache, Input, LiveSession, LiveSessionError, PushUnit, RATE_HZ, Seat, Setup, Writer,
-};
+use supple::scenario::session::{Act, AgentCache, Input, LiveSession, LiveSessionError, RATE_HZ, Seat, Setup, Writer};
 use supple::task::Command;
 
 use crate::change::{Builder, Change};
+use crate::driver::Heard;
 use crate::message::{Built, Message, NewPolicy};
 use crate::publisher::{Due, Publisher, Updates};
-use crate::request::{Kept, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, Request, limited};
+use crate::request::{Kept, Request, bounded};
 use crate::save::{Minute, Save, Saver};
 use crate::watch_run;
-
-/// Longest silence of the driving page before the robots stop.
-pub const SILENCE: Duration = Duration::from_millis(350);
 
 /// Length of a minute \[ticks\].
 const MINUTE: u64 = 60 * RATE_HZ;
@@ -100,7 +95,7 @@ impl Live {
     pub fn run(mut self, messages: &Receiver<Message>) -> anyhow::Result<()> {
         self.publisher.clock.restart(self.world.tick());
         loop {
-            if self.publisher.heard.0.elapsed() > SILENCE {
+            if self.publisher.driver.is_silent() {
                 self.let_go()?;
             }
             self.build()?;
@@ -133,34 +128,17 @@ impl Live {
     }
 
     fn take(&mut self, message: Message) -> anyhow::Result<()> {
-        let publisher = &mut self.publisher;
-        match message {
-            Message::PageOpened(page) if publisher.driver.is_none() => {
-                publisher.driver = Some(page);
-                publisher.heard.0 = Instant::now();
-            }
-            Message::PageClosed(page) if publisher.driver == Some(page) => {
-                publisher.driver = None;
-                self.let_go()?;
-            }
-            Message::Request(page, Request::Drive) if publisher.driver != Some(page) => {
-                publisher.driver = Some(page);
-                publisher.heard.0 = Instant::now();
-                self.let_go()?;
-            }
-            Message::Request(page, request) if publisher.driver == Some(page) => {
-                publisher.heard = (Instant::now(), publisher.heard.1 + 1);
-                self.answer(request)?;
-            }
-            Message::PolicySaved(new) => self.change(Change::Policy(new)),
-            Message::Built { number, result } => match self.builder.finish(number, result) {
+        match self.publisher.driver.take(message) {
+            Heard::Request(request) => self.answer(request)?,
+            Heard::Released => self.let_go()?,
+            Heard::Other(Message::PolicySaved(new)) => self.change(Change::Policy(new)),
+            Heard::Other(Message::Built { number, result }) => match self.builder.finish(number, result) {
                 Some(Ok((built, before))) => self.take_over(*built, &before)?,
-                Some(Err(problem)) => publisher.notice(problem),
+                Some(Err(problem)) => self.publisher.notice(problem),
                 None => {}
             },
-            Message::Notice(text) => publisher.notice(text),
-            // Requests of pages that do not drive are ignored.
-            _ => {}
+            Heard::Other(Message::Notice(text)) => self.publisher.notice(text),
+            Heard::Nothing | Heard::Other(_) => {}
         }
         if self.publisher.clock.is_paused() {
             self.publisher.publish(&self.world);
@@ -185,23 +163,10 @@ impl Live {
 
     /// Does what the driving page wants, within bounds.
     fn act(&mut self, act: Act) -> anyhow::Result<()> {
-        match act {
-            Act::Command(Command { forward, left, yaw, .. }) => {
-                let range = self.world.range();
-                let within = |value: f64, most: f64| value.clamp(-most, most);
-                let [forward, left, yaw] =
-                    [within(forward, range.forward), within(left, range.left), within(yaw, range.yaw)];
-                self.command(Command::velocity(forward, left, yaw))
-            }
-            Act::Push { size, unit } => {
-                let most = match unit {
-                    PushUnit::Velocity => MOST_PUSH_M_S,
-                    PushUnit::Momentum => MOST_PUSH_N_S,
-                };
-                self.input(Input::Act(Act::Push { size: limited(size, most), unit }))
-            }
-            Act::Pull(force) => self.hold(force.map(|force| limited(force, MOST_PULL_N))),
-            Act::Comply { .. } | Act::Reset => self.input(Input::Act(act)),
+        match bounded(act, &self.world.range()) {
+            Act::Command(command) => self.command(command),
+            Act::Pull(force) => self.hold(force),
+            act => self.input(Input::Act(act)),
         }
     }
 
@@ -379,6 +344,7 @@ fn temporary() -> String {
 #[cfg(test)]
 mod tests {
     use std::sync::mpsc::sync_channel;
+    use std::time::{Duration, Instant};
 
     use rand::rngs::StdRng;
     use rand::{RngExt, SeedableRng};

@@ -1,17 +1,20 @@
-//! Publishes the state of the robots to pages and viewers after every step, for live play and replays alike.
+//! Publishes the state of the robots to pages and viewers after every step, whoever plays them.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep};
+use supple::robot::GRAVITY_M_S2;
+use supple::scenario::session::{Act, Input, LiveReadout, LiveSession, RobotStep, SceneKind};
 use supple::scenario::trace::EventKind;
+use supple::task::Command;
 use tokio::sync::watch;
 
 use crate::clock::Clock;
+use crate::driver::Driver;
 use crate::message::Message;
-use crate::request::{PageId, RobotStatus, State};
+use crate::request::{RobotStatus, State};
 use crate::viewer_stream::{Cast, Snapshot};
 
 /// Longest wait for a message: silence of the driving page is noticed while paused, too.
@@ -29,15 +32,78 @@ pub struct Updates {
     pub shown: watch::Sender<Snapshot>,
 }
 
+/// Robots that pages and viewers show.
+pub trait Shown {
+    /// Returns the tick at which the next step begins.
+    fn tick(&self) -> u64;
+    /// Returns the scene, if it is one of those that can be chosen, and its seed.
+    fn scene(&self) -> (Option<SceneKind>, u64);
+    /// Returns the largest commands.
+    fn range(&self) -> Command;
+    /// Returns names and scenes of the robots.
+    fn cast(&self) -> Cast;
+    /// Returns the facts about each robot.
+    fn facts(&self) -> Vec<Facts>;
+}
+
+/// The facts about a robot that pages show beside its measurements.
+#[derive(Debug, Clone)]
+pub struct Facts {
+    /// Policy as it was requested: name, file or run folder.
+    pub policy: String,
+    /// Robot as it was requested: name or file.
+    pub robot: String,
+    /// Commanded compliance [m/s/N]; `None` for the policy's own.
+    pub compliance: Option<f64>,
+    /// Range of commanded compliance, and own compliance forward and left [m/s/N]; `None` if the policy is not calibrated.
+    pub reach: Option<([f64; 2], [f64; 2])>,
+    /// Number of falls since the last set-up.
+    pub falls: u32,
+    /// Weight \[N\].
+    pub weight_n: f64,
+    /// Time between two frames \[s\].
+    pub period_s: f64,
+}
+
+impl Shown for LiveSession {
+    fn tick(&self) -> u64 {
+        LiveSession::tick(self)
+    }
+
+    fn scene(&self) -> (Option<SceneKind>, u64) {
+        (Some(self.setup().scene), self.setup().seed)
+    }
+
+    fn range(&self) -> Command {
+        LiveSession::range(self)
+    }
+
+    fn cast(&self) -> Cast {
+        Cast::new(self)
+    }
+
+    fn facts(&self) -> Vec<Facts> {
+        let seats = self.setup().robots.iter().zip(self.reaches()).zip(self.falls()).zip(self.weights_and_periods());
+        let facts = seats.map(|(((seat, reach), falls), (weight_n, period_s))| Facts {
+            policy: seat.policy.clone(),
+            robot: seat.robot.clone(),
+            compliance: seat.compliance,
+            reach,
+            falls,
+            weight_n,
+            period_s,
+        });
+        facts.collect()
+    }
+}
+
 /// The published state: clock, driver, measurements and notices.
 #[derive(Debug)]
 pub struct Publisher {
     /// Clock that ties simulated to real time.
     pub clock: Clock,
-    /// Id of the driving page, if there is one.
-    pub driver: Option<PageId>,
-    /// Time and number of the driving page's last message.
-    pub heard: (Instant, u64),
+    /// The driving page.
+    pub driver: Driver,
     meters: Vec<LiveReadout>,
     shown: Snapshot,
     updates: Updates,
@@ -48,14 +114,13 @@ pub struct Publisher {
 }
 
 impl Publisher {
-    /// Creates the published state of a live session before its first step.
-    pub fn new(world: &LiveSession) -> Self {
-        let shown = Snapshot::new(Cast::new(world));
+    /// Creates the published state of robots before their first step.
+    pub fn new(world: &impl Shown) -> Self {
+        let shown = Snapshot::new(world.cast());
         let updates = Updates { state: watch::Sender::new(Arc::from("{}")), shown: watch::Sender::new(shown.clone()) };
         let mut publisher = Publisher {
             clock: Clock::new(world.tick()),
-            driver: None,
-            heard: (Instant::now(), 0),
+            driver: Driver::default(),
             meters: Vec::new(),
             shown,
             updates,
@@ -79,15 +144,15 @@ impl Publisher {
     }
 
     /// Starts over for another set-up.
-    pub fn begin(&mut self, world: &LiveSession) {
-        self.meters = world.weights_and_periods().map(LiveReadout::new).collect();
-        self.shown = Snapshot::new(Cast::new(world));
+    pub fn begin(&mut self, world: &impl Shown) {
+        self.meters = world.facts().iter().map(|facts| LiveReadout::new((facts.weight_n, facts.period_s))).collect();
+        self.shown = Snapshot::new(world.cast());
         self.clock.restart(world.tick());
         self.is_stale = true;
     }
 
     /// Waits for the next step or a message, whichever comes first; returns `None` after a short wait without either.
-    pub fn wait(&mut self, world: &LiveSession, messages: &Receiver<Message>) -> Option<Due> {
+    pub fn wait(&mut self, world: &impl Shown, messages: &Receiver<Message>) -> Option<Due> {
         let due = self.clock.due(world.tick());
         let now = Instant::now();
         if self.is_stale || due.is_some_and(|due| due <= now) {
@@ -105,11 +170,11 @@ impl Publisher {
     }
 
     /// Updates the measurements after an input.
-    pub fn note_input(&mut self, world: &LiveSession, input: &Input) {
+    pub fn note_input(&mut self, world: &impl Shown, input: &Input) {
         match input {
             Input::Act(Act::Push { size, unit }) => {
-                for (meter, mass_kg) in self.meters.iter_mut().zip(world.masses_kg()) {
-                    meter.push(unit.velocity(*size, mass_kg));
+                for (meter, facts) in self.meters.iter_mut().zip(world.facts()) {
+                    meter.push(unit.velocity(*size, facts.weight_n / GRAVITY_M_S2));
                 }
             }
             Input::Act(Act::Pull(force)) => self.meters.iter_mut().for_each(|meter| meter.pull(*force)),
@@ -120,7 +185,7 @@ impl Publisher {
     }
 
     /// Publishes the steps that began at a tick.
-    pub fn note_steps(&mut self, world: &LiveSession, tick: u64, steps: &[RobotStep]) {
+    pub fn note_steps(&mut self, world: &impl Shown, tick: u64, steps: &[RobotStep]) {
         self.clock.stepped(tick);
         for played in steps {
             let robot = played.robot;
@@ -158,36 +223,35 @@ impl Publisher {
     }
 
     /// Publishes the state to pages.
-    pub fn publish(&self, world: &LiveSession) {
-        let setup = world.setup();
+    pub fn publish(&self, world: &impl Shown) {
+        let (scene, seed) = world.scene();
         let range = world.range();
-        let robots = setup.robots.iter().zip(world.reaches()).zip(world.falls()).enumerate();
-        let robots = robots.map(|(index, ((seat, reach), falls))| {
+        let robots = world.facts().into_iter().enumerate().map(|(index, facts)| {
             let frame = self.shown.frames[index].as_deref();
             let [forward, left, _] = frame.map_or([0.0; 3], |frame| frame.velocity_in_heading);
             RobotStatus {
                 name: self.shown.cast.names[index].clone(),
-                policy: seat.policy.clone(),
-                robot: seat.robot.clone(),
+                policy: facts.policy,
+                robot: facts.robot,
                 time_s: frame.map_or(0.0, |frame| frame.time_s),
                 position: frame.map_or([0.0; 3], |frame| frame.position),
                 velocity: [forward, left, frame.map_or(0.0, |frame| frame.yaw_rate)],
-                compliance: seat.compliance,
-                reach,
-                falls,
+                compliance: facts.compliance,
+                reach: facts.reach,
+                falls: facts.falls,
                 reading: self.meters[index].read(),
             }
         });
         let state = State {
             tick: world.tick(),
-            heard: self.heard.1,
+            heard: self.driver.count(),
             rate: self.clock.rate(),
             speed: self.clock.speed(),
             behind: self.clock.is_behind(),
             paused: self.clock.is_paused(),
-            driver: self.driver,
-            scene: setup.scene,
-            seed: setup.seed,
+            driver: self.driver.page(),
+            scene,
+            seed,
             range: [range.forward, range.left, range.yaw],
             robots: robots.collect(),
             notices: (self.noticed, self.notices.iter().cloned().collect()),

@@ -11,6 +11,7 @@ use supple::scenario::session::{Act, Input, ReplayStep, RobotStep, SavedSession,
 use supple::util::terminal;
 use supple_record::{RecordError, Recorder, Sink, check_name};
 
+use crate::driver::Heard;
 use crate::message::Message;
 use crate::publisher::{Due, Publisher};
 use crate::request::Request;
@@ -122,12 +123,9 @@ pub fn watch(
             None => continue,
         };
         let tick = playback.world.tick();
-        match message {
-            Message::Stop => return Ok(()),
-            Message::PageOpened(page) => publisher.driver = publisher.driver.or(Some(page)),
-            Message::PageClosed(page) => publisher.driver = publisher.driver.filter(|driver| *driver != page),
-            Message::Request(page, Request::Drive) => publisher.driver = Some(page),
-            Message::Request(page, request) if publisher.driver == Some(page) => match request {
+        match publisher.driver.take(message) {
+            Heard::Other(Message::Stop) => return Ok(()),
+            Heard::Request(request) => match request {
                 Request::Pause(is_paused) => publisher.clock.pause(is_paused, tick),
                 Request::Speed(speed) => publisher.clock.set_speed(speed, tick),
                 Request::Act(Act::Reset) if !is_loading => match rewind(path, to_self.clone()) {
@@ -136,7 +134,7 @@ pub fn watch(
                 },
                 _ => {}
             },
-            Message::Rewound(result) => {
+            Heard::Other(Message::Rewound(result)) => {
                 is_loading = false;
                 match result {
                     Ok(rewound) => {
@@ -150,8 +148,8 @@ pub fn watch(
                     }
                 }
             }
-            Message::Notice(text) => publisher.notice(text),
-            Message::Request(..) | Message::PolicySaved(_) | Message::Built { .. } => {}
+            Heard::Other(Message::Notice(text)) => publisher.notice(text),
+            Heard::Released | Heard::Nothing | Heard::Other(_) => {}
         }
         publisher.publish(&playback.world);
     }

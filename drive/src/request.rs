@@ -1,7 +1,8 @@
 //! The JSON messages between a page and the server: requests of the page, greeting and state from the server.
 
 use serde::{Deserialize, Serialize};
-use supple::scenario::session::{Act, Reading, SceneKind};
+use supple::scenario::session::{Act, PushUnit, Reading, SceneKind};
+use supple::task::Command;
 
 /// Number that identifies a page's connection.
 pub type PageId = u64;
@@ -71,6 +72,29 @@ impl Request {
     }
 }
 
+/// Limits what a person may do to the robots; `range` is the largest command.
+pub fn bounded(act: Act, range: &Command) -> Act {
+    match act {
+        Act::Command(Command { forward, left, yaw, .. }) => {
+            let within = |value: f64, most: f64| value.clamp(-most, most);
+            Act::Command(Command::velocity(
+                within(forward, range.forward),
+                within(left, range.left),
+                within(yaw, range.yaw),
+            ))
+        }
+        Act::Push { size, unit } => {
+            let most = match unit {
+                PushUnit::Velocity => MOST_PUSH_M_S,
+                PushUnit::Momentum => MOST_PUSH_N_S,
+            };
+            Act::Push { size: limited(size, most), unit }
+        }
+        Act::Pull(force) => Act::Pull(force.map(|force| limited(force, MOST_PULL_N))),
+        Act::Comply { .. } | Act::Reset => act,
+    }
+}
+
 /// Shortens a finite vector to at most `most`, keeping its direction.
 pub fn limited(vector: [f64; 2], most: f64) -> [f64; 2] {
     // So that neither the length nor a product overflows.
@@ -93,6 +117,8 @@ pub struct Hello {
     pub most: [f64; 3],
     /// True if the page embeds the viewer, false if a separate viewer runs.
     pub viewer: bool,
+    /// True if the robot is played by another program: the page cannot change robots, scene or time, nor save.
+    pub is_served: bool,
 }
 
 /// The state sent to all pages after every step.
@@ -112,8 +138,8 @@ pub struct State {
     pub paused: bool,
     /// Id of the driving page, if there is one.
     pub driver: Option<PageId>,
-    /// Current scene.
-    pub scene: SceneKind,
+    /// Current scene, if it is one of those that can be chosen.
+    pub scene: Option<SceneKind>,
     /// Seed of the scene.
     pub seed: u64,
     /// Largest commands: forward [m/s], left [m/s], yaw rate [rad/s].
@@ -152,8 +178,6 @@ pub struct RobotStatus {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use supple::scenario::session::PushUnit;
-    use supple::task::Command;
 
     #[test]
     fn requests_parse_and_invalid_ones_fail() {

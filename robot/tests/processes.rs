@@ -1,6 +1,7 @@
 //! Real processes on the loopback interface: what happens when one of them is killed, or when there is one too many.
 
-use std::io::{BufRead, BufReader, Write};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::process::{Child, ChildStderr, Command, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -214,4 +215,16 @@ fn bridge_without_a_robot_says_so() {
     let found = output(&["run", "go2/compliant", "--domain", &domain()]);
     let words = String::from_utf8_lossy(&found.stderr);
     assert!(found.status.code() == Some(2) && words.contains("no rt/lowstate"), "{words}");
+}
+
+#[test]
+fn page_of_a_served_robot_opens() {
+    let mut serve = Program::start(&["serve", "--domain", &domain(), "--released", "--page", "--port", "0"]);
+    let line = serve.says("http://");
+    let address = line.split("http://").nth(1).and_then(|rest| rest.split('/').next()).unwrap();
+    let mut stream = TcpStream::connect(address).unwrap();
+    write!(stream, "GET / HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut page = String::new();
+    stream.read_to_string(&mut page).unwrap();
+    assert!(page.starts_with("HTTP/1.1 200") && page.contains("id=\"pad\""), "{page}");
 }

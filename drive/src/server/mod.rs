@@ -21,12 +21,15 @@ use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::sync::mpsc::SyncSender;
+use std::thread;
 use std::time::SystemTime;
 
+use anyhow::Context;
 use axum::Router;
 use axum::middleware::from_fn_with_state;
 use axum::routing::get;
 use tokio::net::TcpListener;
+use tokio::runtime::Handle;
 use tokio::sync::Semaphore;
 
 use crate::message::Message;
@@ -51,6 +54,46 @@ struct Shared {
     pages: Arc<AtomicU64>,
     page_permits: Arc<Semaphore>,
     viewer_permits: Arc<Semaphore>,
+}
+
+/// A server that runs on a thread of its own until the program ends.
+#[derive(Debug)]
+pub struct Serving {
+    /// Address to open in a browser.
+    pub url: String,
+    /// Its runtime.
+    pub runtime: Handle,
+}
+
+/// Starts to serve pages and viewers; port 0 takes any free one.
+///
+/// # Errors
+/// The port cannot be opened, no thread can be had, or the clock of this machine is before 1970.
+pub fn start(
+    ip: IpAddr,
+    port: u16,
+    robots: SyncSender<Message>,
+    updates: Updates,
+    hello: Hello,
+) -> anyhow::Result<Serving> {
+    anyhow::ensure!(is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
+    // On a thread of our own: one that cannot be had is then no panic.
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    let at = || format!("cannot listen on port {port} of {ip}; choose another port with --port");
+    let server = runtime.block_on(Server::bind(ip, port)).with_context(at)?;
+    let serving = Serving { url: server.url(), runtime: runtime.handle().clone() };
+    let work = server.serve(robots, updates, hello);
+    start_thread("serving pages", move || runtime.block_on(work))?;
+    Ok(serving)
+}
+
+/// Starts a thread.
+///
+/// # Errors
+/// None can be had.
+pub fn start_thread(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
+    let started = thread::Builder::new().name(name.to_owned()).spawn(work);
+    started.map(drop).with_context(|| format!("cannot start the thread for {name}"))
 }
 
 /// A server that listens on its port.
@@ -107,7 +150,7 @@ impl Server {
 }
 
 /// Returns false if the clock of this machine is before 1970: hyper panics then.
-pub fn is_clock_right() -> bool {
+fn is_clock_right() -> bool {
     SystemTime::now() >= SystemTime::UNIX_EPOCH
 }
 

@@ -18,6 +18,7 @@ use supple::scenario::catalog::{Scenario, ScriptError};
 use supple::scenario::metrics::Metric;
 use supple::scenario::trace::{Event, EventKind, Frame, Trace};
 use supple::sim::Ground;
+use supple::task::Command;
 use supple::util::provenance::git_revision;
 use supple::util::random::{Purpose, stream};
 use supple::util::terminal;
@@ -27,6 +28,7 @@ use super::body::{Body, FRAME_S, STATE_HZ, configuration};
 use super::judge::{Complaint, Judge, Kind};
 use super::link::{Faults, Link};
 use super::operator::Operator;
+use super::page::Page;
 use crate::dds::{Arrival, Delivery, Node, NodeError, Place, switcher};
 use crate::message::{LowCmd, LowState};
 use crate::remote::{FullSticks, Remote};
@@ -70,6 +72,8 @@ pub struct Settings {
     pub full_sticks: FullSticks,
     /// File of the recording.
     pub record: Option<PathBuf>,
+    /// Port of the page on which people push and pull the robot; 0 takes any free one.
+    pub page: Option<u16>,
     /// Time after which the program ends \[s\]; `None` for the scenario's end or Ctrl-C.
     pub seconds: Option<f64>,
 }
@@ -92,6 +96,9 @@ pub enum ServeError {
     /// The recording.
     #[error(transparent)]
     Record(#[from] RecordError),
+    /// The page.
+    #[error("{0:#}")]
+    Page(anyhow::Error),
     /// The physics rate.
     #[error("physics rate {found} Hz: expected a multiple of {STATE_HZ} Hz, from 500 to 4000")]
     PhysicsRate {
@@ -200,6 +207,7 @@ pub struct Served<'a> {
     operator: Option<Operator>,
     remote: Remote,
     recording: Option<Recording>,
+    page: Option<Page>,
     trace: Trace,
     has_begun: bool,
     printed: Vec<(Kind, f64)>,
@@ -226,6 +234,7 @@ impl<'a> Served<'a> {
         let operator =
             settings.scenario.as_ref().map(|_| Operator::new(&script.command, settings.full_sticks, standing_m));
         let recording = settings.record.as_ref().map(|path| Recording::start(path.clone(), &script)).transpose()?;
+        let page = settings.page.map(|port| open_page(settings, &script, port)).transpose()?;
         let body = Body::new(script.clone(), config, settings.noise, settings.seed)?;
         let trace = Trace { period_s: FRAME_S, weight_n: robot.mass_kg * GRAVITY_M_S2, ..Trace::default() };
         Ok(Served {
@@ -236,6 +245,7 @@ impl<'a> Served<'a> {
             operator,
             remote: Remote::default(),
             recording,
+            page,
             trace,
             has_begun: false,
             printed: Vec::new(),
@@ -315,7 +325,7 @@ impl<'a> Served<'a> {
         let complaints = self.judge.take(&arrival.message, arrival.writer, now_s, released);
         complaints.iter().for_each(|complaint| self.complain(complaint, now_s));
         if was_silent && !self.judge.is_silent() {
-            terminal::note(format_args!("{now_s:8.3} s: commands come"));
+            self.say(now_s, "commands come");
         }
     }
 
@@ -325,13 +335,20 @@ impl<'a> Served<'a> {
             self.complain(&complaint, now_s);
         }
         self.body.command(self.judge.motors());
+        if let Some(page) = &mut self.page {
+            page.act(&mut self.body);
+            if self.operator.is_none() {
+                self.remote = self.settings.full_sticks.remote(&page.command());
+                self.body.playback().ask(page.command());
+            }
+        }
         if let Some(operator) = &mut self.operator {
             let (remote, begins) = operator.act(&self.body.sight(now_s, !self.judge.is_silent()));
             self.remote = remote;
             if begins {
                 self.body.begin();
                 self.has_begun = true;
-                terminal::note(format_args!("{now_s:8.3} s: the robot stands: the scenario begins"));
+                self.say(now_s, "the robot stands: the scenario begins");
             }
         }
         let tick = self.body.tick();
@@ -344,6 +361,9 @@ impl<'a> Served<'a> {
         }
         if let Some(recording) = &mut self.recording {
             recording.add(tick.frame.as_ref(), &tick.events);
+        }
+        if let Some(page) = &mut self.page {
+            page.show(tick.frame.as_ref(), &tick.events);
         }
         if self.has_begun && self.settings.scenario.is_some() {
             self.trace.frames.extend(tick.frame.map(|frame| Frame { bodies: Vec::new(), ..frame }));
@@ -361,7 +381,15 @@ impl<'a> Served<'a> {
             None => self.printed.push((complaint.kind, now_s)),
         }
         let verb = if complaint.kind.is_refused() { "refused: " } else { "" };
-        terminal::note(format_args!("{now_s:8.3} s: {verb}{}", complaint.text));
+        self.say(now_s, &format!("{verb}{}", complaint.text));
+    }
+
+    /// Shows a text on the terminal and the page.
+    fn say(&mut self, now_s: f64, text: &str) {
+        terminal::note(format_args!("{now_s:8.3} s: {text}"));
+        if let Some(page) = &mut self.page {
+            page.notice(text.to_owned());
+        }
     }
 
     fn finish(self, pace: Pace) -> Result<Summary, ServeError> {
@@ -383,6 +411,15 @@ impl<'a> Served<'a> {
             pace,
         })
     }
+}
+
+/// Opens the page on a port of this machine.
+fn open_page(settings: &Settings, script: &Script, port: u16) -> Result<Page, ServeError> {
+    let [forward, left, yaw] = settings.full_sticks.0;
+    let (page, to_robot) = Page::new(&script.scene, settings.seed, Command::velocity(forward, left, yaw));
+    let url = page.serve(to_robot, port).map_err(ServeError::Page)?;
+    terminal::note(format_args!("push and pull the robot at {url}"));
+    Ok(page)
 }
 
 /// A recording that is written by a thread of its own, so that a slow disk does not delay the robot.

@@ -5,7 +5,6 @@ mod args;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -18,7 +17,7 @@ use supple_drive::live::{self, Live};
 use supple_drive::message::Message;
 use supple_drive::publisher::{Publisher, Updates};
 use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S};
-use supple_drive::server::{self, Server};
+use supple_drive::server::{self, Serving, start_thread};
 use supple_drive::{replay, viewer_stream};
 
 /// Length of the message queue: enough for the seconds in which a scene is built.
@@ -64,24 +63,18 @@ fn serve(
     to_robots: SyncSender<Message>,
     play: impl FnOnce() -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    anyhow::ensure!(server::is_clock_right(), "cannot serve pages: the clock of this machine is before 1970; set it");
-    // On a thread of our own: one that cannot be had is then no panic.
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
-    let at = || format!("cannot listen on port {} of {}; choose another port with --port", args.port, args.bind);
-    let server = runtime.block_on(Server::bind(args.bind, args.port)).with_context(at)?;
-    let url = server.url();
+    let shown = updates.shown.subscribe();
+    let Serving { url, runtime } = server::start(args.bind, args.port, to_robots.clone(), updates, hello(args))?;
     if let Some(viewer) = args.connect.clone() {
-        let (updates, runtime, to_robots) = (updates.shown.subscribe(), runtime.handle().clone(), to_robots.clone());
-        start("feeding a viewer", move || {
-            if let Err(error) = viewer_stream::to_viewer(updates, &runtime, viewer) {
+        let to_robots = to_robots.clone();
+        start_thread("feeding a viewer", move || {
+            if let Err(error) = viewer_stream::to_viewer(shown, &runtime, viewer) {
                 terminal::note(format_args!("warning: {error}"));
                 // The robots may have ended.
                 let _ = to_robots.send(Message::Notice(error.to_string()));
             }
         })?;
     }
-    let serving = server.serve(to_robots.clone(), updates, hello(args));
-    start("serving pages", move || runtime.block_on(serving))?;
     stop_on_signals(to_robots)?;
 
     terminal::print(format_args!("{url}\n"))?;
@@ -89,11 +82,6 @@ fn serve(
         terminal::note("cannot open a browser: open the address above yourself; Ctrl-C ends");
     }
     play()
-}
-
-fn start(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow::Result<()> {
-    let started = thread::Builder::new().name(name.to_owned()).spawn(work);
-    started.map(drop).with_context(|| format!("cannot start the thread for {name}"))
 }
 
 /// Handles signals: the first Ctrl-C (or SIGTERM, or SIGHUP) asks the robots to stop, the second one ends the program at
@@ -106,7 +94,7 @@ fn stop_on_signals(to_robots: SyncSender<Message>) -> anyhow::Result<()> {
             first = Some(Instant::now());
             let to_robots = to_robots.clone();
             // On another thread, because it waits while the queue is full.
-            if start("stopping", move || drop(to_robots.send(Message::Stop))).is_err() {
+            if start_thread("stopping", move || drop(to_robots.send(Message::Stop))).is_err() {
                 std::process::exit(130);
             }
         }
@@ -138,6 +126,7 @@ fn hello(args: &Args) -> Hello {
         scenes: SceneKind::value_variants().to_vec(),
         most: [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N],
         viewer: args.connect.is_none(),
+        is_served: false,
     }
 }
 

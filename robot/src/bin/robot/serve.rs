@@ -56,6 +56,12 @@ pub struct Serve {
     /// Recording to write
     #[arg(long, value_name = "FILE", help_heading = "Output")]
     record: Option<PathBuf>,
+    /// Open a page in which the robot is pushed and pulled by hand, and without a scenario its remote's stick is moved
+    #[arg(long, help_heading = "Page")]
+    page: bool,
+    /// Port of the page, 0 for any free port
+    #[arg(long, value_name = "PORT", default_value_t = 9100, requires = "page", help_heading = "Page")]
+    port: u16,
     /// Print one JSON object on stdout and nothing else there
     #[arg(long, help_heading = "Output")]
     json: bool,
@@ -90,6 +96,7 @@ pub fn run(args: &Serve) -> anyhow::Result<()> {
         any_head: args.any_head,
         full_sticks: FullSticks([forward, left, yaw]),
         record: args.record.clone(),
+        page: args.page.then_some(args.port),
         seconds: args.seconds,
     };
     let stop = stop_flag()?;

@@ -1,0 +1,232 @@
+//! The page of `drive` beside a served robot: hands push and pull it, and the page's stick is that of the remote.
+
+use std::net::{IpAddr, Ipv4Addr};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+use supple::robot::GRAVITY_M_S2;
+use supple::scenario::session::{Act, Input, RATE_HZ, RobotStep, SceneKind};
+use supple::scenario::trace::{Event, EventKind, Frame};
+use supple::sim::{Push, Scene};
+use supple::task::Command;
+use supple_drive::driver::Heard;
+use supple_drive::message::Message;
+use supple_drive::publisher::{Facts, Publisher, Shown};
+use supple_drive::request::{Hello, MOST_PULL_N, MOST_PUSH_M_S, MOST_PUSH_N_S, Request, bounded};
+use supple_drive::server;
+use supple_drive::viewer_stream::Cast;
+
+use super::body::{Body, FRAME_S};
+
+/// Messages of pages that wait for the next tick.
+const QUEUE: usize = 512;
+
+/// The page, as the loop that plays the robot sees it.
+pub struct Page {
+    messages: Receiver<Message>,
+    publisher: Publisher,
+    robot: Served,
+    command: Command,
+    pull: Option<[f64; 2]>,
+    /// Events since the last frame.
+    events: Vec<Event>,
+}
+
+/// What pages show of the robot.
+struct Served {
+    scene: Scene,
+    seed: u64,
+    range: Command,
+    /// Frames that were shown; those before a scenario have no time of their own.
+    frames: u64,
+    falls: u32,
+}
+
+impl Served {
+    fn time_s(&self) -> f64 {
+        self.frames as f64 * FRAME_S
+    }
+}
+
+impl Shown for Served {
+    fn tick(&self) -> u64 {
+        (self.time_s() * RATE_HZ as f64).round() as u64
+    }
+
+    fn scene(&self) -> (Option<SceneKind>, u64) {
+        (None, self.seed)
+    }
+
+    fn range(&self) -> Command {
+        self.range
+    }
+
+    fn cast(&self) -> Cast {
+        Cast { names: vec!["go2".to_owned()], scenes: vec![self.scene.clone()] }
+    }
+
+    fn facts(&self) -> Vec<Facts> {
+        vec![Facts {
+            policy: "client".to_owned(),
+            robot: "go2".to_owned(),
+            compliance: None,
+            reach: None,
+            falls: self.falls,
+            weight_n: self.scene.robot.mass_kg * GRAVITY_M_S2,
+            period_s: FRAME_S,
+        }]
+    }
+}
+
+impl Page {
+    /// Creates the page of a robot in a scene, and where messages to it go. `range` is what full sticks mean.
+    pub fn new(scene: &Scene, seed: u64, range: Command) -> (Self, SyncSender<Message>) {
+        let robot = Served { scene: scene.clone(), seed, range, frames: 0, falls: 0 };
+        let (to_robot, messages) = sync_channel(QUEUE);
+        let page = Page {
+            messages,
+            publisher: Publisher::new(&robot),
+            robot,
+            command: Command::default(),
+            pull: None,
+            events: Vec::new(),
+        };
+        (page, to_robot)
+    }
+
+    /// Serves the page on this machine; port 0 takes any free one. Returns its address.
+    ///
+    /// # Errors
+    /// The port or a thread cannot be had.
+    pub fn serve(&self, to_robot: SyncSender<Message>, port: u16) -> anyhow::Result<String> {
+        let most = [MOST_PUSH_M_S, MOST_PUSH_N_S, MOST_PULL_N];
+        let hello = Hello { policies: Vec::new(), scenes: Vec::new(), most, viewer: true, is_served: true };
+        let here = IpAddr::V4(Ipv4Addr::LOCALHOST);
+        Ok(server::start(here, port, to_robot, self.publisher.updates(), hello)?.url)
+    }
+
+    /// Returns the velocity that the page's stick asks for.
+    pub fn command(&self) -> Command {
+        self.command
+    }
+
+    /// Takes the messages that have come, and pushes and pulls the robot as they say. A page that falls silent lets go.
+    pub fn act(&mut self, body: &mut Body) {
+        while let Ok(message) = self.messages.try_recv() {
+            match self.publisher.driver.take(message) {
+                Heard::Request(Request::Act(act)) => match bounded(act, &self.robot.range) {
+                    Act::Command(command) => self.command = command,
+                    Act::Pull(force) => self.hold(force, body),
+                    act @ Act::Push { size, unit } => {
+                        let linear = unit.velocity(size, self.robot.scene.robot.mass_kg);
+                        body.playback().push(Push { linear, angular: [0.0; 3] });
+                        self.publisher.note_input(&self.robot, &Input::Act(act));
+                    }
+                    // A robot that is served has neither.
+                    Act::Comply { .. } | Act::Reset => {}
+                },
+                Heard::Other(Message::Notice(text)) => self.notice(text),
+                Heard::Released => self.let_go(body),
+                Heard::Request(_) | Heard::Nothing | Heard::Other(_) => {}
+            }
+        }
+        if self.publisher.driver.is_silent() {
+            self.let_go(body);
+        }
+    }
+
+    fn hold(&mut self, force: Option<[f64; 2]>, body: &mut Body) {
+        if force != self.pull {
+            self.pull = force;
+            body.playback().pull(force);
+            self.publisher.note_input(&self.robot, &Input::Act(Act::Pull(force)));
+        }
+    }
+
+    fn let_go(&mut self, body: &mut Body) {
+        self.command = Command::default();
+        self.hold(None, body);
+    }
+
+    /// Shows a text.
+    pub fn notice(&mut self, text: String) {
+        self.publisher.notice(text);
+    }
+
+    /// Shows what a tick has brought.
+    pub fn show(&mut self, frame: Option<&Frame>, events: &[Event]) {
+        self.events.extend_from_slice(events);
+        let Some(frame) = frame else { return };
+        let tick = self.robot.tick();
+        self.robot.frames += 1;
+        let time_s = self.robot.time_s();
+        let events: Vec<Event> = self.events.drain(..).map(|event| Event { time_s, ..event }).collect();
+        let fell = events.iter().filter(|event| event.kind == EventKind::Fall).count();
+        self.robot.falls += u32::try_from(fell).unwrap_or(0);
+        let frame = Some(Arc::new(Frame { time_s, ..frame.clone() }));
+        let step = RobotStep { robot: 0, is_beginning: false, frame, events };
+        self.publisher.note_steps(&self.robot, tick, &[step]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use supple::config::Config;
+    use supple::robot::JOINTS;
+    use supple::scenario::catalog::Scenario;
+    use supple::scenario::session::PushUnit;
+    use supple::scenario::trace::Disturbance;
+    use supple_drive::driver::SILENCE;
+
+    use super::*;
+    use crate::motor;
+    use crate::serve::body::configuration;
+
+    #[test]
+    fn page_pushes_pulls_and_steers_until_it_falls_silent() {
+        let config = configuration(Config::load("go2").unwrap(), 1000);
+        let script = Scenario::named("walk", "{}").unwrap().script(0, &config).unwrap();
+        let robot = Arc::clone(&script.scene.robot);
+        let (mut page, to_robot) = Page::new(&script.scene, 0, Command::velocity(1.0, 0.5, 0.5));
+        let updates = page.publisher.updates();
+        let mut body = Body::new(script, config, None, 0).unwrap();
+        body.command(&motor::holding(&robot.nominal_pose, &[60.0; JOINTS], &[5.0; JOINTS]));
+        let mut play = |page: &mut Page, ticks: usize| {
+            let mut last = None;
+            for _ in 0..ticks {
+                page.act(&mut body);
+                let tick = body.tick();
+                page.show(tick.frame.as_ref(), &tick.events);
+                last = tick.frame.or(last);
+            }
+            last.unwrap()
+        };
+        let ask = |act| to_robot.send(Message::Request(1, Request::Act(act))).unwrap();
+
+        to_robot.send(Message::PageOpened(1)).unwrap();
+        play(&mut page, 500);
+        ask(Act::Command(Command::velocity(7.0, 0.0, -0.25)));
+        ask(Act::Push { size: [0.0, 0.5], unit: PushUnit::Velocity });
+        ask(Act::Pull(Some([0.0, 500.0])));
+        let frame = play(&mut page, 10);
+        assert!(frame.velocity_in_heading[1] > 0.3, "{:?}", frame.velocity_in_heading);
+        assert_eq!(page.command(), Command::velocity(1.0, 0.0, -0.25));
+        let force_n = match frame.disturbance {
+            Some(Disturbance::Pull { force }) => force.iter().map(|part| part * part).sum::<f64>().sqrt(),
+            other => panic!("{other:?}"),
+        };
+        assert!((force_n - MOST_PULL_N).abs() < 1e-9, "{force_n}");
+        let state: serde_json::Value = serde_json::from_str(&updates.state.borrow()).unwrap();
+        let shown = &state["state"]["robots"][0];
+        assert_eq!(shown["time_s"].as_f64().map(|time_s| (time_s * 50.0).round()), Some(51.0), "{shown}");
+        assert_eq!(shown["reading"]["pull"]["force_n"].as_f64(), Some(MOST_PULL_N));
+        assert_eq!(shown["reading"]["push"]["size_m_s"][1].as_f64(), Some(0.5));
+
+        std::thread::sleep(SILENCE + Duration::from_millis(50));
+        let disturbance = play(&mut page, 20).disturbance;
+        assert!(!matches!(disturbance, Some(Disturbance::Pull { .. })), "{disturbance:?}");
+        assert_eq!(page.command(), Command::default());
+    }
+}
