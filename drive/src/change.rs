@@ -9,6 +9,7 @@ use std::sync::mpsc::SyncSender;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use supple::mujoco;
 use supple::policy::AgentError;
 use supple::scenario::session::{AgentCache, AgentCacheError, LiveSession, SceneKind, Setup};
 use supple::util::terminal;
@@ -174,6 +175,8 @@ impl Builder {
         let (number, to_robots, is_shared) = (self.number, self.to_robots.clone(), self.is_shared);
         let (setup, cache, what) = (before.clone(), cache.clone(), name.clone());
         let work = move || {
+            // That of the scene before the present one.
+            mujoco::release_memory();
             let result = change.build(setup, cache).map(Box::new).map_err(|error| {
                 let text = format!("{error:#}");
                 let is_harmless =

@@ -10,6 +10,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#ifdef __GLIBC__
+#include <malloc.h>
+#endif
 
 _Thread_local jmp_buf* supple_catch_point = NULL;
 _Thread_local char* supple_error_text = NULL;
@@ -130,5 +133,11 @@ int supple_actuator_count(const mjModel* m) {
   return (int)m->nactuator;
 #else
   return (int)m->nu;
+#endif
+}
+
+void supple_release_memory(void) {
+#ifdef __GLIBC__
+  malloc_trim(0);
 #endif
 }

@@ -42,4 +42,8 @@ void supple_exhaust_stack(mjData* d);
 void supple_collide_pairs_only(mjModel* m);
 int supple_actuator_count(const mjModel* m);
 
+// Gives freed memory back to the system, where the C library can: it keeps that of a large scene otherwise, once for each thread
+// that built one.
+void supple_release_memory(void);
+
 #endif

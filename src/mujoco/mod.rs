@@ -44,6 +44,12 @@ fn initialise() -> Result<()> {
     if found == VERSION { Ok(()) } else { Err(Error::Version { expected: VERSION, found }) }
 }
 
+/// Gives freed memory back to the system. The C library keeps that of a large scene otherwise, once for each thread that built one.
+pub fn release_memory() {
+    // SAFETY: no preconditions; the C library locks what it walks through.
+    unsafe { mujoco_sys::supple_release_memory() };
+}
+
 /// Buffer into which the shim writes MuJoCo's message.
 type Message = [std::ffi::c_char; mujoco_sys::SUPPLE_ERROR_SIZE as usize];
 

@@ -9,6 +9,7 @@ use axum::extract::State;
 use axum::extract::ws::{Message as Frame, Utf8Bytes, WebSocket, WebSocketUpgrade};
 use axum::http::StatusCode;
 use axum::response::{IntoResponse, Response};
+use supple::mujoco;
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::time::{interval, sleep, timeout};
@@ -147,6 +148,7 @@ async fn feed(mut socket: WebSocket, shared: &Shared, permit: OwnedSemaphorePerm
             // The robots go on without this viewer.
             let _ = notices.try_send(Message::Notice(format!("a viewer stopped: {error}")));
         }
+        mujoco::release_memory();
         drop(permit);
     };
     if let Err(error) = std::thread::Builder::new().name("feeding a viewer".to_owned()).spawn(work) {
