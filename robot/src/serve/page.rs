@@ -32,7 +32,7 @@ pub struct Page {
     events: Vec<Event>,
 }
 
-/// What pages show of the robot.
+/// The robot as pages show it.
 struct Served {
     scene: Scene,
     seed: u64,
