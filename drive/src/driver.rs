@@ -16,7 +16,7 @@ pub struct Driver {
     count: u64,
 }
 
-/// The meaning of a message for whoever plays the robots.
+/// The meaning of a message to the thread that plays the robots.
 #[derive(Debug)]
 pub enum Heard {
     /// A request of the driving page.

@@ -1,4 +1,4 @@
-//! Publishes the state of the robots to pages and viewers after every step, whoever plays them.
+//! Publishes the state of the robots to pages and viewers after every step: live, replayed or served.
 
 use std::collections::VecDeque;
 use std::sync::Arc;

@@ -36,7 +36,7 @@ use crate::message::Message;
 use crate::publisher::Updates;
 use crate::request::Hello;
 
-pub use guard::Token;
+use guard::Token;
 
 /// Largest number of viewers; each has its own recording.
 const MOST_VIEWERS: usize = 4;
@@ -61,7 +61,7 @@ struct Shared {
 pub struct Serving {
     /// Address to open in a browser.
     pub url: String,
-    /// Its runtime.
+    /// The runtime of the server, for other tasks.
     pub runtime: Handle,
 }
 
@@ -98,10 +98,10 @@ pub fn start_thread(name: &str, work: impl FnOnce() + Send + 'static) -> anyhow:
 
 /// A server that listens on its port.
 #[derive(Debug)]
-pub struct Server {
+struct Server {
     listener: TcpListener,
     /// Address that the server listens on.
-    pub address: SocketAddr,
+    address: SocketAddr,
     token: Token,
 }
 
@@ -110,14 +110,14 @@ impl Server {
     ///
     /// # Errors
     /// The port cannot be opened, e.g. because it is in use.
-    pub async fn bind(ip: IpAddr, port: u16) -> std::io::Result<Self> {
+    async fn bind(ip: IpAddr, port: u16) -> std::io::Result<Self> {
         let listener = TcpListener::bind((ip, port)).await?;
         let address = listener.local_addr()?;
         Ok(Server { listener, address, token: Token::random() })
     }
 
     /// Returns the address to open in a browser.
-    pub fn url(&self) -> String {
+    fn url(&self) -> String {
         let address = match self.address.ip() {
             ip if ip.is_unspecified() && ip.is_ipv4() => {
                 SocketAddr::new(IpAddr::from([127, 0, 0, 1]), self.address.port())
@@ -129,7 +129,7 @@ impl Server {
     }
 
     /// Serves until the future is dropped.
-    pub async fn serve(self, robots: SyncSender<Message>, updates: Updates, hello: Hello) {
+    async fn serve(self, robots: SyncSender<Message>, updates: Updates, hello: Hello) {
         let shared = Shared {
             token: self.token,
             port: self.address.port(),

@@ -25,7 +25,7 @@ const QUEUE: usize = 512;
 pub struct Page {
     messages: Receiver<Message>,
     publisher: Publisher,
-    robot: Served,
+    robot: ServedRobot,
     command: Command,
     pull: Option<[f64; 2]>,
     /// Events since the last frame.
@@ -33,7 +33,7 @@ pub struct Page {
 }
 
 /// The robot as pages show it.
-struct Served {
+struct ServedRobot {
     scene: Scene,
     seed: u64,
     range: Command,
@@ -42,13 +42,13 @@ struct Served {
     falls: u32,
 }
 
-impl Served {
+impl ServedRobot {
     fn time_s(&self) -> f64 {
         self.frames as f64 * FRAME_S
     }
 }
 
-impl Shown for Served {
+impl Shown for ServedRobot {
     fn tick(&self) -> u64 {
         (self.time_s() * RATE_HZ as f64).round() as u64
     }
@@ -81,7 +81,7 @@ impl Shown for Served {
 impl Page {
     /// Creates the page of a robot in a scene, and where messages to it go. `range` is what full sticks mean.
     pub fn new(scene: &Scene, seed: u64, range: Command) -> (Self, SyncSender<Message>) {
-        let robot = Served { scene: scene.clone(), seed, range, frames: 0, falls: 0 };
+        let robot = ServedRobot { scene: scene.clone(), seed, range, frames: 0, falls: 0 };
         let (to_robot, messages) = sync_channel(QUEUE);
         let page = Page {
             messages,
@@ -122,7 +122,7 @@ impl Page {
                         body.playback().push(Push { linear, angular: [0.0; 3] });
                         self.publisher.note_input(&self.robot, &Input::Act(act));
                     }
-                    // A robot that is served has neither.
+                    // Compliance is the client's, and a robot that is commanded from outside is not put elsewhere.
                     Act::Comply { .. } | Act::Reset => {}
                 },
                 Heard::Other(Message::Notice(text)) => self.notice(text),
