@@ -35,7 +35,6 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("hardware", include_str!("../../configs/hardware.yaml")),
     ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
     ("real", include_str!("../../configs/real.yaml")),
-    ("real-baseline", include_str!("../../configs/real-baseline.yaml")),
 ];
 
 /// Range of `ln σ`, far beyond the values of training: below it, log-densities lose their precision, above it, actions

@@ -552,9 +552,13 @@ pub struct Ppo {
     /// Clip range of the probability ratio.
     #[garde(custom(positive))]
     pub clip_range: f64,
-    /// Weight of the entropy bonus.
+    /// Weight of the entropy bonus; of the first iteration, with `final_entropy_coefficient`.
     #[garde(custom(not_negative))]
     pub entropy_coefficient: f64,
+    /// Weight of the entropy bonus at the last sample of the run, which changes linearly until then; `None`: constant.
+    #[serde(default)]
+    #[garde(inner(custom(not_negative)))]
+    pub final_entropy_coefficient: Option<f64>,
     /// Discount factor γ.
     #[garde(custom(fraction))]
     pub discount: f64,

@@ -40,6 +40,9 @@ pub trait Learner: Debug + Send {
     /// kept.
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault>;
 
+    /// Sets the weight of the entropy bonus of the next updates; at first that of the configuration.
+    fn set_entropy_coefficient(&mut self, weight: f64);
+
     /// Returns a copy of the complete state, from which training continues with the same bits.
     fn state(&self) -> LearnerState;
 

@@ -7,6 +7,12 @@ use crate::config::Ppo;
 use crate::ranks::{Ranks, tree_sum};
 
 impl Ppo {
+    /// Returns the weight of the entropy bonus after this part of the run, 0 to 1.
+    pub fn entropy_coefficient_after(&self, part: f64) -> f64 {
+        let last = self.final_entropy_coefficient.unwrap_or(self.entropy_coefficient);
+        self.entropy_coefficient + part.min(1.0) * (last - self.entropy_coefficient)
+    }
+
     /// Returns the learning rate for a step at which the policy has the divergence `kl` from the rollout's (Rudin et
     /// al., 2021): divided by 1.5 above twice the desired divergence, multiplied by 1.5 below half of it. As in rsl_rl,
     /// a divergence of exactly zero (the first minibatch of an update) changes nothing.
@@ -245,6 +251,16 @@ pub(in crate::ppo) mod tests {
         let minibatch = Minibatch::all(batch, &settings, &orders, &Alone)[0];
         let blocks: Vec<&[u32]> = (0..2 * minibatch.shard_blocks(3)).map(|block| minibatch.block(3, block)).collect();
         assert_eq!(blocks, [&[0, 1, 2][..], &[3, 4], &[5, 6, 7], &[8, 9]]);
+    }
+
+    #[test]
+    fn the_weight_of_the_entropy_falls_linearly_if_a_last_one_is_given() {
+        let settings = Ppo { entropy_coefficient: 0.01, final_entropy_coefficient: Some(0.002), ..settings() };
+        let weights = [0.0, 0.25, 1.0, 1.5].map(|part| settings.entropy_coefficient_after(part));
+        let expected = [0.01, 0.008, 0.002, 0.002];
+        assert!(weights.iter().zip(expected).all(|(weight, expected)| (weight - expected).abs() < 1e-15), "{weights:?}");
+        let constant = Ppo { final_entropy_coefficient: None, ..settings };
+        assert_eq!(constant.entropy_coefficient_after(0.7), 0.01);
     }
 
     #[test]

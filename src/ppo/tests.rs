@@ -242,6 +242,7 @@ fn an_update_equals_the_textbook_loop() {
 
     let (expected, expected_statistics) = reference_update(&network, &samples.batch(), &order, &settings);
     let statistics = |(mut learner, tolerance): (Box<dyn Learner>, f64)| {
+        learner.set_entropy_coefficient(settings.entropy_coefficient);
         let statistics = learner.update(&samples.batch(), &order).unwrap();
         let before = network.tensors();
         let after = learner.parameters();
@@ -264,7 +265,8 @@ fn an_update_equals_the_textbook_loop() {
         }
         statistics
     };
-    let statistics: Vec<_> = learners(&network, &settings).into_iter().map(statistics).collect();
+    let others = Ppo { entropy_coefficient: 0.5, ..settings.clone() };
+    let statistics: Vec<_> = learners(&network, &others).into_iter().map(statistics).collect();
     let (fused, candle) = (&statistics[0], &statistics[1]);
     assert!(fused.clip_fraction > 0.0 && fused.clip_fraction < 1.0);
     assert_eq!(fused.clip_fraction, candle.clip_fraction);

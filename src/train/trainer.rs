@@ -245,6 +245,8 @@ impl Trainer {
 
         let batch = rollout.batch(&network.log_std, &advantages, &returns);
         let permutations = self.permutations(rollout.len());
+        let part = self.run.samples as f64 / self.run.config.run.samples as f64;
+        self.learner.set_entropy_coefficient(ppo.entropy_coefficient_after(part));
         let images = self.mirror.as_ref().map(|mirror| mirror.doubled(&batch, &network.policy, self.threads));
         let batch = images.as_ref().map_or(batch, Samples::batch);
         let statistics = match self.learner.update(&batch, &permutations) {

@@ -29,7 +29,7 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 #[derive(Parser)]
 #[command(version = supple::util::provenance::version())]
 struct Args {
-    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, real, real-baseline, go2,
+    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, real, go2,
     /// go2-baseline (unfinished), or a YAML file; with --resume, the one that the run must have [default: fast]
     #[arg(long, value_name = "NAME|FILE")]
     config: Option<String>,

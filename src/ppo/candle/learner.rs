@@ -74,6 +74,10 @@ impl CandleLearner {
 }
 
 impl Learner for CandleLearner {
+    fn set_entropy_coefficient(&mut self, weight: f64) {
+        self.settings.entropy_coefficient = weight;
+    }
+
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
         check(batch, permutations, &self.state.parameters, &self.settings, &Alone)?;
         // One thread: the products of single layers are so small that waking others costs more than they bring.

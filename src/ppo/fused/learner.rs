@@ -210,6 +210,10 @@ impl<A: Arithmetic> FusedLearner<A> {
 }
 
 impl<A: Arithmetic> Learner for FusedLearner<A> {
+    fn set_entropy_coefficient(&mut self, weight: f64) {
+        self.settings.entropy_coefficient = weight;
+    }
+
     fn update(&mut self, batch: &Batch<'_>, permutations: &[Vec<u32>]) -> Result<UpdateStatistics, UpdateFault> {
         check(batch, permutations, &self.shapes, &self.settings, &*self.ranks)?;
         let minibatches = Minibatch::all(batch, &self.settings, permutations, &*self.ranks);
