@@ -25,7 +25,7 @@ pub struct PolicyCalibration {
     pub sha256: String,
     /// Mass of the robot that it was measured on \[kg\].
     pub mass_kg: f64,
-    /// Own compliance of the policy, `C₀`, forward and left [m/s/N].
+    /// Own compliance of the policy, `C₀`, forward and left [m/s/N]; negative for one that leans against what it feels.
     pub own_m_s_per_n: [f64; 2],
     /// Change of the policy's velocity per change of the commanded one, forward and left.
     pub tracking: [f64; 2],
@@ -147,12 +147,8 @@ impl PolicyCalibration {
             return Err(CalibrationError::OtherPolicy);
         }
         let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
-        let positive = numbers
-            .chain(self.own_m_s_per_n)
-            .chain(self.tracking)
-            .chain([self.mass_kg])
-            .all(|it| it.is_finite() && it > 0.0);
-        if points.len() < 2 || !rising || !positive {
+        let positive = numbers.chain(self.tracking).chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
+        if points.len() < 2 || !rising || !positive || self.own_m_s_per_n.iter().any(|own| !own.is_finite()) {
             return Err(CalibrationError::Values);
         }
         Ok(self)
@@ -287,6 +283,11 @@ mod tests {
     }
 
     #[test]
+    fn a_policy_may_lean_against_what_it_feels() {
+        assert_eq!(parsed(&TEXT.replacen("[0.01,", "[-0.002,", 1)).unwrap().own_m_s_per_n, [-0.002, 0.02]);
+    }
+
+    #[test]
     fn compliance_beyond_tried_ones_is_refused() {
         let calibration = parsed(TEXT).unwrap();
         assert!(calibration.check(0.005).is_ok() && calibration.check(0.05).is_ok());
@@ -328,7 +329,7 @@ mod tests {
         let other = PolicyCalibration::from_json(Path::new("p.calibration.json"), TEXT, "other");
         assert!(other.unwrap_err().to_string().contains("p.calibration.json"));
         for (from, to) in
-            [("0.05,", "0.005,"), ("[0.01,", "[-0.01,"), ("12.5", "1e999"), ("[0.006, 0.007]", "0.006"), ("12.5", "0")]
+            [("0.05,", "0.005,"), ("[0.01,", "[1e999,"), ("12.5", "1e999"), ("[0.006, 0.007]", "0.006"), ("12.5", "0")]
         {
             assert!(TEXT.contains(from), "{from}");
             assert!(parsed(&TEXT.replacen(from, to, 1)).is_err(), "{from} to {to}");

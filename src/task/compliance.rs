@@ -77,16 +77,16 @@ mod tests {
         VirtualMass { mass_kg: MASS_KG, own_m_s_per_n: OWN, tracking: TRACKING, limits_m_s, period_s: STEP_S }
     }
 
-    /// Returns velocity and path of a robot that follows its command with its own compliance (v = k v_command + C₀ F) while
+    /// Returns velocity and path of a robot that follows its command with the compliance `own` (v = k v_command + C₀ F) while
     /// `force` acts for `acting_s`, and for 10 s in all.
-    fn led(c: f64, force: [f64; 2], acting_s: f64) -> ([f64; 2], [f64; 2]) {
-        let mass = mass([1.0, 1.0]);
+    fn led(own: [f64; 2], c: f64, force: [f64; 2], acting_s: f64) -> ([f64; 2], [f64; 2]) {
+        let mass = VirtualMass { own_m_s_per_n: own, ..mass([1.0, 1.0]) };
         let (mut change, mut velocity, mut path) = ([0.0; 2], [0.0; 2], [0.0; 2]);
         for step in 0..600 {
             let force = if f64::from(step) * STEP_S < acting_s { force } else { [0.0; 2] };
             let commanded = mass.command(force, &Command::default(), c, &mut change);
             let commanded = [TRACKING[0] * commanded.forward, TRACKING[1] * commanded.left];
-            velocity = [commanded[0] + OWN[0] * force[0], commanded[1] + OWN[1] * force[1]];
+            velocity = [commanded[0] + own[0] * force[0], commanded[1] + own[1] * force[1]];
             (0..2).for_each(|axis| path[axis] += STEP_S * velocity[axis]);
         }
         (velocity, path)
@@ -94,8 +94,8 @@ mod tests {
 
     #[test]
     fn steady_pull_gives_commanded_compliance_on_both_axes() {
-        for c in [0.005, 0.015, 0.03, 0.05] {
-            let ([forward, left], _) = led(c, [8.0, -8.0], 10.0);
+        for (own, c) in [(OWN, 0.005), (OWN, 0.015), (OWN, 0.03), (OWN, 0.05), ([-0.002, -0.003], 0.02)] {
+            let ([forward, left], _) = led(own, c, [8.0, -8.0], 10.0);
             assert!((forward - 8.0 * c).abs() < 1e-3 && (left + 8.0 * c).abs() < 1e-3, "{c}: {forward} {left}");
         }
     }
@@ -103,7 +103,7 @@ mod tests {
     #[test]
     fn push_carries_by_compliance_times_momentum() {
         // 3 N s in one policy step: all in all c · 3 N s, whatever the policy's own part.
-        let (velocity, [forward, left]) = led(0.03, [3.0 / STEP_S, 3.0 / STEP_S], 0.9 * STEP_S);
+        let (velocity, [forward, left]) = led(OWN, 0.03, [3.0 / STEP_S, 3.0 / STEP_S], 0.9 * STEP_S);
         assert!((forward - 0.09).abs() < 2e-3 && (left - 0.09).abs() < 2e-3, "{forward} {left}");
         assert!(velocity[0].abs() < 1e-6);
     }
