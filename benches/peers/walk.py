@@ -1,6 +1,6 @@
 """Time from nothing to a robot that walks: ours, rsl_rl on our environment, or UniLab's Go2 (which simulates on the CPU, too).
 
-    benches/peers/setup                                             # once; walks in target/peers-walk, for UniLab's torch
+    benches/peers/setup walk                                        # once
     target/peers-walk/bin/python benches/peers/walk.py ours|rsl_rl|unilab [--config fast|go2] [--seed N] [--minutes M]
 
 A robot walks if it is told to go forward at 0.5 m/s, starts from rest, stays on its feet for 7 s, and its mean velocity in the last 5 s
@@ -30,12 +30,11 @@ def answer(samples, elapsed_s, fell, velocity):
     return not fell and abs(velocity - COMMAND_M_S) < ALLOWED_M_S
 
 
-def walk(policy, config):
-    """Whether our robot falls, and its mean velocity [m/s]."""
+def walk(policy, **sees):
+    """Whether our robot falls, and its mean velocity [m/s]; a network also needs the `config` that it observes."""
     import supple
 
-    robot = {"config": config} if callable(policy) and not isinstance(policy, supple.Policy) else {}
-    run = supple.run_scenario("walk", policy, forward_m_s=COMMAND_M_S, **robot)
+    run = supple.run_scenario("walk", policy, forward_m_s=COMMAND_M_S, **sees)
     time_s, velocity = run.trace["time_s"], run.trace["velocity"][:, 0]
     measured = (time_s > SECONDS - MEASURED_S) & (time_s <= SECONDS)
     return run.fell is not False, float(velocity[measured].mean())
@@ -57,7 +56,7 @@ def ours(config, seed, deadline_s):
     kept = sorted((int(path.stem.removeprefix("policy-")), path) for path in folder.glob("policy-*.safetensors"))
     for samples, path in kept:
         reached = min(s for s in elapsed_s if s >= samples)
-        if answer(samples, elapsed_s[reached], *walk(supple.Policy.load(path), config)):
+        if answer(samples, elapsed_s[reached], *walk(supple.Policy.load(path))):
             return samples, elapsed_s[reached]
 
 
@@ -74,13 +73,13 @@ def rsl_rl(config, seed, deadline_s):
     env = example.SuppleVecEnv(supple.make_vec(config, num_envs=256, seed=seed, threads=2))
     ppo, samples = example.runner(env, threads=2), 0
     iterations = EVERY // (24 * env.num_envs)
-    ppo.logger.log = lambda *args, **kwargs: None
+    ppo.logger.log = lambda *_, **__: None  # standard output is for the result
     while (elapsed_s := time.perf_counter() - started) < deadline_s:
         ppo.learn(iterations)
         ppo.current_learning_iteration += 1
         samples += iterations * 24 * env.num_envs
         elapsed_s = time.perf_counter() - started
-        if answer(samples, elapsed_s, *walk(example.actor(ppo), config)):
+        if answer(samples, elapsed_s, *walk(example.actor(ppo), config=config)):
             return samples, elapsed_s
         ppo.alg.train_mode()
         started += time.perf_counter() - started - elapsed_s

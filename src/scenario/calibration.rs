@@ -64,7 +64,7 @@ pub enum CalibrationError {
         /// The failure.
         problem: String,
     },
-    /// The robot falls or does not give what is commanded, but for one compliance at most.
+    /// At most one of the commanded compliances can be measured: under the others the robot falls, or yields otherwise.
     #[error(
         "it yields by itself by {0:.4?} m/s/N forward and left, and gives fewer than two of the commanded compliances {TRIED:?} \
          m/s/N within a quarter: it falls, or does not track a velocity"
