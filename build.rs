@@ -29,7 +29,7 @@ fn main() {
     }
 }
 
-/// An array expression of (name, content) of the files with a suffix, by name: `compliant-seed0`, `hardware/compliant-seed0`.
+/// An array expression of (name, content) of the files with a suffix, by name: `compliant-seed0`, `go2/compliant-seed0`.
 fn embedded(folder: &Path, suffix: &str, include: &str) -> String {
     let name = |file: &PathBuf| {
         let relative = file.strip_prefix(folder).unwrap_or(file).to_string_lossy();

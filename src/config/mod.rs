@@ -32,8 +32,7 @@ pub const EMBEDDED: &[(&str, &str)] = &[
     ("fast-baseline", include_str!("../../configs/fast-baseline.yaml")),
     ("go2", include_str!("../../configs/go2.yaml")),
     ("go2-baseline", include_str!("../../configs/go2-baseline.yaml")),
-    ("hardware", include_str!("../../configs/hardware.yaml")),
-    ("hardware-baseline", include_str!("../../configs/hardware-baseline.yaml")),
+    ("go2-real", include_str!("../../configs/go2-real.yaml")),
     ("real", include_str!("../../configs/real.yaml")),
 ];
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use crate::policy::compliance::{PolicyCalibration, split_compliance};
 use crate::policy::{Agent, AgentError, Policy};
 
-/// Name and file of every policy in `policies/` at build time, sorted by name, such as `hardware/compliant-seed0`.
+/// Name and file of every policy in `policies/` at build time, sorted by name, such as `go2/compliant-seed0`.
 pub const EMBEDDED: &[(&str, &[u8])] = include!(concat!(env!("OUT_DIR"), "/policies.rs"));
 
 /// Name and calibration of the shipped policies that have one.
@@ -105,10 +105,10 @@ mod tests {
 
     #[test]
     fn a_name_without_a_seed_means_the_least_seed_that_ships() {
-        let names = ["baseline-seed3", "compliant-seed10", "compliant-seed3", "hardware/compliant-seed5"];
+        let names = ["baseline-seed3", "compliant-seed10", "compliant-seed3", "go2/compliant-seed5"];
         assert_eq!(position(&names, "compliant"), Some(2));
         assert_eq!(position(&names, "compliant-seed10"), Some(1));
-        assert_eq!(position(&names, "hardware/compliant"), Some(3));
+        assert_eq!(position(&names, "go2/compliant"), Some(3));
         assert_eq!(position(&names, "compl"), None);
     }
 }

@@ -169,12 +169,12 @@ mod tests {
 
     #[test]
     fn without_ranges_there_are_no_deviations() {
-        let simulation = Config::load("hardware").unwrap().simulation;
+        let Config { simulation, randomisation, .. } = Config::load("compliant").unwrap();
         let mut rng = stream(1, Purpose::Episode, 0, 0);
-        let hardware = Config::load("hardware").unwrap().randomisation;
-        assert_eq!(dynamics(&hardware, &simulation, &mut rng), None);
+        let of_paper = Randomisation { enabled: true, ..randomisation };
+        assert_eq!(dynamics(&of_paper, &simulation, &mut rng), None);
         assert_eq!(dynamics(&Randomisation { enabled: false, ..range() }, &simulation, &mut rng), None);
-        assert_eq!(ImuErrors::draw(&hardware, &mut rng), None);
+        assert_eq!(ImuErrors::draw(&of_paper, &mut rng), None);
         // A latency that is not randomised stays the configuration's.
         let of_mass = Randomisation { latency_s: None, ..range() };
         assert_eq!(dynamics(&of_mass, &simulation, &mut rng).unwrap().latency_s, 0.03);

@@ -257,7 +257,7 @@ fn shipped_policies_are_listed_and_have_cards_in_any_folder() {
     let folder = tempfile::tempdir().unwrap();
     let listed = run("policy", folder.path(), &["list"]);
     let text = String::from_utf8_lossy(&listed.stdout);
-    assert!(text.lines().any(|line| line.starts_with("compliant-seed0 ")) && text.contains("hardware/compliant-seed0"));
+    assert!(text.lines().any(|line| line.starts_with("compliant-seed0 ")) && text.contains("go2/compliant-seed0"));
     let card = run("policy", folder.path(), &["card", "compliant-seed0"]);
     let text = String::from_utf8_lossy(&card.stdout);
     assert!(text.starts_with("# compliant-seed0\n") && text.contains("## Walking undisturbed"), "{text}");

@@ -29,8 +29,8 @@ const SAME_SIGNAL: Duration = Duration::from_millis(200);
 #[derive(Parser)]
 #[command(version = supple::util::provenance::version())]
 struct Args {
-    /// Configuration: fast, fast-baseline, compliant, baseline, hardware, hardware-baseline, real, go2,
-    /// go2-baseline (unfinished), or a YAML file; with --resume, the one that the run must have [default: fast]
+    /// Configuration: fast, fast-baseline, compliant, baseline, real, go2, go2-baseline, go2-real, or a YAML file;
+    /// with --resume, the one that the run must have [default: fast]
     #[arg(long, value_name = "NAME|FILE")]
     config: Option<String>,
     /// Robot to train on, to which the configuration is fitted: an MJCF file, or a YAML file about one
