@@ -1,4 +1,4 @@
-//! Training data for the contact network: encoder readings and foot contacts while a policy walks and is pushed.
+//! Training data for the contact network: encoder readings and foot contacts while a policy walks on different ground and is pushed.
 
 use rand::RngExt;
 use supple::estimate::contact::History;
@@ -7,6 +7,7 @@ use supple::estimate::{EncoderReading, SensorNoise, Sensors};
 use supple::mujoco::Data;
 use supple::policy::Agent;
 use supple::robot::{Foothold, Joints};
+use supple::scenario::catalog::Scenario;
 use supple::sim::{Parts, Scene, Sim, StepObserver};
 use supple::task::{Command, Curriculum, EpisodePlan};
 use supple::util::random::{Purpose, stream};
@@ -17,11 +18,23 @@ const EPISODE_S: f64 = 6.0;
 /// Range of the push's time \[s\].
 const PUSH_S: std::ops::Range<f64> = 2.0..3.5;
 
-/// One in this number of episodes commands the robot to stand, which random commands never do.
-const STANDING: u64 = 6;
+/// One in this number of episodes commands the robot to stand, which random commands never do. It has no factor in common with
+/// the number of grounds, so that robots stand on all of them.
+const STANDING: u64 = 7;
+
+/// Scenarios and parameters whose ground the episodes have in turn; `None` is a plane.
+const GROUNDS: [Option<(&str, &str)>; 4] = [
+    None,
+    Some(("ball-pit", "{balls: 150}")),
+    Some(("rubble", "{}")),
+    Some(("terrain", "{kind: slope, incline: 0.2}")),
+];
+
+/// Least forward velocity \[m/s\] where the ground is not a plane: what lies there begins in front of the robot.
+const LEAST_FORWARD_M_S: f64 = 0.3;
 
 /// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, encoder bias and push as in training with
-/// dynamics randomisation. The episode ends at a fall, because the contacts of a fallen robot are not those of walking.
+/// dynamics randomisation, on one of the [`GROUNDS`]. The episode ends at a fall, because the contacts of a fallen robot are not those of walking.
 ///
 /// # Errors
 /// The observation does not fit the robot, or MuJoCo fails.
@@ -30,13 +43,19 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
     config.randomisation.enabled = true;
     let mut rng = stream(seed, Purpose::Episode, which[0], which[1]);
     let mut plan = EpisodePlan::draw(&config, Curriculum::complete(), &mut rng);
+    let ground = GROUNDS[which[0] as usize % GROUNDS.len()];
     if which[0] % STANDING == STANDING - 1 {
         plan.command = Command::default();
+    } else if ground.is_some() {
+        plan.command.forward = plan.command.forward.abs().max(LEAST_FORWARD_M_S);
     }
     let push_step = config.simulation.policy_steps(rng.random_range(PUSH_S));
 
     let simulation = &config.simulation;
-    let scene = Scene::flat(config.robot.load()?, simulation.timestep_s());
+    let scene = match ground {
+        None => Scene::flat(config.robot.load()?, simulation.timestep_s()),
+        Some((scenario, parameters)) => Scenario::named(scenario, parameters)?.script(rng.random(), &config)?.scene,
+    };
     let mut sim = Sim::new(&scene, simulation, config.episode.min_height_m)?;
     let mut controller = agent.controller();
     sim.reset(plan.conditions, &controller.rest())?;

@@ -26,8 +26,8 @@ const HELD_OUT: u32 = 5;
 
 /// Train the network that says which feet touch the ground.
 ///
-/// Policies walk or stand at random commands on random slopes and friction and are pushed; the network learns contacts
-/// from joint angles, rates and targets with sensor noise. Scores are of episodes that it was not trained on.
+/// Policies walk or stand at random commands, on slopes, among balls and over blocks and mats, with random friction, and are pushed;
+/// the network learns contacts from joint angles, rates and targets with sensor noise. Scores are of episodes that it was not trained on.
 #[derive(Parser)]
 #[command(version = supple::util::provenance::version())]
 struct Args {
