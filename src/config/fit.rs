@@ -14,6 +14,8 @@ Of two robots of one shape, let the second be λ times as tall and μ times as h
 | `randomisation.trunk_mass_kg`, `trunk_offset_m` | μ, λ |
 | `randomisation.joint_friction_n_m`, `joint_damping_n_m_s_per_rad` | μ λ, μ λ √λ |
 | `terrain.rough_m`, `terrain.boxes_m`, `held_feet.height_m` | λ |
+| `pulls.force_n`, `held_feet.force_n`, `randomisation.felt_force_error_sd_n` | μ |
+| `held_feet.stiffness_n_per_m` | μ / λ |
 
 Physics may have to be faster for a light robot, whose joints feel less inertia than their gains can be held at: a joint of inertia I
 under a PD law is stable in MuJoCo's steps of length h if 2 K_d h + K_p h² < 4 I. The rate is doubled until it is, with a reserve.
@@ -80,11 +82,17 @@ impl Config {
         scale(&mut config.randomisation.trunk_offset_m, height);
         scale(&mut config.randomisation.joint_friction_n_m, mass * height);
         scale(&mut config.randomisation.joint_damping_n_m_s_per_rad, mass * height * height.sqrt());
+        scale(&mut config.randomisation.felt_force_error_sd_n, mass);
+        if let Some(pulls) = &mut config.pulls {
+            scale(&mut pulls.force_n, mass);
+        }
         if let Some(terrain) = &mut config.terrain {
             terrain.rough_m.iter_mut().chain(&mut terrain.boxes_m).for_each(|value| scale(value, height));
         }
         if let Some(held_feet) = &mut config.held_feet {
             held_feet.height_m.iter_mut().for_each(|value| scale(value, height));
+            scale(&mut held_feet.force_n, mass);
+            scale(&mut held_feet.stiffness_n_per_m, mass / height);
         }
         let inertia = robot.least_inertia(&pose).map_err(FileError::of("robot", path))?;
         config.simulation.hold_gains(inertia).map_err(fail)?;
@@ -188,19 +196,32 @@ mod tests {
         let fitted = printed.fitted_to(&robot).unwrap();
         assert_eq!((printed.ppo.initial_log_std, fitted.ppo.initial_log_std), (-1.0, -0.5));
         assert_eq!((config.command, config.randomisation), (own.command, own.randomisation));
-        // 1 · 10, 0.03 · 0.7352, 0.3 · 7.352, 0.1 · 6.304
-        let real = Config::load("real").unwrap().fitted_to(&robot).unwrap().randomisation;
-        assert_eq!((real.trunk_mass_kg, real.trunk_offset_m), (10.0, 0.0221));
-        assert_eq!((real.joint_friction_n_m, real.joint_damping_n_m_s_per_rad), (2.21, 0.63));
+        // 1 · 10, 0.03 · 0.7352, 0.3 · 7.352, 0.1 · 6.304; 85 · 10, 60 · 10, 600 · 10 / 0.7352
+        let real = Config::load("real").unwrap().fitted_to(&robot).unwrap();
+        let drawn = real.randomisation;
+        assert_eq!((drawn.trunk_mass_kg, drawn.trunk_offset_m), (10.0, 0.0221));
+        assert_eq!((drawn.joint_friction_n_m, drawn.joint_damping_n_m_s_per_rad), (2.21, 0.63));
+        let (pulls, held_feet) = (real.pulls.unwrap(), real.held_feet.unwrap());
+        assert_eq!((pulls.force_n, drawn.felt_force_error_sd_n), (850.0, 10.0));
+        assert_eq!(
+            (held_feet.force_n, held_feet.stiffness_n_per_m, held_feet.height_m),
+            (600.0, 8160.0, [0.0147, 0.0368])
+        );
     }
 
     #[test]
-    fn the_preset_of_the_go2_is_what_the_rule_says() {
-        let (preset, rule) = (Config::load("go2").unwrap(), Config::load("fast").unwrap());
-        let rule = rule.fitted_to(&Robot::load("go2").unwrap()).unwrap();
+    fn the_presets_of_the_go2_are_what_the_rule_says() {
         let numbers = |config: &Config| {
-            let (simulation, reward) = (&config.simulation, &config.reward);
-            [
+            let (simulation, reward, drawn) = (&config.simulation, &config.reward, &config.randomisation);
+            let held_feet = config.held_feet.as_ref();
+            vec![
+                config.pulls.as_ref().map_or(1.0, |pulls| pulls.force_n),
+                held_feet.map_or(1.0, |held| held.force_n),
+                held_feet.map_or(1.0, |held| held.stiffness_n_per_m),
+                1.0 + drawn.felt_force_error_sd_n,
+                1.0 + drawn.trunk_mass_kg,
+                1.0 + drawn.joint_friction_n_m,
+                1.0 + drawn.joint_damping_n_m_s_per_rad,
                 simulation.kp_n_m_per_rad.largest(),
                 simulation.kd_n_m_s_per_rad.largest(),
                 reward.energy,
@@ -212,10 +233,14 @@ mod tests {
                 config.ppo.initial_log_std,
             ]
         };
-        for (stated, found) in numbers(&preset).into_iter().zip(numbers(&rule)) {
-            assert!((stated / found - 1.0).abs() < 0.03, "{stated} {found}");
+        for (preset, own) in [("go2", "fast"), ("go2-real", "real")] {
+            let rule = Config::load(own).unwrap().fitted_to(&Robot::load("go2").unwrap()).unwrap();
+            let stated = Config::load(preset).unwrap();
+            for (stated, found) in numbers(&stated).into_iter().zip(numbers(&rule)) {
+                assert!((stated / found - 1.0).abs() < 0.03, "{preset}: {stated} {found}");
+            }
+            assert_eq!(stated.action.nominal_pose_rad, rule.action.nominal_pose_rad);
         }
-        assert_eq!(preset.action.nominal_pose_rad, rule.action.nominal_pose_rad);
     }
 
     #[test]
