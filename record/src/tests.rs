@@ -94,7 +94,7 @@ fn read(path: &std::path::Path) -> Content {
 fn a_recording_has_every_entity_that_its_layout_names() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("new folder").join("two.rrd");
-    let hills = Ground::Field(HeightField::sample([2.0, 2.0], 0.1, |x, y| 0.1 * (x + y).sin()));
+    let hills = Ground::Field(HeightField::sample([2.0, 2.0], 0.1, |x, y| 0.1 * (x + y).sin()).into());
     let (flat, uneven) = (scene(Ground::Flat), scene(hills));
     let models = [flat.compile_visual().unwrap(), uneven.compile_visual().unwrap()];
     let views = [

@@ -113,6 +113,8 @@ pub struct Robot {
     pub imu_in_base: Vector3<f64>,
     /// Mass of all parts \[kg\].
     pub mass_kg: f64,
+    /// Mass of the trunk alone \[kg\].
+    pub trunk_mass_kg: f64,
     /// Distances from the trunk's origin to its ends \[m\].
     pub trunk: Extent,
     /// Base height below which the robot counts as fallen, if its description states one \[m\].
@@ -236,6 +238,7 @@ impl Robot {
             legs,
             imu_in_base: imu.map_or_else(Vector3::zeros, |site| model.site_position(site).into()),
             mass_kg: model.body_mass().iter().sum(),
+            trunk_mass_kg: model.body_mass()[trunk],
             trunk: Extent::of(&model, trunk),
             fall_height_m,
             shanks_may_touch: model.numeric("shanks_may_touch").is_ok_and(|numbers| numbers == [1.0]),

@@ -133,7 +133,7 @@ mod tests {
         for (steepest, seed) in [(0.2, 1), (0.1, 2), (0.2, 3)] {
             let field = hills([8.0, 8.0], steepest, 0.2, seed);
             assert!((field.steepest() - steepest).abs() < 1e-9);
-            let ground = crate::sim::Ground::Field(field.clone());
+            let ground = crate::sim::Ground::Field(field.clone().into());
             assert_eq!(ground.height(0.2, -0.2), 0.0);
             // Hills, not a dent: the highest point is well above the lowest.
             let [low, high] = field.range();
@@ -144,7 +144,7 @@ mod tests {
     #[test]
     fn steps_go_up_and_down_again() {
         let field = steps([4.0, 1.0], 0.05, 0.5, 2);
-        let height = |x: f64| crate::sim::Ground::Field(field.clone()).height(x, 0.0);
+        let height = |x: f64| crate::sim::Ground::Field(field.clone().into()).height(x, 0.0);
         for (x, expected) in [(0.5, 0.0), (1.25, 0.05), (1.75, 0.1), (2.25, 0.1), (2.75, 0.05), (3.25, 0.0)] {
             assert!((height(x) - expected).abs() < 1e-12, "{x}: {}", height(x));
         }

@@ -1,12 +1,14 @@
 //! The ground: a plane, or elevations on a grid.
 
+use std::sync::Arc;
+
 /// The ground that the robot walks on.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Ground {
     /// An infinite plane at height zero.
     Flat,
     /// A height field centred at the origin.
-    Field(HeightField),
+    Field(Arc<HeightField>),
 }
 
 /// Elevations on a regular grid.

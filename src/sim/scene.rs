@@ -173,9 +173,8 @@ impl Scene {
     }
 
     fn ground_asset(&self) -> String {
-        let Ground::Field(HeightField { half_size: [x, y], rows, columns, .. }) = &self.ground else {
-            return String::new();
-        };
+        let Ground::Field(field) = &self.ground else { return String::new() };
+        let HeightField { half_size: [x, y], rows, columns, .. } = &**field;
         let [low, high] = self.height_range();
         let relief = (high - low).max(1e-9);
         format!(
@@ -220,8 +219,8 @@ mod tests {
     fn listed_pairs_touch_uneven_ground_like_all_bodies() {
         let config = Config::load("fast").unwrap().simulation;
         let flat = Scene::flat(Robot::load("go1").unwrap(), config.timestep_s());
-        let ground =
-            Ground::Field(HeightField::sample([2.0, 2.0], 0.06, |x, y| 0.02 * (9.0 * x).sin() * (7.0 * y).cos()));
+        let waves = HeightField::sample([2.0, 2.0], 0.06, |x, y| 0.02 * (9.0 * x).sin() * (7.0 * y).cos());
+        let ground = Ground::Field(waves.into());
         let buffers = Buffers { contacts: 100, rows: 450, stack: 100_000 };
         let [searched, listed] = [false, true].map(|lists_pairs| {
             let scene = Scene { ground: ground.clone(), lists_pairs, buffers, ..flat.clone() };

@@ -10,17 +10,18 @@ use std::array;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use crate::config::Terrain;
+use crate::config::{CommandRange, Episode, Terrain};
 use crate::observation::Command;
 use crate::robot::RobotState;
 use crate::scenario::terrain::Perlin;
 use crate::sim::{Buffers, HeightField};
+use crate::util::numbers::maximum;
 use crate::util::random::{Purpose, stream};
 
-/// Edge of a tile \[m\]: an episode of four seconds at one metre a second ends about at the edge.
+/// Edge of a tile \[m\].
 const TILE_M: f64 = 8.0;
 
-/// Ground beyond the first and the last tile and beside all of them \[m\].
+/// Ground beyond the farthest place that an episode reaches as commanded \[m\], for pushes and pulls.
 const MARGIN_M: f64 = 1.0;
 
 /// Distance between the points of the field \[m\]: finer ones cost more contacts to look for.
@@ -59,6 +60,11 @@ impl Kind {
     pub(super) const ALL: [Kind; 2] = [Kind::Rough, Kind::Boxes];
 }
 
+/// Returns how far from its start an episode leads a robot that walks as commanded \[m\].
+pub(super) fn reach_m(episode: &Episode, command: &CommandRange) -> f64 {
+    command.forward_m_s.hypot(command.left_m_s) * (episode.walking_s + episode.recovery_s + episode.post_recovery_s)
+}
+
 impl Terrain {
     /// Returns the kind of ground of environment `index`; `None` for a plane. Uneven ground is spread evenly over the
     /// environments, whatever ranks they belong to.
@@ -83,9 +89,11 @@ impl Terrain {
         first + (last - first) * level as f64 / (self.levels - 1).max(1) as f64
     }
 
-    /// Builds the field of a kind, with all levels: the same one in every run.
-    pub(super) fn field(&self, kind: Kind) -> HeightField {
-        let half_size = [0.5 * TILE_M * self.levels as f64 + MARGIN_M, 0.5 * TILE_M + MARGIN_M];
+    /// Builds the field of a kind, with all levels: the same one in every run. There is ground as far as `reach_m` around each
+    /// start, and a margin \[m\].
+    pub(super) fn field(&self, kind: Kind, reach_m: f64) -> HeightField {
+        let half_m = MARGIN_M + maximum(reach_m, 0.5 * TILE_M);
+        let half_size = [0.5 * TILE_M * (self.levels - 1) as f64 + half_m, half_m];
         let noise = Perlin::new(0);
         let counts = half_size.map(|half| (2.0 * half / BOX_M).ceil() as usize);
         let mut rng = stream(0, Purpose::Terrain, 1, 0);
@@ -160,6 +168,7 @@ mod tests {
     use nalgebra::Vector3;
 
     use super::*;
+    use crate::config::Config;
     use crate::sim::Ground;
 
     fn terrain() -> Terrain {
@@ -182,7 +191,7 @@ mod tests {
     fn ground_is_as_high_as_its_level_and_flat_at_the_start() {
         let terrain = terrain();
         for (kind, [first, last]) in [(Kind::Rough, terrain.rough_m), (Kind::Boxes, terrain.boxes_m)] {
-            let ground = Ground::Field(terrain.field(kind));
+            let ground = Ground::Field(terrain.field(kind, 5.0).into());
             for level in 0..6 {
                 let [x, y] = terrain.start(level);
                 let on_tile = (0..6400).map(|k| {
@@ -195,6 +204,15 @@ mod tests {
                 assert!(ground.height(x + 0.2, y - 0.2).abs() < 1e-12);
             }
         }
+    }
+
+    #[test]
+    fn ground_reaches_as_far_as_an_episode_and_a_margin() {
+        // 2 + 1 + 3 s at 1 and 0.5 m/s: 6.71 m around starts at ±20 m.
+        let config = Config::load("real").unwrap();
+        let reach_m = reach_m(&config.episode, &config.command);
+        let [x, y] = terrain().field(Kind::Rough, reach_m).half_size;
+        assert!((x - 27.708).abs() < 1e-3 && (y - 7.708).abs() < 1e-3, "{x} {y}");
     }
 
     #[test]

@@ -185,6 +185,7 @@ fn sizes_that_nobody_meant_are_refused_before_they_are_taken() {
     set(&["ppo.environments=1048576", "ppo.batch_size=1048576"], "GiB of memory");
     set(&["ppo.epochs=4.5"], "config --set ppo.epochs=4.5: ppo.epochs: invalid type: floating point `4.5`");
     set(&["ppo=4"], "expected keys with values");
+    set(&["randomisation.enabled=true", "randomisation.trunk_mass_kg=6"], "kg of the robot's trunk");
     set(&[&format!("ppo.hidden_layers=[{}]", vec!["4096"; 101].join(","))], "1 to 16 widths");
     assert!(!folder.path().join("x").exists());
 }

@@ -81,7 +81,7 @@ impl Parameters for Outdoor {
         let half_size = [self.half_size_m(); 2];
         let mut hills = terrain::hills(half_size, self.steepest, self.frequency_per_m, seed);
         hills.friction = Some(self.patches(seed));
-        script.scene.ground = Ground::Field(hills);
+        script.scene.ground = Ground::Field(hills.into());
         script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
         Ok(())
     }

@@ -73,7 +73,7 @@ impl Parameters for Terrain {
             TerrainKind::Steps => terrain::steps(half, self.height_m, self.step_length_m, self.steps),
             TerrainKind::Slope => terrain::slope(half, self.incline),
         };
-        script.scene.ground = Ground::Field(field);
+        script.scene.ground = Ground::Field(field.into());
         script.scene.buffers = Buffers { contacts: 200, rows: 900, stack: 200_000 };
         Ok(())
     }

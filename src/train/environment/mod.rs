@@ -84,14 +84,27 @@ impl Shared {
     /// Loads the robot and builds the layouts of a configuration.
     ///
     /// # Errors
-    /// The robot cannot be read, or an observation is invalid.
+    /// The robot cannot be read, an observation is invalid, or more mass may be taken from the trunk than it has.
     pub fn new(config: &Config) -> Result<Self, TrainError> {
+        let robot = config.robot.load()?;
+        let drawn = &config.randomisation;
+        if drawn.enabled && drawn.trunk_mass_kg >= robot.trunk_mass_kg {
+            let (found, trunk_kg) = (drawn.trunk_mass_kg, robot.trunk_mass_kg);
+            return Err(ValueError::Range {
+                key: "randomisation.trunk_mass_kg".to_owned(),
+                problem: format!("is {found}, expected less than the {trunk_kg:.2} kg of the robot's trunk"),
+            }
+            .into());
+        }
         let critic = config.critic_layout().map_err(ValueError::Critic)?;
         Ok(Shared {
-            robot: config.robot.load()?,
+            robot,
             layout: Arc::new(config.layout().map_err(ValueError::Observation)?),
             critic: critic.map(Arc::new),
-            fields: config.terrain.as_ref().map(|terrain| Kind::ALL.map(|kind| Arc::new(terrain.field(kind)))),
+            fields: config.terrain.as_ref().map(|terrain| {
+                let reach_m = terrain::reach_m(&config.episode, &config.command);
+                Kind::ALL.map(|kind| Arc::new(terrain.field(kind, reach_m)))
+            }),
         })
     }
 
@@ -163,7 +176,7 @@ impl LocomotionEnv {
             (Scene::flat(Arc::clone(&shared.robot), config.simulation.timestep_s()), config.reward.clone());
         if let Some((terrain, field)) = uneven {
             scene.lists_pairs = true;
-            (scene.ground, scene.buffers) = (Ground::Field(HeightField::clone(field)), terrain::BUFFERS);
+            (scene.ground, scene.buffers) = (Ground::Field(Arc::clone(field)), terrain::BUFFERS);
             reward.tracking_sharpness *= terrain.sharpness_factor;
         }
         let levels = uneven.map(|(terrain, _)| terrain.levels);
@@ -288,11 +301,7 @@ impl LocomotionEnv {
 
     /// Returns the memory of the simulation \[bytes\].
     pub fn simulation_bytes(&self) -> usize {
-        let heights = match self.sim.ground() {
-            Ground::Flat => 0,
-            Ground::Field(field) => field.heights.len(),
-        };
-        self.sim.data().bytes() + heights * size_of::<f64>()
+        self.sim.data().bytes()
     }
 
     /// Returns the random part of this episode: command, conditions, push and pulls.

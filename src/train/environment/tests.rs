@@ -1,7 +1,7 @@
 //! Tests of the training environment.
 
 use super::*;
-use crate::config::{HeldFeet as HeldFeetRange, Pulls, Terrain};
+use crate::config::{Pulls, Terrain};
 use crate::observation::{Observed, Quantity};
 use crate::sim::{Pull, Push};
 use crate::task::deviation::Hold;
@@ -188,13 +188,7 @@ fn critic_sees_the_pull_that_acts() {
 fn with_all() -> Config {
     let mut config = Config::load("real").unwrap();
     config.pulls = Some(pulls());
-    config.held_feet = Some(HeldFeetRange {
-        force_n: 60.0,
-        stiffness_n_per_m: 600.0,
-        height_m: [0.02, 0.05],
-        duration_s: [0.05, 0.15],
-        gap_s: [0.1, 0.3],
-    });
+    config.held_feet.as_mut().unwrap().gap_s = [0.1, 0.3];
     config.terrain = Some(Terrain {
         environments: 1.0,
         levels: 3,
