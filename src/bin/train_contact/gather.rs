@@ -18,15 +18,20 @@ const EPISODE_S: f64 = 6.0;
 /// Range of the push's time \[s\].
 const PUSH_S: std::ops::Range<f64> = 2.0..3.5;
 
-/// One in this number of episodes commands the robot to stand, which random commands never do. It has no factor in common with
-/// the number of grounds, so that robots stand on all of them.
+/// One in this number of episodes commands the robot to stand, which random commands never do: from the start on a plane, after
+/// [`STANDS_S`] on other ground. It has no factor in common with the number of grounds, so that all of them get their share.
 const STANDING: u64 = 7;
 
+/// Time after which a robot stands that has to reach its ground first \[s\].
+const STANDS_S: f64 = 4.0;
+
 /// Scenarios and parameters whose ground the episodes have in turn; `None` is a plane.
-const GROUNDS: [Option<(&str, &str)>; 4] = [
+const GROUNDS: [Option<(&str, &str)>; 6] = [
     None,
     Some(("ball-pit", "{balls: 150}")),
+    None,
     Some(("rubble", "{}")),
+    None,
     Some(("terrain", "{kind: slope, incline: 0.2}")),
 ];
 
@@ -44,12 +49,15 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
     let mut rng = stream(seed, Purpose::Episode, which[0], which[1]);
     let mut plan = EpisodePlan::draw(&config, Curriculum::complete(), &mut rng);
     let ground = GROUNDS[which[0] as usize % GROUNDS.len()];
-    if which[0] % STANDING == STANDING - 1 {
-        plan.command = Command::default();
-    } else if ground.is_some() {
+    if ground.is_some() {
         plan.command.forward = plan.command.forward.abs().max(LEAST_FORWARD_M_S);
     }
     let push_step = config.simulation.policy_steps(rng.random_range(PUSH_S));
+    let stand_step = match (which[0] % STANDING == STANDING - 1, ground) {
+        (false, _) => usize::MAX,
+        (true, None) => 0,
+        (true, Some(_)) => config.simulation.policy_steps(STANDS_S),
+    };
 
     let simulation = &config.simulation;
     let scene = match ground {
@@ -69,11 +77,19 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
         history: History::default(),
         samples: Samples::default(),
     };
+    let mut felt_force = [0.0; 2];
     for step in 0..simulation.policy_steps(EPISODE_S) {
+        if step == stand_step {
+            plan.command = Command::default();
+        }
+        let mut state = sim.state();
+        state.felt_force = Some(std::mem::take(&mut felt_force));
+        tap.target = controller.joint_targets(&state, &plan.command);
         if let (true, Some(push)) = (step == push_step, &plan.push) {
+            // As in training: a force for one step, of which the policy learns after it.
+            felt_force = push.linear.map(|speed| speed * sim.robot().mass_kg / simulation.policy_period_s());
             sim.push(push)?;
         }
-        tap.target = controller.joint_targets(&sim.state(), &plan.command);
         if sim.step(&tap.target.clone(), &mut tap)?.fall.is_some() {
             break;
         }
