@@ -99,7 +99,7 @@ impl EpisodePlan {
         let uphill = rng.random_range(-std::f64::consts::PI..=std::f64::consts::PI);
         let randomisation = &config.randomisation;
         let [low, high] = randomisation.friction;
-        // Drawn in any case, so that switching randomisation on changes nothing else.
+        // Drawn in any case, so that switching on the paper's randomisation changes nothing else.
         let friction = rng.random_range(low..=high);
         let encoder_bias: [f64; JOINTS] =
             std::array::from_fn(|_| randomisation.encoder_bias_sd_rad * rng.sample::<f64, _>(StandardNormal));
@@ -115,7 +115,7 @@ impl EpisodePlan {
         let imu = ImuErrors::draw(randomisation, rng);
         let drawn = |held| deviation::holds(held, length_s, rng);
         let holds = config.held_feet.as_ref().filter(|_| curriculum.pushes).map_or_else(Vec::new, drawn);
-        // Drawn in any case, too.
+        // The push was drawn in any case, too.
         EpisodePlan { command, conditions, push: curriculum.pushes.then_some(push), pulls, dynamics, imu, holds }
     }
 

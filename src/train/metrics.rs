@@ -25,7 +25,7 @@ pub struct IterationMetrics {
     pub means: EpisodeMeans,
     /// Open fraction of the command range.
     pub command_fraction: f64,
-    /// Open fraction of pulls and of the outer loop, where they exist.
+    /// Open fraction of the largest pull, where there are pulls.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_fraction: Option<f64>,
     /// Mean standard deviation of the actions.

@@ -413,8 +413,8 @@ mod tests {
     fn real() -> Config {
         let text =
             "{environments: 0.5, levels: 2, rough_m: [0.01, 0.06], boxes_m: [0.02, 0.08], sharpness_factor: 0.33}";
-        let held = "{force_n: 60, stiffness_n_per_m: 600, height_m: [0.02, 0.05], duration_s: [0.05, 0.15], gap_s: [0.1, 0.3]}";
-        let changes = [format!("terrain={text}"), format!("held_feet={held}"), "episode.push_gate=0".to_owned()];
+        let changes =
+            [format!("terrain={text}"), "held_feet.gap_s=[0.1, 0.3]".to_owned(), "episode.push_gate=0".to_owned()];
         let mut config = Config::load_with("real", &changes).unwrap();
         (config.ppo, config.episode.walking_s) = (sharded(8).ppo, 0.1);
         config
