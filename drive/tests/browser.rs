@@ -15,7 +15,7 @@ const FORWARD: &str = "state?.robots[0].reading?.velocity[0]";
 #[test]
 fn keys_walk_and_pad_pushes_and_pulls_robots() {
     let folder = tempfile::tempdir().unwrap();
-    let drive = Drive::start(folder.path(), &[]);
+    let drive = Drive::start(folder.path(), &["--policy", "compliant", "--compare", "baseline"]);
     let Some(mut browser) = Chromium::open(&drive.url(), 1280, 900, false) else { return };
     browser.wait("window.state?.robots[1].reading");
     // The viewer takes the focus when it starts, and keys that are held are let go.

@@ -109,11 +109,11 @@ fn stop_on_signals(to_robots: SyncSender<Message>) -> anyhow::Result<()> {
 
 /// Returns the first set-up: policies, robots, scene and seed.
 fn setup(args: &Args, cache: &mut AgentCache) -> anyhow::Result<Setup> {
-    let first = args.policy.as_deref().unwrap_or("compliant");
+    let first = args.policy.as_deref().unwrap_or("real@0.03");
     let second = match args.compare.as_deref() {
         Some("none") => None,
         Some(name) => Some(name),
-        None => args.policy.is_none().then_some("baseline"),
+        None => args.policy.is_none().then_some("real"),
     };
     let names = [Some(first), second].into_iter().flatten();
     let robots = names.map(|name| cache.find(name, args.model.as_deref())).collect::<Result<_, _>>()?;
