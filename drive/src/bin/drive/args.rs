@@ -17,8 +17,8 @@ const SESSION: &str = "Sessions";
 #[derive(Parser, Debug)]
 #[command(version = supple::util::provenance::version())]
 pub struct Args {
-    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: real@0.03,
-    /// which yields to a hand by 0.03 m/s/N]
+    /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy [default: real,
+    /// told to yield to a hand by 0.03 m/s/N]
     ///
     /// The policy of a running training run is reloaded whenever the run saves a newer one.
     #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME")]
