@@ -130,7 +130,7 @@ class Go1VecEnv(VecEnv):
         # Stable-Baselines3 wants finite bounds of actions; these are never reached.
         box = spaces.Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32), spaces.Box(-100, 100, (ACTIONS,), np.float32)
         super().__init__(count, *box)
-        # MuJoCo 2.2.2 is told to look at the scene's pairs only; later versions have no such option, but nothing to find
+        # MuJoCo 2.2.2 looks at the scene's pairs only; later versions have no such option, but nothing to find
         # where masks are zero.
         text = scene.read_text().replace('collision="predefined"', "").replace("robot.xml", str(scene.parent / "robot.xml"))
         model = mujoco.MjModel.from_xml_string(text)

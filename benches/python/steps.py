@@ -25,7 +25,7 @@ CONFIG, COMPLETE = "fast", supple.Curriculum(1.0, True)
 
 
 class Rust:
-    """The rollout in Rust, a process that measures when it is told to."""
+    """The rollout in Rust, a process that measures on request."""
 
     def __init__(self, actions, threads):
         self.file = tempfile.NamedTemporaryFile(suffix=".f32")

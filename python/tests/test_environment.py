@@ -279,7 +279,7 @@ def test_the_next_episode_begins_when_the_autoreset_mode_says():
         supple.make_vec(num_envs=4, seed=5, threads=2, curriculum=COMPLETE, autoreset_mode=mode)
         for mode in (AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED)
     )
-    # What an environment sees, is paid and is told with resets in the same step, without the steps that reset in the others.
+    # Observations, rewards and flags with resets in the same step, without the steps that reset in the others.
     expected, found = [[] for _ in range(4)], [[[] for _ in range(4)] for _ in range(2)]
     seen, _ = same.reset()
     for action in actions:

@@ -39,7 +39,8 @@ const GROUNDS: [Option<(&str, &str)>; 6] = [
 const LEAST_FORWARD_M_S: f64 = 0.3;
 
 /// Plays episode `which[0]` of policy `which[1]`: command, slope, friction, encoder bias and push as in training with
-/// dynamics randomisation, on one of the [`GROUNDS`]. The episode ends at a fall, because the contacts of a fallen robot are not those of walking.
+/// dynamics randomisation, on one of the [`GROUNDS`]. The episode ends at a fall, because the contacts of a fallen robot are not
+/// those of walking.
 ///
 /// # Errors
 /// The observation does not fit the robot, or MuJoCo fails.
