@@ -1,6 +1,6 @@
 /*! Supple trains and studies compliant legged locomotion: a quadruped that yields when pushed, pulled or blocked.
 
-It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo 2.2.2. The [`guide`] has examples of each use. To
+It reproduces "Deep Compliant Control for Legged Robots" in Rust on MuJoCo. The [`guide`] has examples of each use. To
 read the code, follow the data:
 
 1. [`config`] and [`robot`]: the settings and the quadruped as plain data;

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Walk an exported policy in PyPI's MuJoCo for 5 s and print the velocity error.
+"""Walk an exported policy with the paper's observation in PyPI's MuJoCo for 5 s and print the velocity error.
 
     cargo run --release --bin policy -- export compliant --format onnx --out policy.onnx
     pip install mujoco onnxruntime numpy
@@ -17,6 +17,9 @@ import onnxruntime
 
 session = onnxruntime.InferenceSession(sys.argv[1], providers=["CPUExecutionProvider"])
 about = json.loads(session.get_modelmeta().custom_metadata_map["supple"])
+numbers = session.get_inputs()[0].shape[-1]
+if numbers != 83:
+    sys.exit(f"error: {sys.argv[1]} observes {numbers} numbers; this example forms the paper's 83, as compliant and baseline observe them")
 forward = float(sys.argv[2]) if len(sys.argv) > 2 else 0.5
 robot = about["provenance"]["config"].get("robot", {}).get("model", "go1")
 file = sys.argv[3] if len(sys.argv) > 3 else str(pathlib.Path(__file__).parents[2] / f"models/{robot}.xml")

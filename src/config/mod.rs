@@ -1,12 +1,10 @@
 /*! Configuration of a training run: YAML in, checked types out.
 
 Start with [`Config::load`] and `configs/compliant.yaml`, then read the sections ([`Config`] and its fields). Every
-number of the paper's section III, Table II and Table III is a key; except Adam's two decay rates, nothing has a default
-in code. A file may name another one as its `base` and state only the differences: the baseline differs in one key from
+number of the paper's section III, Table II and Table III is a key without a default in code, except Adam's two decay rates.
+Keys beyond the paper have defaults that change nothing, so that policies and checkpoints, which contain their configuration,
+remain readable. A file may name another one as its `base` and state only the differences: the baseline differs in one key from
 the compliant policy.
-
-Configurations outlive versions, being part of policies and checkpoints: a key that is added later has the default that
-keeps older files as they were.
 */
 
 mod check;
