@@ -103,16 +103,17 @@ fn play_scenario(args: &Args, scenario: &Scenario) -> anyhow::Result<()> {
 
     let object = || output::to_json(scenario, args.seed, args.sensing, &outcomes);
     let told = output::tell(args, scenario.name(), &outcomes, object);
-    // A recording is whole also if nothing else could be written.
+    #[cfg(feature = "video")]
+    let told = told.and_then(|()| match &video {
+        Some(video) => video::write(video, args, scenario, &robots, &scripts, &traces),
+        None => Ok(()),
+    });
+    // A recording is whole also if nothing else could be written. One that is served waits here until it is stopped.
     let recorded = recording.finish(args, scenario, &robots, &scripts, &traces);
     if let (Err(_), Err(error)) = (&told, &recorded) {
         terminal::note(format_args!("error: {}", terminal::complaint(error.as_ref())));
     }
     told.and(recorded)?;
-    #[cfg(feature = "video")]
-    if let Some(video) = &video {
-        video::write(video, args, scenario, &robots, &scripts, &traces)?;
-    }
     let failed = outcomes.iter().find_map(|outcome| Some((outcome.policy, outcome.trace.fault()?)));
     if let Some((policy, fault)) = failed {
         anyhow::bail!("{policy}: stopped after {:.2} s: {}", fault.time_s, fault.text);
