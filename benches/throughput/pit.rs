@@ -5,18 +5,15 @@ The slowest second counts more than the mean for whoever watches: it is when the
 
 use std::time::Instant;
 
-use anyhow::Context;
-use clap::{FromArgMatches, Subcommand};
 use serde::Serialize;
 use supple::config::Config;
 use supple::network::ActorCritic;
 use supple::policy::{Policy, Provenance};
 use supple::robot::{JOINTS, Robot};
 use supple::scenario::Playback;
-use supple::scenario::catalog::{DEFAULTS, Scenario};
+use supple::scenario::catalog::Scenario;
 use supple::scenario::trace::EventKind;
 use supple::util::random::{Purpose, stream};
-use supple::util::yaml::{Text, flat_parameters};
 
 use crate::stopwatch::{Effort, median};
 
@@ -60,7 +57,7 @@ pub fn measure(policy: Option<Policy>, config: &Config, effort: &Effort) -> anyh
         format!("{} after {} samples", policy.provenance.config_name, policy.provenance.samples)
     });
     let policy = policy.map_or_else(|| standing(config), Ok)?;
-    let scenario = scenario(effort.pit_s)?;
+    let scenario = Scenario::named(NAME, &format!("duration_s: {}", effort.pit_s))?;
     let plays = (0..effort.repetitions).map(|_| play(&scenario, &policy)).collect::<anyhow::Result<Vec<Play>>>()?;
 
     let period_s = policy.provenance.config.simulation.policy_period_s();
@@ -81,18 +78,6 @@ pub fn measure(policy: Option<Policy>, config: &Config, effort: &Effort) -> anyh
         contacts: plays.first().map_or([0; 2], |play| play.contacts),
         fault: plays.into_iter().find_map(|play| play.fault),
     })
-}
-
-/// The scenario as the program builds it from its defaults.
-fn scenario(duration_s: f64) -> anyhow::Result<Scenario> {
-    let (_, text) = DEFAULTS.iter().find(|(name, _)| *name == NAME).context("there is no ball pit")?;
-    let mut line = vec!["scenario".to_owned(), NAME.to_owned()];
-    for (key, value) in flat_parameters(&Text::new(NAME, text))? {
-        let value = if key == "duration_s" { Some(duration_s.to_string()) } else { value };
-        line.extend(value.map(|value| format!("--{}={value}", key.replace('_', "-"))));
-    }
-    let command = Scenario::augment_subcommands(clap::Command::new("scenario"));
-    Ok(Scenario::from_arg_matches(&command.try_get_matches_from(line)?)?)
 }
 
 fn play(scenario: &Scenario, policy: &Policy) -> anyhow::Result<Play> {

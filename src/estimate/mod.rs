@@ -23,7 +23,7 @@ use std::sync::Arc;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::Serialize;
 
-use kalman::{FilterNoise, Fit, FootMeasurement, KalmanFilter};
+use kalman::{FilterNoise, FootMeasurement, KalmanFilter};
 use orientation::OrientationFilter;
 pub use sensors::{EncoderReading, ImuReading, SensorNoise, Sensors};
 
@@ -109,8 +109,6 @@ pub struct Estimate {
     pub position: Vector3<f64>,
     /// Centres of the feet, gravity-aligned world \[m\].
     pub feet: [Vector3<f64>; 4],
-    /// Agreement of the readings with the prediction, and the trust in each contact.
-    pub fit: Fit,
 }
 
 impl Estimate {
@@ -213,7 +211,7 @@ impl Estimator {
         let robot = &*self.robot;
         let feet = measure(robot, &imu.gyro, encoders, &world_from_base);
         let kalman = KalmanFilter::new(self.config.noise, &(world_from_base * robot.imu_in_base), &feet, contacts);
-        let estimate = summarise(robot, &orientation, &kalman, &imu.gyro, Fit::default());
+        let estimate = summarise(robot, &orientation, &kalman, &imu.gyro);
         let filters = Filters { orientation, kalman, imu: *imu, imu_silent_s: 0.0, encoders_silent_s: 0.0, estimate };
         Ok(&self.filters.insert(filters).estimate)
     }
@@ -250,8 +248,8 @@ impl Filters {
         let acceleration = world_from_base * self.imu.specific_force - Vector3::new(0.0, 0.0, GRAVITY_M_S2);
         let rate = self.orientation.angular_velocity(&self.imu.gyro);
         let feet = encoders.map(|encoders| measure(robot, &rate, encoders, &world_from_base));
-        let fit = self.kalman.step(&acceleration, held, feet.as_ref(), contacts, dt_s);
-        self.estimate = summarise(robot, &self.orientation, &self.kalman, &rate, fit);
+        self.kalman.step(&acceleration, held, feet.as_ref(), contacts, dt_s);
+        self.estimate = summarise(robot, &self.orientation, &self.kalman, &rate);
         Ok(())
     }
 }
@@ -277,13 +275,7 @@ fn measure(
 }
 
 /// Converts from the IMU's site to the trunk's origin. `rate` is the trunk's angular velocity, base frame [rad/s].
-fn summarise(
-    robot: &Robot,
-    orientation: &OrientationFilter,
-    kalman: &KalmanFilter,
-    rate: &Vector3<f64>,
-    fit: Fit,
-) -> Estimate {
+fn summarise(robot: &Robot, orientation: &OrientationFilter, kalman: &KalmanFilter, rate: &Vector3<f64>) -> Estimate {
     let world_from_base = orientation.world_from_base();
     let base_from_world = world_from_base.inverse();
     let position = kalman.position() - world_from_base * robot.imu_in_base;
@@ -295,7 +287,6 @@ fn summarise(
         angular_velocity_in_base: *rate,
         position,
         feet: std::array::from_fn(|leg| kalman.foot(leg)),
-        fit,
     }
 }
 

@@ -78,11 +78,6 @@ impl Data {
     }
 
     /// Generalised accelerations, shape (nv): those of the last step, or what [`Data::inverse_dynamics`] starts from.
-    pub fn accelerations(&self) -> &[f64] {
-        self.slice(self.raw().qacc, self.model.nv())
-    }
-
-    /// [`Data::accelerations`], writable.
     pub fn accelerations_mut(&mut self) -> &mut [f64] {
         self.slice_mut(self.raw().qacc, self.model.nv())
     }
@@ -113,11 +108,6 @@ impl Data {
     }
 
     /// Applied force and torque on each body at its centre of mass, world frame, shape (nbody, 6). Persists. [N, N·m]
-    pub fn applied_forces(&self) -> &[f64] {
-        self.slice(self.raw().xfrc_applied, 6 * self.model.count(Kind::Body))
-    }
-
-    /// [`Data::applied_forces`], writable.
     pub fn applied_forces_mut(&mut self) -> &mut [f64] {
         self.slice_mut(self.raw().xfrc_applied, 6 * self.model.count(Kind::Body))
     }
@@ -153,11 +143,6 @@ impl Data {
     }
 
     /// Positions of the bodies that are moved from outside, shape (nmocap, 3). \[m\]
-    pub fn mocap_positions(&self) -> &[f64] {
-        self.slice(self.raw().mocap_pos, 3 * self.model.mocap_count())
-    }
-
-    /// [`Data::mocap_positions`], writable.
     pub fn mocap_positions_mut(&mut self) -> &mut [f64] {
         self.slice_mut(self.raw().mocap_pos, 3 * self.model.mocap_count())
     }

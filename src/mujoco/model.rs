@@ -99,7 +99,7 @@ pub struct Actuator {
     pub gear: f64,
     /// Actuator force per unit of control.
     pub gain: f64,
-    /// True if the actuator's force depends on the joint's state, like that of a servo.
+    /// True if the actuator's force depends on the joint's state: a servo.
     pub has_bias: bool,
     /// Limits of the control, if it is limited.
     pub control_range: Option<[f64; 2]>,
@@ -108,11 +108,6 @@ pub struct Actuator {
 }
 
 impl Actuator {
-    /// Returns true if the actuator controls a position or velocity by itself.
-    pub fn is_servo(&self) -> bool {
-        self.has_bias
-    }
-
     /// Returns the torques that the actuator can give, if they are limited \[N·m\]: its limits of the force, and for a motor
     /// also those of the control, whichever is tighter.
     pub fn torque_range(&self) -> Option<[f64; 2]> {

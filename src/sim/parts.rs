@@ -134,11 +134,6 @@ impl Parts {
         }
     }
 
-    /// Returns the velocities of the centres of the spheres that stand for the feet, world frame [m/s].
-    pub fn foot_velocities(&self, data: &Data) -> [[f64; 3]; 4] {
-        self.soles.map(|sole| sole.velocity(data))
-    }
-
     /// Adds to the trunk's velocity: linear in the world frame [m/s], angular in the base frame [rad/s].
     pub fn add_velocity(&self, data: &mut Data, linear: Vector3<f64>, angular_in_base: Vector3<f64>) {
         let start = self.root_velocity;

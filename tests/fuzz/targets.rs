@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use clap::{FromArgMatches, Subcommand};
 use supple::config::Config;
 use supple::estimate::contact::{ContactNetwork, INPUTS};
 use supple::mujoco::{self, Data, Model};
@@ -18,7 +17,6 @@ use supple::sim::Sim;
 use supple::task::Command;
 use supple::train::Trainer;
 use supple::train::checkpoint::{Checkpoint, RunState};
-use supple::util::yaml::{Text, flat_parameters};
 
 use crate::ROOT;
 
@@ -155,24 +153,8 @@ fn scenarios() -> Vec<Vec<u8>> {
 fn scenario(input: &[u8]) -> bool {
     static CONFIG: OnceLock<Config> = OnceLock::new();
     let text = String::from_utf8_lossy(input);
-    let Ok(given) = flat_parameters(&Text::new("fuzz", &text)) else { return false };
-    // The scenario that knows all of the parameters, as a user would choose it.
-    let known =
-        DEFAULTS.iter().map(|(name, text)| (name, flat_parameters(&Text::new(name, text)).expect("the defaults")));
-    let Some((name, defaults)) = known
-        .into_iter()
-        .find(|(_, defaults)| given.iter().all(|(key, _)| defaults.iter().any(|(known, _)| known == key)))
-    else {
-        return false;
-    };
-    let mut line = vec!["scenario".to_owned(), (*name).to_owned()];
-    for (key, default) in defaults {
-        let value = given.iter().find(|(given, _)| *given == key).map_or(&default, |(_, value)| value);
-        line.extend(value.as_ref().map(|value| format!("--{}={value}", key.replace('_', "-"))));
-    }
-    let command = Scenario::augment_subcommands(clap::Command::new("scenario"));
-    let Ok(matches) = command.try_get_matches_from(line) else { return false };
-    let Ok(scenario) = Scenario::from_arg_matches(&matches) else { return false };
+    // The first scenario that knows all of the parameters.
+    let Some(scenario) = DEFAULTS.iter().find_map(|(name, _)| Scenario::named(name, &text).ok()) else { return false };
     // Terrains and fields of balls take milliseconds each.
     if matches!(scenario, Scenario::Terrain(_)) && !input.len().is_multiple_of(32) {
         return true;

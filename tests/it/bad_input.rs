@@ -217,6 +217,7 @@ fn errors_name_file_line_and_key_once() {
     write("utf16.yaml", b"\xff\xfeb\0a\0s\0e\0");
     write("deep.yaml", format!("base: small.yaml\nppo: {}", "[".repeat(100_000)).as_bytes());
     write("escape.yaml", "base: \"\\e[31mred\"\n".as_bytes());
+    write("robot.yaml", b"base: small.yaml\nrobot: {model: nowhere/robot.xml}\n");
     // What it is, and not that there is no policy of this name.
     refused("policy", folder.path(), &["show", "/dev/zero"], "policy /dev/zero: it is a device");
     for (name, words) in [
@@ -230,9 +231,12 @@ fn errors_name_file_line_and_key_once() {
         ("deep.yaml", "deep.yaml: it has more than 10000 brackets"),
         ("escape.yaml", "\\u001b[31mred"),
         ("/dev/zero", "it is a device"),
+        ("nowhere.yaml", "nowhere.yaml"),
+        ("robot.yaml", "nowhere/robot.xml"),
     ] {
         let complaint = refused("train", folder.path(), &["--config", name, "--out", "x"], words);
         assert!(!complaint.contains('\u{1b}'));
+        assert!(!folder.path().join("x").exists(), "{name} left a folder");
     }
     write("marked.yaml", "\u{feff}base: small.yaml\n".as_bytes());
     trained(folder.path(), "run", &[]);

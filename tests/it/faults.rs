@@ -74,14 +74,19 @@ fn a_folder_that_is_removed_under_a_run_ends_it_with_one_line() {
 }
 
 #[test]
-fn sigterm_finishes_the_iteration_as_ctrl_c_does() {
-    let folder = tempfile::tempdir().unwrap();
-    let child = training(folder.path());
-    send("-TERM", &child);
-    let output = child.wait_with_output().unwrap();
-    assert!(output.status.success());
-    assert!(complaint(&output).contains("train --resume run"), "{}", complaint(&output));
-    assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1"]).status.success());
+fn ctrl_c_and_sigterm_finish_the_iteration_and_say_how_to_resume() {
+    for signal in ["-INT", "-TERM"] {
+        let folder = tempfile::tempdir().unwrap();
+        let child = training(folder.path());
+        let second = run("train", folder.path(), &["--resume", "run"]);
+        assert_eq!(second.status.code(), Some(2));
+        assert!(complaint(&second).contains("another process is training in run"), "{}", complaint(&second));
+        send(signal, &child);
+        let output = child.wait_with_output().unwrap();
+        assert!(output.status.success());
+        assert!(complaint(&output).contains("train --resume run"), "{}", complaint(&output));
+        assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1"]).status.success());
+    }
 }
 
 #[test]
@@ -113,20 +118,6 @@ fn a_start_that_was_cut_off_is_cleared_away_by_the_next() {
     assert!(output.status.success(), "{}", complaint(&output));
     assert!(!left.exists() && theirs.join("lock").exists());
     assert!(!folder.path().join("run/checkpoint.damaged.safetensors").exists());
-}
-
-#[test]
-fn damaged_checkpoint_is_set_aside() {
-    let folder = tempfile::tempdir().unwrap();
-    small_config_file(folder.path());
-    assert!(
-        run("train", folder.path(), &["--config", "small.yaml", "--samples", "1536", "--out", "run"]).status.success()
-    );
-    std::fs::write(folder.path().join("run/checkpoint.safetensors"), "damaged").unwrap();
-    assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1536"]).status.success());
-    let text = |name: &str| std::fs::read(folder.path().join("run").join(name)).unwrap();
-    assert_eq!(text("checkpoint.damaged.safetensors"), b"damaged");
-    assert_ne!(text("checkpoint.previous.safetensors"), b"damaged");
 }
 
 #[test]

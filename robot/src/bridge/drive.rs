@@ -55,7 +55,7 @@ pub struct Settings {
     /// True to release the robot's own controller first.
     pub release: bool,
     /// File of the log, and the largest number of rows of each of its two halves.
-    pub log: Option<(PathBuf, u64)>,
+    pub log: (PathBuf, u64),
 }
 
 /// The reason why a bridge does not start or stops.
@@ -172,15 +172,13 @@ pub fn drive(
             let _ = publisher.send(LowCmd::of_motors(motors));
         })
     };
-    let log = settings
-        .log
-        .as_ref()
-        .map(|(path, rows)| Log::create(path, *rows).map_err(|source| DriveError::Log { path: path.clone(), source }));
+    let (path, rows) = &settings.log;
+    let log = Log::create(path, *rows).map_err(|source| DriveError::Log { path: path.clone(), source })?;
     let mut drive = Drive {
         bridge,
         outlet,
         others,
-        log: log.transpose()?,
+        log,
         dry_run: settings.dry_run,
         begin: Instant::now(),
         last_state: Instant::now(),
@@ -233,7 +231,7 @@ struct Drive<'a> {
     bridge: Bridge<'a>,
     outlet: Outlet,
     others: Arc<Others>,
-    log: Option<Log>,
+    log: Log,
     dry_run: bool,
     begin: Instant,
     last_state: Instant,
@@ -378,8 +376,8 @@ impl Drive<'_> {
 
     fn log(&mut self) {
         let now_s = self.now_s();
-        if let (Some(log), Some(row)) = (&mut self.log, self.bridge.row(now_s)) {
-            log.add(self.bridge.phase().name(), &row);
+        if let Some(row) = self.bridge.row(now_s) {
+            self.log.add(self.bridge.phase().name(), &row);
         }
     }
 
@@ -412,9 +410,8 @@ impl Drive<'_> {
         self.report.latency_p99_ms = self.latencies.quantile_ms(0.99);
         let [short, long] = self.intervals.map(|count| count as f64);
         self.report.intervals_within_4_ms_percent = 100.0 * short / (short + long).max(1.0);
-        if let (Some(log), Some((path, _))) = (self.log, &settings.log) {
-            self.report.log_lost = log.finish().map_err(|source| DriveError::Log { path: path.clone(), source })?;
-        }
+        let failed = |source| DriveError::Log { path: settings.log.0.clone(), source };
+        self.report.log_lost = self.log.finish().map_err(failed)?;
         Ok(self.report)
     }
 }

@@ -173,11 +173,6 @@ impl Guard {
         Guard { limits, joint_limits, torque_limits, straining_s: [0.0; JOINTS] }
     }
 
-    /// Returns the limits.
-    pub fn limits(&self) -> &Limits {
-        &self.limits
-    }
-
     /// Checks a reading, `dt_s` \[s\] after the last one.
     ///
     /// # Errors

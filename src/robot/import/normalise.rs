@@ -466,7 +466,7 @@ impl<'a> Survey<'a> {
             lines.push(format!("joint limits: none in the file for {}, which turn freely", without.join(", ")));
         }
         let limits = self.torque_limits;
-        let servos = (0..model.count(Kind::Actuator)).filter(|id| model.actuator(*id).is_servo()).count();
+        let servos = (0..model.count(Kind::Actuator)).filter(|id| model.actuator(*id).has_bias).count();
         let hips_and_thighs: Vec<f64> =
             limits.chunks(PARTS.len()).flat_map(|leg| &leg[..PARTS.len() - 1]).copied().collect();
         let calves: Vec<f64> = limits.chunks(PARTS.len()).map(|leg| leg[PARTS.len() - 1]).collect();

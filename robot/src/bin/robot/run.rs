@@ -67,7 +67,7 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
         command: Command { compliance, ..Command::velocity(forward, left, yaw) },
         dry_run: args.dry_run,
         release: !args.no_release,
-        log: Some((args.log.clone(), ROWS)),
+        log: (args.log.clone(), ROWS),
     };
     let stop = stop_flag()?;
     let (sender, orders) = channel();
