@@ -147,7 +147,7 @@ class UnilabGo2:
         self.runner.load(str(checkpoint), map_location="cpu")
         policy, steps, fell, velocities = self.runner.get_inference_policy("cpu"), int(SECONDS * 50), False, []
         observations, _ = self.env.reset()
-        with torch.inference_mode():
+        with torch.no_grad():
             for step in range(steps):
                 observations, _, dones, _ = self.env.step(policy(observations))
                 fell |= bool(dones.any())
