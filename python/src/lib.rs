@@ -33,6 +33,7 @@ mod _supple {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("RECORDS", cfg!(feature = "record"))?;
         supple::announce_revision!();
         module.add("REVISION", supple::util::provenance::git_revision())?;

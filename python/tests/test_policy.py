@@ -1,5 +1,6 @@
 """Policies, scenarios and experiments: the numbers of the programs."""
 
+import importlib.metadata
 import json
 import pickle
 import re
@@ -205,6 +206,10 @@ def test_parameters_may_be_numbers_of_numpy():
 def test_what_comes_too_late_is_told():
     with pytest.warns(UserWarning, match="would come after the end at 1.00 s"):
         supple.run_scenario("push", duration_s=1.0)
+
+
+def test_version_is_that_of_the_package():
+    assert supple.__version__ == importlib.metadata.version("supple")
 
 
 def test_a_recording_is_written_if_the_wheel_can(tmp_path):

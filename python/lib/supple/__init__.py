@@ -4,7 +4,7 @@
 `evaluate` measures it in the experiments of the paper. docs/python.md is the manual.
 """
 
-from ._supple import CONFIGURATIONS, POLICIES, RECORDS, REVISION
+from ._supple import CONFIGURATIONS, POLICIES, RECORDS, REVISION, __version__
 from .environment import STAGES, Curriculum, LocomotionEnv, LocomotionVectorEnv, make, make_vec
 from .experiment import Experiment, evaluate, experiments
 from .policy import Policy, describe
@@ -23,6 +23,7 @@ __all__ = [
     "LocomotionVectorEnv",
     "Policy",
     "Run",
+    "__version__",
     "describe",
     "evaluate",
     "experiments",

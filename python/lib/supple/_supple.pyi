@@ -11,6 +11,7 @@ __all__ = [
     "Policy",
     "RECORDS",
     "REVISION",
+    "__version__",
     "_panic",
     "cores",
     "describe",
@@ -24,6 +25,7 @@ CONFIGURATIONS: list[str]
 POLICIES: list[str]
 RECORDS: bool
 REVISION: str
+__version__: str
 
 @final
 class Environments:
