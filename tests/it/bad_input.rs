@@ -218,6 +218,9 @@ fn errors_name_file_line_and_key_once() {
     write("deep.yaml", format!("base: small.yaml\nppo: {}", "[".repeat(100_000)).as_bytes());
     write("escape.yaml", "base: \"\\e[31mred\"\n".as_bytes());
     write("robot.yaml", b"base: small.yaml\nrobot: {model: nowhere/robot.xml}\n");
+    write("unknown.yaml", b"base: small.yaml\nsimulation: {latencyy_s: 0.03}\n");
+    write("negative.yaml", b"base: small.yaml\nepisode: {walking_s: -0.3}\n");
+    write("rates.yaml", b"base: small.yaml\nsimulation: {policy_rate_hz: 70}\n");
     // What it is, and not that there is no policy of this name.
     refused("policy", folder.path(), &["show", "/dev/zero"], "policy /dev/zero: it is a device");
     for (name, words) in [
@@ -233,6 +236,9 @@ fn errors_name_file_line_and_key_once() {
         ("/dev/zero", "it is a device"),
         ("nowhere.yaml", "nowhere.yaml"),
         ("robot.yaml", "nowhere/robot.xml"),
+        ("unknown.yaml", "latencyy_s"),
+        ("negative.yaml", "episode.walking_s is -0.3, expected at least one policy step"),
+        ("rates.yaml", "a multiple of policy_rate_hz (70 Hz)"),
     ] {
         let complaint = refused("train", folder.path(), &["--config", name, "--out", "x"], words);
         assert!(!complaint.contains('\u{1b}'));
@@ -254,6 +260,7 @@ fn errors_name_file_line_and_key_once() {
     assert!(!taken.contains("--resume"), "{taken}");
     let none = refused("train", folder.path(), &["--resume", "empty"], "empty is not a run's folder");
     assert!(!none.contains("--out"), "{none}");
+    refused("train", folder.path(), &["--resume", "nowhere"], "nowhere is not a run's folder");
     refused("train", folder.path(), &[&start[..], &["run"]].concat(), "go on with --resume run");
 }
 

@@ -180,6 +180,10 @@ fn a_damaged_checkpoint_falls_back_to_the_one_before() {
     let text = |name: &str| std::fs::read(folder.path().join("run").join(name)).unwrap();
     assert_eq!(text("checkpoint.damaged.safetensors"), bytes);
     assert_ne!(text("checkpoint.previous.safetensors"), bytes);
+    std::fs::write(&newest, "damaged").unwrap();
+    assert!(run("train", folder.path(), &["--resume", "run", "--samples", "1792"]).status.success());
+    assert_eq!(text("checkpoint.damaged.safetensors"), b"damaged");
+    assert_ne!(text("checkpoint.previous.safetensors"), b"damaged");
 
     for file in ["checkpoint.safetensors", "checkpoint.previous.safetensors"] {
         let path = folder.path().join("run").join(file);
