@@ -71,11 +71,17 @@ pub struct Bridge<'a> {
     command: Command,
     remote: RemoteOrders,
     latency: Latency,
+    /// Joint targets that have come through the latency \[rad\].
+    acting: Joints,
+    /// Time that the latency has not counted yet \[s\].
+    latency_wait_s: f64,
     /// Joint targets of the last policy step, or of the phase \[rad\].
     targets: Joints,
     /// Time until the next policy step \[s\].
     policy_wait_s: f64,
     policy_has_begun: bool,
+    /// True once the program is about to end: the robot neither stands up nor walks again.
+    is_quitting: bool,
     last_tick_ms: Option<u32>,
     /// Time of the last reading \[s\].
     last_s: f64,
@@ -110,10 +116,13 @@ impl<'a> Bridge<'a> {
             command: Command::default(),
             remote: RemoteOrders::default(),
             latency: Latency::new(latency_s, COMMAND_S, stance),
+            acting: stance,
+            latency_wait_s: 0.0,
             targets: stance,
             stance,
             policy_wait_s: 0.0,
             policy_has_begun: false,
+            is_quitting: false,
             last_tick_ms: None,
             last_s: 0.0,
             reading: None,
@@ -159,6 +168,7 @@ impl<'a> Bridge<'a> {
             gyro: reading.imu.gyro.into(),
             accelerometer: reading.imu.specific_force.into(),
             command: [self.command.forward, self.command.left, self.command.yaw],
+            compliance: self.command.compliance.unwrap_or(0.0),
             target: motors.each_ref().map(|motor| f64::from(motor.q)),
             gains: [f64::from(motors[0].kp), f64::from(motors[0].kd)],
         })
@@ -184,7 +194,10 @@ impl<'a> Bridge<'a> {
     pub fn order(&mut self, order: &Order, now_s: f64) {
         match order {
             Order::Wish(wish) => self.wish(*wish, now_s),
-            Order::Quit => self.wish(Wish::Lie, now_s),
+            Order::Quit => {
+                self.is_quitting = true;
+                self.wish(Wish::Lie, now_s);
+            }
             Order::Command(command) => {
                 let compliance = command.compliance.or(self.command.compliance);
                 self.ask(Command { compliance, ..*command });
@@ -222,6 +235,10 @@ impl<'a> Bridge<'a> {
             self.notes.push("no state of the robot yet".to_owned());
             return;
         };
+        if self.is_quitting && matches!(wish, Wish::Stand | Wish::Policy) {
+            self.notes.push("not now: the program is about to end".to_owned());
+            return;
+        }
         if wish != Wish::Damp
             && wish != Wish::Lie
             && let Err(fault) = self.guard.check(reading, 0.0)
@@ -243,6 +260,14 @@ impl<'a> Bridge<'a> {
             Phase::Damped(fault) => self.notes.push(format!("DAMPED: {fault}")),
             other => self.notes.push(other.name().replace('_', " ")),
         }
+        if !phase.is_active() {
+            // At once, and not with the next state: it may never come.
+            self.output.motors = motor::damping();
+        }
+        if self.phase == Phase::Policy {
+            // Whoever starts the policy again starts it at rest.
+            self.command = Command { compliance: self.command.compliance, ..Command::default() };
+        }
         if phase == Phase::Policy {
             (self.policy_wait_s, self.policy_has_begun) = (0.0, false);
         }
@@ -252,7 +277,7 @@ impl<'a> Bridge<'a> {
                 self.notes.push(error.to_string());
             }
             self.latency.reset(self.stance);
-            self.targets = self.stance;
+            (self.acting, self.latency_wait_s, self.targets) = (self.stance, 0.0, self.stance);
         }
         self.phase = phase;
     }
@@ -261,7 +286,6 @@ impl<'a> Bridge<'a> {
     pub fn fail(&mut self, fault: Fault) {
         if self.phase.is_active() {
             self.enter(Phase::Damped(fault));
-            self.output.motors = motor::damping();
         }
     }
 
@@ -272,8 +296,13 @@ impl<'a> Bridge<'a> {
             None => Ok(COMMAND_S),
             // A robot whose clock stands at zero has none, such as unitree_mujoco: the time of arrival has to do.
             Some((0, 0)) => Ok((now_s - self.last_s).clamp(1e-4, 1e-3 * f64::from(MAX_GAP_MS))),
-            // Twice the same state, or one that was overtaken on its way: nothing new.
-            Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => return &self.output,
+            // Twice the same state, or one that was overtaken on its way: nothing new, but a person can always stop the robot.
+            Some((_, gap)) if gap.wrapping_neg() <= MAX_GAP_MS => {
+                if orders.contains(&Order::Wish(Wish::Damp)) {
+                    self.wish(Wish::Damp, now_s);
+                }
+                return self.wait(now_s);
+            }
             Some((_, gap)) if gap <= MAX_GAP_MS => Ok(1e-3 * f64::from(gap)),
             Some((last, _)) => Err(Fault::Clock { from_ms: last, to_ms: reading.tick_ms }),
         };
@@ -307,9 +336,9 @@ impl<'a> Bridge<'a> {
         &self.output
     }
 
-    /// Returns what to send while no reading has come for `silent_s` \[s\].
-    pub fn wait(&mut self, silent_s: f64) -> &Output {
-        if let Err(fault) = self.guard.silence(silent_s) {
+    /// Returns what to send at `now_s` \[s\] if nothing new has come from the robot.
+    pub fn wait(&mut self, now_s: f64) -> &Output {
+        if let Err(fault) = self.guard.silence(now_s - self.last_s) {
             self.fail(fault);
         }
         &self.output
@@ -320,11 +349,11 @@ impl<'a> Bridge<'a> {
         let simulation = &self.config.simulation;
         if let Some((targets, is_over)) = self.phase.motion(&self.stance, now_s) {
             self.targets = targets;
+            let [kp, kd] = STAND_GAINS.map(|gain| [gain; JOINTS]);
+            self.output = Output { motors: motor::holding(&targets, &kp, &kd), targets };
             if is_over {
                 self.enter(self.phase.after());
             }
-            let [kp, kd] = STAND_GAINS.map(|gain| [gain; JOINTS]);
-            self.output = Output { motors: motor::holding(&targets, &kp, &kd), targets };
             return Ok(());
         }
         if self.phase != Phase::Policy {
@@ -342,9 +371,14 @@ impl<'a> Bridge<'a> {
             let wanted = self.controller.joint_targets(&state, &self.command);
             self.targets = self.guard.limit(&wanted, &self.targets)?;
         }
-        let acting = self.latency.delay(&self.targets);
+        self.latency_wait_s += dt_s;
+        // By the robot's clock, whatever the rate of its states; half a microsecond is rounding.
+        while self.latency_wait_s > COMMAND_S - 5e-7 {
+            self.latency_wait_s -= COMMAND_S;
+            self.acting = self.latency.delay(&self.targets);
+        }
         let (kp, kd) = (simulation.kp_n_m_per_rad.joints(), simulation.kd_n_m_s_per_rad.joints());
-        self.output = Output { motors: motor::holding(&acting, &kp, &kd), targets: self.targets };
+        self.output = Output { motors: motor::holding(&self.acting, &kp, &kd), targets: self.targets };
         Ok(())
     }
 }
@@ -469,9 +503,101 @@ mod tests {
     fn silence_of_the_robot_damps_after_100_ms() {
         let agent = agent();
         let mut rig = Rig::to_policy(&agent);
-        assert_ne!(rig.bridge.wait(0.09).motors, motor::damping());
-        assert_eq!(rig.bridge.wait(0.101).motors, motor::damping());
+        let now_s = 1e-3 * f64::from(rig.tick_ms);
+        assert_ne!(rig.bridge.wait(now_s + 0.09).motors, motor::damping());
+        assert_eq!(rig.bridge.wait(now_s + 0.101).motors, motor::damping());
         assert!(matches!(rig.bridge.phase(), Phase::Damped(Fault::Silence { .. })));
+    }
+
+    #[test]
+    fn states_that_repeat_themselves_are_a_silence_in_which_people_can_still_stop_the_robot() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        let repeat = |rig: &mut Rig, later_ms: u32, buttons: Remote| {
+            let mut state = state_at(&rig.angles, rig.tick_ms);
+            state.wireless_remote = buttons.to_bytes();
+            let reading = Reading::new(&state.sealed()).unwrap();
+            rig.bridge.take(reading, 1e-3 * f64::from(rig.tick_ms + later_ms)).motors.clone()
+        };
+        assert_ne!(repeat(&mut rig, 90, Remote::default()), motor::damping());
+        assert_eq!(repeat(&mut rig, 101, Remote::default()), motor::damping());
+        assert!(matches!(rig.bridge.phase(), Phase::Damped(Fault::Silence { .. })));
+
+        let mut rig = Rig::to_policy(&agent);
+        assert_eq!(repeat(&mut rig, 2, Remote::default().with(Button::Select)), motor::damping());
+        assert_eq!(rig.bridge.phase(), &Phase::Damped(Fault::Asked));
+    }
+
+    #[test]
+    fn motors_damp_from_the_order_on_and_not_from_the_next_state() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        rig.order(Wish::Damp);
+        assert_eq!(rig.bridge.output().motors, motor::damping());
+
+        let mut rig = Rig::to_policy(&agent);
+        rig.order(Wish::Lie);
+        while rig.bridge.phase().is_active() {
+            rig.step(|_| ());
+        }
+        assert_eq!(rig.bridge.output().motors, motor::damping());
+    }
+
+    #[test]
+    fn policy_that_begins_again_begins_at_rest() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        rig.bridge.order(&Order::Command(Command::velocity(1.0, 0.0, 0.0)), 0.0);
+        rig.run(0.1);
+        rig.step(|it| it.imu_state.quaternion = [0.6, 0.8, 0.0, 0.0]);
+        assert!(matches!(rig.bridge.phase(), Phase::Damped(_)));
+        rig.run(0.1);
+        rig.order(Wish::Clear);
+        rig.order(Wish::Stand);
+        rig.run(2.5);
+        rig.order(Wish::Policy);
+        assert_eq!((rig.bridge.phase(), rig.bridge.command()), (&Phase::Policy, &Command::default()));
+    }
+
+    #[test]
+    fn robot_that_is_about_to_lie_for_good_does_not_stand_up_again() {
+        let agent = agent();
+        let mut rig = Rig::to_policy(&agent);
+        rig.bridge.order(&Order::Quit, 1e-3 * f64::from(rig.tick_ms));
+        rig.run(0.1);
+        for wish in [Wish::Stand, Wish::Policy] {
+            rig.order(wish);
+            assert!(matches!(rig.bridge.phase(), Phase::LieDown { .. }));
+        }
+        assert_eq!(rig.run(1.0).motors, motor::damping());
+    }
+
+    #[test]
+    fn latency_is_of_time_and_not_of_states() {
+        let agent = agent();
+        // 200 and 1000 states a second.
+        for period_ms in [5, 1] {
+            let mut rig = Rig::to_policy(&agent);
+            let (mut late_ms, last) = (0, rig.bridge.output().targets);
+            let fresh = loop {
+                rig.tick_ms = rig.tick_ms + period_ms - 2;
+                let output = rig.step(|_| ());
+                if output.targets != last {
+                    break output.targets;
+                }
+            };
+            loop {
+                rig.tick_ms = rig.tick_ms + period_ms - 2;
+                late_ms += period_ms;
+                let output = rig.step(|_| ());
+                if (f64::from(output.motors[0].q) - fresh[0]).abs() < 1e-6 {
+                    break;
+                }
+            }
+            let wanted_ms = 1e3 * agent.config.simulation.latency_s;
+            let found_ms = f64::from(late_ms);
+            assert!((found_ms - wanted_ms).abs() <= 5.0, "{period_ms} ms: {found_ms} ms, expected {wanted_ms} ms");
+        }
     }
 
     #[test]

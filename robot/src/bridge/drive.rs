@@ -119,9 +119,11 @@ pub struct Report {
     pub faults: Vec<(f64, String)>,
     /// Rows that the log lacks.
     pub log_lost: u64,
+    /// The reason why the log ends early, if it does.
+    pub log_error: Option<String>,
 }
 
-/// Runs a policy until an order or `stop` ends it.
+/// Runs a policy until an order or `stop` ends it. A `stop` before the first command leaves the robot as it is.
 ///
 /// # Errors
 /// The network or the policy fails, the robot is silent at first, or another program commands it.
@@ -151,16 +153,19 @@ pub fn drive(
     if Reading::is_unsigned(&first.message) {
         terminal::note("note: states have no checksum, as those of unitree_mujoco; a Go2's have one");
     }
-    if settings.release && !settings.dry_run {
-        let mode = Client::new(&node)?.release()?;
+    if settings.release && !settings.dry_run && !stop.load(Ordering::Relaxed) {
+        let mode = Client::new(&node)?.release(stop)?;
         if !mode.is_empty() {
             terminal::note(format_args!("released the robot's own controller, '{mode}'"));
         }
     }
     others.forget();
     std::thread::sleep(LOOK);
-    if others.any() {
+    if others.any() && !settings.dry_run {
         return Err(DriveError::OtherWriter);
+    }
+    if stop.load(Ordering::Relaxed) {
+        return Ok(Report::default());
     }
     let outlet = if settings.dry_run {
         Outlet::new(limit(settings), |_| ())
@@ -180,8 +185,8 @@ pub fn drive(
         others,
         log,
         dry_run: settings.dry_run,
+        silence_ms: 1e3 * settings.limits.silence_s,
         begin: Instant::now(),
-        last_state: Instant::now(),
         last_sent: None,
         shown: Instant::now(),
         report: Report::default(),
@@ -192,7 +197,7 @@ pub fn drive(
     // Those that came meanwhile are old.
     while states.try_recv().is_ok() {}
     drive.run(&states, orders, stop);
-    drive.finish(settings)
+    Ok(drive.finish())
 }
 
 fn limit(settings: &Settings) -> Duration {
@@ -233,8 +238,9 @@ struct Drive<'a> {
     others: Arc<Others>,
     log: Log,
     dry_run: bool,
+    /// Longest time without a command of the policy \[ms\].
+    silence_ms: f64,
     begin: Instant,
-    last_state: Instant,
     last_sent: Option<Instant>,
     shown: Instant,
     report: Report,
@@ -249,28 +255,29 @@ impl Drive<'_> {
         self.begin.elapsed().as_secs_f64()
     }
 
-    /// Runs until an order or `stop`, then lies down.
+    /// Runs until an order or `stop`, then lies down and damps.
     fn run(&mut self, states: &Receiver<Arrival<LowState>>, orders: &Receiver<Order>, stop: &AtomicBool) {
-        self.last_state = Instant::now();
-        let mut quits: Option<Instant> = None;
+        // Since when the program is asked to end, and since when the motors damp thereafter.
+        let (mut quits, mut still): (Option<Instant>, Option<Instant>) = (None, None);
         loop {
             let mut wants_to_quit = stop.swap(false, Ordering::Relaxed);
             while let Ok(order) = orders.try_recv() {
-                wants_to_quit |= order == Order::Quit;
+                if order == Order::Quit {
+                    wants_to_quit = true;
+                    continue;
+                }
                 if order == Order::Wish(Wish::Clear) {
                     self.outlet.reset();
                 }
                 self.bridge.order(&order, self.now_s());
             }
             if wants_to_quit {
-                if quits.is_some() {
-                    // Asked twice: at once.
-                    self.bridge.order(&Order::Wish(Wish::Damp), self.now_s());
-                }
-                self.bridge.order(&Order::Wish(Wish::Lie), self.now_s());
+                // Asked twice: at once.
+                let order = if quits.is_some() { Order::Wish(Wish::Damp) } else { Order::Quit };
+                self.bridge.order(&order, self.now_s());
                 quits.get_or_insert_with(Instant::now);
             }
-            if self.others.any() {
+            if !self.dry_run && self.others.any() {
                 self.bridge.fail(Fault::OtherWriter);
             }
             self.step(states);
@@ -282,11 +289,14 @@ impl Drive<'_> {
                     self.report.faults.push((self.now_s(), fault.to_string()));
                 }
             }
-            if let Some(since) = quits {
-                let is_still = !self.bridge.phase().is_active();
-                if (is_still && since.elapsed() > DAMP) || since.elapsed() > LIE + DAMP {
-                    return;
+            let Some(since) = quits else { continue };
+            if self.bridge.phase().is_active() {
+                still = None;
+                if since.elapsed() > LIE {
+                    self.bridge.order(&Order::Wish(Wish::Damp), self.now_s());
                 }
+            } else if still.get_or_insert_with(Instant::now).elapsed() > DAMP {
+                return;
             }
         }
     }
@@ -308,7 +318,7 @@ impl Drive<'_> {
                 }
             }
             Err(RecvTimeoutError::Timeout) => {
-                self.bridge.wait(self.last_state.elapsed().as_secs_f64());
+                self.bridge.wait(self.now_s());
                 self.report.resent += 1;
                 self.send();
             }
@@ -326,7 +336,6 @@ impl Drive<'_> {
             Ok(reading) => {
                 self.count_lost(reading.tick_ms);
                 self.report.states += 1;
-                self.last_state = arrival.at;
                 let now_s = self.now_s();
                 self.bridge.take(reading, now_s);
                 Some(arrival.at)
@@ -356,8 +365,7 @@ impl Drive<'_> {
     fn send(&mut self) {
         if !self.outlet.send(&self.output().motors) {
             if self.bridge.phase().is_active() {
-                let limit_ms = 1e3 * Limits::default().silence_s;
-                self.bridge.fail(Fault::PolicySilence { limit_ms });
+                self.bridge.fail(Fault::PolicySilence { limit_ms: self.silence_ms });
             } else if *self.bridge.phase() == Phase::Passive {
                 // It damps anyway: nothing to clear.
                 self.outlet.reset();
@@ -377,7 +385,13 @@ impl Drive<'_> {
     fn log(&mut self) {
         let now_s = self.now_s();
         if let Some(row) = self.bridge.row(now_s) {
+            let had_failed = self.log.has_failed();
             self.log.add(self.bridge.phase().name(), &row);
+            if self.log.has_failed() && !had_failed {
+                terminal::note(format_args!(
+                    "{now_s:8.3} s: the log cannot be written any more; the robot goes on without"
+                ));
+            }
         }
     }
 
@@ -405,14 +419,15 @@ impl Drive<'_> {
         ));
     }
 
-    fn finish(mut self, settings: &Settings) -> Result<Report, DriveError> {
+    fn finish(mut self) -> Report {
         self.report.latency_median_ms = self.latencies.quantile_ms(0.5);
         self.report.latency_p99_ms = self.latencies.quantile_ms(0.99);
         let [short, long] = self.intervals.map(|count| count as f64);
         self.report.intervals_within_4_ms_percent = 100.0 * short / (short + long).max(1.0);
-        let failed = |source| DriveError::Log { path: settings.log.0.clone(), source };
-        self.report.log_lost = self.log.finish().map_err(failed)?;
-        Ok(self.report)
+        let (lost, written) = self.log.finish();
+        self.report.log_lost = lost;
+        self.report.log_error = written.err().map(|error| error.to_string());
+        self.report
     }
 }
 

@@ -6,7 +6,7 @@ The log is two files, `NAME` and `NAME.old`: when the first is full, it replaces
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
 
 use serde::{Deserialize, Serialize};
@@ -39,11 +39,16 @@ pub struct Row {
     pub accelerometer: [f64; 3],
     /// Commanded velocity: forward [m/s], left [m/s], yaw rate [rad/s].
     pub command: [f64; 3],
+    /// Commanded compliance [m/s/N]; 0 for the policy's own.
+    pub compliance: f64,
     /// Joint targets that were sent \[rad\].
     pub target: Joints,
     /// Gains that were sent [N·m/rad], [N·m·s/rad].
     pub gains: [f64; 2],
 }
+
+/// The column of the commanded compliance, which logs of other programs need not have.
+pub const COMPLIANCE: &str = "command_compliance";
 
 /// Names of the columns in order; the phase is the first.
 pub fn columns() -> Vec<String> {
@@ -55,7 +60,7 @@ pub fn columns() -> Vec<String> {
     names.extend(["quaternion_w", "quaternion_x", "quaternion_y", "quaternion_z"].map(str::to_owned));
     names
         .extend(["gyro", "accelerometer"].iter().flat_map(|what| ["x", "y", "z"].map(|axis| format!("{what}_{axis}"))));
-    names.extend(["command_forward", "command_left", "command_yaw"].map(str::to_owned));
+    names.extend(["command_forward", "command_left", "command_yaw", COMPLIANCE].map(str::to_owned));
     names.extend(joints("target"));
     names.extend(["kp", "kd"].map(str::to_owned));
     names
@@ -64,9 +69,10 @@ pub fn columns() -> Vec<String> {
 impl Row {
     /// Returns the numbers in the order of [`columns`], without the phase.
     pub fn numbers(&self) -> Vec<f64> {
-        let Row { time_s, tick_s, q, dq, tau, quaternion, gyro, accelerometer, command, target, gains } = self;
-        let parts: [&[f64]; 10] =
-            [&[*time_s, *tick_s], q, dq, tau, quaternion, gyro, accelerometer, command, target, gains];
+        let Row { time_s, tick_s, q, dq, tau, quaternion, gyro, accelerometer, command, compliance, target, gains } =
+            self;
+        let parts: [&[f64]; 11] =
+            [&[*time_s, *tick_s], q, dq, tau, quaternion, gyro, accelerometer, command, &[*compliance], target, gains];
         parts.concat()
     }
 
@@ -89,6 +95,7 @@ impl Row {
             gyro: take(&mut rest)?,
             accelerometer: take(&mut rest)?,
             command: take(&mut rest)?,
+            compliance: take::<1>(&mut rest)?[0],
             target: take(&mut rest)?,
             gains: take(&mut rest)?,
         })
@@ -100,6 +107,7 @@ pub struct Log {
     sender: SyncSender<(&'static str, Row)>,
     thread: JoinHandle<io::Result<()>>,
     lost: u64,
+    has_failed: bool,
 }
 
 /// Returns the path of the older half of a log.
@@ -110,31 +118,39 @@ pub fn older(path: &Path) -> PathBuf {
 }
 
 impl Log {
-    /// Opens a log whose two files have at most `rows` rows each.
+    /// Opens a log whose two files have at most `rows` rows each. Both files of an earlier log by that name are gone.
     ///
     /// # Errors
     /// The file cannot be created.
     pub fn create(path: &Path, rows: u64) -> io::Result<Self> {
         let file = open(path)?;
+        match std::fs::remove_file(older(path)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => (),
+        }
         let (sender, receiver) = sync_channel(WAITING);
         let path = path.to_owned();
         let thread = std::thread::spawn(move || write(&path, file, rows, &receiver));
-        Ok(Log { sender, thread, lost: 0 })
+        Ok(Log { sender, thread, lost: 0, has_failed: false })
     }
 
     /// Adds a row; never waits. What a slow disk does not take is lost and counted.
     pub fn add(&mut self, phase: &'static str, row: &Row) {
-        self.lost += u64::from(self.sender.try_send((phase, *row)).is_err());
+        let sent = self.sender.try_send((phase, *row));
+        self.lost += u64::from(sent.is_err());
+        self.has_failed |= matches!(sent, Err(TrySendError::Disconnected(_)));
     }
 
-    /// Writes what is left; returns the number of lost rows.
-    ///
-    /// # Errors
-    /// The disk is full.
-    pub fn finish(self) -> io::Result<u64> {
+    /// Returns true once nothing can be written any more, as on a full disk.
+    pub fn has_failed(&self) -> bool {
+        self.has_failed
+    }
+
+    /// Writes what is left; returns the number of lost rows, and an error if the disk is full.
+    pub fn finish(self) -> (u64, io::Result<()>) {
         drop(self.sender);
-        self.thread.join().unwrap_or_else(|_| Err(io::Error::other("the log's thread panicked")))?;
-        Ok(self.lost)
+        let written = self.thread.join().unwrap_or_else(|_| Err(io::Error::other("the log's thread panicked")));
+        (self.lost, written)
     }
 }
 
@@ -157,10 +173,11 @@ fn write(
             std::fs::rename(path, older(path))?;
             (file, written) = (open(path)?, 0);
         }
-        write!(file, "{phase}")?;
-        for number in row.numbers() {
+        // Clocks need more digits than an f32 has: 0.1 ms, after days too.
+        write!(file, "{phase},{:.4},{:.4}", row.time_s, row.tick_s)?;
+        for number in &row.numbers()[2..] {
             // Six digits are those of an f32.
-            write!(file, ",{}", number as f32)?;
+            write!(file, ",{}", *number as f32)?;
         }
         writeln!(file)?;
         written += 1;
@@ -198,9 +215,25 @@ pub(crate) mod tests {
         for number in 0..35 {
             log.add("policy", &row(f64::from(number)));
         }
-        assert_eq!(log.finish().unwrap(), 0);
+        let (lost, written) = log.finish();
+        assert!(lost == 0 && written.is_ok());
         let lines = |path: &Path| std::fs::read_to_string(path).unwrap().lines().count() - 1;
         assert_eq!((lines(&path), lines(&older(&path))), (5, 10));
         assert!(std::fs::read_to_string(&path).unwrap().lines().last().unwrap().starts_with("policy,34"));
+        // The next one has nothing of this one.
+        Log::create(&path, 10).unwrap().finish().1.unwrap();
+        assert!(lines(&path) == 0 && !older(&path).exists());
+    }
+
+    #[test]
+    fn clocks_keep_their_milliseconds_for_days() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let mut log = Log::create(&path, 10).unwrap();
+        let late = Row { time_s: 400_000.002, tick_s: 4_000_000.001, ..row(0.0) };
+        log.add("policy", &late);
+        log.finish().1.unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(text.lines().last().unwrap().starts_with("policy,400000.0020,4000000.0010,"), "{text}");
     }
 }

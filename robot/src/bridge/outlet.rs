@@ -1,5 +1,5 @@
-/*! The last way out, watched: if the bridge gives no command for 100 ms, because its policy hangs or panics, the outlet damps by
-itself, and keeps doing so until it is reset. */
+/*! The last way out, watched: if the bridge gives no command for 100 ms, because its policy hangs, the outlet damps by itself, and
+keeps doing so until it is reset. What it sends last, also when a panic ends the program, is damping. */
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,6 +13,9 @@ use crate::motor;
 
 /// Time between two commands of the outlet's own \[s\].
 const PERIOD: Duration = Duration::from_millis(2);
+
+/// Number of commands that damp at the end: one may be lost.
+const LAST: usize = 25;
 
 /// Where commands go.
 type Sink = Box<dyn Fn(&[MotorCmd; JOINTS]) + Send>;
@@ -76,6 +79,11 @@ impl Drop for Outlet {
             // A thread that has panicked sends nothing any more.
             let _ = watch.join();
         }
+        let slot = self.slot.lock().unwrap_or_else(PoisonError::into_inner);
+        for _ in 0..LAST {
+            (slot.sink)(&motor::damping());
+            std::thread::sleep(PERIOD);
+        }
     }
 }
 
@@ -106,5 +114,17 @@ mod tests {
         outlet.reset();
         while sent.try_recv().is_ok() {}
         assert!(outlet.send(&command));
+    }
+
+    #[test]
+    fn last_command_damps_also_after_a_panic() {
+        let (sender, sent) = channel();
+        let outlet = Outlet::new(Duration::from_secs(60), move |motors| drop(sender.send(motors[0].clone())));
+        let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(move || {
+            outlet.send(&std::array::from_fn(|_| MotorCmd { mode: SERVO, kp: 40.0, ..MotorCmd::zero() }));
+            panic!("as a policy may");
+        }));
+        assert!(ended.is_err());
+        assert_eq!(sent.try_iter().last(), Some(motor::damping()[0].clone()));
     }
 }

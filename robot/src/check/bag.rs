@@ -10,7 +10,7 @@ use supple::robot::Joints;
 use supple::util::files::read_bounded;
 
 use super::{CheckError, Columns};
-use crate::bridge::log::Row;
+use crate::bridge::log::{COMPLIANCE, Row};
 use crate::message::{Cdr, Field, LowCmd, LowState, MotorCmd, MotorState};
 
 /// Most bytes of a file.
@@ -25,6 +25,7 @@ pub(super) fn read(path: &Path, columns: &Columns) -> Result<Vec<Row>, CheckErro
     let bytes = read_bounded(path, MOST_BYTES).map_err(|error| fail(error.to_string()))?;
     let constant = |name| columns.constants.get(name).copied().ok_or(CheckError::Command { name });
     let command = [constant("command_forward")?, constant("command_left")?, constant("command_yaw")?];
+    let compliance = columns.constants.get(COMPLIANCE).copied().unwrap_or(0.0);
     let (mut state, mut start_ns, mut rows) = (None, None, Vec::new());
     let topics = for_each_message(&bytes, |topic, time_ns, data| {
         let no_message = |what: &str| format!("a message of the topic {topic} is not the Go2's {what} in CDR");
@@ -33,7 +34,7 @@ pub(super) fn read(path: &Path, columns: &Columns) -> Result<Vec<Row>, CheckErro
             Some("lowcmd") => {
                 let sent: LowCmd = decoded(data).ok_or_else(|| no_message("LowCmd"))?;
                 let time_s = 1e-9 * time_ns.saturating_sub(*start_ns.get_or_insert(time_ns)) as f64;
-                rows.extend(state.as_ref().map(|state| row(time_s, state, &sent, command)));
+                rows.extend(state.as_ref().map(|state| Row { compliance, ..row(time_s, state, &sent, command) }));
             }
             _ => {}
         }
@@ -114,6 +115,7 @@ fn row(time_s: f64, state: &LowState, sent: &LowCmd, command: [f64; 3]) -> Row {
         gyro: state.imu_state.gyroscope.map(f64::from),
         accelerometer: state.imu_state.accelerometer.map(f64::from),
         command,
+        compliance: 0.0,
         target: of_commands(|motor| motor.q),
         gains: [of_commands(|motor| motor.kp)[0], of_commands(|motor| motor.kd)[0]],
     }
@@ -156,7 +158,7 @@ pub(super) mod tests {
     }
 
     fn columns() -> Columns {
-        let constants = [("command_forward", 0.4), ("command_left", 0.2), ("command_yaw", 0.3)];
+        let constants = [("command_forward", 0.4), ("command_left", 0.2), ("command_yaw", 0.3), (COMPLIANCE, 0.02)];
         Columns {
             constants: constants.map(|(name, value)| (name.to_owned(), value)).into(),
             from_s: 0.01,
@@ -178,6 +180,7 @@ pub(super) mod tests {
                 time_s: 0.002 * f64::from(index),
                 tick_s: 0.002 * f64::from(index),
                 command: [0.4, 0.2, 0.3],
+                compliance: 0.02,
                 ..crate::bridge::log::tests::row(f64::from(index))
             })
             .collect();

@@ -145,7 +145,12 @@ fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Ve
             bridge.resume(Phase::Policy);
         }
         let [forward, left, yaw] = row.command;
-        bridge.order(&Order::Command(supple::task::Command::velocity(forward, left, yaw)), row.time_s);
+        let logged = (row.compliance > 0.0).then_some(row.compliance);
+        let command = supple::task::Command {
+            compliance: logged.or(agent.commanded_compliance),
+            ..supple::task::Command::velocity(forward, left, yaw)
+        };
+        bridge.order(&Order::Command(command), row.time_s);
         let [w, x, y, z] = row.quaternion;
         let reading = Reading {
             tick_ms: (1e3 * row.tick_s).round() as u32,
@@ -195,7 +200,7 @@ fn best_delay(replayed: &[(f64, Joints, Joints)]) -> (usize, f64) {
 /// # Errors
 /// The log is too short, or the policy is not one of a Go2.
 pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Verdict, CheckError> {
-    let rows = log.of_policy(MOST_ROWS);
+    let rows = log.of_policy(FEWEST_ROWS, MOST_ROWS);
     let count = rows.iter().filter(|(phase, _)| phase == "policy").count();
     if count < FEWEST_ROWS {
         return Err(CheckError::Short { found: count });

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::Deserialize;
 
 use super::CheckError;
-use crate::bridge::log::{Row, columns};
+use crate::bridge::log::{COMPLIANCE, Row, columns};
 
 /// Rows of the stance before the policy, in which the estimators settle.
 const HELD_ROWS: usize = 100;
@@ -50,7 +50,8 @@ impl LogRows {
 
     fn read_one(path: &Path, names: &Columns) -> Result<Self, CheckError> {
         let fail = |reason: String| CheckError::Read { path: path.display().to_string(), reason };
-        let mut table = csv::Reader::from_path(path).map_err(|error| fail(error.to_string()))?;
+        let mut table =
+            csv::ReaderBuilder::new().flexible(true).from_path(path).map_err(|error| fail(error.to_string()))?;
         let found: Vec<String> = table
             .headers()
             .map_err(|error| fail(error.to_string()))?
@@ -67,12 +68,18 @@ impl LogRows {
             sources.push(match (place(ours), names.constants.get(ours)) {
                 (Some(place), _) => Ok(place),
                 (None, Some(constant)) => Err(*constant),
+                // Of the policy's own compliance, in older logs and those of others.
+                (None, None) if ours == COMPLIANCE => Err(0.0),
                 (None, None) => return Err(CheckError::Column { name: ours.clone(), found: found.join(", ") }),
             });
         }
         let mut rows = Vec::new();
         for record in table.records() {
             let record = record.map_err(|error| fail(error.to_string()))?;
+            // The last line of a program that was killed.
+            if record.len() < found.len() {
+                continue;
+            }
             let number = |source: &Result<usize, f64>| match source {
                 Ok(place) => record.get(*place).and_then(|text| text.trim().parse().ok()).unwrap_or(f64::NAN),
                 Err(constant) => *constant,
@@ -86,12 +93,22 @@ impl LogRows {
         Ok(LogRows(rows))
     }
 
-    /// Returns the rows of the first run of the policy, at most `most`, with some of the stance before it.
-    pub(super) fn of_policy(&self, most: usize) -> &[(String, Row)] {
-        let Some(first) = self.0.iter().position(|(phase, _)| phase == "policy") else { return &[] };
-        let end = self.0[first..].iter().position(|(phase, _)| phase != "policy").map_or(self.0.len(), |at| first + at);
-        let held = self.0[..first].iter().rev().take(HELD_ROWS).take_while(|(phase, _)| phase == "hold").count();
-        &self.0[first - held..end.min(first + most)]
+    /// Returns the rows of one run of the policy, at most `most`, with some of the stance before it: of the last run that is at least
+    /// `fewest` rows long, or else of the longest.
+    pub(super) fn of_policy(&self, fewest: usize, most: usize) -> &[(String, Row)] {
+        let (mut runs, mut at): (Vec<&[(String, Row)]>, usize) = (Vec::new(), 0);
+        for run in self.0.chunk_by(|(a, _), (b, _)| a == b) {
+            at += run.len();
+            if run[0].0 == "policy" {
+                let first = at - run.len();
+                let held =
+                    self.0[..first].iter().rev().take(HELD_ROWS).take_while(|(phase, _)| phase == "hold").count();
+                runs.push(&self.0[first - held..at.min(first + most)]);
+            }
+        }
+        let is_long = |run: &&&[(String, Row)]| run.iter().filter(|(phase, _)| phase == "policy").count() >= fewest;
+        let longest = || runs.iter().max_by_key(|run| run.len());
+        runs.iter().rfind(is_long).or_else(longest).copied().unwrap_or_default()
     }
 }
 
@@ -120,5 +137,39 @@ mod tests {
         names.constants.insert("kd".to_owned(), 1.0);
         let read = LogRows::read(&path, &names).unwrap();
         assert_eq!(read.0, [("policy".to_owned(), Row { gains: [40.0, 1.0], ..row })]);
+    }
+
+    #[test]
+    fn torn_last_line_and_a_missing_compliance_leave_the_other_rows() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        let row = Row { compliance: 0.0, ..crate::bridge::log::tests::row(1.0) };
+        let place = columns().iter().position(|name| name == COMPLIANCE).unwrap();
+        let mut numbers: Vec<String> = row.numbers().iter().map(f64::to_string).collect();
+        numbers.remove(place - 1);
+        let header = columns().join(",").replace(",command_compliance", "");
+        let line = format!("policy,{}", numbers.join(","));
+        std::fs::write(&path, format!("{header}\n{line}\n{}", &line[..line.len() / 2])).unwrap();
+        let read = LogRows::read(&path, &Columns::default()).unwrap();
+        assert_eq!(read.0, [("policy".to_owned(), row)]);
+    }
+
+    #[test]
+    fn last_run_of_the_policy_is_checked_unless_it_is_short() {
+        let phases =
+            [("hold", 3), ("policy", 5), ("damped", 2), ("hold", 200), ("policy", 9), ("hold", 4), ("policy", 2)];
+        let named = phases.iter().flat_map(|(phase, count)| std::iter::repeat_n(*phase, *count));
+        let rows =
+            named.enumerate().map(|(index, phase)| (phase.to_owned(), crate::bridge::log::tests::row(index as f64)));
+        let rows = LogRows(rows.collect());
+        let of = |fewest, most| {
+            let found = rows.of_policy(fewest, most);
+            (found[0].1.time_s as usize, found.len())
+        };
+        assert_eq!(of(2, 100), (219, 4 + 2));
+        assert_eq!(of(3, 100), (110, 100 + 9));
+        assert_eq!(of(3, 4), (110, 100 + 4));
+        assert_eq!(of(50, 100), (110, 100 + 9));
+        assert!(LogRows::default().of_policy(2, 100).is_empty());
     }
 }

@@ -1,6 +1,7 @@
 //! The service `motion_switcher`: which mode the robot is in, and the release of that mode, which a controller of motors needs
 //! first. [`serve`] is the robot's side, [`Client`] the controller's.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -301,15 +302,15 @@ impl Client {
         }
     }
 
-    /// Releases the robot's own controller, and returns the mode in which the robot was.
+    /// Releases the robot's own controller, and returns the mode in which the robot was. Nothing is released once `stop` is true.
     ///
     /// # Errors
     /// The robot does not answer, refuses, or keeps its mode.
-    pub fn release(&mut self) -> Result<String, SwitchError> {
+    pub fn release(&mut self, stop: &AtomicBool) -> Result<String, SwitchError> {
         let first = self.mode()?;
         let mut mode = first.clone();
         for _ in 0..RELEASES {
-            if mode.is_empty() {
+            if mode.is_empty() || stop.load(Ordering::Relaxed) {
                 return Ok(first);
             }
             self.call(RELEASE_MODE)?;

@@ -85,8 +85,9 @@ fn listen(name: &str, socket: UdpSocket, receiver: TransportDataReceiver) {
     let run = move || {
         let mut buffer = vec![0; 65536];
         loop {
-            if let Ok(length) = socket.recv(&mut buffer) {
-                forget_types(&mut buffer[..length]);
+            if let Ok(length) = socket.recv(&mut buffer)
+                && forget_types(&mut buffer[..length]).is_some()
+            {
                 block_on(receiver.receive_message(buffer[..length].to_vec()));
             }
         }
@@ -159,6 +160,9 @@ impl WriteMessage for Writer {
 const DATA: u8 = 0x15;
 /// Kinds of submessages that may be empty (PAD, INFO_TS); any other length 0 means "to the end".
 const MAY_BE_EMPTY: [u8; 2] = [0x01, 0x09];
+/// Kind of a submessage that tells where to answer (INFO_REPLY), which no implementation that we know sends. dust_dds 0.16 has a
+/// `todo!` there, whose panic would end DDS in this program.
+const INFO_REPLY: u8 = 0x0F;
 /// Parameter that carries the type information.
 const TYPE_INFORMATION: u16 = 0x0075;
 /// Parameter that ends a list.
@@ -166,7 +170,8 @@ const SENTINEL: u16 = 1;
 /// The built-in writers that announce writers and readers.
 const DISCOVERY_WRITERS: [[u8; 4]; 2] = [[0, 0, 3, 0xC2], [0, 0, 4, 0xC2]];
 
-/// Blanks the type information that a peer announces with its readers and writers; `None` if the message is malformed.
+/// Blanks the type information that a peer announces with its readers and writers; `None` if the message is malformed, or has an
+/// [`INFO_REPLY`], and must not be heard.
 ///
 /// dust_dds 0.16 would ask such a peer for its types and match nothing until it answers, but Cyclone 0.10.2, the robot's, does
 /// not know that request. Without the parameter both sides match by the type's name.
@@ -178,6 +183,9 @@ fn forget_types(message: &mut [u8]) -> Option<()> {
     let mut at = 20;
     while at + 4 <= message.len() {
         let (kind, flags) = (message[at], message[at + 1]);
+        if kind == INFO_REPLY {
+            return None;
+        }
         let little = flags & 1 == 1;
         let body = at + 4;
         let length = usize::from(word(message, at + 2, little)?);
@@ -232,6 +240,13 @@ mod tests {
         let mut message = announcement(&[0x05, TYPE_INFORMATION, 0x07]);
         forget_types(&mut message).unwrap();
         assert_eq!(message, announcement(&[0x05, 0, 0x07]));
+    }
+
+    #[test]
+    fn message_that_dust_dds_panics_on_is_not_heard() {
+        let mut message = announcement(&[0x05]);
+        message.extend([INFO_REPLY, 1, 4, 0, 0, 0, 0, 0]);
+        assert_eq!(forget_types(&mut message), None);
     }
 
     #[test]

@@ -16,8 +16,8 @@ use supple_robot::lockstep::rehearse;
 pub struct Check {
     /// Log of `robot run`, a bag of ROS 2 (.mcap), or a CSV file of another program
     log: PathBuf,
-    /// The policy that ran
-    #[arg(value_name = "FILE|NAME")]
+    /// The policy that ran; with @C behind it, with the commanded compliance C (m/s/N), where the log does not say it
+    #[arg(value_name = "FILE|NAME[@C]")]
     policy: String,
     /// YAML file about a log of another program: names that it has for our columns, as in `names: {gyro_x: omega_x}`, values of those that
     /// it lacks, as in `constants: {kp: 40}`, and when the policy began, as in `from_s: 6`

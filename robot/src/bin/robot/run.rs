@@ -7,7 +7,7 @@ use std::sync::mpsc::{Sender, channel};
 
 use anyhow::Context;
 use clap::Args;
-use rustix::termios::{LocalModes, OptionalActions, Termios, tcgetattr, tcsetattr};
+use rustix::termios::{LocalModes, OptionalActions, SpecialCodeIndex, Termios, tcgetattr, tcsetattr};
 use supple::policy::shipped;
 use supple::task::Command;
 use supple::util::terminal;
@@ -23,7 +23,7 @@ use crate::{Network, stop_flag};
 pub struct Run {
     /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy of the Go2; with @C behind it, it has the
     /// commanded compliance C (m/s/N)
-    #[arg(value_name = "FILE|NAME[@C]")]
+    #[arg(value_name = "FILE|NAME[@C]", default_value = "go2/real")]
     policy: String,
     /// Commanded compliance (m/s/N) [default: the policy's own]
     #[arg(long, value_name = "C")]
@@ -54,7 +54,8 @@ pub struct Run {
     network: Network,
 }
 
-/// Runs until a key, Ctrl-C, or the end of the orders.
+/// Runs until a key or Ctrl-C. Where the orders on standard input end, as where the program that gives them has died, the robot stops
+/// walking.
 pub fn run(args: &Run) -> anyhow::Result<()> {
     let agent = shipped::find(&args.policy)?;
     let compliance = agent.resolve_compliance(None, args.compliance).with_context(|| args.policy.clone())?;
@@ -80,7 +81,7 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
             terminal::note(KEYS);
             std::thread::spawn(move || keys(&sender));
         }
-        None => drop(std::thread::spawn(move || lines(std::io::stdin().lock(), &sender))),
+        None => drop(std::thread::spawn(move || orders_of_stdin(std::io::stdin().lock(), &sender))),
     }
     let report = drive(&settings, &agent, &orders, &stop);
     drop(raw);
@@ -102,17 +103,33 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
             args.log.display()
         ));
     }
-    Ok(())
+    match report.log_error {
+        Some(error) => anyhow::bail!("cannot write the log {}: {error}", args.log.display()),
+        None => Ok(()),
+    }
 }
 
-/// Reads lines of JSON.
-fn lines(input: impl BufRead, sender: &Sender<Order>) {
-    for line in input.lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
-        match Order::from_line(&line) {
+/// Reads lines of JSON to their end; returns true if one of them was an order. What is no text is no order.
+fn lines(mut input: impl BufRead, sender: &Sender<Order>) -> bool {
+    let (mut has_ordered, mut bytes) = (false, Vec::new());
+    while input.read_until(b'\n', &mut bytes).is_ok_and(|length| length > 0) {
+        let line = String::from_utf8_lossy(&bytes);
+        match Order::from_line(line.trim()) {
+            _ if line.trim().is_empty() => (),
             // The receiver is gone when the program ends.
-            Ok(order) => drop(sender.send(order)),
+            Ok(order) => has_ordered |= sender.send(order).is_ok(),
             Err(error) => terminal::note(error),
         }
+        bytes.clear();
+    }
+    has_ordered
+}
+
+/// Reads lines of JSON from a program that leads the robot, and stops the robot at their end.
+fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>) {
+    if lines(input, sender) {
+        terminal::note("standard input has ended, and with it the orders: velocity 0");
+        let _ = sender.send(Order::Command(Command::default()));
     }
 }
 
@@ -123,7 +140,7 @@ fn listen(port: u16, sender: Sender<Order>) -> anyhow::Result<()> {
     std::thread::spawn(move || {
         let mut buffer = [0; 4096];
         while let Ok(length) = socket.recv(&mut buffer) {
-            lines(&buffer[..length], &sender);
+            let _ = lines(&buffer[..length], &sender);
         }
     });
     Ok(())
@@ -136,6 +153,9 @@ fn keys(sender: &Sender<Order>) {
         }
     }
 }
+
+/// Code of a key that a terminal does not have (`_POSIX_VDISABLE` of Linux).
+const DISABLED: u8 = 0;
 
 /// A terminal that gives single keys, until it is dropped.
 struct Raw(Termios);
@@ -150,6 +170,10 @@ impl Raw {
         let before = tcgetattr(&input).ok()?;
         let mut raw = before.clone();
         raw.local_modes.remove(LocalModes::ICANON | LocalModes::ECHO);
+        // Ctrl-Z and Ctrl-\\ would stop or end the program without damping. Ctrl-C is caught.
+        for key in [SpecialCodeIndex::VSUSP, SpecialCodeIndex::VQUIT] {
+            raw.special_codes[key] = DISABLED;
+        }
         tcsetattr(&input, OptionalActions::Now, &raw).ok()?;
         Some(Raw(before))
     }
@@ -158,5 +182,23 @@ impl Raw {
 impl Drop for Raw {
     fn drop(&mut self) {
         let _ = tcsetattr(std::io::stdin(), OptionalActions::Now, &self.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use supple_robot::bridge::phase::Wish;
+
+    #[test]
+    fn what_is_no_text_does_not_silence_the_orders_after_it() {
+        let (sender, orders) = channel();
+        orders_of_stdin(&b"\xFF\xFE\n\n{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}\n{\"do\": \"damp\"}"[..], &sender);
+        let walk = Order::Command(Command::velocity(0.5, 0.0, 0.0));
+        let stop = Order::Command(Command::default());
+        assert_eq!(orders.try_iter().collect::<Vec<_>>(), [walk, Order::Wish(Wish::Damp), stop]);
+        // Nothing was ordered, so nothing ends.
+        orders_of_stdin(&b""[..], &sender);
+        assert!(orders.try_recv().is_err());
     }
 }
