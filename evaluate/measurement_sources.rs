@@ -3,8 +3,15 @@
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// The sources of a trial. The other sources that a measurement depends on are those that these import from `supple`.
-const MEASUREMENT: [&str; 3] = ["evaluate/src/lib.rs", "evaluate/src/trial.rs", "evaluate/src/experiments"];
+/// The sources of this package that a measurement depends on: the trials of an experiment, their order, and means in their
+/// numbers. The other sources are those that these import from `supple`.
+const MEASUREMENT: [&str; 5] = [
+    "evaluate/src/lib.rs",
+    "evaluate/src/trial.rs",
+    "evaluate/src/runner.rs",
+    "evaluate/src/statistics.rs",
+    "evaluate/src/experiments",
+];
 
 /// The dependencies that no import shows: the physics, and the versions of libraries.
 const BELOW: [&str; 2] = ["mujoco-sys", "Cargo.lock"];
@@ -16,17 +23,18 @@ pub fn root() -> PathBuf {
     PathBuf::from(package).join("..")
 }
 
-/// Returns the files that a measurement depends on: the sources of a trial, the modules that they import, directly or not, and
-/// the texts that these include. Policies and the contact network, which are included as bytes, have hashes of their own.
+/// Returns the files that a measurement depends on: the sources of its trials, the modules that they import, directly or not, and
+/// the texts that these include, but no files of unit tests. Policies and the contact network, which are included as bytes, have
+/// hashes of their own.
 pub fn measured_files() -> BTreeSet<PathBuf> {
     let mut files: BTreeSet<PathBuf> = BELOW.iter().flat_map(|path| files_in(Path::new(path))).collect();
     let mut ahead: Vec<PathBuf> = MEASUREMENT.iter().flat_map(|path| files_in(Path::new(path))).collect();
     while let Some(file) = ahead.pop() {
-        if !files.insert(file.clone()) {
+        if is_test(&file) || !files.insert(file.clone()) {
             continue;
         }
         let code = code_of(&file);
-        // Imports of `evaluate` from itself affect the report only.
+        // What else `evaluate` imports from itself affects the protocol, which measurements have a hash of, or the report only.
         let library = if file.starts_with("evaluate") { "supple::" } else { "crate::" };
         for module in words_after(&code, library) {
             ahead.extend(files_in(&Path::new("src").join(module)));
@@ -36,6 +44,12 @@ pub fn measured_files() -> BTreeSet<PathBuf> {
         }
     }
     files
+}
+
+/// Returns true for a file of unit tests alone, by its name.
+fn is_test(file: &Path) -> bool {
+    let stem = file.file_stem().unwrap_or_default().to_string_lossy();
+    stem == "tests" || stem.ends_with("_tests")
 }
 
 /// Returns the path or module name after each occurrence of `mark`.

@@ -47,6 +47,16 @@ pub enum PolicySetError {
         /// The name of the set.
         set: String,
     },
+    /// A path stands for several policies where one is examined.
+    #[error("{} stands for {found} policies, expected one, such as {}", path.display(), first.display())]
+    Several {
+        /// The path.
+        path: PathBuf,
+        /// The number of policies.
+        found: usize,
+        /// The file of the first policy.
+        first: PathBuf,
+    },
     /// A policy file is invalid.
     #[error(transparent)]
     Agent(#[from] AgentError),

@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
+use super::Condition;
 pub use super::experiments::Protocol;
-use supple::config::ConfigError;
-use supple::scenario::catalog::{ParameterError, in_range};
+use supple::config::{Config, ConfigError};
+use supple::scenario::catalog::{ParameterError, ScriptError, in_range};
 use supple::util::yaml::{Text, YamlError, layered};
 
 /// The text of the full protocol.
@@ -43,6 +44,14 @@ pub enum ProtocolError {
         /// The valid values.
         expected: &'static str,
     },
+    /// A condition's scenario cannot be played.
+    #[error("protocol section {place}: {source}")]
+    Scenario {
+        /// The section, and the condition's label if it has one.
+        place: String,
+        /// The parameter of the scenario that is outside its range, as the program `scenario` names it.
+        source: ScriptError,
+    },
 }
 
 impl Protocol {
@@ -68,16 +77,19 @@ impl Protocol {
     /// The same as those of [`Protocol::load`].
     pub fn exam(differences: Option<&Path>) -> Result<Self, ProtocolError> {
         let texts = [Text::new("full", FULL), Text::new("exam", EXAM)];
-        let own = differences.map(Self::read).transpose()?;
-        Self::parse(&texts.into_iter().chain(own).collect::<Vec<_>>())
+        match differences {
+            Some(path) => Self::parse(&[&texts[..], &[Self::read(path)?]].concat())?.with_scripts(),
+            None => Self::parse(&texts),
+        }
     }
 
     /// Reads a protocol from a file with the values that differ from the full protocol.
     ///
     /// # Errors
-    /// The file cannot be read or is not YAML, a key is unknown, or a value is outside its range; the error names the key.
+    /// The file cannot be read or is not YAML, a key is unknown, or a value is outside its range; the error names the key, or the
+    /// section and the parameter of its scenario.
     pub fn load(path: &Path) -> Result<Self, ProtocolError> {
-        Self::parse(&[Text::new("full", FULL), Self::read(path)?])
+        Self::parse(&[Text::new("full", FULL), Self::read(path)?])?.with_scripts()
     }
 
     fn read(path: &Path) -> Result<Text, ProtocolError> {
@@ -100,13 +112,27 @@ impl Protocol {
                     found,
                     expected,
                 })?;
-            // Scenarios check all other parameters when they make their scripts.
+            // Scenarios check all other parameters when they make their scripts: see `with_scripts`.
             if experiment.conditions()?.is_empty() {
                 let (found, expected) = ("empty".to_owned(), "at least one condition");
                 return Err(ProtocolError::Value { key: section, found, expected });
             }
         }
         Ok(())
+    }
+
+    /// Returns `self` if the scripts of all conditions can be made. It takes a moment, most of it for uneven ground; of the
+    /// protocols inside the program, a test rules out that they cannot.
+    fn with_scripts(self) -> Result<Self, ProtocolError> {
+        let config = Config::load("compliant")?;
+        for experiment in self.experiments() {
+            let section = experiment.info().name.replace('-', "_");
+            for Condition { label, scenario } in experiment.conditions()? {
+                let place = if label.is_empty() { section.clone() } else { format!("{section}, condition {label}") };
+                scenario.script(0, &config).map_err(|source| ProtocolError::Scenario { place, source })?;
+            }
+        }
+        Ok(self)
     }
 }
 
@@ -155,6 +181,31 @@ mod tests {
         ] {
             let error = changed(text).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");
+        }
+    }
+
+    /// Returns why a file with this text is refused.
+    fn refusal(text: &str, read: impl Fn(&Path) -> Result<Protocol, ProtocolError>) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("own.yaml");
+        std::fs::write(&path, text).unwrap();
+        read(&path).unwrap_err().to_string()
+    }
+
+    #[test]
+    fn scenario_that_cannot_be_played_is_refused_with_its_section() {
+        let high = "protocol section terrain, condition 300 cm, 0.5 /m: --height-m is 3, expected 0 to 2 m";
+        assert_eq!(refusal("terrain: {heights_m: [3.0]}", Protocol::load), high);
+        assert_eq!(refusal("terrain: {heights_m: [3.0]}", |path| Protocol::exam(Some(path))), high);
+        let steep = "protocol section outdoor, condition to 500 %: --steepest is 5, expected 0 to 2";
+        let text = "terrain: {heights_m: [0.05], frequencies_per_m: [0.5]}\noutdoor: {steepest: [5]}";
+        assert_eq!(refusal(text, Protocol::load), steep);
+    }
+
+    #[test]
+    fn scripts_of_all_protocols_can_be_made() {
+        for protocol in [Protocol::full(), Protocol::quick(), Protocol::exam(None)] {
+            protocol.and_then(Protocol::with_scripts).unwrap();
         }
     }
 }

@@ -151,7 +151,7 @@ pub fn measure(
     Ok(())
 }
 
-/// Plays all trials of one policy, shape (conditions, trials). If several fail, it returns the first error.
+/// Plays all trials of one policy, shape (conditions, trials). If several fail, it returns the error of the first of them.
 fn play_all(
     experiment: &dyn Experiment,
     conditions: &[Condition],
@@ -159,16 +159,39 @@ fn play_all(
     settings: &Settings,
     progress: &(dyn Fn(Update) + Sync),
 ) -> Result<PolicyResult, TrialError> {
-    let (number, trials) = (experiment.info().number, experiment.info().trials as usize);
+    let trials = experiment.info().trials as usize;
     let play = |index: usize| {
-        let condition = &conditions[index / trials];
-        let seed = trial::trial_seed(member.seed, number, index / trials, (index % trials) as u32);
-        let sample = trial::play(experiment, condition, seed, &member.agent, settings.sensing)?;
-        progress(Update::Played(condition.scenario.cost()));
+        let sample = trial::play_at(index, experiment, conditions, member.seed, &member.agent, settings.sensing)?;
+        progress(Update::Played(conditions[index / trials].scenario.cost()));
         Ok(sample)
     };
-    let played =
-        (0..conditions.len() * trials).into_par_iter().map(play).collect::<Result<Vec<Sample>, TrialError>>()?;
+    // All are played: which of them fails first would depend on the threads.
+    let played: Vec<Result<Sample, TrialError>> = (0..conditions.len() * trials).into_par_iter().map(play).collect();
     let mut samples = played.into_iter();
-    Ok(conditions.iter().map(|_| samples.by_ref().take(trials).collect()).collect())
+    conditions.iter().map(|_| samples.by_ref().take(trials).collect::<Result<Vec<Sample>, TrialError>>()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::{Path, PathBuf};
+
+    use super::*;
+    use crate::protocol::Protocol;
+
+    #[test]
+    fn error_is_that_of_the_first_trial_that_fails() {
+        let mut agent = supple::policy::shipped::find("compliant").unwrap();
+        // Sensors cannot be simulated at this rate, which is found when the terrain has been made and compiled.
+        (agent.config.simulation.physics_rate_hz, agent.config.simulation.policy_rate_hz) = (200, 50);
+        let member = SetMember { seed: 0, file: PathBuf::from("x"), agent };
+        let mut terrain = Protocol::quick().unwrap().terrain;
+        // The second height is refused at once.
+        (terrain.heights_m, terrain.frequencies_per_m, terrain.trials) = (vec![0.05, 3.0], vec![0.5], 1);
+        let conditions = terrain.conditions().unwrap();
+        let store = MeasurementStore::new(Path::new("nowhere"));
+        let settings = Settings { again: false, sensing: Sensing::Estimated, store };
+        let threads = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+        let error = threads.install(|| play_all(&terrain, &conditions, &member, &settings, &|_| ())).unwrap_err();
+        assert!(matches!(error, TrialError::Sensing(_)), "{error}");
+    }
 }

@@ -5,7 +5,7 @@ use std::cell::OnceCell;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use super::{Condition, Experiment, FELL, Quantity, TrialValues};
+use super::{Condition, Experiment, ExperimentInfo, FELL, Quantity, TrialValues};
 use supple::mujoco;
 use supple::policy::Agent;
 use supple::scenario::catalog::{Scenario, ScriptError};
@@ -160,6 +160,24 @@ pub fn set_up(condition: &Condition, seed: u64, agent: &Agent) -> Result<Option<
     let Ok(compliance) = agent.resolve_compliance(script.command.compliance, None) else { return Ok(None) };
     script.command.compliance = compliance;
     Ok(Some((scenario, script)))
+}
+
+/// Plays a trial of an experiment by its index over all conditions, each with all its trials, with a policy of a `seed`.
+///
+/// # Errors
+/// The same as those of [`play`].
+pub fn play_at(
+    index: usize,
+    experiment: &dyn Experiment,
+    conditions: &[Condition],
+    seed: u64,
+    agent: &Agent,
+    sensing: Sensing,
+) -> Result<Sample, TrialError> {
+    let ExperimentInfo { number, trials, .. } = experiment.info();
+    let (condition, trial) = (index / trials as usize, index % trials as usize);
+    let seed = trial_seed(seed, number, condition, trial as u32);
+    play(experiment, &conditions[condition], seed, agent, sensing)
 }
 
 /// Plays a trial of an experiment; the compliance behind the policy's name is commanded where the condition requires none.

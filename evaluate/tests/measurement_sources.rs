@@ -12,8 +12,12 @@ use measurement_sources::{files_in, hash_of, measured_files};
 fn measurement_depends_on_imports_only() {
     let files = measured_files();
     let has = |file: &str| files.contains(&PathBuf::from(file));
-    for file in ["evaluate/src/trial.rs", "src/sim/mod.rs", "src/task/reward.rs"] {
+    let of_samples = ["evaluate/src/trial.rs", "evaluate/src/runner.rs", "evaluate/src/statistics.rs"];
+    for file in [&of_samples[..], &["src/sim/mod.rs", "src/task/reward.rs", "src/estimate/kalman.rs"]].concat() {
         assert!(has(file), "{file}");
+    }
+    for file in ["src/estimate/kalman_tests.rs", "src/estimate/tests.rs", "src/scenario/session/tests.rs"] {
+        assert!(measurement_sources::root().join(file).exists() && !has(file), "{file} has unit tests alone");
     }
     assert!(has("src/robot/kinematics.rs"), "imported by an import");
     assert!(files.iter().any(|file| file.ends_with("models/go1.xml")), "texts that code includes");

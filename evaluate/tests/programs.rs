@@ -130,6 +130,10 @@ fn examination_grades_a_policy_beside_the_references() {
         }
     }
     let page = read("exam.html");
+    // The note about the policies is no fault.
+    let note = "the contact network was not trained on how mine";
+    assert!(notes.contains(note) && page.contains(note) && exam["notes"].to_string().contains(note), "{notes}");
+    assert_eq!(exam["faults"], serde_json::json!([]));
     assert!(page.contains("--exam policies/mine.safetensors --protocol tiny.yaml --out exam"), "{page}");
     assert!(folder.path().join("exam/exam.png").metadata().unwrap().len() > 10_000);
     // A film, or a note that says why there is none; it is as wide as its six pictures.

@@ -86,8 +86,7 @@ struct Work<'a> {
 impl Work<'_> {
     /// Plays all trials and returns them by condition and trial. Policy functions run on the calling thread. Ctrl-C ends it.
     fn play(&self, threads: usize) -> PyResult<Vec<Sample>> {
-        let trials = self.experiment.info().trials as usize;
-        let count = self.conditions.len() * trials;
+        let count = self.conditions.len() * self.experiment.info().trials as usize;
         let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
         let played: Mutex<Vec<(usize, PyResult<Sample>)>> = Mutex::new(Vec::with_capacity(count));
         let worker = || {
@@ -96,7 +95,7 @@ impl Work<'_> {
                 if index >= count {
                     return;
                 }
-                let sample = self.trial(index / trials, index % trials);
+                let sample = self.trial(index);
                 if sample.is_err() {
                     stop.store(true, Ordering::Relaxed);
                 }
@@ -125,12 +124,11 @@ impl Work<'_> {
         played.into_iter().map(|(_, sample)| sample).collect()
     }
 
-    fn trial(&self, condition: usize, trial: usize) -> PyResult<Sample> {
-        let seed = trial::trial_seed(self.seed, self.experiment.info().number, condition, trial as u32);
-        let condition = &self.conditions[condition];
+    fn trial(&self, index: usize) -> PyResult<Sample> {
+        let Work { experiment, conditions, policy, seed, sensing } = *self;
         // A policy function may raise, and then the sample is void.
-        let sample = trial::play(self.experiment, condition, seed, &self.policy.agent, self.sensing);
-        self.policy.check()?;
+        let sample = trial::play_at(index, experiment, conditions, seed, &policy.agent, sensing);
+        policy.check()?;
         sample.map_err(failed)
     }
 }

@@ -79,6 +79,16 @@ pub enum CalibrationError {
     /// There are too few points, they do not rise, or a number is not positive.
     #[error("expected two points or more, rising, and positive numbers: run `policy calibrate` again")]
     Values,
+    /// A number is out of the range of those that `policy calibrate` measures.
+    #[error("its {key} has {found:?}, expected {expected}: run `policy calibrate` again")]
+    Range {
+        /// The key.
+        key: &'static str,
+        /// The number that was found.
+        found: f64,
+        /// The valid range.
+        expected: &'static str,
+    },
 }
 
 /// Splits `baseline@0.03` into the policy's name and the commanded compliance [m/s/N], if there is one. The path of a file or
@@ -89,6 +99,14 @@ pub fn split_compliance(name: &str) -> (&str, Option<f64>) {
     }
     let split = name.rsplit_once('@').and_then(|(name, number)| Some((name, Some(number.parse().ok()?))));
     split.unwrap_or((name, None))
+}
+
+/// Returns the name that people read for a policy: that of its file without folder and extension, and the commanded compliance as
+/// it was given.
+pub fn policy_label(asked: &str) -> String {
+    let (file, _) = split_compliance(asked);
+    let stem = Path::new(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
+    stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..]
 }
 
 /// Name of the file type in error messages.
@@ -147,9 +165,17 @@ impl PolicyCalibration {
             return Err(CalibrationError::OtherPolicy);
         }
         let rising = points.windows(2).all(|pair| pair[1].commanded > pair[0].commanded);
-        let positive = numbers.chain(self.tracking).chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
-        if points.len() < 2 || !rising || !positive || self.own_m_s_per_n.iter().any(|own| !own.is_finite()) {
+        let positive = numbers.chain([self.mass_kg]).all(|it| it.is_finite() && it > 0.0);
+        if points.len() < 2 || !rising || !positive {
             return Err(CalibrationError::Values);
+        }
+        for (key, values, limits, expected) in [
+            ("own_m_s_per_n", self.own_m_s_per_n, -1.0..=1.0, "-1 to 1 m/s/N"),
+            ("tracking", self.tracking, 0.5..=1.5, "0.5 to 1.5"),
+        ] {
+            if let Some(found) = values.into_iter().find(|value| !limits.contains(value)) {
+                return Err(CalibrationError::Range { key, found, expected });
+            }
         }
         Ok(self)
     }
@@ -275,6 +301,17 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_label_is_the_file_without_its_folder_and_with_the_compliance() {
+        for (asked, label) in [
+            ("policies/baseline-seed0.safetensors", "baseline-seed0"),
+            ("baseline@0.03", "baseline@0.03"),
+            ("policies/mine.yaml@0.03", "mine@0.03"),
+        ] {
+            assert_eq!(policy_label(asked), label);
+        }
+    }
+
     const TEXT: &str = r#"{"sha256": "it", "mass_kg": 12.5, "own_m_s_per_n": [0.01, 0.02], "tracking": [0.8, 0.9],
         "points": [{"commanded": 0.005, "measured": [0.006, 0.007]}, {"commanded": 0.05, "measured": [0.048, 0.051]}]}"#;
 
@@ -333,6 +370,14 @@ mod tests {
         {
             assert!(TEXT.contains(from), "{from}");
             assert!(parsed(&TEXT.replacen(from, to, 1)).is_err(), "{from} to {to}");
+        }
+        for (from, to, words) in [
+            ("[0.8,", "[1e-300,", "its tracking has 1e-300, expected 0.5 to 1.5"),
+            ("0.9]", "1.6]", "its tracking has 1.6, expected 0.5 to 1.5"),
+            ("[0.01,", "[1e6,", "its own_m_s_per_n has 1000000.0, expected -1 to 1 m/s/N"),
+        ] {
+            let error = parsed(&TEXT.replacen(from, to, 1)).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
         }
         // Of the velocity loop, which was measured otherwise.
         let old = r#"{"sha256": "it", "own_m_s_per_n": 0.01, "bias": [[0, 0, 0, 0], [0, 0, 0, 0]], "points": []}"#;

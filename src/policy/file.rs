@@ -370,7 +370,8 @@ impl Metadata {
         config.check()?;
         let layout = config.layout()?;
         let (named, configured) = (self.usage.observation_elements.len(), layout.length());
-        let described: usize = self.observation.iter().map(|block| block.length).sum();
+        // The lengths may be any numbers.
+        let described = self.observation.iter().fold(0_usize, |sum, block| sum.saturating_add(block.length));
         if [named, described] != [configured; 2] {
             return Err(Fault::Length { described, named, configured });
         }
@@ -464,6 +465,15 @@ mod tests {
                 "{policy} {network}"
             );
         }
+    }
+
+    #[test]
+    fn observation_of_other_lengths_is_refused() {
+        let mut metadata: Metadata = serde_json::from_str(&policy().metadata_json()).unwrap();
+        // Their sum is beyond the largest number.
+        metadata.observation[..2].iter_mut().for_each(|block| block.length = usize::MAX);
+        let error = metadata.check().unwrap_err().to_string();
+        assert!(error.starts_with(&format!("it describes {} numbers of the observation", usize::MAX)), "{error}");
     }
 
     #[test]

@@ -55,7 +55,7 @@ impl Exam {
     /// The trial cannot be played, or nothing can be drawn here (the error says what to install).
     pub fn worst_fall(&self, store: &MeasurementStore) -> Result<Option<Film>, FilmError> {
         let mut worst: Option<(f64, Fall<'_>)> = None;
-        for (name, way, _) in DISCIPLINES.iter().flat_map(|discipline| discipline.parts) {
+        for (name, way, _) in DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline)) {
             let part = self.part(name, *way);
             let measured = runner::finished(part.experiment, part.policies, store, part.sensing)?;
             let Some(policy) = measured.as_ref().and_then(|found| found.results.sets[0].values().next()) else {

@@ -2,7 +2,8 @@
 
 Each [`Discipline`] is made of experiments of the protocol `configs/evaluation/exam.yaml` and states what a trial must show to be passed.
 The trials are those of the experiments, with the same seeds for the policy and the references, and are kept in the same
-[store](crate::measurement_store). An interval is Wilson's (1927), at 95 %, over the trials of one policy.
+[store](crate::measurement_store). An interval is Wilson's (1927), at 95 %, over the trials of one policy. They are independent: nothing
+is random in an undisturbed walk on the true state, so that there is one for each command.
 */
 
 pub mod film;
@@ -14,12 +15,13 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use crate::measurement_store::MeasurementStore;
-use crate::policy_sets::{PolicySetError, PolicySets};
+use crate::policy_sets::{PolicySet, PolicySetError, PolicySets, SetMember};
 use crate::protocol::Protocol;
 use crate::results::{PolicyResult, Results};
 use crate::runner::{self, Measurement, RunError};
 use crate::trial::{Sample, TrialEnd};
 use crate::{Condition, Experiment};
+use supple::estimate::contact::{ContactNetwork, RATE_HZ};
 use supple::robot::JointLosses;
 use supple::scenario::Sensing;
 use supple::scenario::catalog::Scenario;
@@ -165,7 +167,7 @@ impl Score {
         }
     }
 
-    /// Returns the fraction of passed trials; none if the policy supports none of them.
+    /// Returns the fraction of passed trials; none if there are none, or the policy supports none of them.
     pub fn fraction(self) -> Option<f64> {
         (self.out_of_reach < self.trials).then(|| self.passed as f64 / self.trials as f64)
     }
@@ -195,8 +197,10 @@ pub struct Examination {
     pub names: Vec<String>,
     /// The grades in the order of the disciplines.
     pub grades: Vec<Grade>,
-    /// The faults in the trials, which count as not passed.
+    /// Notes about the policies, and about what was not played.
     pub notes: Vec<String>,
+    /// The faults in the trials, which count as not passed.
+    pub faults: Vec<String>,
 }
 
 /// An experiment of the examination, with the policies that play it and the state that they act on.
@@ -210,39 +214,63 @@ pub struct Part<'a> {
 }
 
 /// An examination: the policies and the protocol.
+#[derive(Debug)]
 pub struct Exam {
+    /// Notes about the policies, and about what is not played.
+    pub notes: Vec<String>,
     protocol: Protocol,
+    /// The same protocol for robots that act on the true state, with one undisturbed walk at each command.
+    of_true_state: Protocol,
     nominal: PolicySets,
     /// The same policies on robots whose joints have losses.
     with_losses: PolicySets,
+    /// True if the physics of all policies have the rate of the contact network, so that the robots can act on their sensors.
+    can_sense: bool,
 }
 
 impl Exam {
     /// Reads the examined policy, a path as that of a set of policies, and the shipped references for its robot.
     ///
     /// # Errors
-    /// The policy cannot be read, or commands a compliance that it does not support.
+    /// The policy cannot be read, commands a compliance that it does not support, or the path stands for several policies.
     pub fn new(name: &str, policy: &Path, protocol: Protocol) -> Result<Self, PolicySetError> {
         let own = (name.to_owned(), policy.to_owned());
-        let model =
-            PolicySets::from_paths(std::slice::from_ref(&own))?.sets[0].members[0].agent.config.robot.model.clone();
-        let folder = if model == "go2" { "go2/" } else { "" };
+        let alone = PolicySets::from_paths(std::slice::from_ref(&own))?;
+        let members = &alone.sets[0].members;
+        let [member] = &members[..] else {
+            let (path, first) = (policy.to_owned(), members[0].file.clone());
+            return Err(PolicySetError::Several { path, found: members.len(), first });
+        };
+        let folder = if member.agent.config.robot.model == "go2" { "go2/" } else { "" };
         let reference = |kind: &str| (format!("{folder}{kind}"), PathBuf::from(format!("{folder}{kind}-seed0")));
         let sets = [own, reference("compliant"), reference("baseline")];
         let mut with_losses = PolicySets::from_paths(&sets)?;
         with_losses.set_losses(JointLosses::Realistic.into());
-        Ok(Exam { protocol, nominal: PolicySets::from_paths(&sets)?, with_losses })
+        let nominal = PolicySets::from_paths(&sets)?;
+        let cannot_sense = cannot_sense(&nominal);
+        let can_sense = cannot_sense.is_none();
+        let notes = nominal.notes.iter().cloned().chain(cannot_sense.or_else(|| unfamiliar_gaits(&nominal))).collect();
+        let mut of_true_state = protocol.clone();
+        of_true_state.walk.trials = 1;
+        Ok(Exam { notes, protocol, of_true_state, nominal, with_losses, can_sense })
+    }
+
+    /// Returns the parts of a discipline that can be played.
+    fn playable(&self, discipline: &Discipline) -> impl Iterator<Item = &'static (&'static str, Way, Pass)> + use<> {
+        let can_sense = self.can_sense;
+        discipline.parts.iter().filter(move |(_, way, _)| can_sense || *way != Way::Sensors)
     }
 
     /// Returns what is played: experiments with the policies and the state they act on, each once.
     pub fn parts(&self) -> Vec<Part<'_>> {
-        let parts = DISCIPLINES.iter().flat_map(|discipline| discipline.parts);
+        let parts = DISCIPLINES.iter().flat_map(|discipline| self.playable(discipline));
         let each: BTreeMap<_, _> = parts.map(|(name, way, _)| ((*name, *way), self.part(name, *way))).collect();
         each.into_values().collect()
     }
 
     fn part(&self, name: &str, way: Way) -> Part<'_> {
-        let experiment = self.protocol.experiments().into_iter().find(|experiment| experiment.info().name == name);
+        let protocol = if way == Way::Sensors { &self.protocol } else { &self.of_true_state };
+        let experiment = protocol.experiments().into_iter().find(|experiment| experiment.info().name == name);
         // A test grades every discipline.
         let experiment = experiment.unwrap_or_else(|| panic!("no experiment {name}"));
         let policies = if way == Way::Losses { &self.with_losses } else { &self.nominal };
@@ -255,23 +283,44 @@ impl Exam {
     /// A scenario file inside the program is invalid, which a test rules out.
     pub fn grade(&self, store: &MeasurementStore) -> Result<Examination, RunError> {
         let names = self.nominal.names();
-        let (mut grades, mut notes) = (Vec::new(), BTreeSet::new());
+        let (mut grades, mut faults) = (Vec::new(), BTreeSet::new());
         for discipline in DISCIPLINES {
             let mut scores = vec![Score::default(); names.len()];
-            for (name, way, pass) in discipline.parts {
+            for (name, way, pass) in self.playable(discipline) {
                 let Part { experiment, policies, sensing } = self.part(name, *way);
                 let Some(Measurement { results, .. }) = runner::finished(experiment, policies, store, sensing)? else {
                     continue;
                 };
                 for (set, score) in scores.iter_mut().enumerate() {
                     score.add(&results, set, *pass);
-                    notes.extend(results.faults(set).map(|fault| format!("{}, {name}: {fault}", discipline.name)));
+                    faults.extend(results.faults(set).map(|fault| format!("{}, {name}: {fault}", discipline.name)));
                 }
             }
             grades.push(Grade { discipline: discipline.name, scores });
         }
-        Ok(Examination { names, grades, notes: notes.into_iter().collect() })
+        Ok(Examination { names, grades, notes: self.notes.clone(), faults: faults.into_iter().collect() })
     }
+}
+
+/// Returns a note that names a policy whose robot cannot act on its sensors; none if all can.
+fn cannot_sense(policies: &PolicySets) -> Option<String> {
+    let note = |(set, member): (&PolicySet, &SetMember)| {
+        let rate_hz = f64::from(member.agent.config.simulation.physics_rate_hz);
+        let name = &set.name;
+        (rate_hz != RATE_HZ).then(|| {
+            format!(
+                "no policy is graded on sensors: the physics of {name} run at {rate_hz} Hz, the contact network at {RATE_HZ} Hz"
+            )
+        })
+    };
+    policies.members().find_map(note)
+}
+
+/// Returns a note that names the policies whose gait the contact network was not trained on; none if it knows all.
+fn unfamiliar_gaits(policies: &PolicySets) -> Option<String> {
+    // Without a network the trials on sensors fail, with the reason.
+    let network = ContactNetwork::shipped().ok()?;
+    network.unfamiliar(policies.members().map(|(set, member)| (set.name.clone(), member.agent.sha256.as_str())))
 }
 
 #[cfg(test)]
@@ -343,5 +392,33 @@ mod tests {
         let parts = exam.parts();
         let (sensors, all) = (parts.iter().filter(|part| part.sensing == Sensing::Estimated).count(), parts.len());
         assert_eq!((sensors, all), (3, 14));
+        // Nothing is random in a walk on the true state, without or with losses; on sensors there is noise.
+        let walks = parts.iter().filter(|part| part.experiment.info().name == "walk");
+        let trials: Vec<_> = walks.map(|part| (part.sensing, part.experiment.info().trials)).collect();
+        assert_eq!(trials, [(Sensing::True, 1), (Sensing::Estimated, 4), (Sensing::True, 1)]);
+    }
+
+    #[test]
+    fn policy_of_another_rate_is_graded_in_all_but_sensors() {
+        let folder = tempfile::tempdir().unwrap();
+        let [policy, network] = ["mine.yaml", "policy.onnx"].map(|name| folder.path().join(name));
+        let repository = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
+        std::fs::copy(repository.join("examples/policies/rsl_rl.yaml"), &policy).unwrap();
+        std::fs::copy(repository.join("tests/fixtures/onnx/rsl_rl.onnx"), network).unwrap();
+        let exam = Exam::new("mine", &policy, Protocol::exam(None).unwrap()).unwrap();
+        let parts = exam.parts();
+        assert!(parts.len() == 11 && parts.iter().all(|part| part.sensing == Sensing::True));
+        let examination = exam.grade(&MeasurementStore::new(folder.path())).unwrap();
+        let words = "no policy is graded on sensors: the physics of mine run at 200 Hz, the contact network at 240 Hz";
+        assert!(examination.notes.iter().any(|note| note == words), "{:?}", examination.notes);
+        assert_eq!((page::score_text(examination.grades[5].scores[0]), examination.faults), ("–".to_owned(), vec![]));
+    }
+
+    #[test]
+    fn several_policies_are_no_candidate() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../policies/baseline");
+        let error = Exam::new("mine", &path, Protocol::exam(None).unwrap()).unwrap_err().to_string();
+        assert!(error.contains("policies/baseline stands for 5 policies, expected one, such as "), "{error}");
+        assert!(error.ends_with("policies/baseline-seed0.safetensors"), "{error}");
     }
 }

@@ -68,7 +68,7 @@ fn page(examination: &Examination, film: Option<&Film>, figure: &str, command: &
             "The percentage of trials that each policy passes, with Wilson's 95 % interval over the trials of that one policy. All \
              policies play the same trials, in simulation. What the words mean: docs/experiments.md."
         }
-        @for note in &examination.notes { p.note { (note) } }
+        @for note in examination.notes.iter().chain(&examination.faults) { p.note { (note) } }
         figure { (PreEscaped(figure)) }
         (table(examination))
         @if let Some(film) = film {
@@ -98,10 +98,13 @@ fn table(examination: &Examination) -> Markup {
     }
 }
 
-/// Returns the numbers of falls of all policies, and the number of trials.
+/// Returns the numbers of falls of all policies, and the number of trials; a dash if there are none.
 fn falls(grade: &Grade) -> String {
     let falls: Vec<String> = grade.scores.iter().map(|score| score.falls.to_string()).collect();
-    format!("{} of {}", falls.join(", "), grade.scores.first().map_or(0, |score| score.trials))
+    match grade.scores.first().map_or(0, |score| score.trials) {
+        0 => NOTHING.to_owned(),
+        trials => format!("{} of {trials}", falls.join(", ")),
+    }
 }
 
 /// Draws the scores as bars with their intervals.
@@ -126,7 +129,8 @@ fn figure(examination: &Examination) -> String {
             let y = top + BAR * set as f64;
             let style = Text::new(SMALL - 1.5, Anchor::Start);
             let Some(fraction) = score.fraction() else {
-                svg.text([x(0.0) + 4.0, y + BAR - 3.0], "cannot be commanded", Text { colour: GREY, ..style });
+                let why = if score.trials == 0 { "not played" } else { "cannot be commanded" };
+                svg.text([x(0.0) + 4.0, y + BAR - 3.0], why, Text { colour: GREY, ..style });
                 continue;
             };
             svg.rectangle([x(0.0), y + 1.0], [SCALE[1] * fraction, BAR - 2.0], colour(set));

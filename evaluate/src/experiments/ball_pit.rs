@@ -1,6 +1,8 @@
 //! E7: crossing a field of loose balls (Fig. 7a).
 
+use super::crossing::Crossing;
 use super::prelude::*;
+use crate::trial::TrialEnd;
 use supple::scenario::catalog::BallPit as BallPitScenario;
 
 const QUANTITIES: &[Quantity] = &[
@@ -92,16 +94,14 @@ impl Experiment for BallPit {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let Scenario::BallPit(pit) = trial.scenario else { return TrialValues::default() };
-        let crossed = trial.metric("crossed") == Some(1.0);
-        let crossing = metrics::crossing(trial.trace, pit.distance_m, pit.far_edge_m()).filter(|_| crossed);
-        let among_balls = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
+        let crossing = Crossing::new(trial, pit.distance_m, pit.far_edge_m());
         vec![
-            indicator(crossed),
+            indicator(crossing.is_across),
             trial.end.fell(),
-            indicator(!crossed && trial.is_upright()),
-            crossing.map(|[from_s, to_s]| to_s - from_s),
-            metrics::largest(among_balls.clone(), |frame| frame.peak_foot_force_n),
-            metrics::mean(among_balls, |frame| frame.power_w),
+            indicator(!crossing.is_across && trial.is_upright()).filter(|_| trial.end != TrialEnd::Fault),
+            crossing.times_s.map(|[from_s, to_s]| to_s - from_s),
+            crossing.peak_foot_force_n,
+            crossing.power_w,
         ]
         .into()
     }

@@ -1,5 +1,7 @@
 //! E13: the measured compliance against the commanded one (docs/compliance.md).
 
+use std::collections::BTreeMap;
+
 use super::prelude::*;
 use super::push;
 use crate::plot::curves::{self, Curve};
@@ -7,6 +9,7 @@ use crate::plot::polar::evenly;
 use crate::results::Results;
 use crate::section_content::{Claim, Row, Table};
 use crate::statistics::{Comparison, PerSeed, Spread, Verdict, mean};
+use crate::trial::TrialEnd;
 use supple::robot::GRAVITY_M_S2;
 use supple::scenario::catalog::{Leash, PushAway};
 
@@ -113,6 +116,11 @@ fn line(points: &[[f64; 2]]) -> Option<[f64; 3]> {
     (xx > 0.0 && yy > 0.0).then(|| [xy / xx, y - xy / xx * x, xy * xy / (xx * yy)])
 }
 
+/// Returns true for a condition whose pull is in the fit of a line.
+fn is_fitted(condition: &Condition) -> bool {
+    matches!(commanded(condition), (Some(c), Some(force)) if c * force <= LARGEST_ERROR_M_S + 1e-9)
+}
+
 impl CommandedCompliance {
     /// Returns the indices of the conditions with a pull at one forward command.
     fn pulls(&self, command: usize) -> std::ops::Range<usize> {
@@ -120,16 +128,25 @@ impl CommandedCompliance {
         command * count..(command + 1) * count
     }
 
+    /// Returns true if a robot of the first two sets fell, or a trial of theirs failed, in the fit at one forward command. A line
+    /// leaves out what has no number.
+    fn fails_in_fit(&self, results: &Results, command: usize) -> bool {
+        let fitted: Vec<usize> = self.pulls(command).filter(|pull| is_fitted(&results.conditions[*pull])).collect();
+        let policies = results.sets.iter().take(2).flat_map(BTreeMap::values);
+        let mut samples = policies.flat_map(|policy| fitted.iter().filter_map(move |pull| policy.get(*pull))).flatten();
+        samples.any(|sample| matches!(sample.end, TrialEnd::Fell | TrialEnd::Fault))
+    }
+
     /// Returns each number of [`LINE`] by seed, for the policies of a set at one forward command.
     fn lines(&self, results: &Results, set: usize, command: usize, over: Over) -> Vec<PerSeed> {
         let mut lines = vec![PerSeed::new(); LINE.len()];
         for seed in results.sets[set].keys() {
             let point = |sides: &[usize]| {
-                let (c, force) = commanded(&results.conditions[*sides.first()?]);
-                let c = c?;
+                let condition = &results.conditions[*sides.first()?];
+                let c = commanded(condition).0?;
                 let of = |condition: &usize| results.per_seed(set, *condition, MEASURED.name).get(seed).copied();
                 let measured: Option<Vec<f64>> = sides.iter().map(of).collect();
-                (c * force? <= LARGEST_ERROR_M_S + 1e-9).then_some([c, over.compliance(&measured?)?])
+                is_fitted(condition).then_some([c, over.compliance(&measured?)?])
             };
             let conditions: Vec<usize> = self.pulls(command).collect();
             let points: Vec<[f64; 2]> = conditions.chunks(self.directions as usize).filter_map(point).collect();
@@ -146,9 +163,9 @@ impl CommandedCompliance {
     /// directions and forces).
     fn curve(&self, results: &Results, set: usize, command: usize) -> Vec<[f64; 4]> {
         let of = |c: &f64| {
-            let at = self.pulls(command).filter(|condition| {
-                let (compliance, force) = commanded(&results.conditions[*condition]);
-                compliance == Some(*c) && force.is_some_and(|force| c * force <= LARGEST_ERROR_M_S + 1e-9)
+            let at = self.pulls(command).filter(|pull| {
+                let condition = &results.conditions[*pull];
+                commanded(condition).0 == Some(*c) && is_fitted(condition)
             });
             let spread = |condition| Spread::from_values(&results.per_seed(set, condition, MEASURED.name));
             let means: Vec<f64> = at.filter_map(spread).map(|spread| spread.mean).collect();
@@ -253,6 +270,7 @@ impl Experiment for CommandedCompliance {
         let results = section.results;
         let (mut rows, mut panels) = (Vec::new(), Vec::new());
         for (command, speed) in self.commands_m_s.iter().enumerate() {
+            let fails = self.fails_in_fit(results, command);
             for (over, axis) in [(Over::All, ""), (Over::Axis(0), " forward"), (Over::Axis(1), " left")] {
                 let lines = section.by_set(|set| self.lines(results, set, command, over));
                 for (k, quantity) in LINE.into_iter().enumerate() {
@@ -271,7 +289,7 @@ impl Experiment for CommandedCompliance {
                     let text = format!(
                         "With a commanded compliance while {gait}, both sets yield{axis} as commanded: {words}"
                     );
-                    let verdict = Verdict::from_bound(bound, &comparison);
+                    let verdict = if fails { Verdict::Fails } else { Verdict::from_bound(bound, &comparison) };
                     let paper = format!("none; ours: < {bound}");
                     section.content.claims.push(Claim { text, paper, quantity, comparison, verdict });
                 }
@@ -316,6 +334,8 @@ impl Experiment for CommandedCompliance {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::protocol::Protocol;
+    use crate::trial::Sample;
 
     #[test]
     fn axes_are_found_from_compliances_along_directions() {
@@ -326,6 +346,31 @@ mod tests {
             assert!((forward - 0.01).abs() < 1e-12 && (left - 0.03).abs() < 1e-12, "{forward} {left}");
             assert!((Over::All.compliance(&measured).unwrap() - 0.02).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn fall_in_the_fit_breaks_its_bounds() {
+        let experiment = Protocol::quick().unwrap().calibration;
+        let conditions = experiment.conditions().unwrap();
+        let sample = |condition: &Condition| {
+            let mut values = vec![None; QUANTITIES.len()];
+            if let (compliance, Some(_)) = commanded(condition) {
+                values[0] = compliance;
+            }
+            vec![Sample { end: TrialEnd::Upright, values, series: Vec::new(), fault: None, estimation: None }]
+        };
+        let policy: Vec<_> = conditions.iter().map(sample).collect();
+        let sets = vec![BTreeMap::from([(0, policy)]); 2];
+        let names = vec!["a".to_owned(), "b".to_owned()];
+        let mut results = Results { names, conditions, quantities: QUANTITIES, sets };
+        let verdicts = |results: &Results| -> Vec<Verdict> {
+            experiment.content(results).claims.iter().map(|claim| claim.verdict).collect()
+        };
+        assert_eq!(verdicts(&results), [Verdict::Holds; 4]);
+        // In one of four directions: the points that are left lie on the line as before.
+        let fallen = &mut results.sets[1].get_mut(&0).unwrap()[0][0];
+        (fallen.end, fallen.values[0]) = (TrialEnd::Fell, None);
+        assert_eq!(verdicts(&results), [Verdict::Fails; 4]);
     }
 
     #[test]

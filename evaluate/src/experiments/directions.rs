@@ -55,7 +55,7 @@ impl Experiment for Directions {
         let push = push::upright_push(trial);
         let decay = push.map_or([None; 4], |push| push::decay(trial.trace, push.time_s, push.push.linear));
         let briefly = push
-            .filter(|_| trial.script.command == Command::default())
+            .filter(|_| Command { compliance: None, ..trial.script.command } == Command::default())
             .and_then(|push| metrics::decay(trial.trace, push.time_s, push.push.linear, 0.1, BRIEF_S))
             .map(|decay| decay.time_s);
         [&decay[..], &[trial.end.fell(), briefly]].concat().into()

@@ -2,6 +2,7 @@
 
 pub mod ball_pit;
 pub mod commanded_compliance;
+mod crossing;
 pub mod decay;
 pub mod directions;
 pub mod felt;
@@ -292,6 +293,37 @@ mod tests {
         };
         assert_eq!((peak(&protocol.walk), peak(&protocol.terrain)), (Some(130.0), Some(130.0)));
         assert_eq!((peak(&protocol.ball_pit), peak(&protocol.rubble)), (Some(120.0), Some(120.0)));
+    }
+
+    #[test]
+    fn fault_after_the_goal_is_no_success_and_has_no_numbers() {
+        let protocol = Protocol::full().unwrap();
+        let mut trace = steady(14.0, [0.4, 0.0, 0.0]);
+        for frame in &mut trace.frames {
+            frame.position[0] = 0.4 * frame.time_s;
+            // Of the ball on its string, which has no goal.
+            frame.peak_obstacle_force_n = if frame.time_s > 3.0 { 50.0 } else { 0.0 };
+        }
+        trace.events.push(Event { time_s: 13.0, kind: EventKind::Success, text: String::new() });
+        let [pit, rubble, pendulum]: [&dyn Experiment; 3] = [&protocol.ball_pit, &protocol.rubble, &protocol.pendulum];
+        let numbers = |experiment: &dyn Experiment, trace: &Trace| {
+            measured(experiment, trace).values.iter().filter(|value| value.is_some()).count()
+        };
+        assert_eq!((numbers(pit, &trace), numbers(rubble, &trace)), (6, 5));
+        trace.events.push(Event { time_s: 13.5, kind: EventKind::Fault, text: String::new() });
+        assert_eq!((numbers(pit, &trace), numbers(rubble, &trace), numbers(pendulum, &trace)), (1, 2, 0));
+        assert_eq!(measured(pit, &trace).values[0], Some(0.0));
+        assert_eq!(measured(rubble, &trace).values[..2], [Some(0.0); 2]);
+    }
+
+    #[test]
+    fn brief_decay_is_of_every_standing_robot_also_with_a_commanded_compliance() {
+        let protocol = Protocol::full().unwrap();
+        let (scenario, mut script) = script(&protocol.directions);
+        script.command.compliance = Some(0.03);
+        let trace = steady(8.0, [0.0; 3]);
+        let values = protocol.directions.measure(&Trial::new(&scenario, &script, &trace)).values;
+        assert_eq!((values.len(), values[5]), (6, Some(0.0)));
     }
 
     #[test]

@@ -71,7 +71,7 @@ impl Experiment for Pendulum {
         let of_blow = |quantity: &Quantity| trial.metric(quantity.name).filter(|_| is_valid);
         let mut values = vec![to_10, to_20, carried];
         values.extend(QUANTITIES[3..6].iter().map(of_blow));
-        values.extend([indicator(impact.is_some()), undecayed, trial.end.fell()]);
+        values.extend([indicator(impact.is_some()).filter(|_| is_valid), undecayed, trial.end.fell()]);
         let series = impact.map(|impact| velocity::around(trial.trace, impact.time_s));
         TrialValues { values, series: series.unwrap_or_default() }
     }

@@ -1,5 +1,6 @@
 //! E11: over wooden blocks and soft mats (Fig. 8c).
 
+use super::crossing::Crossing;
 use super::prelude::*;
 use supple::scenario::catalog::Rubble as RubbleScenario;
 
@@ -51,16 +52,13 @@ impl Experiment for Rubble {
 
     fn measure(&self, trial: &Trial) -> TrialValues {
         let Scenario::Rubble(rubble) = trial.scenario else { return TrialValues::default() };
-        let crossed = trial.metric("crossed");
-        let crossing = metrics::crossing(trial.trace, rubble.distance_m, rubble.far_edge_m());
-        let crossing = crossing.filter(|_| crossed == Some(1.0));
-        let on_rubble = crossing.into_iter().flat_map(|[from_s, to_s]| metrics::window(trial.trace, from_s, to_s));
+        let crossing = Crossing::new(trial, rubble.distance_m, rubble.far_edge_m());
         vec![
             indicator(trial.is_upright()),
-            crossed,
-            crossing.and_then(|[from_s, to_s]| metrics::velocity_error(trial.trace, from_s, to_s)),
-            metrics::largest(on_rubble.clone(), |frame| frame.peak_foot_force_n),
-            metrics::mean(on_rubble, |frame| frame.power_w),
+            indicator(crossing.is_across),
+            crossing.times_s.and_then(|[from_s, to_s]| metrics::velocity_error(trial.trace, from_s, to_s)),
+            crossing.peak_foot_force_n,
+            crossing.power_w,
         ]
         .into()
     }

@@ -41,8 +41,8 @@ const DEFINITIONS: &[(&str, &str)] = &[
         "verdict",
         "effect in the expected direction (the paper's, where it has the experiment): the interval of the difference \
          lies on that side of zero; opposite: on the other side; no effect shown: it includes zero; too few pairs to \
-         tell: fewer than five. A bound holds if the means of both sets keep it. Sets after the second have numbers \
-         alone.",
+         tell: fewer than five. A bound holds if the means of both sets keep it and no number is missing; a fall breaks \
+         it, except where what precedes the fall is measured (E15). Sets after the second have numbers alone.",
     ),
 ];
 

@@ -60,7 +60,7 @@ enum Command {
     Run {
         /// Policy file, run folder, YAML file of an external policy, or name of a shipped policy
         policy: String,
-        /// Commanded compliance (m/s/N); observations must then be consecutive policy steps; 0: the policy's own
+        /// Commanded compliance (m/s/N); observations must then be consecutive policy steps
         #[arg(long, value_name = "C")]
         compliance: Option<f64>,
     },

@@ -364,6 +364,11 @@ mod tests {
         // A shape of 2⁶² elements.
         let huge = refusal(graph(vec![], vec![constant("w", &[1 << 31, 1 << 31], vec![])]));
         assert!(huge.contains("too large"), "{huge}");
+        // Shapes without an element: one with 2⁶² rows to go through, one whose strides overflow.
+        for shape in [&[1_i64 << 62, 0][..], &[0, 1 << 40, 1 << 40]] {
+            let refused = refusal(graph(vec![], vec![constant("w", shape, vec![])]));
+            assert!(refused.contains("too large"), "{refused}");
+        }
         // Outer sums of 2000 numbers, again and again.
         let (row, column) =
             (constant("row", &[1, 2000], vec![0.0; 2000]), constant("column", &[2000, 1], vec![0.0; 2000]));

@@ -134,11 +134,12 @@ impl Tensor {
     }
 }
 
-/// Returns the number of elements of a shape.
+/// Returns the number of elements of a shape. Its bound holds as if no dimension were empty: of a tensor without elements,
+/// operators still go through the other dimensions, and [`strides`] multiplies them.
 pub fn elements(shape: &[usize]) -> Result<usize> {
-    let count = shape.iter().try_fold(1_usize, |product, size| product.checked_mul(*size));
-    match count {
-        Some(count) if count <= MAX_ELEMENTS && shape.len() <= MAX_RANK => Ok(count),
+    let bound = shape.iter().try_fold(1_usize, |product, size| product.checked_mul((*size).max(1)));
+    match bound {
+        Some(bound) if bound <= MAX_ELEMENTS && shape.len() <= MAX_RANK => Ok(shape.iter().product()),
         _ => Err(format!("the shape {shape:?} is too large: at most {MAX_ELEMENTS} elements in {MAX_RANK} dimensions")
             .into()),
     }

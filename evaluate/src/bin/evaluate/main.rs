@@ -10,6 +10,7 @@ use anyhow::Context;
 use args::Args;
 use clap::Parser;
 use progress::Progress;
+use supple::policy::compliance::policy_label;
 use supple::scenario::Sensing;
 use supple::util::files::Target;
 use supple::util::terminal::{self, shell_word};
@@ -118,9 +119,10 @@ fn prepare(args: &Args) -> anyhow::Result<()> {
 
 /// Examines one policy beside the shipped references.
 fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
-    let name = policy.file_stem().unwrap_or(policy.as_os_str()).to_string_lossy();
+    let name = policy_label(&policy.display().to_string());
     let name: String = name.chars().filter(|c| !c.is_control()).take(MOST_NAME).collect();
     let exam = Exam::new(&name, policy, Protocol::exam(args.protocol.as_deref())?)?;
+    exam.notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
     let store = MeasurementStore::new(&args.out);
     let settings = |sensing| Settings { again: args.again, sensing, store: store.clone() };
@@ -145,7 +147,7 @@ fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
     let command = CommandLine { experiments: Vec::new(), options };
     page::save(&examination, film.as_ref(), &command.text(None), &args.out)?;
     terminal::print(format_args!("{}{}\n", page::text(&examination), args.out.join("exam.html").display()))?;
-    match &examination.notes[..] {
+    match &examination.faults[..] {
         [] => Ok(()),
         faults => anyhow::bail!("{}", faults.join("\n")),
     }

@@ -19,7 +19,7 @@ use recording::Recording;
 use seeds::OfSeeds;
 use supple::estimate::contact::ContactNetwork;
 use supple::policy::Agent;
-use supple::policy::compliance::split_compliance;
+use supple::policy::compliance::policy_label;
 use supple::policy::shipped;
 use supple::robot::Robot;
 use supple::scenario::catalog::Scenario;
@@ -196,12 +196,7 @@ fn metrics(sensing: Sensing, scenario: &Scenario, script: &Script, trace: &Trace
 
 /// Loads the policies to play, by name, with the commanded compliance [m/s/N] unless their names contain one.
 fn robots(args: &Args) -> anyhow::Result<Vec<(String, Agent)>> {
-    let robot = |asked: &str| -> anyhow::Result<(String, Agent)> {
-        let (file, _) = split_compliance(asked);
-        let stem = std::path::Path::new(file).file_stem().map(|stem| stem.to_string_lossy().into_owned());
-        let label = stem.unwrap_or_else(|| file.to_owned()) + &asked[file.len()..];
-        Ok((label, shipped::find(asked)?))
-    };
+    let robot = |asked: &str| -> anyhow::Result<(String, Agent)> { Ok((policy_label(asked), shipped::find(asked)?)) };
     let first = args.policy.as_deref().unwrap_or("compliant");
     let ships_both = || ["compliant", "baseline"].iter().all(|name| shipped::find(name).is_ok());
     let second = match args.compare.as_deref() {
