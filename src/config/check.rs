@@ -7,6 +7,7 @@ use garde::Validate;
 
 use super::{Config, Gain, LearnerKind, LegPose, Precision};
 use crate::observation::LayoutError;
+use crate::robot::JOINTS;
 use crate::util::yaml;
 
 /// Maximum physics rate \[Hz\]: a higher one gains nothing, and the latency would need a long queue.
@@ -20,6 +21,9 @@ pub const MAX_BATCH_SIZE: usize = 1 << 22;
 
 /// Maximum number of hidden layers; deeper networks take hours to initialise.
 const MAX_LAYERS: usize = 16;
+
+/// Maximum size of a policy's weights \[bytes\]: its file, which also describes it, is read up to 64 MiB.
+const MAX_POLICY_BYTES: u64 = 56 << 20;
 
 /// Maximum number of epochs; each has its own order of the samples in memory.
 pub const MAX_EPOCHS: usize = 1000;
@@ -55,8 +59,24 @@ impl Config {
         {
             return Err(ValueError::Range { key: path.to_string(), problem: error.message().to_owned() });
         }
-        self.layout()?;
-        self.critic_layout().map(drop).map_err(ValueError::Critic)
+        let layout = self.layout()?;
+        self.critic_layout().map_err(ValueError::Critic)?;
+        self.check_policy(layout.length())?;
+        self.check_terrain()
+    }
+
+    /// Refuses networks whose policy files no program would read.
+    fn check_policy(&self, inputs: usize) -> Result<(), ValueError> {
+        let bytes = 4 * self.ppo.parameters(inputs, JOINTS);
+        if bytes <= MAX_POLICY_BYTES {
+            return Ok(());
+        }
+        let [found, most] = [bytes, MAX_POLICY_BYTES].map(|bytes| bytes as f64 / f64::from(1 << 20));
+        let widths = &self.ppo.hidden_layers;
+        let problem = format!(
+            "is {widths:?}, a policy of {found:.1} MiB, expected at most {most:.0} MiB: use fewer or narrower layers"
+        );
+        Err(ValueError::Range { key: "ppo.hidden_layers".to_owned(), problem })
     }
 }
 

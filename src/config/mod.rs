@@ -10,6 +10,7 @@ the compliant policy.
 mod check;
 mod fit;
 mod sections;
+mod terrain;
 
 use std::path::{Path, PathBuf};
 
@@ -18,6 +19,7 @@ pub use sections::{
     Action, CommandRange, Config, Episode, Gain, HeldFeet, LearnerKind, LegPose, Ppo, Precision, Pulls, Randomisation,
     Reward, RobotModel, Run, Simulation, Terrain,
 };
+pub(crate) use terrain::{SPACING_M, TILE_M};
 
 use crate::robot::Robot;
 use crate::util::yaml::{self, Text, Value, YamlError};
@@ -342,6 +344,11 @@ mod tests {
             (
                 "pulls={force_n: 50, duration_s: [1, 2], gap_s: [1, 2], fraction_step: 0, fraction_gate: 0, buckets: [0.5, 0.2]}",
                 "pulls.buckets is [0.5, 0.2], expected rising fractions, the last of them 1",
+            ),
+            ("randomisation.trunk_offset_m=1e308", ", expected 0 to 1 m"),
+            (
+                "ppo.hidden_layers=[4096, 4096]",
+                "ppo.hidden_layers is [4096, 4096], a policy of 65.5 MiB, expected at most 56 MiB",
             ),
             ("observation=[{quantity: friction}]", "entry 1 (Friction): only the simulator knows it"),
             (

@@ -479,7 +479,7 @@ pub struct Randomisation {
     pub trunk_mass_kg: f64,
     /// Largest displacement of the trunk's centre of mass along each axis \[m\].
     #[serde(default, skip_serializing_if = "is_zero")]
-    #[garde(custom(not_negative))]
+    #[garde(custom(within(0.0..=1.0, " m")))]
     pub trunk_offset_m: f64,
     /// Largest relative error of `K_p` and of `K_d`; 0.1 is ± 10 %.
     #[serde(default, skip_serializing_if = "is_zero")]
@@ -629,6 +629,12 @@ impl Ppo {
     /// Returns the number of steps of each environment in a batch.
     pub fn steps(&self) -> usize {
         self.batch_size / self.environments
+    }
+
+    /// Returns the number of weights and biases of a network with these hidden layers.
+    pub fn parameters(&self, inputs: usize, outputs: usize) -> u64 {
+        let widths = self.hidden_layers.iter().copied().chain([outputs]);
+        widths.fold((0, inputs), |(sum, from), to| (sum + (from as u64 + 1) * to as u64, to)).0
     }
 }
 

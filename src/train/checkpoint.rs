@@ -1,8 +1,8 @@
 /*! Checkpoints: the complete state of a run, from which it continues with the same bits, in one atomic file.
 
-The tensors are the learner's (parameters and Adam's moments); the rest (configuration, seed, counters, curriculum, the
-state of every environment) is JSON, exact to the bit. A checksum protects both. The previous checkpoint is kept: if the
-newest cannot be read, the run resumes from that one and reports it.
+The tensors are the learner's (parameters and Adam's moments) and `run`, the bytes of a JSON text, exact to the bit, with the
+rest (configuration, seed, counters, curriculum, the state of every environment). A checksum protects both. The previous
+checkpoint is kept: if the newest cannot be read, the run resumes from that one and reports it.
 */
 
 use std::path::Path;
@@ -28,7 +28,10 @@ pub const PREVIOUS: &str = "checkpoint.previous.safetensors";
 pub const DAMAGED: &str = "checkpoint.damaged.safetensors";
 
 /// Version of the format that is written.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
+
+/// Name of the tensor with the bytes of the [`RunState`] as JSON.
+const RUN: &str = "run";
 
 /// Name of the file type in error messages.
 const CHECKPOINT: &str = "checkpoint";
@@ -39,21 +42,44 @@ const MAX_BYTES: u64 = 4 << 30;
 /// The reason why the bytes of a checkpoint are refused.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckpointError {
-    /// The file is cut off or has another format, or a tensor is invalid.
+    /// The file is cut off or foreign, or a tensor is invalid.
     #[error(transparent)]
-    Tensors(#[from] TensorError),
+    Tensors(TensorError),
+    /// The file has another version of the format.
+    #[error(
+        "its format is {0}, this program reads {FORMAT}: resume with the version of Supple that wrote it, or train anew with \
+         --config and the config.yaml beside it"
+    )]
+    Format(u32),
     /// The state of the run is no JSON of this version.
     #[error("its run state does not parse: {0}")]
     Run(serde_json::Error),
     /// The configuration of the run is invalid.
     #[error(transparent)]
     Config(#[from] ValueError),
+    /// An open fraction of the curriculum is invalid.
+    #[error("its curriculum.{name} is {found}, expected 0 to 1")]
+    Curriculum {
+        /// Name of the fraction.
+        name: &'static str,
+        /// The value that was found.
+        found: f64,
+    },
     /// The tensors of a group, such as `first_moment`, are no policy and value function.
     #[error("{0}: {1}")]
     Network(&'static str, NetworkError),
     /// A bit of the file has changed.
     #[error("its checksum does not match: the file is damaged")]
     Damaged,
+}
+
+impl From<TensorError> for CheckpointError {
+    fn from(error: TensorError) -> Self {
+        match error {
+            TensorError::Format { found, .. } => CheckpointError::Format(found),
+            error => CheckpointError::Tensors(error),
+        }
+    }
 }
 
 /// The state of a run after a whole number of iterations.
@@ -101,8 +127,6 @@ struct Metadata {
     sha256: String,
     optimiser_steps: u64,
     learning_rate: f64,
-    /// [`RunState`] as JSON text, so that the checksum covers exactly these bytes.
-    run: String,
 }
 
 impl Checkpoint {
@@ -140,7 +164,7 @@ impl Checkpoint {
     /// # Errors
     /// The state cannot be written as JSON, or a tensor does not fit its shape.
     pub fn to_bytes(&self) -> Result<Vec<u8>, SafeTensorError> {
-        let run = serde_json::to_string(&self.run)?;
+        let run = serde_json::to_vec(&self.run)?;
         let mut all = Vec::new();
         for (group, networks) in self.groups() {
             for (name, shape, values) in networks.tensors() {
@@ -152,8 +176,8 @@ impl Checkpoint {
             sha256: checksum(&run, &self.learner),
             optimiser_steps: self.learner.steps,
             learning_rate: self.learner.learning_rate,
-            run,
         };
+        all.push(Tensor::u8(RUN, run));
         tensors::serialize(&all, serde_json::to_string(&metadata)?)
     }
 
@@ -164,8 +188,7 @@ impl Checkpoint {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         let (tensors, json) = tensors::deserialize(bytes)?;
         let metadata: Metadata = tensors::metadata(&json, FORMAT)?;
-        let run: RunState = serde_json::from_str(&metadata.run).map_err(CheckpointError::Run)?;
-        run.config.check()?;
+        let json = tensors::read_u8(&tensors, RUN)?;
         let learner = LearnerState {
             parameters: read_group(&tensors, "parameters")?,
             first_moment: read_group(&tensors, "first_moment")?,
@@ -173,9 +196,16 @@ impl Checkpoint {
             steps: metadata.optimiser_steps,
             learning_rate: metadata.learning_rate,
         };
-        let found = checksum(&metadata.run, &learner);
-        if found != metadata.sha256 {
+        if checksum(json, &learner) != metadata.sha256 {
             return Err(CheckpointError::Damaged);
+        }
+        let run: RunState = serde_json::from_slice(json).map_err(CheckpointError::Run)?;
+        run.config.check()?;
+        let Curriculum { command_fraction, force_fraction, .. } = run.curriculum;
+        for (name, found) in [("command_fraction", command_fraction), ("force_fraction", force_fraction)] {
+            if !(0.0..=1.0).contains(&found) {
+                return Err(CheckpointError::Curriculum { name, found });
+            }
         }
         Ok(Checkpoint { run, learner })
     }
@@ -193,8 +223,8 @@ fn groups(learner: &LearnerState) -> [(&'static str, &ActorCritic); 3] {
     ]
 }
 
-fn checksum(run: &str, learner: &LearnerState) -> String {
-    let mut bytes = run.as_bytes().to_vec();
+fn checksum(run: &[u8], learner: &LearnerState) -> String {
+    let mut bytes = run.to_vec();
     bytes.extend(learner.steps.to_le_bytes());
     bytes.extend(learner.learning_rate.to_le_bytes());
     for (_, networks) in groups(learner) {

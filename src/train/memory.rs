@@ -49,43 +49,27 @@ pub struct MemoryError {
 }
 
 impl MemoryEstimate {
-    /// Estimates the memory of a configuration by creating one of its environments.
+    /// Estimates the memory of a configuration by creating one of its environments, or one of each kind.
     ///
     /// # Errors
     /// The robot and the observation do not fit together, or the scene does not compile.
     pub fn new(config: &Config) -> Result<Self, TrainError> {
         let shared = Shared::new(config)?;
-        let bytes = |index: u64| -> Result<u64, TrainError> {
-            let curriculum = Curriculum::new(&config.command);
-            let environment = LocomotionEnv::with_shared(config, &shared, 0, index, curriculum)?;
-            Ok(environment_bytes(&environment))
-        };
-        // One environment on a plane and one on uneven ground, where there are both.
-        let mut environments = 0_u64;
-        for is_uneven in [false, true] {
-            let uneven = |index: &u64| config.terrain.as_ref().is_some_and(|terrain| terrain.kind(*index).is_some());
-            let mut alike = (0..config.ppo.environments as u64).filter(|index| uneven(index) == is_uneven);
-            if let Some(first) = alike.next() {
-                environments = environments.saturating_add((1 + alike.count() as u64).saturating_mul(bytes(first)?));
-            }
-        }
+        let environments = environments_bytes(config, &shared, config.ppo.environments as u64)?;
         let ppo = &config.ppo;
-        let [inputs, critic_inputs] = shared.inputs().map(|inputs| inputs as u64);
+        let [of_policy, of_value] = shared.inputs();
+        let [inputs, critic_inputs] = [of_policy, of_value].map(|inputs| inputs as u64);
         let [samples, epochs] = [ppo.batch_size, ppo.epochs].map(|count| count as u64);
         let joints = JOINTS as u64;
         // Observations, action and its mean, and some numbers more; once more in the mirror, of both.
         let of_critic = if critic_inputs == inputs { 0 } else { critic_inputs };
         let numbers = inputs + of_critic + 2 * joints + 8;
         let copies = if ppo.symmetry { 3 } else { 1 };
-        let weights = |inputs: u64, outputs: u64| {
-            let widths = ppo.hidden_layers.iter().map(|width| *width as u64).chain([outputs]);
-            widths.fold((0, inputs), |(sum, from), to| (sum + (from + 1) * to, to)).0
-        };
         let bytes = if ppo.learner == LearnerKind::Candle { CANDLE_BYTES } else { FUSED_BYTES };
         Ok(MemoryEstimate {
             environments,
             samples: samples.saturating_mul(4 * (copies * numbers + epochs)),
-            networks: (weights(inputs, joints) + weights(critic_inputs, 1)).saturating_mul(bytes),
+            networks: (ppo.parameters(of_policy, JOINTS) + ppo.parameters(of_value, 1)).saturating_mul(bytes),
         })
     }
 
@@ -129,14 +113,40 @@ impl fmt::Display for MemoryEstimate {
     }
 }
 
-/// Returns the memory of an environment \[bytes\].
-pub fn environment_bytes(environment: &LocomotionEnv) -> u64 {
-    environment.simulation_bytes() as u64 + ENVIRONMENT_BYTES
+/// Returns the memory of the first `count` environments of a configuration \[bytes\], by creating one on a plane and one on uneven
+/// ground, where there are both.
+///
+/// # Errors
+/// The scene does not compile.
+pub fn environments_bytes(config: &Config, shared: &Shared, count: u64) -> Result<u64, TrainError> {
+    let uneven = config.terrain.as_ref().map_or(0, |terrain| terrain.uneven(count));
+    let mut bytes = 0_u64;
+    for (fraction, count) in [(0.0, count.saturating_sub(uneven)), (1.0, uneven)] {
+        if count > 0 {
+            let mut config = config.clone();
+            config.terrain.iter_mut().for_each(|terrain| terrain.environments = fraction);
+            let first = LocomotionEnv::with_shared(&config, shared, 0, 0, Curriculum::new(&config.command))?;
+            let each = first.simulation_bytes() as u64 + ENVIRONMENT_BYTES;
+            bytes = bytes.saturating_add(each.saturating_mul(count));
+        }
+    }
+    Ok(bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn environments_on_uneven_ground_take_memory_of_their_own() {
+        let heights = "rough_m: [0.01, 0.06], boxes_m: [0.02, 0.08]";
+        let terrain = format!("terrain={{environments: 0.5, levels: 2, {heights}, sharpness_factor: 0.5}}");
+        let config = Config::load_with("fast", &[terrain]).unwrap();
+        let shared = Shared::new(&config).unwrap();
+        let [one, two, four] = [1, 2, 4].map(|count| environments_bytes(&config, &shared, count).unwrap());
+        // The first one has a plane, every second one does not.
+        assert!(two > 2 * one && four == 2 * two, "{one} {two} {four}");
+    }
 
     #[test]
     fn memory_estimate_grows_and_excess_is_refused() {

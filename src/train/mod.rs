@@ -18,5 +18,5 @@ mod tensorboard;
 mod terrain;
 mod trainer;
 
-pub use memory::{MemoryError, MemoryEstimate, environment_bytes};
+pub use memory::{MemoryError, MemoryEstimate, environments_bytes};
 pub use trainer::{TrainError, Trainer};

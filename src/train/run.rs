@@ -149,8 +149,8 @@ impl RunFolder {
     }
 
     /// Opens the folder of a run to resume it: reads its checkpoint, checks that the other files belong to the same
-    /// run, and drops the metrics of later iterations. The length of the run is taken from `config.yaml`,
-    /// everything else from the checkpoint. Also returns notes for the user, for example that the newest checkpoint
+    /// run, and drops the metrics of later iterations. The length of the run and the place of the robot's file are taken
+    /// from `config.yaml`, everything else from the checkpoint. Also returns notes for the user, for example that the newest checkpoint
     /// is damaged or that metrics are missing.
     ///
     /// # Errors
@@ -377,7 +377,8 @@ fn check_identity(path: &Path, checkpoint: &Checkpoint, notes: &mut Vec<String>)
     Ok(())
 }
 
-/// Checks that the configuration in the folder is that of the checkpoint, and takes over its length of the run.
+/// Checks that the configuration in the folder is that of the checkpoint, and takes over its length of the run and its name of
+/// the robot, whose file may lie elsewhere on another machine.
 fn check_config(path: &Path, checkpoint: &mut Checkpoint, notes: &mut Vec<String>) -> Result<(), RunError> {
     let file = path.join(CONFIG);
     let name = file.display().to_string();
@@ -390,6 +391,11 @@ fn check_config(path: &Path, checkpoint: &mut Checkpoint, notes: &mut Vec<String
         Err(error) => return Err(at(&file)(error).into()),
     };
     let ours = &mut checkpoint.run.config;
+    let (theirs, model) = (&config.robot.model, &mut ours.robot.model);
+    if theirs != model {
+        notes.push(format!("robot.model is {theirs} in {name} and {model} in the checkpoint: the former counts"));
+        model.clone_from(theirs);
+    }
     config.check_same(ours).map_err(|keys| RunError::Changed { path: path.to_owned(), keys })?;
     for (key, [theirs, ours]) in yaml::differences(&config.run, &ours.run) {
         notes.push(format!("run.{key} is {theirs} in {name} and {ours} in the checkpoint: the former counts"));
@@ -494,6 +500,22 @@ mod tests {
                 "{note:?}"
             );
         }
+    }
+
+    #[test]
+    fn a_robot_may_lie_elsewhere_and_nothing_else_may_differ() {
+        let (folder, mut checkpoint) = folder("");
+        let mut config = checkpoint.run.config.clone();
+        config.robot.model = "/elsewhere/robot.xml".to_owned();
+        fs::write(folder.path().join(CONFIG), config.to_yaml()).unwrap();
+        let mut notes = Vec::new();
+        check_config(folder.path(), &mut checkpoint, &mut notes).unwrap();
+        assert_eq!(checkpoint.run.config, config);
+        assert!(notes.len() == 1 && notes[0].starts_with("robot.model is /elsewhere/robot.xml in "), "{notes:?}");
+        config.ppo.discount = 0.5;
+        fs::write(folder.path().join(CONFIG), config.to_yaml()).unwrap();
+        let error = check_config(folder.path(), &mut checkpoint, &mut notes).unwrap_err().to_string();
+        assert!(error.contains("was changed after the run began: ppo.discount: 0.5 and 0.99"), "{error}");
     }
 
     #[test]

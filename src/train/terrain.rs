@@ -10,22 +10,12 @@ use std::array;
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
-use crate::config::{CommandRange, Episode, Terrain};
+use crate::config::{SPACING_M, TILE_M, Terrain};
 use crate::observation::Command;
 use crate::robot::RobotState;
 use crate::scenario::terrain::Perlin;
 use crate::sim::{Buffers, HeightField};
-use crate::util::numbers::maximum;
 use crate::util::random::{Purpose, stream};
-
-/// Edge of a tile \[m\].
-const TILE_M: f64 = 8.0;
-
-/// Ground beyond the farthest place that an episode reaches as commanded \[m\], for pushes and pulls.
-const MARGIN_M: f64 = 1.0;
-
-/// Distance between the points of the field \[m\]: finer ones cost more contacts to look for.
-const SPACING_M: f64 = 0.08;
 
 /// Radius around each start that stays flat, and width of the transition from there \[m\].
 const FLAT_M: [f64; 2] = [0.4, 0.4];
@@ -60,19 +50,18 @@ impl Kind {
     pub(super) const ALL: [Kind; 2] = [Kind::Rough, Kind::Boxes];
 }
 
-/// Returns how far from its start an episode leads a robot that walks as commanded \[m\].
-pub(super) fn reach_m(episode: &Episode, command: &CommandRange) -> f64 {
-    command.forward_m_s.hypot(command.left_m_s) * (episode.walking_s + episode.recovery_s + episode.post_recovery_s)
-}
-
 impl Terrain {
     /// Returns the kind of ground of environment `index`; `None` for a plane. Uneven ground is spread evenly over the
     /// environments, whatever ranks they belong to.
     pub(super) fn kind(&self, index: u64) -> Option<Kind> {
-        let before = |index: u64| (index as f64 * self.environments).floor() as u64;
-        let number = before(index);
+        let number = self.uneven(index);
         let kind = if number.is_multiple_of(2) { Kind::Rough } else { Kind::Boxes };
-        (before(index + 1) > number).then_some(kind)
+        (self.uneven(index + 1) > number).then_some(kind)
+    }
+
+    /// Returns how many of the first `count` environments have uneven ground.
+    pub(super) fn uneven(&self, count: u64) -> u64 {
+        (count as f64 * self.environments).floor() as u64
     }
 
     /// Returns the centre of a level's tile, where episodes start, world frame \[m\].
@@ -92,8 +81,7 @@ impl Terrain {
     /// Builds the field of a kind, with all levels: the same one in every run. There is ground as far as `reach_m` around each
     /// start, and a margin \[m\].
     pub(super) fn field(&self, kind: Kind, reach_m: f64) -> HeightField {
-        let half_m = MARGIN_M + maximum(reach_m, 0.5 * TILE_M);
-        let half_size = [0.5 * TILE_M * (self.levels - 1) as f64 + half_m, half_m];
+        let half_size = self.half_size_m(reach_m);
         let noise = Perlin::new(0);
         let counts = half_size.map(|half| (2.0 * half / BOX_M).ceil() as usize);
         let mut rng = stream(0, Purpose::Terrain, 1, 0);
@@ -210,8 +198,7 @@ mod tests {
     fn ground_reaches_as_far_as_an_episode_and_a_margin() {
         // 2 + 1 + 3 s at 1 and 0.5 m/s: 6.71 m around starts at ±20 m.
         let config = Config::load("real").unwrap();
-        let reach_m = reach_m(&config.episode, &config.command);
-        let [x, y] = terrain().field(Kind::Rough, reach_m).half_size;
+        let [x, y] = terrain().field(Kind::Rough, config.reach_m()).half_size;
         assert!((x - 27.708).abs() < 1e-3 && (y - 7.708).abs() < 1e-3, "{x} {y}");
     }
 

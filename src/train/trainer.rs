@@ -187,7 +187,7 @@ impl Trainer {
         let shared = Shared::new(&run.config)?;
         let mirror = mirror(&run.config, &shared)?;
         let robot = &shared.robot;
-        // Another revision may read the robot's file differently; the caller already warns that revisions differ.
+        // Another revision may read the robot's file differently; the caller warns that revision and robot differ.
         if robot.sha256() != run.robot_sha256 && run.git_revision == provenance::git_revision() {
             let problem = format!("the robot {} has changed since; put it back, or start anew", robot.name);
             return Err(TrainError::Checkpoint(problem));
@@ -394,6 +394,8 @@ fn environments(
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
     use crate::config::{LearnerKind, Precision};
     use crate::observation::{Observed, Quantity};
@@ -479,6 +481,43 @@ mod tests {
         };
         let one = run([1, 1, 1]);
         assert!(run([2, 2, 2]) == one && run([3, 1, 2]) == one);
+    }
+
+    #[test]
+    fn a_checkpoint_keeps_its_environments_out_of_its_header() {
+        let checkpoint = Trainer::new("test", sharded(1), 0, 1).unwrap().checkpoint().unwrap();
+        let mut bytes = checkpoint.to_bytes().unwrap();
+        // Files with headers of more than 100 MB are refused; one environment has about 10 kB.
+        let header = u64::from_le_bytes(*bytes.first_chunk().unwrap());
+        assert!(header < 10_000, "{header}");
+        assert!(Checkpoint::from_bytes(&bytes).unwrap() == checkpoint);
+        // That of the version before had its environments there.
+        let at = bytes.windows(10).position(|part| part == b"format\\\":2").unwrap();
+        bytes[at + 9] = b'1';
+        let error = Checkpoint::from_bytes(&bytes).unwrap_err().to_string();
+        assert!(error.contains("its format is 1, this program reads 2: resume with the version"), "{error}");
+    }
+
+    #[test]
+    fn a_checkpoint_that_no_run_could_have_written_is_refused_by_name() {
+        let Checkpoint { run, learner } = Trainer::new("test", real(), 0, 1).unwrap().checkpoint().unwrap();
+        let run = serde_json::to_value(&run).unwrap();
+        let hold = json!([{"leg": 4, "from_s": 0.0, "until_s": 1.0, "height_m": 0.1}]);
+        for (place, key, value, expected) in [
+            ("/environments/0/progress/plan/dynamics", "latency_s", json!(1e12), "latency_s is 1000000000000"),
+            ("/environments/0/progress/plan", "holds", hold, "the foot of leg 4, expected 0 to 3"),
+            ("/environments/1/progress/course", "level", json!(2), "level 2, expected 0 to 1"),
+            ("/curriculum", "force_fraction", json!(-1.0), "curriculum.force_fraction is -1, expected 0 to 1"),
+            ("/curriculum", "command_fraction", json!(1.5), "curriculum.command_fraction is 1.5, expected 0 to 1"),
+        ] {
+            let mut changed = run.clone();
+            changed.pointer_mut(place).unwrap()[key] = value;
+            let changed = Checkpoint { run: serde_json::from_value(changed).unwrap(), learner: learner.clone() };
+            let read = Checkpoint::from_bytes(&changed.to_bytes().unwrap()).map_err(|error| error.to_string());
+            let resumed = read.and_then(|read| Trainer::resume(read, 1).map_err(|error| error.to_string()));
+            let error = resumed.unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
     }
 
     #[test]

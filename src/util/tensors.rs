@@ -42,6 +42,11 @@ impl Tensor {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes()).collect();
         Tensor { name: name.into(), dtype: Dtype::F64, shape, bytes }
     }
+
+    /// Creates a tensor from bytes, for what is too long for the metadata: a file's header has at most 100 MB.
+    pub fn u8(name: impl Into<String>, bytes: Vec<u8>) -> Self {
+        Tensor { name: name.into(), dtype: Dtype::U8, shape: vec![bytes.len()], bytes }
+    }
 }
 
 /// The reason why a file's tensors cannot be read.
@@ -151,6 +156,15 @@ pub fn read_group(tensors: &SafeTensors<'_>, prefix: &str) -> Result<Vec<Named>,
 pub fn read_f64(tensors: &SafeTensors<'_>, name: &str, shape: &[usize]) -> Result<Vec<f64>, TensorError> {
     let bytes = tensor_bytes(tensors, name, (Dtype::F64, shape))?;
     finite(name, bytes.as_chunks().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect(), f64::is_finite)
+}
+
+/// Reads a tensor of bytes, of any length.
+///
+/// # Errors
+/// The tensor is missing, or has another type or more than one dimension.
+pub fn read_u8<'a>(tensors: &SafeTensors<'a>, name: &str) -> Result<&'a [u8], TensorError> {
+    let length = tensors.tensor(name).map_or(0, |view| view.data().len());
+    tensor_bytes(tensors, name, (Dtype::U8, &[length]))
 }
 
 fn tensor_bytes<'a>(tensors: &SafeTensors<'a>, name: &str, kind: (Dtype, &[usize])) -> Result<&'a [u8], TensorError> {

@@ -1,4 +1,5 @@
-//! Output of programs to a standard output and a standard error that may be closed at any moment, as by `| head -1`.
+//! Output of programs to a standard output and a standard error that may be closed at any moment, as by `| head -1`, and the signals
+//! that end them.
 
 use std::borrow::Cow;
 use std::error::Error;
@@ -7,6 +8,10 @@ use std::fmt::Display;
 use std::io::{self, Write};
 use std::os::unix::ffi::OsStrExt;
 use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+/// Time within which two signals count as one: programs that forward signals, such as timeout, send the same one twice.
+const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 /// Writes text to standard output, made [`plain`]. A closed pipe is no error.
 ///
@@ -73,6 +78,26 @@ pub fn plain(text: &str) -> Cow<'_, str> {
 /// Writes a line, made [`plain`], to standard error, if it is still open.
 pub fn note(text: impl Display) {
     let _ = writeln!(io::stderr(), "{}", plain(&text.to_string()));
+}
+
+/// Handles Ctrl-C, SIGTERM and SIGHUP: the first one calls `stop`, which asks the program to end; the second one prints
+/// `last_words` and ends it at once, with exit code 130.
+///
+/// # Errors
+/// The operating system refuses it, or signals are handled already.
+pub fn on_signals(mut stop: impl FnMut() + Send + 'static, last_words: &'static str) -> Result<(), ctrlc::Error> {
+    let mut first: Option<Instant> = None;
+    ctrlc::set_handler(move || match first {
+        None => {
+            first = Some(Instant::now());
+            stop();
+        }
+        Some(first) if first.elapsed() < SAME_SIGNAL => {}
+        Some(_) => {
+            note(last_words);
+            std::process::exit(130);
+        }
+    })
 }
 
 #[cfg(test)]

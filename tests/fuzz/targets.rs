@@ -78,39 +78,54 @@ fn config(input: &[u8]) -> bool {
     true
 }
 
-fn tiny_trainer() -> Trainer {
-    let mut config = Config::load("compliant").expect("an embedded configuration");
+fn tiny_trainer(name: &str) -> Trainer {
+    let mut config = Config::load(name).expect("an embedded configuration");
     config.ppo.environments = 1;
     config.ppo.batch_size = 4;
     config.ppo.minibatch_size = 2;
     config.ppo.epochs = 1;
     config.ppo.hidden_layers = vec![2];
+    if name == "real" {
+        // Episodes of one step until there are pushes, and pushes from the first of them on.
+        (config.episode.walking_s, config.episode.push_gate) = (0.02, 0.0);
+    }
     Trainer::new("fuzz", config, 0, 1).expect("a trainer")
 }
 
-fn tiny_checkpoint() -> &'static Checkpoint {
-    static MADE: OnceLock<Checkpoint> = OnceLock::new();
+/// Those of the paper's robot and of a real one, which is pulled and whose feet are held.
+fn tiny_checkpoints() -> &'static [Checkpoint; 2] {
+    static MADE: OnceLock<[Checkpoint; 2]> = OnceLock::new();
     MADE.get_or_init(|| {
-        let mut trainer = tiny_trainer();
-        trainer.iterate().expect("an iteration");
-        let mut checkpoint = trainer.checkpoint().expect("a checkpoint");
-        // Else the input of a number would not be the same the next time.
-        checkpoint.run.elapsed_s = 1.5;
-        checkpoint
+        ["compliant", "real"].map(|name| {
+            let mut trainer = tiny_trainer(name);
+            trainer.iterate().expect("an iteration");
+            if name == "real" {
+                // Pushes have begun with the first.
+                trainer.iterate().expect("an iteration");
+            }
+            let mut checkpoint = trainer.checkpoint().expect("a checkpoint");
+            // Else the input of a number would not be the same the next time.
+            checkpoint.run.elapsed_s = 1.5;
+            checkpoint
+        })
     })
 }
 
-/// A file, and the part of it that its checksum guards, to be sealed again after a mutation.
+/// Files, and the part of each that its checksum guards, to be sealed again after a mutation.
 fn checkpoints() -> Vec<Vec<u8>> {
-    let checkpoint = tiny_checkpoint();
-    vec![checkpoint.to_bytes().expect("bytes"), serde_json::to_vec(&checkpoint.run).expect("JSON")]
+    let parts = |checkpoint: &Checkpoint| {
+        [checkpoint.to_bytes().expect("bytes"), serde_json::to_vec(&checkpoint.run).expect("JSON")]
+    };
+    tiny_checkpoints().iter().flat_map(parts).collect()
 }
 
 fn checkpoint(input: &[u8]) -> bool {
     let Ok(run) = serde_json::from_slice::<RunState>(input) else {
         return Checkpoint::from_bytes(input).is_ok();
     };
-    let learner = tiny_checkpoint().learner.clone();
+    // The networks that fit its observation.
+    let [of_paper, of_real] = tiny_checkpoints();
+    let learner = if run.config.pulls.is_some() { of_real.learner.clone() } else { of_paper.learner.clone() };
     let Ok(bytes) = (Checkpoint { run, learner }).to_bytes() else { return false };
     let Ok(checkpoint) = Checkpoint::from_bytes(&bytes) else { return false };
     let config = checkpoint.run.config.clone();
@@ -126,7 +141,7 @@ fn checkpoint(input: &[u8]) -> bool {
 }
 
 fn policies() -> Vec<Vec<u8>> {
-    vec![tiny_trainer().policy().to_bytes().expect("bytes")]
+    vec![tiny_trainer("compliant").policy().to_bytes().expect("bytes")]
 }
 
 fn policy(input: &[u8]) -> bool {
@@ -169,7 +184,7 @@ fn scenario(input: &[u8]) -> bool {
 }
 
 fn networks() -> Vec<Vec<u8>> {
-    let ours = onnx::export(&tiny_trainer().policy());
+    let ours = onnx::export(&tiny_trainer("compliant").policy());
     let theirs = ["operators", "playground", "rsl_rl", "newer"].map(|name| fixture(&format!("onnx/{name}.onnx")));
     theirs.into_iter().chain([ours]).collect()
 }

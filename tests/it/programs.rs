@@ -6,6 +6,7 @@ use std::process::Command;
 use serde_json::Value;
 use supple::policy::{Agent, Policy, shipped};
 use supple::robot::Robot;
+use supple::train::checkpoint::Checkpoint;
 
 use crate::support::{
     assert_same, complaint, metrics, program, repository, robot, run, small_config_file, standing_policy,
@@ -153,6 +154,23 @@ fn run_of_another_robot_needs_that_robot() {
     let error = Robot::load(&model).unwrap_err().to_string();
     assert!(error.contains("there is no such file: put it there, or name another robot"), "{error}");
     assert!(run("policy", folder.path(), &["verify", "far/p.safetensors"]).status.success());
+
+    // Its file lies elsewhere, as on another machine.
+    std::os::unix::fs::symlink(xml.parent().unwrap(), folder.path().join("moved")).unwrap();
+    let (place, moved) = (folder.path().join("run"), folder.path().join("moved/quadruped.xml"));
+    let config = std::fs::read_to_string(place.join("config.yaml")).unwrap();
+    let config = config.replacen(xml.to_str().unwrap(), moved.to_str().unwrap(), 1);
+    std::fs::write(place.join("config.yaml"), config).unwrap();
+    let output = run("train", folder.path(), &["--resume", "run", "--samples", "512"]);
+    let words = complaint(&output);
+    assert!(output.status.success() && words.contains("robot.model is"), "{words}");
+    // The robot has changed, and so has the program, which may only read it differently.
+    let mut checkpoint = Checkpoint::load(&place).unwrap().0;
+    (checkpoint.run.git_revision, checkpoint.run.robot_sha256) = ("another".to_owned(), "0".repeat(64));
+    checkpoint.save(&place).unwrap();
+    let output = run("train", folder.path(), &["--resume", "run", "--samples", "768"]);
+    let words = complaint(&output);
+    assert!(output.status.success() && words.contains("moved/quadruped.xml has changed since"), "{words}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use anyhow::Context;
 use clap::Parser;
@@ -18,9 +18,6 @@ use supple::train::run::RunFolder;
 use supple::train::{TrainError, Trainer};
 use supple::util::progress::{ProgressBar, pace, progress};
 use supple::util::terminal::{self, shell_word};
-
-/// Shortest time between two signals that count as two.
-const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 /// Train a policy to walk, to yield when pushed, and to get up to speed again.
 ///
@@ -176,29 +173,20 @@ fn save(trainer: &Trainer, folder: Option<&RunFolder>) -> anyhow::Result<()> {
 }
 
 /// Handles signals: the first Ctrl-C (or SIGTERM, or SIGHUP) asks to stop, the second one, or one before training has
-/// begun, ends the program at once, which is safe because checkpoints are complete at every moment. Programs that
-/// forward signals, such as timeout, send the same one twice: that counts once.
+/// begun, ends the program at once, which is safe because checkpoints are complete at every moment.
 fn stop_on_signals(stop: Arc<AtomicBool>, training: Arc<AtomicBool>, speaks: bool) -> anyhow::Result<()> {
-    let mut first: Option<Instant> = None;
-    let handler = move || match first {
-        None if !training.load(Ordering::Relaxed) => {
+    let ask = move || {
+        if !training.load(Ordering::Relaxed) {
             terminal::note("stopped before training began");
             std::process::exit(130);
         }
-        None => {
-            first = Some(Instant::now());
-            stop.store(true, Ordering::Relaxed);
-            if speaks {
-                terminal::note("stopping after this iteration; once more to stop at once");
-            }
-        }
-        Some(first) if first.elapsed() < SAME_SIGNAL => {}
-        Some(_) => {
-            terminal::note("stopped at once; what came after the last checkpoint is lost");
-            std::process::exit(130);
+        stop.store(true, Ordering::Relaxed);
+        if speaks {
+            terminal::note("stopping after this iteration; once more to stop at once");
         }
     };
-    ctrlc::set_handler(handler).context("cannot catch Ctrl-C")
+    let last_words = "stopped at once; what came after the last checkpoint is lost";
+    terminal::on_signals(ask, last_words).context("cannot catch Ctrl-C")
 }
 
 /// Stores and reports the physics faults of an iteration. They never end the run.

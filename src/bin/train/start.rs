@@ -118,14 +118,21 @@ fn new_trainer(args: &Args, threads: usize, ranks: &Arc<dyn Ranks>) -> anyhow::R
     config.run.samples = args.samples.unwrap_or(config.run.samples);
     let seed = args.seed.unwrap_or(0);
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from(&format!("runs/{name}-seed{seed}")));
-    if !ranks.is_alone() && config.ppo.shards == 1 {
-        config.ppo.shards = ranks.count().max(SHARDS).next_power_of_two();
+    if !ranks.is_alone() {
+        config.ppo.shards = shards(config.ppo.shards, &args.set, ranks.count());
     }
     let memory = check_memory(&config, &**ranks)?;
     if memory.total() > WORTH_TELLING_BYTES && ranks.index() == 0 {
         terminal::note(format_args!("note: this run takes {memory}"));
     }
     Ok((Trainer::with_ranks(Arc::clone(ranks), &name, config, seed, threads)?, out))
+}
+
+/// Returns the number of shards of a new run on several ranks: what the configuration says, or enough for all ranks if it says 1,
+/// as every shipped one does, and no change on the command line does.
+fn shards(configured: usize, changes: &[String], ranks: usize) -> usize {
+    let is_asked_for = changes.iter().any(|change| change.starts_with("ppo.shards="));
+    if configured != 1 || is_asked_for { configured } else { ranks.max(SHARDS).next_power_of_two() }
 }
 
 /// Checks that the machine has enough memory for a run, and warns if it may have too little.
@@ -157,10 +164,19 @@ pub fn resume(
         None => (None, Checkpoint::from_bytes(&bytes).map_err(Into::into)),
     };
     let checkpoint = together(&**ranks, checkpoint)?;
+    let begun_with = checkpoint.run.robot_sha256.clone();
     together(&**ranks, check_memory(&checkpoint.run.config, &**ranks).map(drop))?;
     let trainer =
         together(&**ranks, Trainer::resume_with_ranks(Arc::clone(ranks), checkpoint, threads).map_err(Into::into))?;
     check_alike(&trainer)?;
+    let (robot, model) = (&trainer.run().robot_sha256, &trainer.run().config.robot.model);
+    if *robot != begun_with && ranks.index() == 0 {
+        terminal::note(format_args!(
+            "warning: the robot {model} has changed since the checkpoint, or this program reads it differently than the one that \
+             wrote it: its SHA-256 was {begun_with:.12} and is {robot:.12}; the run goes on with the robot as it is now, so put the \
+             old file back if that is not meant"
+        ));
+    }
     let written = folder.as_ref().map_or(Ok(()), |folder| {
         folder.save_config(&trainer)?;
         folder.save_policy(&trainer)
@@ -196,4 +212,17 @@ fn read(path: &Path, args: &Args) -> anyhow::Result<(RunFolder, Checkpoint)> {
         ));
     }
     Ok((folder, checkpoint))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranks_share_as_many_shards_as_they_are_told_to() {
+        let asked = |change: &str| [change.to_owned()];
+        assert_eq!((shards(1, &[], 1), shards(1, &[], 3), shards(1, &[], 16)), (8, 8, 16));
+        assert_eq!((shards(4, &[], 2), shards(1, &asked("ppo.epochs=4"), 2)), (4, 8));
+        assert_eq!(shards(1, &asked("ppo.shards=1"), 1), 1);
+    }
 }

@@ -24,7 +24,7 @@ use super::terrain::{self, Course, Kind};
 use crate::config::{Config, Reward, ValueError};
 use crate::mujoco;
 use crate::observation::{Command, Layout, Moment, Observer, Privileged};
-use crate::robot::{JOINTS, Joints, Robot, RobotState, joint_target};
+use crate::robot::{JOINTS, Joints, LEGS, Robot, RobotState, joint_target};
 use crate::sim::last_second::LastSecond;
 use crate::sim::{Ground, HeightField, Scene, Sim, SimState};
 use crate::task::deviation::HoldSpring;
@@ -102,7 +102,7 @@ impl Shared {
             layout: Arc::new(config.layout().map_err(ValueError::Observation)?),
             critic: critic.map(Arc::new),
             fields: config.terrain.as_ref().map(|terrain| {
-                let reach_m = terrain::reach_m(&config.episode, &config.command);
+                let reach_m = config.reach_m();
                 Kind::ALL.map(|kind| Arc::new(terrain.field(kind, reach_m)))
             }),
         })
@@ -500,8 +500,9 @@ impl LocomotionEnv {
     /// Restores a saved state.
     ///
     /// # Errors
-    /// The state belongs to another model or observation, or MuJoCo fails in it.
+    /// The state belongs to another model or observation, no episode could have come to it, or MuJoCo fails in it.
     pub fn restore(&mut self, state: &EnvState) -> mujoco::Result<()> {
+        self.check(&state.progress)?;
         if let Some(dynamics) = &state.progress.plan.dynamics {
             self.sim.set_dynamics(dynamics)?;
         }
@@ -512,10 +513,32 @@ impl LocomotionEnv {
         if self.progress.observer.fits(&self.shared.layout) && self.shared.critic.as_ref().is_none_or(fits_critic) {
             Ok(())
         } else {
-            let message = "it belongs to another observation".into();
-            Err(mujoco::Error::Load { what: "a saved state".into(), message })
+            refuse("it belongs to another observation".to_owned())
         }
     }
+
+    /// Refuses saved numbers that would take all memory or lie beyond an array.
+    fn check(&self, progress: &EpisodeState) -> mujoco::Result<()> {
+        let plan = &progress.plan;
+        if let Some(latency_s) = plan.dynamics.map(|dynamics| dynamics.latency_s)
+            && !(0.0..=1.0).contains(&latency_s)
+        {
+            return refuse(format!("its latency_s is {latency_s}, expected 0 to 1 s"));
+        }
+        if let Some(hold) = plan.holds.iter().find(|hold| hold.leg >= LEGS.len()) {
+            return refuse(format!("it holds the foot of leg {}, expected 0 to {}", hold.leg, LEGS.len() - 1));
+        }
+        if let (Some(course), Some(levels)) = (progress.course, self.levels)
+            && course.level >= levels
+        {
+            return refuse(format!("its terrain has level {}, expected 0 to {}", course.level, levels - 1));
+        }
+        Ok(())
+    }
+}
+
+fn refuse(message: String) -> mujoco::Result<()> {
+    Err(mujoco::Error::Load { what: "a saved state".into(), message })
 }
 
 /// Draws the length of the first episode \[steps\].
