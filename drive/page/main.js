@@ -73,6 +73,7 @@ function push(size, unit) {
   send({ push: { size, unit } });
   [$("ahead").value, $("left").value] = size.map((part) => part.toFixed(2));
   $("unit").value = unit;
+  label();
 }
 
 function pull(force) {
@@ -85,13 +86,15 @@ listenToPad($("pad"), $("said"), () => $("unit").value, (unit) => most[unit], { 
 // The number fields beside the pad: a push is sent once, a pull lasts while the button is held.
 const numbers = () => [Number($("ahead").value), Number($("left").value)];
 const pulls = () => $("unit").value === "N";
-$("unit").onchange = () => ($("push-button").textContent = pulls() ? "Hold" : "Push");
+const label = () => ($("push-button").textContent = pulls() ? "Hold" : "Push");
+$("unit").onchange = label;
 $("push").onsubmit = (event) => {
   event.preventDefault();
   if (!pulls()) push(numbers(), $("unit").value);
 };
 function hold(on) {
-  if (!pulls() || on === $("push-button").classList.contains("held")) return;
+  // Letting go always counts: a push from elsewhere may have changed the unit meanwhile.
+  if ((on && !pulls()) || on === $("push-button").classList.contains("held")) return;
   $("push-button").classList.toggle("held", on);
   pull(on ? numbers() : null);
 }

@@ -61,7 +61,7 @@ impl Live {
         let mut writer = Writer::new(session);
         writer.input(0, &Input::Setup(world.setup().clone()), &cache).with_context(temporary)?;
         let watched = Arc::default();
-        watch_run::start(Arc::clone(&watched), to_self.clone())?;
+        watch_run::start(Arc::clone(&watched), to_self.clone(), is_shared)?;
         let publisher = Publisher::new(&world);
         let shown = publisher.updates().shown;
         let saver = Saver::start(folder, to_self.clone(), move || shown.borrow().is_behind)?;

@@ -8,19 +8,20 @@ use std::thread;
 use std::time::{Duration, SystemTime};
 
 use supple::policy::shipped;
-use supple::scenario::session::AgentCache;
-use supple::util::files;
+use supple::scenario::session::{AgentCache, AgentCacheError};
+use supple::util::{files, terminal};
 
 use crate::message::{Message, NewPolicy};
 
 /// Time between two checks.
 const PERIOD: Duration = Duration::from_millis(500);
 
-/// Starts a thread that reads every watched policy file whenever it changes, until the receiver is dropped.
+/// Starts a thread that reads every watched policy file whenever it changes, until the receiver is dropped. With `is_shared`,
+/// people elsewhere may name files: only the terminal then shows what is wrong with one.
 ///
 /// # Errors
 /// The thread cannot be started.
-pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std::io::Result<()> {
+pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shared: bool) -> std::io::Result<()> {
     let mut seen: HashMap<PathBuf, SystemTime> = HashMap::new();
     let look = move || {
         loop {
@@ -35,7 +36,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
                 }
                 let message = match AgentCache::read(&path.display().to_string()) {
                     Ok((agent, file)) => Message::PolicySaved(Box::new(NewPolicy { path, agent, file })),
-                    Err(error) => Message::Notice(error.to_string()),
+                    Err(error) => Message::Notice(told(&error, is_shared)),
                 };
                 if to.send(message).is_err() {
                     return;
@@ -46,7 +47,41 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>) -> std:
     thread::Builder::new().name("watching runs".to_owned()).spawn(look).map(drop)
 }
 
+/// Returns what pages are told about a policy that cannot be read.
+fn told(error: &AgentCacheError, is_shared: bool) -> String {
+    if !is_shared {
+        return error.to_string();
+    }
+    // It may quote any file of this machine.
+    terminal::note(error);
+    "a newer policy cannot be loaded: the terminal says why".to_owned()
+}
+
 /// Returns the file of a policy that may change while it is used, if it has one.
 pub fn file_of(policy: &str) -> Option<PathBuf> {
     shipped::file_of(policy).filter(|path| !files::is_yaml(path))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::sync_channel;
+
+    use super::*;
+
+    #[test]
+    fn pages_elsewhere_never_see_what_is_wrong_with_a_newer_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("private.safetensors");
+        std::fs::write(&path, "damaged").unwrap();
+        let told = |is_shared| {
+            let (to, messages) = sync_channel(1);
+            start(Arc::new(Mutex::new(vec![path.clone()])), to, is_shared).unwrap();
+            match messages.recv().unwrap() {
+                Message::Notice(text) => text,
+                message => panic!("{message:?}"),
+            }
+        };
+        assert!(told(false).contains("private.safetensors"));
+        assert_eq!(told(true), "a newer policy cannot be loaded: the terminal says why");
+    }
 }

@@ -70,6 +70,17 @@ fn keys_walk_and_pad_pushes_and_pulls_robots() {
         serde_json::json!({ "type": "keyDown", "key": "Enter", "code": "Enter", "text": "\r" }),
     );
     browser.wait("state.robots[0].reading.push.size_m_s[1] === -0.7");
+    // The numbers as a pull, during which a push comes from a gamepad: letting go still ends it.
+    browser.value("document.querySelector('#unit').value = 'N'; document.querySelector('#unit').onchange()");
+    let enter = |kind: &str| serde_json::json!({ "type": kind, "key": "Enter", "code": "Enter" });
+    browser.call("Input.dispatchKeyEvent", enter("rawKeyDown"));
+    browser.wait("state.robots.every(({ reading }) => reading.pull?.force_n > 0.6)");
+    browser.value("navigator.getGamepads = () => [{ axes: [0, 0, 0, 0], buttons: [{ pressed: true }] }], 0");
+    browser.wait("document.querySelector('#push-button').textContent === 'Push'");
+    browser.value("navigator.getGamepads = () => [], 0");
+    browser.call("Input.dispatchKeyEvent", enter("keyUp"));
+    browser.wait("!document.querySelector('#push-button').classList.contains('held')");
+    browser.wait("state.robots.every(({ reading }) => reading.pull === null)");
 
     // A gamepad, its left stick forward to the end.
     browser.value("navigator.getGamepads = () => [{ axes: [0, -1, 0, 0], buttons: [] }], 0");

@@ -18,7 +18,7 @@ use supple::robot::{JOINTS, joint_names};
 use supple::task::reward::TERMS;
 use supple::task::{Command, Curriculum, Stage, Terms};
 use supple::train::environment::{EnvStep, EpisodeEnd, EpisodeReport, LocomotionEnv, Shared};
-use supple::train::environment_bytes;
+use supple::train::environments_bytes;
 use supple::train::metrics::EpisodeMeans;
 use supple::util::memory::{FreeMemory, gibibytes};
 
@@ -149,11 +149,15 @@ impl Environments {
     ) -> PyResult<Self> {
         let autoreset = Autoreset::named(autoreset)?;
         let threads = threads.min(num_envs);
-        let config = Config::load(config).map_err(refused)?;
-        let shared = Shared::new(&config).map_err(refused)?;
+        // A robot of one's own takes seconds to read.
+        let (config, shared) = apart(py, || {
+            let config = Config::load(config).map_err(refused)?;
+            let shared = Shared::new(&config).map_err(refused)?;
+            Ok((config, shared))
+        })?;
         let first_curriculum = Curriculum::new(&config.command);
         if num_envs > MADE {
-            check_memory(py, &config, num_envs)?;
+            check_memory(py, &config, &shared, num_envs)?;
         }
         let world = apart(py, || {
             let environment = |index| {
@@ -393,18 +397,16 @@ pub fn cores() -> usize {
 }
 
 /// Checks that the machine has enough memory for environments, and warns if it may have too little.
-fn check_memory(py: Python<'_>, config: &Config, num_envs: usize) -> PyResult<()> {
-    let first = LocomotionEnv::new(config, 0, 0, Curriculum::new(&config.command)).map_err(failed)?;
-    let (each, free) = (environment_bytes(&first), FreeMemory::now());
-    let total = each.saturating_mul(num_envs as u64);
+fn check_memory(py: Python<'_>, config: &Config, shared: &Shared, num_envs: usize) -> PyResult<()> {
+    let total = apart(py, || environments_bytes(config, shared, num_envs as u64).map_err(failed))?;
     let problem = |left: u64| {
-        let (each, total, left) = (each >> 10, gibibytes(total), gibibytes(left));
+        let (each, total, left) = (total / num_envs as u64 / 1024, gibibytes(total), gibibytes(left));
         format!(
             "num_envs is {num_envs}: the environments take {total} of memory ({each} KiB each), and the machine has {left} left: \
              lower num_envs"
         )
     };
-    match free {
+    match FreeMemory::now() {
         Some(free) if total > free.at_most => Err(PyValueError::new_err(problem(free.at_most))),
         Some(free) if total > free.surely => {
             let words = std::ffi::CString::new(problem(free.surely)).unwrap_or_default();

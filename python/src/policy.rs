@@ -29,8 +29,8 @@ pub struct Policy {
 impl Policy {
     /// Loads a policy file, a run's folder, the YAML file of an external policy, or a shipped policy by name.
     #[staticmethod]
-    fn load(name: &str) -> PyResult<Self> {
-        let agent = shipped::find(name).map_err(refused)?;
+    fn load(py: Python<'_>, name: &str) -> PyResult<Self> {
+        let agent = apart(py, || shipped::find(name).map_err(refused))?;
         Ok(Policy { name: name.to_owned(), agent, raised: None })
     }
 

@@ -15,7 +15,7 @@ pub mod kinematics;
 mod legs;
 mod state;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
 use nalgebra::Vector3;
@@ -138,14 +138,23 @@ static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::
         let sha256 = files::sha256(&[mjcf.as_bytes()]);
         let (mjcf, report) = ((*mjcf).to_owned(), Vec::new());
         let joints = joint_names().map(|name| format!("{name}_joint"));
-        let ours = Imported { mjcf, report, has_pose: true, fall_height_m: None, sha256, joints };
+        let assets = Vec::new();
+        let ours = Imported { mjcf, report, has_pose: true, fall_height_m: None, sha256, joints, assets };
         Robot::new(name, ours).map(Arc::new)
     };
     SHIPPED.iter().map(robot).collect()
 });
 
-/// Imported robots that this process has read: name and text of the files.
-static IMPORTED_ROBOTS: Mutex<Vec<([String; 2], Arc<Robot>)>> = Mutex::new(Vec::new());
+/// A robot that this process has imported.
+struct Known {
+    /// Name and text of its files.
+    key: [String; 2],
+    /// Its meshes and textures.
+    assets: Vec<PathBuf>,
+    robot: Arc<Robot>,
+}
+
+static IMPORTED_ROBOTS: Mutex<Vec<Known>> = Mutex::new(Vec::new());
 
 impl Robot {
     /// Loads a shipped robot by name, or a robot from an MJCF or URDF file or a YAML description of one.
@@ -167,11 +176,18 @@ impl Robot {
         let key = [name.to_owned(), source.text()];
         // Held while one is imported: who asks for the same one at the same time waits for it.
         let mut known = IMPORTED_ROBOTS.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, robot)) = known.iter().find(|(known, _)| *known == key) {
-            return Ok(Arc::clone(robot));
+        if let Some(at) = known.iter().position(|known| known.key == key) {
+            let Known { assets, robot, .. } = &known[at];
+            // The text does not say what is in meshes and textures, which may have changed since.
+            if source.sha256(assets).map_err(fail)? == robot.sha256() {
+                return Ok(Arc::clone(robot));
+            }
+            known.swap_remove(at);
         }
-        let robot = Arc::new(Self::new(name, import::import(&source, path).map_err(fail)?)?);
-        known.push((key, Arc::clone(&robot)));
+        let mut imported = import::import(&source, path).map_err(fail)?;
+        let assets = std::mem::take(&mut imported.assets);
+        let robot = Arc::new(Self::new(name, imported)?);
+        known.push(Known { key, assets, robot: Arc::clone(&robot) });
         Ok(robot)
     }
 
@@ -203,7 +219,7 @@ impl Robot {
 
     /// Reads all properties from an MJCF document with Supple's names.
     fn new(name: &str, imported: Imported) -> Result<Self, FileError> {
-        let Imported { mjcf, report, has_pose, fall_height_m, sha256, joints } = imported;
+        let Imported { mjcf, report, has_pose, fall_height_m, sha256, joints, .. } = imported;
         let path = Path::new(name);
         let (fail, words) = (FileError::of(ROBOT, path), FileError::of(ROBOT, path));
         let model = Model::from_xml(&[("robot.xml", &mjcf)]).map_err(words)?;
@@ -276,5 +292,29 @@ impl Robot {
         let image = Vector3::new(-axis(joint).x, axis(joint).y, -axis(joint).z);
         let other = opposite(joint);
         (other, image.dot(&axis(other)).signum())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_robot_is_read_again_once_a_mesh_has_changed() {
+        let folder = tempfile::tempdir().unwrap();
+        let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/robot");
+        std::fs::create_dir(folder.path().join("assets")).unwrap();
+        for file in ["quadruped.xml", "assets/trunk.stl", "assets/small.stl"] {
+            std::fs::copy(fixtures.join(file), folder.path().join(file)).unwrap();
+        }
+        let path = folder.path().join("quadruped.xml");
+        let load = || Robot::load(path.to_str().unwrap()).unwrap();
+        let first = load();
+        assert!(Arc::ptr_eq(&first, &load()));
+        // Another mesh of the same size.
+        std::fs::copy(fixtures.join("assets/trunk.stl"), folder.path().join("assets/small.stl")).unwrap();
+        let second = load();
+        assert_ne!(first.sha256(), second.sha256());
+        assert!(Arc::ptr_eq(&second, &load()));
     }
 }

@@ -21,7 +21,7 @@ mod torque;
 mod urdf;
 mod words;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub(crate) use names::recognise;
 pub use sandbox::isolate_imports;
@@ -46,6 +46,8 @@ pub(super) struct Imported {
     pub(super) sha256: String,
     /// Names that the file gives the joints, in Supple's order.
     pub(super) joints: [String; JOINTS],
+    /// Paths of its meshes and textures.
+    pub(super) assets: Vec<PathBuf>,
 }
 
 /// Imports the robot at `path`, in a child process if the program called [`isolate_imports`].

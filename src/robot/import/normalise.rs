@@ -89,7 +89,7 @@ pub(super) fn adapt(source: &Source) -> Result<Imported, RobotError> {
     document.write(&mut mjcf);
     let sha256 = source.sha256(&assets)?;
     let joints = survey.joints.map(|joint| survey.model.name(Kind::Joint, joint).to_owned());
-    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, sha256, joints })
+    Ok(Imported { mjcf, report, has_pose, fall_height_m: description.fall_height_m, sha256, joints, assets })
 }
 
 /// A pose that the robot stands in.

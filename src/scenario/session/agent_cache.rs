@@ -120,6 +120,7 @@ impl AgentCache {
             Some(file) => (Agent::from(Policy::from_bytes(file, Path::new(&seat.policy))?), None),
             None => AgentCache::read(&seat.policy)?,
         };
+        unchanged(&format!("the policy '{}'", seat.policy), &seat.sha256, &agent.sha256)?;
         agent.calibration.clone_from(&self.agents[&seat.sha256].calibration);
         agent.config.robot.model.clone_from(&seat.robot);
         let agent = Arc::new(agent);
@@ -166,4 +167,28 @@ fn unchanged(what: &str, expected: &str, found: &str) -> Result<(), AgentCacheEr
     }
     let [expected, found] = [expected, found].map(|sha256| sha256.chars().take(12).collect());
     Err(AgentCacheError::Changed { what: what.to_owned(), expected, found })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_external_policy_that_has_changed_is_refused_on_another_robot_too() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("policy.yaml");
+        let text = std::fs::read_to_string(root.join("examples/policies/rsl_rl.yaml")).unwrap();
+        std::fs::write(&path, &text).unwrap();
+        std::fs::copy(root.join("tests/fixtures/onnx/rsl_rl.onnx"), folder.path().join("policy.onnx")).unwrap();
+        let mut cache = AgentCache::default();
+        let seat = cache.find(path.to_str().unwrap(), None).unwrap();
+        let robot_sha256 = Robot::load("go2").unwrap().sha256().to_owned();
+        let other = Seat { robot: "go2".to_owned(), robot_sha256, ..seat };
+        std::fs::write(&path, format!("{text}# changed\n")).unwrap();
+        let error = cache.take(&other).unwrap_err().to_string();
+        assert!(error.contains("policy.yaml' has changed: its SHA-256 is"), "{error}");
+        std::fs::write(&path, &text).unwrap();
+        assert_eq!(cache.take(&other).unwrap().config.robot.model, "go2");
+    }
 }

@@ -5,7 +5,6 @@ mod args;
 use std::path::Path;
 use std::process::ExitCode;
 use std::sync::mpsc::{SyncSender, sync_channel};
-use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use args::Args;
@@ -22,9 +21,6 @@ use supple_drive::{replay, viewer_stream};
 
 /// Length of the message queue: enough for the seconds in which a scene is built.
 const QUEUE: usize = 512;
-
-/// Time within which two signals count as one.
-const SAME_SIGNAL: Duration = Duration::from_millis(200);
 
 fn main() -> ExitCode {
     // Also in the process that reads robots: a page may name any file.
@@ -85,26 +81,16 @@ fn serve(
 }
 
 /// Handles signals: the first Ctrl-C (or SIGTERM, or SIGHUP) asks the robots to stop, the second one ends the program at
-/// once, for example while a disk does not answer. Programs that forward signals, such as timeout, send the same one twice:
-/// that counts once.
+/// once, for example while a disk does not answer.
 fn stop_on_signals(to_robots: SyncSender<Message>) -> anyhow::Result<()> {
-    let mut first: Option<Instant> = None;
-    let handler = move || match first {
-        None => {
-            first = Some(Instant::now());
-            let to_robots = to_robots.clone();
-            // On another thread, because it waits while the queue is full.
-            if start_thread("stopping", move || drop(to_robots.send(Message::Stop))).is_err() {
-                std::process::exit(130);
-            }
-        }
-        Some(first) if first.elapsed() < SAME_SIGNAL => {}
-        Some(_) => {
-            terminal::note("stopped at once");
+    let ask = move || {
+        let to_robots = to_robots.clone();
+        // On another thread, because it waits while the queue is full.
+        if start_thread("stopping", move || drop(to_robots.send(Message::Stop))).is_err() {
             std::process::exit(130);
         }
     };
-    ctrlc::set_handler(handler).context("cannot catch Ctrl-C")
+    terminal::on_signals(ask, "stopped at once").context("cannot catch Ctrl-C")
 }
 
 /// Returns the first set-up: policies, robots, scene and seed.
