@@ -118,7 +118,7 @@ const PLOTS: &[Plot] = &[
     }),
     Plot {
         range: Some([0.0, 4.2]),
-        ..plot("estimate_contacts", "Feet that touch", Tab::Estimate, Series::Belief, |frame| {
+        ..plot("estimate_contacts", "Feet that stand", Tab::Estimate, Series::Belief, |frame| {
             let truth = frame.sensed.map_or(f64::NAN, |sensed| count(sensed.true_contacts));
             believed(frame, truth, |sensed| count(sensed.contacts))
         })

@@ -30,6 +30,17 @@ pub struct FootState {
     pub contact: bool,
 }
 
+/// Speed below which a foot that touches something stands \[m/s\]. A foot that swings through balls touches them, too, but at a
+/// metre per second, and says nothing about the trunk's velocity.
+const STANDS_M_S: f64 = 0.3;
+
+impl FootState {
+    /// Returns true if the foot stands: it touches something, and hardly moves.
+    pub fn stands(&self) -> bool {
+        self.contact && Vector3::from(self.velocity).norm() < STANDS_M_S
+    }
+}
+
 /// The state of the robot at one instant.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct RobotState {

@@ -224,7 +224,7 @@ impl Senses {
         RobotState { position: state.position + self.origin, ..state }
     }
 
-    /// Returns the estimate as stored in a frame, with the true contacts.
+    /// Returns the estimate as stored in a frame, beside the feet that do stand.
     pub fn sensed(&self, truth: &RobotState) -> Sensed {
         let estimate = self.estimate();
         Sensed {
@@ -232,7 +232,7 @@ impl Senses {
             height_m: estimate.height_m,
             position: (estimate.position + self.origin).into(),
             contacts: self.touching,
-            true_contacts: truth.feet.map(|foot| foot.contact),
+            true_contacts: truth.feet.map(|foot| foot.stands()),
         }
     }
 

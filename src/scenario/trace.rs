@@ -79,9 +79,9 @@ pub struct Sensed {
     pub height_m: f64,
     /// Position of the trunk's origin, world frame; its horizontal part drifts \[m\].
     pub position: [f64; 3],
-    /// Estimated contact of each foot.
+    /// True for each foot that is taken to stand.
     pub contacts: [bool; 4],
-    /// True contact of each foot.
+    /// True for each foot that [does](crate::robot::FootState::stands).
     pub true_contacts: [bool; 4],
 }
 

@@ -152,10 +152,10 @@ impl Parts {
         let position = Vector3::new(q[0], q[1], q[2]);
         let base_from_world = world_from_base.inverse();
         let gravity = data.model().gravity();
-        let footholds = self.footholds(data, ground);
+        let (footholds, velocities) = (self.footholds(data, ground), self.foot_velocities(data));
         let feet = std::array::from_fn(|leg| {
             let Foothold { height, contact } = footholds[leg];
-            FootState { height, contact, velocity: self.soles[leg].velocity(data) }
+            FootState { height, contact, velocity: velocities[leg] }
         });
         RobotState {
             height: position.z - ground.height(position.x, position.y),
@@ -169,6 +169,11 @@ impl Parts {
             feet,
             felt_force: None,
         }
+    }
+
+    /// Returns the velocity of the centre of every foot, world frame [m/s].
+    pub fn foot_velocities(&self, data: &Data) -> [[f64; 3]; 4] {
+        self.soles.each_ref().map(|sole| sole.velocity(data))
     }
 
     /// Returns height and contact of every foot after the last [`Data::step1`].

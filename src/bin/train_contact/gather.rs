@@ -1,4 +1,4 @@
-//! Training data for the contact network: encoder readings and foot contacts while a policy walks on different ground and is pushed.
+//! Training data for the contact network: encoder readings, and which feet stand, while a policy walks on different ground and is pushed.
 
 use rand::RngExt;
 use supple::estimate::contact::History;
@@ -6,7 +6,7 @@ use supple::estimate::contact::learn::Samples;
 use supple::estimate::{EncoderReading, SensorNoise, Sensors};
 use supple::mujoco::Data;
 use supple::policy::Agent;
-use supple::robot::{Foothold, Joints};
+use supple::robot::{FootState, Foothold, Joints};
 use supple::scenario::catalog::Scenario;
 use supple::sim::{Parts, Scene, Sim, StepObserver};
 use supple::task::{Command, Curriculum, EpisodePlan};
@@ -76,6 +76,7 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
         offsets: plan.conditions.encoder_bias,
         target: controller.rest(),
         history: History::default(),
+        velocities: [[0.0; 3]; 4],
         samples: Samples::default(),
     };
     let mut felt_force = [0.0; 2];
@@ -98,13 +99,15 @@ pub fn episode(agent: &Agent, noise: SensorNoise, seed: u64, which: [u64; 2]) ->
     Ok(tap.samples)
 }
 
-/// An observer that reads encoders and contacts in every physics step.
+/// An observer that reads encoders, and which feet stand, in every physics step.
 struct Tap<R> {
     sensors: Sensors,
     rng: R,
     offsets: Joints,
     target: Joints,
     history: History,
+    /// Velocity of each foot, world frame [m/s].
+    velocities: [[f64; 3]; 4],
     samples: Samples,
 }
 
@@ -113,10 +116,15 @@ impl<R: rand::Rng> StepObserver for Tap<R> {
         let exact = EncoderReading::exact(&parts.joint_angles(data), parts.joint_rates(data), &self.offsets);
         let reading = self.sensors.encoders(&exact, data.model().timestep_s(), &mut self.rng);
         self.history.push(&reading, &self.target);
+        // Those of the step's beginning: a physics step is too short for a foot to matter.
+        self.velocities = parts.foot_velocities(data);
     }
 
     fn feet(&mut self, feet: &[Foothold; 4]) {
         self.samples.inputs.extend(self.history.inputs());
-        self.samples.labels.extend(feet.map(|foot| f32::from(u8::from(foot.contact))));
+        for (Foothold { height, contact }, velocity) in feet.iter().zip(self.velocities) {
+            let foot = FootState { height: *height, contact: *contact, velocity };
+            self.samples.labels.push(f32::from(u8::from(foot.stands())));
+        }
     }
 }

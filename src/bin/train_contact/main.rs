@@ -24,10 +24,10 @@ use supple::util::terminal;
 /// One in this number of episodes is held out.
 const HELD_OUT: u32 = 5;
 
-/// Train the network that says which feet touch the ground.
+/// Train the network that says which feet stand.
 ///
 /// Policies walk or stand at random commands, on slopes, among balls and over blocks and mats, with random friction, and are pushed;
-/// the network learns contacts from joint angles, rates and targets with sensor noise. Scores are of episodes that it was not trained on.
+/// the network learns from joint angles, rates and targets with sensor noise which feet touch something and hardly move. Scores are of episodes that it was not trained on.
 #[derive(Parser)]
 #[command(version = supple::util::provenance::version())]
 struct Args {

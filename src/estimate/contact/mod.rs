@@ -1,8 +1,8 @@
-/*! The contact network: which feet touch the ground, from joint states and joint targets alone (section IV-D). Start with
+/*! The contact network: which feet stand, from joint states and joint targets alone (section IV-D). Start with
 [`ContactEstimator`] (one robot), then [`ContactNetwork`]; [`learn`] trains it and [`score`] measures it.
 
-A small network reads encoders and joint targets of the last four ticks of 240 Hz, 144 numbers, and returns a logit of
-contact for each foot. It is trained once, by supervised learning on data of a trained policy ([`learn`],
+A small network reads encoders and joint targets of the last four ticks of 240 Hz, 144 numbers, and returns a logit for each foot:
+that it [stands](crate::robot::FootState::stands), which is what an estimator of the trunk's velocity builds on. It is trained once, by supervised learning on data of a trained policy ([`learn`],
 `train_contact`), and kept in one file ([`ContactNetwork::load`]). The paper gives neither size nor loss: two hidden
 layers, and cross-entropy on the logit of each foot.
 */
