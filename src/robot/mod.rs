@@ -149,7 +149,7 @@ static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::
 struct Known {
     /// Name and text of its files.
     key: [String; 2],
-    /// Its meshes and textures.
+    /// Paths of the meshes and textures of this robot.
     assets: Vec<PathBuf>,
     robot: Arc<Robot>,
 }

@@ -317,7 +317,7 @@ mod tests {
     }
 
     #[test]
-    fn brief_decay_is_of_every_standing_robot_also_with_a_commanded_compliance() {
+    fn standing_robots_have_a_decay_with_a_commanded_compliance_too() {
         let protocol = Protocol::full().unwrap();
         let (scenario, mut script) = script(&protocol.directions);
         script.command.compliance = Some(0.03);

@@ -265,7 +265,7 @@ impl<'a> Bridge<'a> {
             self.output.motors = motor::damping();
         }
         if self.phase == Phase::Policy {
-            // Whoever starts the policy again starts it at rest.
+            // When the policy begins again, the robot stands.
             self.command = Command { compliance: self.command.compliance, ..Command::default() };
         }
         if phase == Phase::Policy {
@@ -510,7 +510,7 @@ mod tests {
     }
 
     #[test]
-    fn states_that_repeat_themselves_are_a_silence_in_which_people_can_still_stop_the_robot() {
+    fn repeated_states_are_a_silence_and_people_can_still_stop_the_robot() {
         let agent = agent();
         let mut rig = Rig::to_policy(&agent);
         let repeat = |rig: &mut Rig, later_ms: u32, buttons: Remote| {

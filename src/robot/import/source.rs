@@ -77,7 +77,7 @@ impl Source {
         self.tree.name == "robot"
     }
 
-    /// Returns the whole text and the folder of its files, which together identify the source but for the content of its assets.
+    /// Returns the whole text and the folder of its files: two sources with the same text differ at most in the content of their assets.
     pub(in crate::robot) fn text(&self) -> String {
         let mut text = format!("{:?}", self.description);
         self.tree.write(&mut text);
