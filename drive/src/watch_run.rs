@@ -47,7 +47,7 @@ pub fn start(watched: Arc<Mutex<Vec<PathBuf>>>, to: SyncSender<Message>, is_shar
     thread::Builder::new().name("watching runs".to_owned()).spawn(look).map(drop)
 }
 
-/// Returns what pages are told about a policy that cannot be read.
+/// Returns the notice that pages show for a policy that cannot be read.
 fn told(error: &AgentCacheError, is_shared: bool) -> String {
     if !is_shared {
         return error.to_string();

@@ -17,6 +17,7 @@ mod state;
 
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+use std::time::SystemTime;
 
 use nalgebra::Vector3;
 
@@ -149,9 +150,18 @@ static SHIPPED_ROBOTS: LazyLock<Vec<Result<Arc<Robot>, FileError>>> = LazyLock::
 struct Known {
     /// Name and text of its files.
     key: [String; 2],
-    /// Paths of the meshes and textures of this robot.
-    assets: Vec<PathBuf>,
+    /// Meshes and textures of this robot, with their versions when it was imported.
+    assets: Vec<(Version, PathBuf)>,
     robot: Arc<Robot>,
+}
+
+/// Time of the last change of a file, and its length \[bytes\]; `None` if it cannot be asked for. A hash of its content would cost
+/// every trial, which loads its robot.
+type Version = Option<(SystemTime, u64)>;
+
+fn version(path: &Path) -> Version {
+    let metadata = path.metadata().ok()?;
+    Some((metadata.modified().ok()?, metadata.len()))
 }
 
 static IMPORTED_ROBOTS: Mutex<Vec<Known>> = Mutex::new(Vec::new());
@@ -179,13 +189,15 @@ impl Robot {
         if let Some(at) = known.iter().position(|known| known.key == key) {
             let Known { assets, robot, .. } = &known[at];
             // The text does not say what is in meshes and textures, which may have changed since.
-            if source.sha256(assets).map_err(fail)? == robot.sha256() {
+            if assets.iter().all(|(seen, path)| version(path) == *seen) {
                 return Ok(Arc::clone(robot));
             }
             known.swap_remove(at);
         }
         let mut imported = import::import(&source, path).map_err(fail)?;
         let assets = std::mem::take(&mut imported.assets);
+        let versioned = |path: PathBuf| (version(&path), path);
+        let assets = assets.into_iter().map(versioned).collect();
         let robot = Arc::new(Self::new(name, imported)?);
         known.push(Known { key, assets, robot: Arc::clone(&robot) });
         Ok(robot)

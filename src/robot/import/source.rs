@@ -85,7 +85,7 @@ impl Source {
     }
 
     /// Returns the SHA-256 of the whole text and the content of its assets, independent of their paths.
-    pub(in crate::robot) fn sha256(&self, assets: &[PathBuf]) -> Result<String, RobotError> {
+    pub(super) fn sha256(&self, assets: &[PathBuf]) -> Result<String, RobotError> {
         let mjcf = self.description.mjcf.file_name().unwrap_or_default().into();
         let mut text = format!("{:?}", Description { mjcf, ..self.description.clone() });
         self.tree.write(&mut text);
