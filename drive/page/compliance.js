@@ -1,9 +1,11 @@
 // Commanded compliance: a slider for each robot, over the range of its policy.
 
+import { fixed } from "./numbers.js";
+
 /** The compliance for a slider position: far left the policy's own (null), elsewhere the nearest within the range. */
 const meaning = (value, [low, high]) => (value < low / 2 ? null : Math.min(Math.max(value, low), high));
 
-const inWords = (compliance, own) => (compliance !== null ? compliance.toFixed(3) : `own, ${own.map((axis) => axis.toFixed(3)).join(" ")}`);
+const inWords = (compliance, own) => (compliance !== null ? compliance.toFixed(3) : `own, ${own.map(fixed(3)).join(" ")}`);
 
 /** Shows a slider for each robot; calls `tell(robot, compliance)` when one is released. */
 export function show(list, robots, tell) {

@@ -1,7 +1,7 @@
 // The table of measurements, with the robots side by side.
 
 const dash = "–";
-const fixed = (digits) => (value) => (value == null ? dash : value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
+export const fixed = (digits) => (value) => (value == null ? dash : value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1"));
 
 const OUTCOMES = { watching: "…", over: "", fell: " fell", disturbed: " cut short" };
 

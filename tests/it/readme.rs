@@ -9,7 +9,7 @@ const ROWS: [(&str, &str); 6] = [
     ("| a leash of 20 N changes the velocity by |", "| Pulled with 20 N,"),
     ("| a box in the way (friction 1) is moved by |", "move a box in their way less (friction 1) |"),
     (
-        "| pushes up to ±1.5 m/s that are survived in 80 % of the trials, of all such pushes |",
+        "| share of pushes (directions and sizes, to ±1.5 m/s) survived in at least 80 % of the trials |",
         "The 80 % contour of push recovery",
     ),
     ("| velocity error undisturbed, at 0.5 m/s |", "Walking undisturbed (forward 0.5)"),
