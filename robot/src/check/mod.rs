@@ -33,22 +33,21 @@ const BETTER: f64 = 0.6;
 /// Most mistakes that are looked for, one after the other.
 const MOST: usize = 3;
 
-/// Delays that are tried: multiples of 2 ms.
-const DELAYS: usize = 41;
-const DELAY_S: f64 = 0.002;
+/// Longest delay that is tried, in steps of a row \[s\].
+const LONGEST_DELAY_S: f64 = 0.08;
 
-/// A delay that differs by more than this from the policy's is a mismatch \[s\].
+/// A delay that differs by more than this, and by more than a row, from the policy's is a mismatch \[s\].
 const DELAY_TOLERANCE_S: f64 = 0.006;
 
-/// Rows that a replay takes, 8 s at 500 Hz, and those that each of the usual mistakes is tried on.
-const MOST_ROWS: usize = 4000;
-const SEARCH_ROWS: usize = 500;
+/// Time that a replay takes, and that each of the usual mistakes is tried on \[s\].
+const REPLAY_S: f64 = 8.0;
+const SEARCH_S: f64 = 1.0;
 
-/// Rows of a tenth of a second.
-const WINDOW_ROWS: usize = 50;
+/// Time over which differences are averaged \[s\].
+const WINDOW_S: f64 = 0.1;
 
-/// Fewest rows of the policy that say anything, two seconds.
-const FEWEST_ROWS: usize = 1000;
+/// Least time of the policy that says anything \[s\].
+const LEAST_S: f64 = 2.0;
 
 /// The reason why a log cannot be checked.
 #[derive(Debug, thiserror::Error)]
@@ -80,11 +79,11 @@ pub enum CheckError {
         /// The column that is missing.
         name: &'static str,
     },
-    /// There are too few rows.
-    #[error("the log has {found} rows of the phase 'policy', at least {FEWEST_ROWS} are needed")]
+    /// The policy acts for too short a time.
+    #[error("the log has {found_s:.1} s of the phase 'policy', at least {LEAST_S} s are needed")]
     Short {
-        /// Number of rows.
-        found: usize,
+        /// The time that it has \[s\].
+        found_s: f64,
     },
     /// The policy.
     #[error(transparent)]
@@ -133,8 +132,8 @@ fn no_limits() -> Limits {
     }
 }
 
-/// Returns the joint targets of the policy for each row of its phase, before latency \[rad\].
-fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Vec<(f64, Joints, Joints)>, BridgeError> {
+/// Returns, for each row of the policy's phase, the joint targets of the replayed policy, before latency, and the sent ones \[rad\].
+fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Vec<(Joints, Joints)>, BridgeError> {
     let mut bridge = Bridge::new(agent, no_limits(), Some(0.0))?;
     let mut replayed = Vec::with_capacity(rows.len());
     bridge.resume(Phase::Hold);
@@ -164,33 +163,53 @@ fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Ve
         };
         let targets = bridge.take(reading, row.time_s).targets;
         if phase == "policy" {
-            replayed.push((row.tick_s, targets, row.target));
+            replayed.push((targets, row.target));
         }
     }
     Ok(replayed)
 }
 
+/// The time between two rows of a log, the median \[s\].
+#[derive(Clone, Copy)]
+struct Period(f64);
+
+impl Period {
+    fn of(rows: &[(String, Row)]) -> Self {
+        let mut steps: Vec<f64> = rows.windows(2).map(|pair| pair[1].1.time_s - pair[0].1.time_s).collect();
+        steps.retain(|step| *step > 0.0);
+        steps.sort_by(f64::total_cmp);
+        Period(steps.get(steps.len() / 2).map_or(0.002, |step| step.clamp(1e-4, 0.1)))
+    }
+
+    /// Returns the number of rows of a time.
+    fn rows(self, time_s: f64) -> usize {
+        (time_s / self.0).round().max(1.0) as usize
+    }
+}
+
 /// Returns the difference between sent targets and replayed ones that are `delay` rows old \[rad\]: the root mean square of each
 /// tenth of a second, and of these the upper quartile. A mistake is always there; but which foot a standing robot lifts first is
 /// decided by the last digits, and a replay may lift another.
-fn difference(replayed: &[(f64, Joints, Joints)], delay: usize) -> f64 {
+fn difference(replayed: &[(Joints, Joints)], delay: usize, period: Period) -> f64 {
     // What is no number, or no target, is far off.
     let square = |a: f64, b: f64| if (a - b).abs() < 10.0 { (a - b).powi(2) } else { 100.0 };
     // The delay line is full of the stance at first.
-    let rows: Vec<f64> = (replayed.iter().zip(replayed.iter().skip(delay)).skip(DELAYS))
-        .map(|((_, wanted, _), (_, _, sent))| {
+    let settled = replayed.iter().zip(replayed.iter().skip(delay)).skip(period.rows(LONGEST_DELAY_S));
+    let rows: Vec<f64> = settled
+        .map(|((wanted, _), (_, sent))| {
             wanted.iter().zip(sent).map(|(a, b)| square(*a, *b)).sum::<f64>() / JOINTS as f64
         })
         .collect();
+    let window = period.rows(WINDOW_S);
     let mut windows: Vec<f64> =
-        rows.chunks_exact(WINDOW_ROWS).map(|rows| rows.iter().sum::<f64>() / WINDOW_ROWS as f64).collect();
+        rows.chunks_exact(window).map(|rows| rows.iter().sum::<f64>() / window as f64).collect();
     windows.sort_by(f64::total_cmp);
     windows.get(3 * windows.len() / 4).map_or(f64::INFINITY, |square| square.sqrt())
 }
 
 /// Returns the best delay in rows and the difference that it leaves \[rad\].
-fn best_delay(replayed: &[(f64, Joints, Joints)]) -> (usize, f64) {
-    let each = (0..DELAYS).map(|delay| (delay, difference(replayed, delay)));
+fn best_delay(replayed: &[(Joints, Joints)], period: Period) -> (usize, f64) {
+    let each = (0..=period.rows(LONGEST_DELAY_S)).map(|delay| (delay, difference(replayed, delay, period)));
     each.min_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, f64::INFINITY))
 }
 
@@ -200,30 +219,31 @@ fn best_delay(replayed: &[(f64, Joints, Joints)]) -> (usize, f64) {
 /// # Errors
 /// The log is too short, or the policy is not one of a Go2.
 pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Verdict, CheckError> {
-    let rows = log.of_policy(FEWEST_ROWS, MOST_ROWS);
+    let period = Period::of(&log.0);
+    let rows = log.of_policy(period.rows(LEAST_S), period.rows(REPLAY_S));
     let count = rows.iter().filter(|(phase, _)| phase == "policy").count();
-    if count < FEWEST_ROWS {
-        return Err(CheckError::Short { found: count });
+    if count < period.rows(LEAST_S) {
+        return Err(CheckError::Short { found_s: count as f64 * period.0 });
     }
     let mut findings = physical(rows, agent);
     let all = mistakes();
     let mut undo: Vec<&Mistake> = Vec::new();
     let first = replay(agent, rows, &undo)?;
-    let (mut delay, mut at_last_rad) = best_delay(&first);
+    let (mut delay, mut at_last_rad) = best_delay(&first, period);
     let at_first_rad = at_last_rad;
     while at_last_rad > FITS_RAD && undo.len() < MOST {
-        let few = &rows[..rows.len().min(SEARCH_ROWS)];
+        let few = &rows[..rows.len().min(period.rows(SEARCH_S))];
         let mut best: Option<(&Mistake, f64)> = None;
         for candidate in &all {
             let tried: Vec<&Mistake> = undo.iter().copied().chain([candidate]).collect();
-            let (_, left_rad) = best_delay(&replay(agent, few, &tried)?);
+            let (_, left_rad) = best_delay(&replay(agent, few, &tried)?, period);
             if best.is_none_or(|(_, least_rad)| left_rad < least_rad) {
                 best = Some((candidate, left_rad));
             }
         }
         let Some((found, _)) = best else { break };
         undo.push(found);
-        let (found_delay, left_rad) = best_delay(&replay(agent, rows, &undo)?);
+        let (found_delay, left_rad) = best_delay(&replay(agent, rows, &undo)?, period);
         if left_rad > BETTER * at_last_rad {
             break;
         }
@@ -232,8 +252,8 @@ pub fn check(log: &LogRows, agent: &Agent, latency_s: Option<f64>) -> Result<Ver
     }
     if at_last_rad <= FITS_RAD {
         let wanted_s = latency_s.unwrap_or(agent.config.simulation.latency_s);
-        let found_s = DELAY_S * delay as f64;
-        if (found_s - wanted_s).abs() > DELAY_TOLERANCE_S {
+        let found_s = period.0 * delay as f64;
+        if (found_s - wanted_s).abs() > DELAY_TOLERANCE_S.max(period.0) {
             let text = format!(
                 "joint targets are sent {:.0} ms after the reading that they answer, {:.0} ms is what the policy was trained with",
                 1e3 * found_s,
@@ -435,6 +455,21 @@ mod tests {
         }
         let verdict = check(&log, &AGENT, None).unwrap();
         assert!(verdict.findings.iter().any(|finding| finding.text.contains("50 ms")), "{verdict:?}");
+    }
+
+    #[test]
+    fn delay_is_told_apart_from_the_rate_of_the_log() {
+        let mut log = LOG.clone();
+        let mut index = 0;
+        // 250 rows a second.
+        log.0.retain(|_| {
+            index += 1;
+            index % 2 == 0
+        });
+        let verdict = check(&log, &AGENT, None).unwrap();
+        assert!(verdict.fits(), "{verdict:?}");
+        log.0.truncate(log.0.len() / 2);
+        assert!(matches!(check(&log, &AGENT, None), Err(CheckError::Short { .. })));
     }
 
     #[test]
