@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use supple::policy::shipped;
 use supple::scenario::Playback;
 use supple::scenario::catalog::Scenario;
+use supple::scenario::trace::Trace;
 use supple::sim::Pull;
 use supple_record::{BLUE, ORANGE, RobotView, Video};
 
@@ -15,19 +16,19 @@ const SIZE: [usize; 2] = [640, 360];
 
 fn main() -> anyhow::Result<()> {
     let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "docs/images".into()));
-    let push = Scenario::named("push", "{at_s: 1.0, duration_s: 3.5}")?;
-    film(folder.join("push.webp"), "pushed sideways", (&push, 0), ["compliant", "baseline"], None)?;
+    let push = Scenario::named("push", "{at_s: 1.0, duration_s: 3.6}")?;
+    film(folder.join("push.webp"), "pushed sideways", (&push, 0, 0.5), ["compliant", "baseline"], None)?;
     let rubble = Scenario::named("rubble", "{duration_s: 4.5}")?;
     let hand = Pull { from_s: 1.2, until_s: 3.5, force: [0.0, 20.0] };
     // In the layout of seed 0 both fall when they are pulled as hard.
-    film(folder.join("hand.webp"), "pulled among rubble", (&rubble, 4), ["baseline@0.03", "baseline"], Some(hand))
+    film(folder.join("hand.webp"), "pulled among rubble", (&rubble, 4, 0.0), ["baseline@0.03", "baseline"], Some(hand))
 }
 
-/// Plays a scenario, with its seed, with two policies, pulled by a hand or not, and writes the video.
+/// Plays a scenario, with its seed, with two policies, pulled by a hand or not, and writes the video from a time \[s\] on.
 fn film(
     path: PathBuf,
     title: &str,
-    (scenario, seed): (&Scenario, u64),
+    (scenario, seed, begin_s): (&Scenario, u64, f64),
     policies: [&str; 2],
     hand: Option<Pull>,
 ) -> anyhow::Result<()> {
@@ -39,7 +40,7 @@ fn film(
         script.command.compliance = agent.resolve_compliance(None, script.command.compliance)?;
         script.pull = script.pull.or(hand);
         let playback = Playback::new(&script, &agent.config, agent.controller())?.with_felt_forces()?.with_bodies();
-        traces.push(playback.trace());
+        traces.push(from(begin_s, playback.trace()));
         models.push(script.scene.compile_visual()?);
         scripts.push(script);
     }
@@ -53,4 +54,13 @@ fn film(
     video.write(title, &[(view(0, BLUE), &traces[0]), (view(1, ORANGE), &traces[1])], |_, _| {})?;
     println!("{}: {} kB", path.display(), std::fs::metadata(&path)?.len() / 1000);
     Ok(())
+}
+
+/// Returns a trace from a time on, which becomes its zero.
+fn from(begin_s: f64, mut trace: Trace) -> Trace {
+    trace.frames.retain(|frame| frame.time_s > begin_s);
+    trace.events.retain(|event| event.time_s > begin_s);
+    trace.frames.iter_mut().for_each(|frame| frame.time_s -= begin_s);
+    trace.events.iter_mut().for_each(|event| event.time_s -= begin_s);
+    trace
 }
