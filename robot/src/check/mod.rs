@@ -169,13 +169,15 @@ fn replay(agent: &Agent, rows: &[(String, Row)], undo: &[&Mistake]) -> Result<Ve
     Ok(replayed)
 }
 
-/// The time between two rows of a log, the median \[s\].
+/// The time between two rows of the policy's phase, the median \[s\]. Other phases may have other rates, as commands are repeated there.
 #[derive(Clone, Copy)]
 struct Period(f64);
 
 impl Period {
     fn of(rows: &[(String, Row)]) -> Self {
-        let mut steps: Vec<f64> = rows.windows(2).map(|pair| pair[1].1.time_s - pair[0].1.time_s).collect();
+        let acts = |pair: &&[(String, Row)]| pair.iter().all(|(phase, _)| phase == "policy");
+        let mut steps: Vec<f64> =
+            rows.windows(2).filter(acts).map(|pair| pair[1].1.time_s - pair[0].1.time_s).collect();
         steps.retain(|step| *step > 0.0);
         steps.sort_by(f64::total_cmp);
         Period(steps.get(steps.len() / 2).map_or(0.002, |step| step.clamp(1e-4, 0.1)))
@@ -461,14 +463,14 @@ mod tests {
     fn delay_is_told_apart_from_the_rate_of_the_log() {
         let mut log = LOG.clone();
         let mut index = 0;
-        // 250 rows a second.
-        log.0.retain(|_| {
+        // 250 rows a second while the policy acts, more before it.
+        log.0.retain(|(phase, _)| {
             index += 1;
-            index % 2 == 0
+            phase != "policy" || index % 2 == 0
         });
         let verdict = check(&log, &AGENT, None).unwrap();
         assert!(verdict.fits(), "{verdict:?}");
-        log.0.truncate(log.0.len() / 2);
+        log.0.truncate(log.0.len() - log.0.iter().filter(|(phase, _)| phase == "policy").count() / 2);
         assert!(matches!(check(&log, &AGENT, None), Err(CheckError::Short { .. })));
     }
 
