@@ -23,9 +23,12 @@ use crate::observation::Command;
 /// Shortest time constant of `u`, which keeps the gait out of it \[s\].
 const SHORTEST_S: f64 = 0.05;
 
-/// Largest change of the commanded velocity [m/s]. Under stronger pulls the policy's own compliance acts, so that they do not
-/// bring the robot down.
-pub const LARGEST_CHANGE_M_S: f64 = 0.5;
+/// Velocity [m/s] up to which a pull moves a robot as commanded, the policy's own part included: that of a person who walks along.
+pub const LARGEST_VELOCITY_M_S: f64 = 1.0;
+
+/// Change of the commanded velocity [m/s] that is left where the policy's own part takes more than the rest of
+/// [`LARGEST_VELOCITY_M_S`]. Under such pulls the policy's own compliance acts, so that they do not bring the robot down.
+pub const LEAST_LIMIT_M_S: f64 = 0.5;
 
 /// The virtual mass of one robot with one policy.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -54,7 +57,9 @@ impl VirtualMass {
             let goal = gain * force[axis] / self.tracking[axis];
             change[axis] += (1.0 - (-self.period_s / time_constant_s).exp()) * (goal - change[axis]);
         }
-        *change = Vector2::from(*change).cap_magnitude(LARGEST_CHANGE_M_S).into();
+        let own_part_m_s = Vector2::from_fn(|axis, _| self.own_m_s_per_n[axis] * force[axis]).norm();
+        *change =
+            Vector2::from(*change).cap_magnitude((LARGEST_VELOCITY_M_S - own_part_m_s).max(LEAST_LIMIT_M_S)).into();
         let target = [command.forward, command.left];
         let [forward, left]: [f64; 2] = std::array::from_fn(|axis| {
             let limit = self.limits_m_s[axis].max(target[axis].abs());
@@ -110,10 +115,19 @@ mod tests {
 
     #[test]
     fn strong_pull_changes_command_by_its_limit() {
-        let (mass, mut change) = (mass([1.0, 0.6]), [0.0; 2]);
         let walk = Command::velocity(0.8, 0.0, 0.2);
-        let commanded = (0..600).map(|_| mass.command([500.0, 0.0], &walk, 0.05, &mut change)).last().unwrap();
-        assert_eq!((commanded.forward, commanded.left, commanded.yaw), (1.0, 0.0, 0.2));
-        assert!((change[0] - LARGEST_CHANGE_M_S).abs() < 1e-12);
+        // 0.01 m/s/N of its own: 40 N leave 1 - 0.4 m/s, 500 N the least.
+        for (force, limit) in [(40.0, 0.6), (500.0, 0.5)] {
+            let (mass, mut change) = (mass([1.0, 0.6]), [0.0; 2]);
+            let commanded = (0..600).map(|_| mass.command([force, 0.0], &walk, 0.05, &mut change)).last().unwrap();
+            assert_eq!((commanded.forward, commanded.left, commanded.yaw), (1.0, 0.0, 0.2));
+            assert!((change[0] - limit).abs() < 1e-12, "{force} N: {}", change[0]);
+        }
+    }
+
+    #[test]
+    fn policy_that_does_not_yield_by_itself_goes_along_with_a_person() {
+        let ([forward, left], _) = led([-0.001, 0.0], 0.05, [12.0, 0.0], 10.0);
+        assert!((forward - 0.6).abs() < 1e-3 && left.abs() < 1e-9, "{forward} {left}");
     }
 }
