@@ -158,6 +158,9 @@ mod tests {
             panic!("another scenario")
         };
         assert_eq!((pit.balls, pit.task.forward_m_s), (14 * 14, 0.4));
+        let battery = include_str!("../../configs/evaluation/battery.yaml");
+        let battery = Protocol::parse(&[Text::new("full", FULL), Text::new("battery", battery)]).unwrap();
+        assert!(trials(&battery) * 3 < trials(&Protocol::full().unwrap()));
     }
 
     #[test]

@@ -605,7 +605,7 @@ fn invalid_arguments_exit_with_code_2() {
     standing_policy().save(&folder.join("twice/a-seed1.safetensors")).unwrap();
     standing_policy().save(&folder.join("twice/b-seed1.safetensors")).unwrap();
     std::fs::write(folder.join("odd.yaml"), "box: {trials: 0}\n").unwrap();
-    let cases: [(&[&str], &str); 9] = [
+    let cases: [(&[&str], &str); 10] = [
         (&["--policies", "nowhere"], "cannot read the policies in nowhere"),
         (&["--policies", "empty"], "empty has no policy compliant-seedN.safetensors"),
         (&["--policies", "lone"], "lone has no policy baseline-seedN.safetensors"),
@@ -613,7 +613,8 @@ fn invalid_arguments_exit_with_code_2() {
             &["--policies", "nan"],
             "nan/compliant-seed0.safetensors: its tensor policy.0.weight holds numbers that are not finite",
         ),
-        (&["--a", "twice", "--b", "lone"], "are both seed 1 of compliant"),
+        (&["--a", "twice", "--b", "lone"], "are both seed 1 of twice"),
+        (&["--a", "lone/x", "--b", "twice/x"], "expected two different names: give --names A,B"),
         (&["--a", "empty", "--b", "lone"], "empty has no policy *.safetensors"),
         (&["--names", "one"], "--names gives 1 names, expected two: A,B"),
         (&["--protocol", "odd.yaml"], "protocol key box.trials is 0, expected 1 to 10000"),

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Parser, ValueEnum};
+use supple::policy::compliance::policy_label;
 use supple::robot::JointLosses;
 use supple::scenario::Sensing;
 use supple::util::terminal::shell_word;
@@ -30,8 +31,8 @@ pub struct Args {
     /// Second set, in the form of --a
     #[arg(long, value_name = "PATH[@C]", requires = "a")]
     pub b: Option<PathBuf>,
-    /// Names of the two sets; the paper's claims are about the first
-    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1, default_value = "compliant,baseline")]
+    /// Names of the two sets; the paper's claims are about the first [default: compliant,baseline, or the file names of --a and --b]
+    #[arg(long, value_name = "A,B", value_delimiter = ',', num_args = 1)]
     pub names: Vec<String>,
     /// Examine one policy beside the shipped references instead: eight disciplines, some minutes, one page (exam.html, exam.png)
     #[arg(long, value_name = "PATH", conflicts_with_all = [
@@ -79,6 +80,15 @@ impl Args {
         self.policies.clone().or_else(|| Some(PathBuf::from(POLICIES)).filter(|folder| folder.is_dir()))
     }
 
+    /// Returns the names of the two sets, as they were given or by default.
+    pub fn names(&self) -> Vec<String> {
+        match (&self.a, &self.b) {
+            _ if !self.names.is_empty() => self.names.clone(),
+            (Some(a), Some(b)) => [a, b].map(|path| policy_label(&path.display().to_string())).into(),
+            _ => ["compliant", "baseline"].map(ToOwned::to_owned).into(),
+        }
+    }
+
     /// Returns the arguments that affect the report, except the experiments, each quoted for a shell.
     pub fn options(&self) -> Vec<String> {
         let path = |path: &PathBuf| shell_word(path);
@@ -86,7 +96,7 @@ impl Args {
             (Some(a), Some(b)) => vec![("--a", path(a)), ("--b", path(b))],
             _ => self.folder().iter().map(|folder| ("--policies", path(folder))).collect(),
         };
-        let names = (self.names != ["compliant", "baseline"]).then(|| ("--names", shell_word(self.names.join(","))));
+        let names = (!self.names.is_empty()).then(|| ("--names", shell_word(self.names.join(","))));
         let named = |flag| {
             move |(name, path): &(String, PathBuf)| {
                 (flag, shell_word([OsStr::new(name), path.as_os_str()].join(OsStr::new("="))))
@@ -132,6 +142,15 @@ fn experiments() -> impl TypedValueParser<Value = String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sets_are_named_after_their_files_unless_names_are_given() {
+        let names = |arguments: &[&str]| Args::parse_from([&["evaluate"], arguments].concat()).names();
+        assert_eq!(names(&[]), ["compliant", "baseline"]);
+        let pair = ["--a", "policies/real@0.01", "--b", "runs/mine-seed2"];
+        assert_eq!(names(&pair), ["real@0.01", "mine-seed2"]);
+        assert_eq!(names(&[&pair[..], &["--names", "soft,mine"]].concat()), ["soft", "mine"]);
+    }
 
     #[test]
     fn options_are_those_that_affect_the_report() {

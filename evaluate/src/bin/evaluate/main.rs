@@ -163,14 +163,13 @@ fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
 }
 
 fn policies(args: &Args) -> anyhow::Result<PolicySets> {
-    let [first, second] = &args.names[..] else {
-        anyhow::bail!("--names gives {} names, expected two: A,B", args.names.len())
-    };
+    let names = args.names();
+    let [first, second] = &names[..] else { anyhow::bail!("--names gives {} names, expected two: A,B", names.len()) };
     let are_names = first != second && !first.is_empty() && !second.is_empty();
-    anyhow::ensure!(are_names, "--names gives {:?}, expected two different names: A,B", args.names);
+    anyhow::ensure!(are_names, "the sets are named {names:?}, expected two different names: give --names A,B");
     let further = args.also.iter().map(|(name, _)| ("--also", name));
     let beside = args.beside.iter().map(|(name, _)| ("--beside", name));
-    for (flag, name) in args.names.iter().map(|name| ("--names", name)).chain(further).chain(beside) {
+    for (flag, name) in names.iter().map(|name| ("--names", name)).chain(further).chain(beside) {
         anyhow::ensure!(
             name.chars().count() <= MOST_NAME && !name.contains(char::is_control),
             "{flag}: the name {name:?} has {} characters, expected at most {MOST_NAME}, and no line end or other control \
@@ -179,7 +178,7 @@ fn policies(args: &Args) -> anyhow::Result<PolicySets> {
         );
     }
     for (index, (name, _)) in args.also.iter().enumerate() {
-        let is_taken = args.names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
+        let is_taken = names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
         anyhow::ensure!(!is_taken, "--also {name}: another set has this name; choose a new one");
     }
     Ok(match (&args.a, &args.b) {
@@ -188,8 +187,8 @@ fn policies(args: &Args) -> anyhow::Result<PolicySets> {
             PolicySets::from_paths(&[&pair[..], &args.also].concat())?
         }
         _ => match args.folder() {
-            Some(folder) => PolicySets::from_folder(&folder, &args.names, &args.also)?,
-            None => PolicySets::from_shipped(&args.names, &args.also)?,
+            Some(folder) => PolicySets::from_folder(&folder, &names, &args.also)?,
+            None => PolicySets::from_shipped(&names, &args.also)?,
         },
     })
 }
