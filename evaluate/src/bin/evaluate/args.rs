@@ -1,7 +1,7 @@
 //! The command line.
 
 use std::ffi::OsStr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use clap::{Parser, ValueEnum};
@@ -71,6 +71,9 @@ pub struct Args {
     pub results: Option<PathBuf>,
 }
 
+/// The largest number of characters of a set's name.
+pub const MOST_NAME: usize = 40;
+
 /// The default folder of policies.
 const POLICIES: &str = "policies";
 
@@ -84,7 +87,7 @@ impl Args {
     pub fn names(&self) -> Vec<String> {
         match (&self.a, &self.b) {
             _ if !self.names.is_empty() => self.names.clone(),
-            (Some(a), Some(b)) => [a, b].map(|path| policy_label(&path.display().to_string())).into(),
+            (Some(a), Some(b)) => [a, b].map(|path| label(path)).into(),
             _ => ["compliant", "baseline"].map(ToOwned::to_owned).into(),
         }
     }
@@ -118,6 +121,11 @@ impl Args {
         let words = pairs.flat_map(|(key, value)| [key.to_owned(), value]);
         quick.into_iter().chain(words).collect()
     }
+}
+
+/// Returns the name of a policy or a set in figures: that of its file, with its compliance, as far as it can be printed.
+pub fn label(path: &Path) -> String {
+    policy_label(&path.display().to_string()).chars().filter(|c| !c.is_control()).take(MOST_NAME).collect()
 }
 
 /// Parses `NAME=PATH`.

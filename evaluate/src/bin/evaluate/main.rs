@@ -7,10 +7,9 @@ use std::path::Path;
 use std::process::ExitCode;
 
 use anyhow::Context;
-use args::Args;
+use args::{Args, MOST_NAME, label};
 use clap::Parser;
 use progress::Progress;
-use supple::policy::compliance::policy_label;
 use supple::scenario::Sensing;
 use supple::util::files::Target;
 use supple::util::terminal::{self, shell_word};
@@ -21,9 +20,6 @@ use supple_evaluate::protocol::Protocol;
 use supple_evaluate::report::other_reports::OtherReport;
 use supple_evaluate::report::{CommandLine, Report, Section};
 use supple_evaluate::runner::{self, Measurement, Settings};
-
-/// The largest number of characters of a set's name.
-const MOST_NAME: usize = 40;
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
@@ -119,9 +115,7 @@ fn prepare(args: &Args) -> anyhow::Result<()> {
 
 /// Examines one policy beside the shipped references.
 fn examine(policy: &Path, args: &Args) -> anyhow::Result<()> {
-    let name = policy_label(&policy.display().to_string());
-    let name: String = name.chars().filter(|c| !c.is_control()).take(MOST_NAME).collect();
-    let exam = Exam::new(&name, policy, Protocol::exam(args.protocol.as_deref())?)?;
+    let exam = Exam::new(&label(policy), policy, Protocol::exam(args.protocol.as_deref())?)?;
     exam.notes.iter().for_each(|note| terminal::note(format_args!("note: {note}")));
     prepare(args)?;
     let store = MeasurementStore::new(&args.out);
