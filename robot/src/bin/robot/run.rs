@@ -4,6 +4,7 @@ use std::io::{BufRead, IsTerminal, Read};
 use std::net::{Ipv4Addr, UdpSocket};
 use std::path::PathBuf;
 use std::sync::mpsc::{Sender, channel};
+use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use clap::Args;
@@ -41,7 +42,7 @@ pub struct Run {
     /// Send nothing, and show what would be sent
     #[arg(long)]
     dry_run: bool,
-    /// Take orders as JSON lines from UDP on this port of this machine
+    /// Take orders as JSON lines from UDP on this port of this machine; the velocity becomes 0 half a second after the last
     #[arg(long, value_name = "PORT")]
     udp: Option<u16>,
     /// Log of states and commands; its older half is FILE.old
@@ -73,7 +74,9 @@ pub fn run(args: &Run) -> anyhow::Result<()> {
     let stop = stop_flag()?;
     let (sender, orders) = channel();
     if let Some(port) = args.udp {
-        listen(port, sender.clone())?;
+        let socket =
+            UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).with_context(|| format!("cannot open UDP port {port}"))?;
+        listen(socket, sender.clone())?;
     }
     let raw = Raw::new();
     match &raw {
@@ -133,14 +136,21 @@ fn orders_of_stdin(input: impl BufRead, sender: &Sender<Order>) {
     }
 }
 
-/// Reads datagrams of JSON lines.
-fn listen(port: u16, sender: Sender<Order>) -> anyhow::Result<()> {
-    let socket =
-        UdpSocket::bind((Ipv4Addr::LOCALHOST, port)).with_context(|| format!("cannot open UDP port {port}"))?;
+/// Reads datagrams of JSON lines, and stops the robot where no order follows an order in time.
+fn listen(socket: UdpSocket, sender: Sender<Order>) -> anyhow::Result<()> {
+    socket.set_read_timeout(Some(UDP_SILENCE / 5))?;
     std::thread::spawn(move || {
-        let mut buffer = [0; 4096];
-        while let Ok(length) = socket.recv(&mut buffer) {
-            let _ = lines(&buffer[..length], &sender);
+        let (mut buffer, mut last_order): ([u8; 4096], Option<Instant>) = ([0; 4096], None);
+        loop {
+            match socket.recv(&mut buffer) {
+                Ok(length) if lines(&buffer[..length], &sender) => last_order = Some(Instant::now()),
+                _ if last_order.is_some_and(|at| at.elapsed() > UDP_SILENCE) => {
+                    last_order = None;
+                    terminal::note(format_args!("no order from UDP for {} s: velocity 0", UDP_SILENCE.as_secs_f64()));
+                    let _ = sender.send(Order::Command(Command::default()));
+                }
+                _ => (),
+            }
         }
     });
     Ok(())
@@ -153,6 +163,9 @@ fn keys(sender: &Sender<Order>) {
         }
     }
 }
+
+/// Time after an order from UDP until the robot stops, if no other comes.
+const UDP_SILENCE: Duration = Duration::from_millis(500);
 
 /// Code of a key that a terminal does not have (`_POSIX_VDISABLE` of Linux).
 const DISABLED: u8 = 0;
@@ -200,5 +213,22 @@ mod tests {
         // Nothing was ordered, so nothing ends.
         orders_of_stdin(&b""[..], &sender);
         assert!(orders.try_recv().is_err());
+    }
+
+    #[test]
+    fn a_program_that_falls_silent_stops_the_robot() {
+        let (sender, orders) = channel();
+        let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        let leader = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).unwrap();
+        leader.connect(socket.local_addr().unwrap()).unwrap();
+        listen(socket, sender).unwrap();
+        leader.send(b"{\"forward\": 0.5, \"left\": 0, \"yaw\": 0}").unwrap();
+        let next = || orders.recv_timeout(Duration::from_secs(60)).unwrap();
+        assert_eq!(next(), Order::Command(Command::velocity(0.5, 0.0, 0.0)));
+        // What is no order does not lead the robot.
+        leader.send(b"forward").unwrap();
+        assert_eq!(next(), Order::Command(Command::default()));
+        leader.send(b"{\"do\": \"damp\"}").unwrap();
+        assert_eq!(next(), Order::Wish(Wish::Damp));
     }
 }
