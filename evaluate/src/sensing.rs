@@ -1,6 +1,6 @@
 /*! E12: every experiment with the robot acting on its sensors, each number beside the one with the true state.
 
-For each set of policies, an experiment's tables are made again with the trials on estimates as the first set and the trials on
+For each of the two sets that are compared, an experiment's tables are made again with the trials on estimates as the first set and the trials on
 the true state as the second. Trials are paired as everywhere: trial *k* of a seed differs only in what the policy sees. A
 further table has the errors of the estimates.
 */
@@ -33,7 +33,7 @@ const ERRORS: [EstimateError; 4] = [
 /// The effect of acting on sensors, over all experiments that were run with estimated sensing.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SensingComparison {
-    /// The names of the sets of policies.
+    /// The names of the two sets of policies that are compared.
     set_names: Vec<String>,
     /// The table of the claims' quantities and of falls; the estimated set comes first.
     pub main: Table,
@@ -52,8 +52,9 @@ pub struct SensingComparison {
 }
 
 impl SensingComparison {
-    /// Creates a comparison without experiments.
+    /// Creates a comparison without experiments, of the first two sets.
     pub fn new(policies: &PolicySets) -> Self {
+        let compared = || policies.sets.iter().take(2);
         let table = |name: &str, caption: &str, in_page| Table {
             name: name.to_owned(),
             caption: caption.to_owned(),
@@ -61,14 +62,13 @@ impl SensingComparison {
             in_page,
         };
         let labelled = || {
-            policies
-                .members()
-                .map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()))
+            let members = compared().flat_map(|set| set.members.iter().map(move |member| (set, member)));
+            members.map(|(set, member)| (format!("{}-seed{}", set.name, member.seed), member.agent.sha256.as_str()))
         };
         // Without a network no trial on estimates can have been played.
         let network = ContactNetwork::shipped().ok();
         SensingComparison {
-            set_names: policies.names(),
+            set_names: compared().map(|set| set.name.clone()).collect(),
             main: table(
                 "sensing",
                 "The effect of acting on sensors: falls, and the quantities of the paper's claims.",
@@ -88,7 +88,7 @@ impl SensingComparison {
         }
     }
 
-    /// Adds an experiment that was run on the true state and on estimates.
+    /// Adds an experiment that was run on the true state and on estimates; both begin with the two sets that are compared.
     pub fn add(&mut self, experiment: &dyn Experiment, truth: &Measurement, estimated: &Measurement) {
         let info = experiment.info();
         self.experiments.push(info.name);

@@ -3,7 +3,7 @@
 mod args;
 mod progress;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -39,10 +39,9 @@ fn run(args: &Args) -> anyhow::Result<()> {
         return examine(policy, args);
     }
     let (name, protocol) = protocol(args)?;
-    let mut policies = policies(args)?;
-    if let Some(joints) = args.joints {
-        policies.set_losses(joints.into());
-    }
+    let policies = policies(args, &args.also)?;
+    // E12 is about the two sets that are compared.
+    let compared = self::policies(args, &[])?;
     let other_reports =
         args.beside.iter().map(|(name, folder)| OtherReport::read(name, folder)).collect::<Result<Vec<_>, _>>()?;
     let command = CommandLine { experiments: args.experiments.clone(), options: args.options() };
@@ -56,16 +55,18 @@ fn run(args: &Args) -> anyhow::Result<()> {
     // E12 compares estimates with the true state, so both are run.
     let on_sensors = (args.sensing == Sensing::Estimated).then_some(&on_sensors);
     let experiments = protocol.experiments().into_iter().filter(|experiment| wanted(experiment.info().name));
-    let ways = |experiment| [Some(&settings), on_sensors].into_iter().flatten().map(move |way| (experiment, way));
-    let runs: Vec<_> = experiments.flat_map(ways).collect();
+    let ways = [Some((&policies, &settings)), on_sensors.map(|settings| (&compared, settings))];
+    let ways_of =
+        |experiment| ways.into_iter().flatten().map(move |(policies, settings)| (experiment, policies, settings));
+    let runs: Vec<_> = experiments.flat_map(ways_of).collect();
 
     let mut progress = Progress::default();
-    for (experiment, settings) in &runs {
-        progress.expect(runner::remaining_work(*experiment, &policies, settings)?);
+    for (experiment, policies, settings) in &runs {
+        progress.expect(runner::remaining_work(*experiment, policies, settings)?);
     }
-    for (experiment, settings) in &runs {
+    for (experiment, policies, settings) in &runs {
         progress.begin(&experiment.info());
-        runner::measure(*experiment, &policies, settings, &|update| progress.update(update))?;
+        runner::measure(*experiment, policies, settings, &|update| progress.update(update))?;
         progress.end(&experiment.info(), settings.sensing);
     }
     progress.finish();
@@ -74,8 +75,8 @@ fn run(args: &Args) -> anyhow::Result<()> {
     // The report includes what other processes have measured meanwhile; the last process reports everything.
     let _lock = settings.store.lock_report(progress::waits)?;
     for experiment in protocol.experiments() {
-        let finished = |sensing| runner::finished(experiment, &policies, &settings.store, sensing);
-        let (truth, estimated) = (finished(Sensing::True)?, finished(Sensing::Estimated)?);
+        let finished = |policies, sensing| runner::finished(experiment, policies, &settings.store, sensing);
+        let (truth, estimated) = (finished(&policies, Sensing::True)?, finished(&compared, Sensing::Estimated)?);
         for (measured, on) in [(&truth, ""), (&estimated, " on sensors")] {
             let Some(Measurement { results, .. }) = measured else { continue };
             let name = experiment.info().name;
@@ -156,7 +157,8 @@ fn protocol(args: &Args) -> anyhow::Result<(String, Protocol)> {
     })
 }
 
-fn policies(args: &Args) -> anyhow::Result<PolicySets> {
+/// Reads the two sets that are compared, and further ones.
+fn policies(args: &Args, also: &[(String, PathBuf)]) -> anyhow::Result<PolicySets> {
     let names = args.names();
     let [first, second] = &names[..] else { anyhow::bail!("--names gives {} names, expected two: A,B", names.len()) };
     let are_names = first != second && !first.is_empty() && !second.is_empty();
@@ -175,14 +177,18 @@ fn policies(args: &Args) -> anyhow::Result<PolicySets> {
         let is_taken = names.contains(name) || args.also[..index].iter().any(|(other, _)| other == name);
         anyhow::ensure!(!is_taken, "--also {name}: another set has this name; choose a new one");
     }
-    Ok(match (&args.a, &args.b) {
+    let mut policies = match (&args.a, &args.b) {
         (Some(a), Some(b)) => {
             let pair = [(first.clone(), a.clone()), (second.clone(), b.clone())];
-            PolicySets::from_paths(&[&pair[..], &args.also].concat())?
+            PolicySets::from_paths(&[&pair[..], also].concat())?
         }
         _ => match args.folder() {
-            Some(folder) => PolicySets::from_folder(&folder, &names, &args.also)?,
-            None => PolicySets::from_shipped(&names, &args.also)?,
+            Some(folder) => PolicySets::from_folder(&folder, &names, also)?,
+            None => PolicySets::from_shipped(&names, also)?,
         },
-    })
+    };
+    if let Some(joints) = args.joints {
+        policies.set_losses(joints.into());
+    }
+    Ok(policies)
 }
