@@ -4,10 +4,13 @@ use crate::support::repository;
 
 /// How a row of the README begins, and the claim in the results that its numbers are of.
 const ROWS: [(&str, &str); 6] = [
-    ("| a sideways push of 0.5 m/s decays within |", "take longer to stabilise (to 10 %) |"),
+    (
+        "| a sideways push of 0.5 m/s decays within |",
+        "After a sideways push, compliant policies take longer to stabilise to 10 % |",
+    ),
     ("| power in the second after it |", "After a push, compliant policies use less power |"),
     ("| a leash of 20 N changes the velocity by |", "| Pulled with 20 N,"),
-    ("| a box in the way (friction 1) is moved by |", "move a box in their way less (friction 1) |"),
+    ("| a box in the way (friction 1) is moved by |", "displace a box in their way less (friction 1) |"),
     (
         "| share of pushes (directions and sizes, to ±1.5 m/s) survived in at least 80 % of the trials |",
         "The 80 % contour of push recovery",
