@@ -1,8 +1,8 @@
 /*! E12: every experiment with the robot acting on its sensors, each number beside the one with the true state.
 
-For each of the two sets that are compared, an experiment's tables are made again with the trials on estimates as the first set and the trials on
-the true state as the second. Trials are paired as everywhere: trial *k* of a seed differs only in what the policy sees. A
-further table has the errors of the estimates.
+For each of the two sets that are compared, an experiment's tables are made again with the trials on estimates as the first set
+and the trials on the true state as the second. Trials are paired as everywhere: trial *k* of a seed differs only in what the policy
+sees. A further table has the errors of the estimates.
 */
 
 use std::collections::BTreeMap;

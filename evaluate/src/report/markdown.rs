@@ -86,7 +86,7 @@ pub fn document(report: &Report) -> String {
          standard deviation over the seeds of {} (E1: the map of all seeds together); intervals are 95 % bootstrap \
          intervals over pairs of seeds. Protocol: {}; measured by revision {} in {}.\n\n{}",
         report.command.text(None),
-        report.names.join(" and "),
+        report.names.join(", "),
         report.protocol,
         report.revisions().join(", "),
         duration(report.wall_s()),
