@@ -33,7 +33,7 @@ use supple::util::terminal;
 /// The error of `--video` in a program without the feature of that name.
 #[cfg(not(feature = "video"))]
 const NO_VIDEO: &str =
-    "this program was built without videos; build it with: cargo build --release --features video --bin scenario";
+    "this program was built without videos; build it with: cargo build --features video --bin scenario";
 
 fn main() -> ExitCode {
     supple::robot::isolate_imports();
