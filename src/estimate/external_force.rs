@@ -130,15 +130,14 @@ pub struct ExternalForces {
 
 impl ExternalForces {
     /// Adds other forces; the first doubt stays.
-    pub fn add(&mut self, other: &ExternalForces) {
+    fn add(&mut self, other: &ExternalForces) {
         self.force += other.force;
         self.moment += other.moment;
         self.feet.iter_mut().zip(other.feet).for_each(|(sum, foot)| *sum += foot);
         self.doubt = self.doubt.or(other.doubt);
     }
 
-    /// Returns these forces divided by a number.
-    pub fn divided(self, by: f64) -> Self {
+    fn divided(self, by: f64) -> Self {
         let feet = self.feet.map(|foot| foot / by);
         ExternalForces { force: self.force / by, moment: self.moment / by, feet, ..self }
     }
@@ -183,6 +182,9 @@ pub struct ForceObserver {
     feet: [FootSphere; 4],
     before: Option<ForceReading>,
     forces: ExternalForces,
+    /// Sum of the forces since the last call of [`ForceObserver::take_mean`], and their number.
+    sum: ExternalForces,
+    count: u32,
     /// Low-passed sum of v vᵀ over the lines v between feet that carry weight, world frame [m²].
     lines: Matrix3<f64>,
     /// Upward force on the trunk, low-passed over [`TIME_CONSTANT_S`]: a push is no lift \[N\].
@@ -229,6 +231,8 @@ impl ForceObserver {
             before: None,
             lines: Matrix3::zeros(),
             forces: ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() },
+            sum: ExternalForces::default(),
+            count: 0,
             lift_n: 0.0,
             data: Data::new(model)?,
         })
@@ -245,6 +249,7 @@ impl ForceObserver {
         self.lines = Matrix3::zeros();
         self.lift_n = 0.0;
         self.forces = ExternalForces { doubt: Some(Doubt::Starting), ..ExternalForces::default() };
+        (self.sum, self.count) = (ExternalForces::default(), 0);
     }
 
     /// Takes the reading of a physics step, `dt_s` \[s\] after the last one.
@@ -253,15 +258,24 @@ impl ForceObserver {
     /// A reading that is not finite, by name, a time step that is not positive, or a fault of MuJoCo. The forces are then
     /// as before and in [`Doubt::Refused`], and the next reading is a first one.
     pub fn update(&mut self, reading: &ForceReading, dt_s: f64) -> Result<&ExternalForces, ForceFault> {
-        let before = self.before.take();
-        self.forces.doubt = Some(Doubt::Refused);
-        check(reading, dt_s)?;
-        self.forces.doubt = match before {
-            Some(before) => self.balance(&before, reading, dt_s)?,
-            None => Some(Doubt::Starting),
-        };
+        let doubt = self.judge(reading, dt_s);
+        self.forces.doubt = doubt.as_ref().map_or(Some(Doubt::Refused), |doubt| *doubt);
+        self.sum.add(&self.forces);
+        self.count += 1;
+        doubt?;
         self.before = Some(*reading);
         Ok(&self.forces)
+    }
+
+    /// Returns the mean of the forces after each reading since the last call, with the first doubt; zero without a reading.
+    pub fn take_mean(&mut self) -> ExternalForces {
+        std::mem::take(&mut self.sum).divided(f64::from(std::mem::take(&mut self.count).max(1)))
+    }
+
+    fn judge(&mut self, reading: &ForceReading, dt_s: f64) -> Result<Option<Doubt>, ForceFault> {
+        let before = self.before.take();
+        check(reading, dt_s)?;
+        before.map_or(Ok(Some(Doubt::Starting)), |before| Ok(self.balance(&before, reading, dt_s)?))
     }
 
     /// Solves the equations of the step between two readings.

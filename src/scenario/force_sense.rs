@@ -12,9 +12,6 @@ use crate::sim::{Conditions, Parts, Sim, StepObserver};
 pub struct ForceSense {
     observer: ForceObserver,
     exact: ExactSensors,
-    /// Sum of the forces since the last call of [`ForceSense::take_mean`], and their number.
-    sum: ExternalForces,
-    count: u32,
 }
 
 impl ForceSense {
@@ -23,8 +20,7 @@ impl ForceSense {
     /// # Errors
     /// MuJoCo cannot compile the robot alone.
     pub fn new(sim: &Sim, conditions: &Conditions) -> mujoco::Result<Self> {
-        let observer = ForceObserver::new(sim.robot())?;
-        Ok(ForceSense { observer, exact: ExactSensors::new(sim, conditions), sum: ExternalForces::default(), count: 0 })
+        Ok(ForceSense { observer: ForceObserver::new(sim.robot())?, exact: ExactSensors::new(sim, conditions) })
     }
 
     /// Updates the forces with a physics step; to be called from [`StepObserver::forces`], once for each step. `torques` are
@@ -47,16 +43,12 @@ impl ForceSense {
                 ForceReading { imu, encoders, torques: *torques, world_from_base: parts.world_from_base(data) }
             }
         };
-        let fault = self.observer.update(&reading, data.model().timestep_s()).err();
-        self.sum.add(self.observer.forces());
-        self.count += 1;
-        fault.map_or_else(|| Ok(self.observer.forces()), Err)
+        self.observer.update(&reading, data.model().timestep_s())
     }
 
-    /// Returns the mean of the forces since the last call, with the first doubt.
+    /// Returns the mean of the forces since the last call, as [`ForceObserver::take_mean`].
     pub fn take_mean(&mut self) -> ExternalForces {
-        let sum = std::mem::take(&mut self.sum);
-        sum.divided(f64::from(std::mem::take(&mut self.count).max(1)))
+        self.observer.take_mean()
     }
 
     /// The forces after the last physics step.
@@ -68,7 +60,6 @@ impl ForceSense {
     pub fn reset(&mut self, sim: &Sim, conditions: &Conditions) {
         self.exact = ExactSensors::new(sim, conditions);
         self.observer.reset();
-        (self.sum, self.count) = (ExternalForces::default(), 0);
     }
 }
 

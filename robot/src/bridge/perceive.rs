@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use supple::estimate::contact::{ContactEstimator, ContactNetwork, RATE_HZ};
-use supple::estimate::external_force::{ExternalForces, ForceObserver, ForceReading};
+use supple::estimate::external_force::{ForceObserver, ForceReading};
 use supple::estimate::{EncoderReading, Estimator, EstimatorConfig};
 use supple::mujoco;
 use supple::robot::{Joints, Robot, RobotState};
@@ -33,9 +33,6 @@ pub struct Perception {
     /// Time since the last tick of the contact network \[s\].
     since_contact_s: f64,
     before: Option<EncoderReading>,
-    /// Sum of the felt forces since the last policy step, and their number.
-    felt: ExternalForces,
-    count: u32,
 }
 
 impl Perception {
@@ -51,8 +48,6 @@ impl Perception {
             touching: [true; 4],
             since_contact_s: 0.0,
             before: None,
-            felt: ExternalForces::default(),
-            count: 0,
             robot,
         })
     }
@@ -66,7 +61,6 @@ impl Perception {
         self.estimator = Estimator::new(Arc::clone(&self.robot), EstimatorConfig::default());
         self.forces.reset();
         (self.touching, self.since_contact_s, self.before) = ([true; 4], 0.0, None);
-        (self.felt, self.count) = (ExternalForces::default(), 0);
         Ok(())
     }
 
@@ -88,8 +82,7 @@ impl Perception {
             torques: reading.torques,
             world_from_base: estimate.world_from_base,
         };
-        self.felt.add(self.forces.update(&felt, dt_s).map_err(|error| fault(&error))?);
-        self.count += 1;
+        self.forces.update(&felt, dt_s).map_err(|error| fault(&error))?;
         Ok(())
     }
 
@@ -116,7 +109,7 @@ impl Perception {
     /// reading.
     pub fn state(&mut self) -> Option<RobotState> {
         let (estimate, encoders) = (self.estimator.estimate()?, self.before?);
-        let felt = std::mem::take(&mut self.felt).divided(f64::from(std::mem::take(&mut self.count).max(1)));
+        let felt = self.forces.take_mean();
         let felt_force = felt.doubt.is_none().then_some([felt.force.x, felt.force.y]);
         Some(RobotState { felt_force, ..estimate.state(&self.robot, &encoders, self.touching) })
     }
