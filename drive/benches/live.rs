@@ -1,8 +1,8 @@
 /*! Latency and load of `drive`: simulated against real time, from a message to motion, and memory over time.
 
 ```sh
-cargo bench -p supple-drive -- --scene ball-pit --seconds 60          # with a viewer that reads
-cargo bench -p supple-drive -- --scene flat --seconds 1200 --chromium # with rerun's viewer in headless Chromium
+cargo bench -p supple-drive --bench live -- --scene ball-pit --seconds 60          # with a viewer that reads
+cargo bench -p supple-drive --bench live -- --scene flat --seconds 1200 --chromium # with rerun's viewer in headless Chromium
 ```
 
 The benchmark starts the real program and drives it over its sockets. A *command* is a message with another velocity,

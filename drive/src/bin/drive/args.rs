@@ -21,10 +21,10 @@ pub struct Args {
     /// told to yield to a hand by 0.03 m/s/N]
     ///
     /// The policy of a running training run is reloaded whenever the run saves a newer one.
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME")]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME[@C]")]
     pub policy: Option<String>,
     /// Policy of the second robot, `none` for one robot alone [default: real, which resists, if --policy is not given]
-    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME")]
+    #[arg(long, help_heading = ROBOTS, value_name = "FILE|NAME[@C]")]
     pub compare: Option<String>,
     /// Robot: an MJCF file, or a YAML file that names one and its joints [default: the policy's]
     #[arg(long, help_heading = ROBOTS, value_name = "FILE")]
