@@ -29,7 +29,7 @@ const HELD_OUT: u32 = 5;
 /// Policies walk or stand at random commands, on slopes, among balls and over blocks and mats, with random friction, and are pushed;
 /// the network learns from joint angles, rates and targets with sensor noise which feet touch something and hardly move. Scores are of episodes that it was not trained on.
 #[derive(Parser)]
-#[command(version = supple::util::provenance::version())]
+#[command(name = env!("CARGO_BIN_NAME"), version = supple::util::provenance::version())]
 struct Args {
     /// Policy to gather data from: file, run folder or name of a shipped one; may be given several times [default: all
     /// that ship]
